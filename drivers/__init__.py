@@ -1,0 +1,1 @@
+"""Thin instrument drivers: one module an instrument model, between its protocol and its role."""

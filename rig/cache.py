@@ -1,0 +1,90 @@
+"""A disk cache for things that are expensive to compute and cheap to check.
+
+An entry is one file under a key that hashes everything it depends on. Content carries its own
+checksum: a damaged or foreign file is a miss, never an answer. Losing the cache loses time only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import tempfile
+from pathlib import Path
+from typing import Protocol
+
+_MAGIC = b"RIGCACHE1\n"
+_DIGEST_BYTES = 32
+
+
+class Cache(Protocol):
+    """Bytes by key; both calls may be ignored by an implementation that keeps nothing."""
+
+    def get(self, key: str) -> bytes | None:
+        """The bytes stored under `key`, or None."""
+        ...
+
+    def put(self, key: str, content: bytes) -> None:
+        """Store `content` under `key`; failing to store is not an error."""
+        ...
+
+
+class NoCache:
+    """Keeps nothing."""
+
+    def get(self, key: str) -> bytes | None:
+        """Nothing."""
+        return None
+
+    def put(self, key: str, content: bytes) -> None:
+        """Nothing."""
+
+
+class DiskCache:
+    """One file an entry below a folder, written beside and renamed, checked when read."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+
+    def path(self, key: str) -> Path:
+        """The file of `key`; keys are hashed so that any text is a safe name."""
+        return self.folder / (hashlib.sha256(key.encode()).hexdigest()[:40] + ".cache")
+
+    def get(self, key: str) -> bytes | None:
+        """The bytes stored under `key`; None where there are none or they are damaged."""
+        try:
+            raw = self.path(key).read_bytes()
+        except OSError:
+            return None
+        head = len(_MAGIC) + _DIGEST_BYTES
+        if len(raw) < head or not raw.startswith(_MAGIC):
+            return None
+        content = raw[head:]
+        if _digest(key, content) != raw[len(_MAGIC) : head]:
+            return None
+        return content
+
+    def put(self, key: str, content: bytes) -> None:
+        """Store `content` under `key`; a full or read-only disk leaves the cache as it was."""
+        with contextlib.suppress(OSError):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(dir=self.folder, delete=False) as file:
+                try:
+                    file.write(_MAGIC + _digest(key, content) + content)
+                    file.close()
+                    Path(file.name).replace(self.path(key))
+                except OSError:
+                    Path(file.name).unlink(missing_ok=True)
+                    raise
+
+
+def user_cache() -> DiskCache:
+    """The cache in the user's cache folder (``RIG_CACHE`` overrides the place)."""
+    from platformdirs import user_cache_path
+
+    override = os.environ.get("RIG_CACHE")
+    return DiskCache(Path(override) if override else user_cache_path("tactile-rig"))
+
+
+def _digest(key: str, content: bytes) -> bytes:
+    return hashlib.sha256(key.encode() + b"\0" + content).digest()

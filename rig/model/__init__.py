@@ -1,0 +1,1 @@
+"""Physics of the bench: pure functions and settings, no I/O."""

@@ -1,0 +1,103 @@
+"""Settings: strict, frozen values whose field names carry their unit.
+
+A settings class may hold other settings, numbers with a unit suffix (``speed_mm_s``), names and
+flags. It may not read files, touch instruments or know where it is used. Unknown keys, NaN and
+infinities are refused; pydantic collects every error of a document, so that all are shown at once
+(``rig.errors.ConfigurationError.from_validation`` words them).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+UNIT_BY_SUFFIX: dict[str, str] = {
+    "V_N": "V/N",
+    "V_sqrtHz": "V/sqrt(Hz)",
+    "C_N": "C/N",
+    "N_V": "N/V",
+    "N_mm": "N/mm",
+    "mm_s2": "mm/s^2",
+    "mm_s": "mm/s",
+    "deg_s": "deg/s",
+    "dB_decade": "dB/decade",
+    "S_s": "1/s",
+    "kg_m3": "kg/m^3",
+    "MPa": "MPa",
+    "Pa": "Pa",
+    "kN": "kN",
+    "mN": "mN",
+    "N": "N",
+    "kHz": "kHz",
+    "Hz": "Hz",
+    "mV": "mV",
+    "V": "V",
+    "ms": "ms",
+    "us": "us",
+    "min": "min",
+    "s": "s",
+    "um": "um",
+    "mm2": "mm^2",
+    "mm": "mm",
+    "m": "m",
+    "deg": "deg",
+    "rad": "rad",
+    "dB": "dB",
+    "pF": "pF",
+    "F": "F",
+    "ohm": "ohm",
+    "C": "C",
+    "percent": "percent",
+}
+"""Field-name suffix to unit, in the notation both pint and UDUNITS read."""
+
+_SUFFIXES_LONGEST_FIRST = sorted(UNIT_BY_SUFFIX, key=len, reverse=True)
+
+
+class Settings(BaseModel):
+    """Base of every settings object: unknown keys refused, frozen, finite numbers only."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        validate_default=True,
+        use_attribute_docstrings=True,
+    )
+
+
+def unit_of(field_name: str) -> str | None:
+    """The unit that a field's name carries (``normal_force_N`` gives ``N``), or None."""
+    for suffix in _SUFFIXES_LONGEST_FIRST:
+        if field_name == suffix or field_name.endswith("_" + suffix):
+            return UNIT_BY_SUFFIX[suffix]
+    return None
+
+
+def name_without_unit(field_name: str) -> str:
+    """The field's name without its unit suffix: ``normal_force_N`` gives ``normal_force``."""
+    for suffix in _SUFFIXES_LONGEST_FIRST:
+        if field_name.endswith("_" + suffix):
+            return field_name[: -len(suffix) - 1]
+    return field_name
+
+
+def leaves(settings: Settings, prefix: str = "") -> Iterator[tuple[str, Any, str | None]]:
+    """Every plain value of a settings tree as (dotted name, value, unit)."""
+    for name in type(settings).model_fields:
+        value = getattr(settings, name)
+        if isinstance(value, Settings):
+            yield from leaves(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value, unit_of(name)
+
+
+def fingerprint(*parts: Any) -> str:
+    """A stable hash of JSON-able values and settings: equal exactly when they are equal."""
+    plain = [p.model_dump(mode="json") if isinstance(p, BaseModel) else p for p in parts]
+    text = json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
