@@ -1,0 +1,319 @@
+"""Keysight U2300A and U2500A series DAQ as a DataAcquisition, SCPI over USBTMC.
+
+The U2331A and U2351A-U2356A scan their channels through one converter: channel k of a scan is
+sampled k conversion times late, which the record's scaling states. The U254xA sample together.
+Burst mode packs a scan as tightly as the converter can; it is always on where there is a scan.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field, field_validator
+
+from drivers.visa_link import VisaLink
+from rig.clock import Clock, WallClock
+from rig.errors import InstrumentError, LimitError
+from rig.instruments import Acquisition, Identity, InputChannel, Reach, Record, Scaling
+from rig.settings import Settings as BaseSettings
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+ROLE = "daq"
+
+LOWEST_RATE_S_S = 3.0
+MOST_SAMPLES = 8_000_000  # of one acquisition, all channels together
+POLL_S = 0.001
+PATIENCE_S = 1.0
+"""How much longer than its nominal duration an acquisition may take to complete."""
+WIDE_RANGES_V = (10.0, 5.0, 2.5, 1.25)
+
+
+@dataclass(frozen=True)
+class Model:
+    """What the sheet says of one model."""
+
+    bits: int
+    """Resolution; 12-bit codes stand left-justified in 16-bit words."""
+    total_rate_S_s: float
+    """Highest rate of one channel, or of all scanned channels together."""
+    simultaneous: bool
+    ranges_V: tuple[float, ...] = WIDE_RANGES_V
+    terminals: int = 64
+
+
+MODELS: dict[str, Model] = {
+    "U2331A": Model(12, 1e6, False, (10, 5, 2.5, 2, 1.25, 1, 0.5, 0.25, 0.2, 0.05)),
+    "U2351A": Model(16, 250e3, False, terminals=16),
+    "U2352A": Model(16, 250e3, False, terminals=16),
+    "U2353A": Model(16, 500e3, False, terminals=16),
+    "U2354A": Model(16, 500e3, False, terminals=16),
+    "U2355A": Model(16, 250e3, False),
+    "U2356A": Model(16, 500e3, False),
+    "U2541A": Model(16, 250e3, True, terminals=4),
+    "U2542A": Model(16, 500e3, True, terminals=4),  # simultaneous sampling is unconfirmed
+}
+
+
+class Settings(BaseSettings):
+    """Where the DAQ is and what is wired to it."""
+
+    driver: Literal["keysight-u2300a"] = "keysight-u2300a"
+    resource: str
+    """VISA resource, for example USB0::0x0957::0x1518::TW12345678::INSTR."""
+    timeout_s: float = Field(default=2.0, gt=0, le=60)
+    """Longest wait for an answer."""
+    channels: dict[str, int] = Field(min_length=1)
+    """Terminal by signal name, for example load_cell = 101."""
+
+    @field_validator("channels")
+    @classmethod
+    def _terminals_differ(cls, channels: dict[str, int]) -> dict[str, int]:
+        if len(set(channels.values())) != len(channels):
+            raise ValueError("two signals are wired to one terminal; give each its own")
+        for name, terminal in channels.items():
+            if not 101 <= terminal <= 164:
+                raise ValueError(f"{name} = {terminal} is no terminal; they count from 101 to 164")
+        return channels
+
+
+class Daq:
+    """A U2300A or U2500A series unit."""
+
+    def __init__(self, settings: Settings, clock: Clock):
+        self._settings = settings
+        self._clock = clock
+        self._link = VisaLink("daq", settings.resource, settings.timeout_s, clock)
+        self._identity: Identity | None = None
+        self._configured: tuple[Acquisition, bool] | None = None
+        self._scaling: Scaling | None = None
+        self._running: Acquisition | None = None
+        self._rows_read = 0
+
+    @property
+    def identity(self) -> Identity:
+        """Who answered at connect."""
+        assert self._identity is not None, "connect() identifies before anything else"
+        return self._identity
+
+    @property
+    def model(self) -> Model:
+        """The connected model's data."""
+        return MODELS[self.identity.model]
+
+    def prepare(self) -> None:
+        """Identify, stop whatever runs, and check the wiring against the model."""
+        self._identity = self._link.identify()
+        if self._identity.model not in MODELS:
+            raise InstrumentError(
+                "daq",
+                "*IDN?",
+                f"{self._settings.resource} is a {self._identity.vendor} {self._identity.model}",
+                f"one of {', '.join(MODELS)} is expected; correct [daq] in the bench file",
+            )
+        for name, terminal in self._settings.channels.items():
+            if terminal > 100 + self.model.terminals:
+                raise LimitError(
+                    f"daq {self._identity.model}: channel {name} = {terminal} is beyond the last "
+                    f"terminal {100 + self.model.terminals}",
+                    "correct [daq.channels] in the bench file",
+                )
+        self._link.command("*CLS", "STOP")
+
+    def reach(self) -> Mapping[str, Reach]:
+        """The rate of one channel; `check` knows what the others cost."""
+        owner = f"daq {self.identity.model}"
+        return {"rate": Reach(LOWEST_RATE_S_S, self.model.total_rate_S_s, "S/s", owner)}
+
+    def highest_rate(self, channels: int) -> float:
+        """The highest rate per channel, in S/s, at which `channels` channels can be sampled."""
+        return self.model.total_rate_S_s / (1 if self.model.simultaneous else channels)
+
+    def check(self, acquisition: Acquisition) -> None:
+        """Raise LimitError where this model cannot do the acquisition."""
+        device = f"daq {self.identity.model}"
+        for channel in acquisition.channels:
+            if channel.name not in self._settings.channels:
+                raise LimitError(
+                    f"{device}: no terminal is named {channel.name}",
+                    "add it to [daq.channels] in the bench file",
+                )
+            if channel.range_V not in self.model.ranges_V:
+                choices = ", ".join(f"{value:g}" for value in sorted(self.model.ranges_V))
+                raise LimitError(
+                    f"{device}: {channel.name}: a range of {channel.range_V:g} V does not exist",
+                    f"choose one of {choices} V",
+                )
+        count = len(acquisition.channels)
+        highest = self.highest_rate(count)
+        if not LOWEST_RATE_S_S <= acquisition.rate_S_s <= highest:
+            raise LimitError(
+                f"{device}: {acquisition.rate_S_s:g} S/s a channel for {count} channels is outside "
+                f"{LOWEST_RATE_S_S:g} to {highest:g} S/s",
+                "choose another rate or sample fewer channels",
+            )
+        if acquisition.samples < 1 or acquisition.samples * count > MOST_SAMPLES:
+            raise LimitError(
+                f"{device}: {acquisition.samples} samples of {count} channels are outside "
+                f"1 to {MOST_SAMPLES} in all",
+                "choose a shorter record or a lower rate",
+            )
+
+    def acquire(self, acquisition: Acquisition) -> Record:
+        """Sample once; waits on the bench clock until the unit says that it has finished."""
+        self._configure(acquisition, continuous=False)
+        self._link.command("DIG")
+        nominal_s = acquisition.samples / self._scaling_now().rate_S_s
+        self._clock.sleep(nominal_s)
+        give_up = self._clock.now() + PATIENCE_S
+        while self._state("WAV:COMP?", ("YES", "NO")) == "NO":
+            if self._clock.now() > give_up:
+                raise InstrumentError(
+                    "daq",
+                    "DIG",
+                    f"not complete {PATIENCE_S:g} s after the {nominal_s:g} s that it should take",
+                    "check the trigger settings of the unit",
+                )
+            self._clock.sleep(POLL_S)
+        return Record(self._block(acquisition), self._scaling_now(), first_index=0)
+
+    def start(self, acquisition: Acquisition) -> Scaling:
+        """Begin sampling without end in blocks of `acquisition.samples` rows."""
+        self._configure(acquisition, continuous=True)
+        self._link.command("RUN")
+        self._running = acquisition
+        self._rows_read = 0
+        return self._scaling_now()
+
+    def read(self) -> Record | None:
+        """The next block, None where none is complete, InstrumentError where data were lost."""
+        if self._running is None:
+            raise InstrumentError("daq", "WAV:DATA?", "no acquisition is running")
+        state = self._state("WAV:STAT?", ("EPTY", "FRAG", "DATA", "OVER"))
+        if state == "OVER":
+            raise InstrumentError(
+                "daq",
+                "WAV:STAT?",
+                f"its buffer overran after row {self._rows_read}; samples are lost",
+                "read faster, lower the rate, or sample fewer channels",
+            )
+        if state != "DATA":
+            return None
+        first = self._rows_read
+        counts = self._block(self._running)
+        self._rows_read += len(counts)
+        return Record(counts, self._scaling_now(), first)
+
+    def stop(self) -> None:
+        """End a running acquisition."""
+        self._running = None
+        self._link.command("STOP")
+
+    def make_safe(self) -> None:
+        """A DAQ drives nothing; its acquisition is ended."""
+        self.stop()
+
+    def close(self) -> None:
+        """Let go of the connection."""
+        self._link.close()
+
+    def _configure(self, acquisition: Acquisition, continuous: bool) -> None:
+        if self._configured == (acquisition, continuous):
+            return
+        self.check(acquisition)
+        self._configured = None
+        terminals = ",".join(str(self._terminal(c)) for c in self._scan_order(acquisition))
+        if self.model.simultaneous:
+            everything = f"(@101:{100 + self.model.terminals})"
+            scan = [f"ROUT:ENAB OFF,{everything}", f"ROUT:ENAB ON,(@{terminals})"]
+        else:
+            scan = [f"ROUT:SCAN (@{terminals})", "ACQ:BURS ON"]
+        ranges = []
+        for channel in acquisition.channels:
+            where = f"(@{self._terminal(channel)})"
+            ranges += [f"ROUT:CHAN:RANG {channel.range_V:g},{where}", f"ROUT:CHAN:POL BIP,{where}"]
+        points = "WAV:POIN" if continuous else "ACQ:POIN"
+        rate, samples = self._link.command(
+            f"ACQ:SRAT {LOWEST_RATE_S_S:g}",  # a longer scan list is refused at a high rate
+            *scan,
+            *ranges,
+            f"ACQ:SRAT {acquisition.rate_S_s:.9G}",
+            f"{points} {acquisition.samples}",
+            then=("ACQ:SRAT?", f"{points}?"),
+        )
+        if self._link.number(f"{points}?", samples) != acquisition.samples:
+            raise InstrumentError(
+                "daq", points, f"set to {acquisition.samples} but reads back {samples}"
+            )
+        self._scaling = self._scaling_at(acquisition, self._link.number("ACQ:SRAT?", rate))
+        self._configured = (acquisition, continuous)
+
+    def _terminal(self, channel: InputChannel) -> int:
+        return self._settings.channels[channel.name]
+
+    def _scan_order(self, acquisition: Acquisition) -> tuple[InputChannel, ...]:
+        """A scan list keeps its order; simultaneous channels come in the terminals' order."""
+        if self.model.simultaneous:
+            return tuple(sorted(acquisition.channels, key=self._terminal))
+        return acquisition.channels
+
+    def _scaling_at(self, acquisition: Acquisition, rate_S_s: float) -> Scaling:
+        """How the sheet turns codes into volts, and where the multiplexer puts each channel."""
+        model, channels = self.model, self._scan_order(acquisition)
+        spare = 16 - model.bits
+        # U2331A: V = code * span / (2^12 - 1); 16-bit models: V = code * range / 32768.
+        per_range = 2 / (2**model.bits - 1) if spare else 1 / 2 ** (model.bits - 1)
+        skew_s = 0.0 if model.simultaneous else 1 / model.total_rate_S_s
+        return Scaling(
+            channels=tuple(c.name for c in channels),
+            rate_S_s=rate_S_s,
+            volts_per_count=tuple(c.range_V * per_range for c in channels),
+            offset_V=tuple(0.0 for _ in channels),
+            range_V=tuple(c.range_V for c in channels),
+            delay_s=tuple(k * skew_s for k in range(len(channels))),
+            lowest_count=-(2 ** (model.bits - 1)),
+            highest_count=2 ** (model.bits - 1) - 1,
+        )
+
+    def _block(self, acquisition: Acquisition) -> npt.NDArray[np.int16]:
+        import numpy as np
+
+        width = len(acquisition.channels)
+        raw = self._link.query_block("WAV:DATA?", 2 * width * acquisition.samples)
+        words = np.frombuffer(raw, dtype="<i2").reshape(-1, width)
+        return words >> (16 - self.model.bits)
+
+    def _state(self, query: str, known: tuple[str, ...]) -> str:
+        reply = self._link.query(query)
+        if reply not in known:
+            self._link.close()
+            raise InstrumentError(
+                "daq", query, f"the answer {reply!r} is none of {', '.join(known)}"
+            )
+        return reply
+
+    def _scaling_now(self) -> Scaling:
+        assert self._scaling is not None, "an acquisition is configured before it is used"
+        return self._scaling
+
+
+def connect(settings: Settings, clock: Clock) -> Daq:
+    """Connect to the DAQ, with nothing running."""
+    daq = Daq(settings, clock)
+    try:
+        daq.prepare()
+    except BaseException:
+        daq.close()
+        raise
+    return daq
+
+
+def make_safe(settings: Settings) -> None:
+    """End any acquisition over a connection of its own; idempotent."""
+    with contextlib.closing(Daq(settings, WallClock())) as daq:
+        daq.make_safe()

@@ -1,0 +1,215 @@
+"""The simulated bench as a process: one World, its instruments' servers, its control socket.
+
+Entry point ``simulated`` of group ``rig.benches``. `serve` runs the bench here until it is stopped
+(``rig simulate``); `start` runs it as a process of its own with its time slaved to the caller,
+which is what a run without a bench file does. Both end up in the same few lines: there is no other
+way to be a simulated bench.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rig.errors import ConfigurationError, InstrumentError, RigError
+
+LINGER_S = 10.0
+"""How long a bench whose owner died goes on in real time: time for the guard to come and act."""
+
+START_TIMEOUT_S = 30.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to run the bench."""
+
+    seed: int = 0
+    slaved: bool = False
+    world: str | None = None
+    """TOML file with World settings."""
+    fault: str | None = None
+    """TOML file with a fault plan."""
+    world_log: str | None = None
+    """File to which the World's log is appended."""
+    linger_s: float = LINGER_S
+
+
+@dataclass(frozen=True)
+class Endpoints:
+    """Where the bench listens."""
+
+    control: int
+    generator: str
+    daq: str
+
+
+def bench_toml(options: Options, world: dict[str, Any], endpoints: Endpoints) -> str:
+    """The bench file that drives this bench."""
+    simulation = {"seed": options.seed, **world}
+    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in simulation.items())
+    return f"""# A simulated bench: whatever is measured on it is computed, not measured.
+name = "simulated"
+
+[simulation]
+{lines}
+[fixture]
+mounted = "film-clamp"
+
+[film]
+name = "simulated film"
+amplifier_gain = 1.0
+area_mm2 = 8.0
+
+[load_cell]
+sensitivity_V_N = 0.1
+max_load_N = 20.0
+
+[generator]
+driver = "keysight-33500b"
+resource = "{endpoints.generator}"
+timeout_s = 0.5
+max_amplitude_V = 10.0
+
+[daq]
+driver = "keysight-u2300a"
+resource = "{endpoints.daq}"
+timeout_s = 0.5
+channels = {{ load_cell = 101, film = 102 }}
+"""
+
+
+class StartedBench:
+    """A bench that was started as a process of its own, and how to drive it."""
+
+    def __init__(self, options: Options):
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "drivers.simulated.bench", json.dumps(asdict(options))],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,  # a terminal's Ctrl-C is the run's business, not the bench's
+        )
+
+    def ready(self) -> dict[str, Any]:
+        """Wait until the bench listens: ``control_port``, ``bench_toml``, ``recorded_toml``."""
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        answer: dict[str, Any] = json.loads(line) if line else {}
+        if "error" in answer:
+            raise ConfigurationError(answer["error"], answer["hint"])
+        if "control_port" not in answer:
+            assert self._process.stderr is not None
+            words = self._process.stderr.read().decode(errors="replace").strip().splitlines()
+            raise InstrumentError(
+                "simulated bench", "start", words[-1] if words else "the process ended at once"
+            )
+        return answer
+
+    def wait(self, timeout_s: float = 5.0) -> None:
+        """Wait for the process to end; one that does not is ended."""
+        try:
+            self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for pipe in (self._process.stdout, self._process.stderr):
+            if pipe is not None:
+                pipe.close()
+
+
+def start(options: dict[str, Any]) -> StartedBench:
+    """Start a slaved bench; `options` are fields of `Options`."""
+    return StartedBench(Options(**{**options, "slaved": True}))
+
+
+def serve(options: dict[str, Any], ready: Callable[[str], None]) -> None:
+    """Run a bench here in real time until SIGINT or SIGTERM; `ready` gets the bench file's text."""
+    asyncio.run(_serve(Options(**options), lambda said: ready(said["bench_toml"])))
+
+
+async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> None:
+    from drivers.simulated.control import ControlServer
+    from drivers.simulated.faults import FaultPlan, WireFaults
+    from drivers.simulated.keysight_33500b import Keysight33500B
+    from drivers.simulated.keysight_u2300a import KeysightU2300A
+    from drivers.simulated.servers import HislipServer, ScpiSocketServer
+    from drivers.simulated.world import World, read_world
+
+    settings = read_world(options.world)
+    devices = ("generator", "daq")
+    faults = FaultPlan.read(Path(options.fault), devices) if options.fault else FaultPlan()
+    log = Path(options.world_log) if options.world_log else None
+    world = World(settings, options.seed, options.slaved, log)
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+
+    def orphaned() -> None:
+        world.timeline.set_free()
+        world.log("world", "owner-gone", None, "world")
+        loop.call_later(options.linger_s, ended.set)
+
+    server_class = HislipServer if settings.generator_link == "hislip" else ScpiSocketServer
+    generator = server_class(Keysight33500B(world, world), faults=WireFaults(faults, "generator"))
+    daq = HislipServer(
+        KeysightU2300A(settings.daq_model, world, world), faults=WireFaults(faults, "daq")
+    )
+    control = ControlServer(world, {}, ended.set, orphaned if options.slaved else lambda: None)
+    for number in (signal.SIGTERM,) if options.slaved else (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ended.set)
+    await generator.start()
+    await daq.start()
+    port = await control.start()
+    overrides = settings.model_dump(mode="json", exclude_defaults=True)
+    ready(
+        {
+            "control_port": port,
+            "bench_toml": bench_toml(
+                options, overrides, _endpoints(settings, port, generator.port, daq.port)
+            ),
+            "recorded_toml": bench_toml(options, overrides, _endpoints(settings, 0, 0, 0)),
+        }
+    )
+    await ended.wait()
+    control.close()
+    await generator.close()
+    await daq.close()
+    world.close()
+
+
+def _endpoints(settings: Any, control: int, generator: int, daq: int) -> Endpoints:
+    """VISA resources; port 0 stands for "any" where a text is recorded rather than connected to."""
+    by_link = {
+        "socket": f"TCPIP::127.0.0.1::{generator}::SOCKET",
+        "hislip": f"TCPIP::127.0.0.1::hislip0,{generator}::INSTR",
+    }
+    return Endpoints(
+        control,
+        by_link[settings.generator_link],
+        f"TCPIP::127.0.0.1::hislip0,{daq}::INSTR",
+    )
+
+
+def main() -> None:
+    """The process behind `start`: options as JSON in, one line of JSON out when it listens."""
+    for number in (signal.SIGHUP, signal.SIGINT):
+        signal.signal(number, signal.SIG_IGN)
+
+    def say(what: dict[str, Any]) -> None:
+        os.write(sys.stdout.fileno(), json.dumps(what).encode() + b"\n")
+
+    try:
+        asyncio.run(_serve(Options(**json.loads(sys.argv[1])), say))
+    except RigError as error:
+        say({"error": error.message, "hint": error.hint})
+
+
+if __name__ == "__main__":
+    main()

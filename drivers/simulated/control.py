@@ -1,0 +1,87 @@
+"""The simulated bench's control socket: one JSON line asks, one JSON line answers.
+
+    {"do": "advance", "us": 10000}      -> {"now_us": ..., "streams": {name: bytes sent}}
+    {"do": "point", "run": 0, "point": 7} -> {"now_us": ...}
+    {"do": "stop"}                      -> {"now_us": ...}, and the bench ends
+
+The first connection owns a slaved World's time. When it closes without a stop, its owner has died:
+the World goes on in real time, for the drives' time-outs and for the guard, and ends a while later.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from drivers.simulated.world import World
+
+LONGEST_ADVANCE_US = 1_000_000
+
+
+class ControlServer:
+    """Serves the control socket of one World on 127.0.0.1."""
+
+    def __init__(
+        self,
+        world: World,
+        streams: Mapping[str, Callable[[], int]],
+        stop: Callable[[], None],
+        orphaned: Callable[[], None],
+    ):
+        self._world = world
+        self._streams = streams
+        self._stop = stop
+        self._orphaned = orphaned
+        self._server: asyncio.Server | None = None
+        self._stopped = False
+
+    async def start(self, port: int = 0) -> int:
+        """Listen; returns the port."""
+        self._server = await asyncio.start_server(self._serve, "127.0.0.1", port)
+        return int(self._server.sockets[0].getsockname()[1])
+
+    def close(self) -> None:
+        """Stop listening."""
+        if self._server is not None:
+            self._server.close()
+
+    def answer(self, line: bytes) -> dict[str, Any]:
+        """The answer to one request line; an error is an answer too."""
+        try:
+            request = json.loads(line)
+            do = request["do"]
+            if do == "advance":
+                self._advance(int(request["us"]))
+                sent = {name: count() for name, count in self._streams.items()}
+                return {"now_us": self._world.now_us, "streams": sent}
+            if do == "point":
+                self._world.announce(int(request["run"]), int(request["point"]))
+            elif do == "stop":
+                self._stopped = True
+                self._stop()
+            else:
+                return {"error": f"unknown request {do!r}"}
+        except (ValueError, KeyError, TypeError) as error:
+            return {"error": f"{type(error).__name__}: {error}"}
+        return {"now_us": self._world.now_us}
+
+    def _advance(self, step_us: int) -> None:
+        if step_us > LONGEST_ADVANCE_US:
+            raise ValueError(f"an advance of {step_us} us is longer than {LONGEST_ADVANCE_US} us")
+        self._world.timeline.advance(step_us)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        try:
+            while line := await reader.readline():
+                writer.write(json.dumps(self.answer(line)).encode() + b"\n")
+                await writer.drain()
+        except (ConnectionError, asyncio.LimitOverrunError, ValueError):
+            pass  # the owner died in the middle of a word: the same as a close
+        finally:
+            writer.close()
+            if not self._stopped:
+                self._orphaned()

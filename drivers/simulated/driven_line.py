@@ -1,0 +1,70 @@
+"""The vibrator line under a generator: a history of excitations, evaluated at any past instant.
+
+Between two changes of the excitation the drive is one sinusoid, for which the linear line has an
+exact solution. The history is therefore a short list of segments, each with its drive and the
+line's state at its start, and a sample taken late, in blocks or twice is always the same number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.simulated.ports import Excitation
+from rig.model.modal import Complexes, ModalSystem, SineDrive
+
+SEGMENTS_KEPT = 4096
+"""History kept: far more changes than happen within any acquisition."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of constant excitation from `start_us` on."""
+
+    start_us: int
+    drive: SineDrive
+    state: Complexes
+
+
+class DrivenLine:
+    """A modal system with the history of what drove it."""
+
+    def __init__(self, line: ModalSystem):
+        self._line = line
+        self._segments = [Segment(0, SineDrive(), line.rest())]
+
+    def excite(self, now_us: int, excitation: Excitation) -> None:
+        """Change the drive from `now_us` on.
+
+        Direct digital synthesis keeps its phase across a change of frequency or amplitude, and
+        its accumulator runs on while the output is off.
+        """
+        last = self._segments[-1]
+        elapsed_s = (now_us - last.start_us) * 1e-6
+        state = self._line.advance(last.state, last.drive, elapsed_s)
+        running = last.drive.after(elapsed_s)
+        drive = SineDrive(frequency_Hz=excitation.frequency_Hz, phase_rad=running.phase_rad)
+        if excitation.on and excitation.function == "SIN":
+            drive = replace(drive, amplitude=excitation.amplitude_V)
+        if excitation.on and excitation.function in ("SIN", "DC"):
+            drive = replace(drive, offset=excitation.offset_V)
+        self._segments.append(Segment(now_us, drive, state))
+        del self._segments[:-SEGMENTS_KEPT]
+
+    def output(self, column: int, times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """One output at ascending World times; shape of `times_s`.
+
+        Times before the kept history see its first segment's start.
+        """
+        starts = np.array([segment.start_us for segment in self._segments]) * 1e-6
+        edges = np.searchsorted(times_s, starts[1:], side="left")
+        bounds = [0, *edges.tolist(), len(times_s)]
+        result = np.empty(len(times_s))
+        for segment, begin, end in zip(self._segments, bounds[:-1], bounds[1:], strict=True):
+            if end > begin:
+                since = np.maximum(times_s[begin:end] - segment.start_us * 1e-6, 0.0)
+                values = self._line.evaluate(segment.state, segment.drive, since, [column])
+                result[begin:end] = values[:, 0]
+        return result

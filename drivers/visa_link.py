@@ -1,0 +1,194 @@
+"""A SCPI conversation over VISA that checks every answer and never trusts a stale one.
+
+What is sent and what comes back, nothing about any instrument. A set and the error query that
+belongs to it travel as one message, because a raw socket answers a write followed by a query 44 ms
+late (Nagle's algorithm meets delayed acknowledgement) and because one message has one outcome.
+
+After a time-out or a broken answer the late reply may still arrive and would be taken for the
+answer to the next question. The link is therefore closed at once and opened anew by the next call:
+old replies die with the old connection.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from rig.errors import InstrumentError, InstrumentTimeoutError
+from rig.instruments import Identity
+
+if TYPE_CHECKING:
+    from rig.clock import Clock
+
+_ERROR_REPLY = re.compile(r'^([+-]?\d+),"(.*)"$')
+_SMALLEST_BLOCK_REPLY = len(b"#10")
+
+
+class VisaLink:
+    """One instrument's SCPI connection: `resource` in VISA notation, time-out in wall seconds."""
+
+    def __init__(self, device: str, resource: str, timeout_s: float, clock: Clock):
+        self.device = device
+        self.resource = resource
+        self._timeout_s = timeout_s
+        self._clock = clock
+        self._session: Any = None
+
+    def identify(self) -> Identity:
+        """Ask ``*IDN?``; InstrumentError where the answer has not four fields."""
+        reply = self.query("*IDN?")
+        fields = [field.strip() for field in reply.split(",")]
+        if len(fields) != 4:
+            raise self._garbage("*IDN?", reply, "four fields separated by commas")
+        return Identity(*fields)
+
+    def query(self, message: str) -> str:
+        """Send one message and return its one-line reply without the line end."""
+        with self._conversation(message) as session:
+            session.write(message)
+            return str(session.read()).strip("\r\n")
+
+    def query_block(self, message: str, content_bytes: int) -> bytes:
+        """Send a query answered by a definite-length block of exactly `content_bytes` bytes."""
+        with self._conversation(message) as session:
+            session.write(message)
+            # One read takes the whole message where it is not longer than the chunk: USBTMC in
+            # pyvisa-py ends a read_raw() at the chunk size, so the chunk must hold it all.
+            session.chunk_size = content_bytes + 64
+            raw: bytes = session.read_raw()
+            return self._block_content(message, raw, content_bytes)
+
+    def command(self, *commands: str, then: tuple[str, ...] = ()) -> list[str]:
+        """Send commands, the queries `then` and an error query as one message.
+
+        Returns the replies to `then`; raises InstrumentError where the instrument reports an
+        error or the replies do not match the questions.
+        """
+        message = ";:".join((*commands, *then, "SYST:ERR?"))
+        reply = self.query(message)
+        answers = reply.split(";", len(then))
+        if len(answers) != len(then) + 1:
+            raise self._garbage(message, reply, f"{len(then) + 1} answers")
+        self._check_error(message, answers[-1])
+        return answers[:-1]
+
+    def number(self, query: str, reply: str) -> float:
+        """The number in a reply, or InstrumentError that shows what came instead."""
+        try:
+            return float(reply)
+        except ValueError:
+            raise self._garbage(query, reply, "a number") from None
+
+    def close(self) -> None:
+        """Close the connection; a broken one is closed all the same."""
+        session, self._session = self._session, None
+        if session is not None:
+            with contextlib.suppress(Exception):  # the link is going away whatever it says
+                session.close()
+
+    @contextlib.contextmanager
+    def _conversation(self, message: str) -> Iterator[Any]:
+        """A session to talk on; any failure closes it and becomes an InstrumentError."""
+        import pyvisa
+        from pyvisa.constants import StatusCode
+
+        try:
+            if self._session is None:
+                self._session = self._open()
+            yield self._session
+        except pyvisa.errors.VisaIOError as error:
+            self.close()
+            if error.error_code == StatusCode.error_timeout:
+                self._charge_timeout()
+                raise InstrumentTimeoutError(
+                    self.device,
+                    _first(message),
+                    f"no answer within {self._timeout_s:g} s",
+                    f"check that {self.resource} is switched on and reachable",
+                ) from error
+            raise self._broken(message, str(error)) from error
+        except UnicodeDecodeError as error:
+            raise self._garbage(message, error.object, "text") from error
+        except (OSError, EOFError, RuntimeError, pyvisa.Error) as error:
+            self.close()
+            raise self._broken(message, f"{type(error).__name__}: {error}") from error
+        except InstrumentError:
+            self.close()
+            raise
+
+    def _open(self) -> Any:
+        import pyvisa
+
+        wait_ms = round(self._timeout_s * 1000)
+        session: Any = pyvisa.ResourceManager("@py").open_resource(
+            self.resource, open_timeout=wait_ms
+        )
+        session.timeout = wait_ms
+        session.write_termination = "\n"
+        session.read_termination = "\n"
+        return session
+
+    def _charge_timeout(self) -> None:
+        """A time-out is wall time; the bench's clock has to hear of it."""
+        with contextlib.suppress(InstrumentError):  # the time-out itself is the news
+            self._clock.sleep(self._timeout_s)
+
+    def _check_error(self, message: str, reply: str) -> None:
+        match = _ERROR_REPLY.match(reply)
+        if match is None:
+            raise self._garbage(message, reply, "an error-queue entry")
+        code, text = int(match[1]), match[2]
+        if code == 0:
+            return
+        if code == -222:
+            text += " (the instrument clipped the value and applied the clipped one)"
+        raise InstrumentError(
+            self.device,
+            _first(message),
+            f"error {code}: {text}",
+            "check the value against its manual",
+        )
+
+    def _block_content(self, message: str, raw: bytes, expected: int) -> bytes:
+        if len(raw) < _SMALLEST_BLOCK_REPLY or raw[:1] != b"#" or not raw[1:2].isdigit():
+            raise self._garbage(message, raw[:40], "a definite-length block")
+        digits = int(raw[1:2])
+        length_field = raw[2 : 2 + digits]
+        if digits == 0 or not length_field.isdigit():
+            raise self._garbage(message, raw[:40], "a definite-length block")
+        announced = int(length_field)
+        content = raw[2 + digits : 2 + digits + announced]
+        if announced != expected or len(content) != expected:
+            raise self._garbage(
+                message,
+                f"{len(content)} of {announced} announced bytes",
+                f"{expected} bytes",
+            )
+        return content
+
+    def _garbage(self, message: str, got: object, wanted: str) -> InstrumentError:
+        self.close()
+        shown = repr(got)
+        shown = shown if len(shown) <= 80 else shown[:77] + "..."
+        return InstrumentError(
+            self.device,
+            _first(message),
+            f"the answer {shown} is not {wanted}",
+            f"check the cable and that nothing else talks to {self.resource}",
+        )
+
+    def _broken(self, message: str, cause: str) -> InstrumentError:
+        return InstrumentError(
+            self.device,
+            _first(message),
+            f"the connection failed ({cause})",
+            f"check that {self.resource} is switched on and reachable",
+        )
+
+
+def _first(message: str) -> str:
+    """A message as it is shown: its first command, and whether more came with it."""
+    first, separator, _ = message.partition(";")
+    return first + (" ..." if separator else "")

@@ -1,0 +1,1 @@
+"""What runs mean: fits, curves, summaries and scores; no I/O."""

@@ -1,0 +1,383 @@
+"""Least-squares sine fit at a known frequency, with mains lines and harmonics fitted beside it.
+
+The three-parameter fit of IEEE Std 1057 (sine, cosine, offset), extended by known interfering
+frequencies and by the tone's own harmonics as further regressors. Convention: a tone is
+x(t) = Re(phasor exp(2 pi j f t)), t = 0 at the record's first sample, seconds and volts (or any
+unit: phasors carry that of the samples). Sums of sines over an even grid have closed forms, so the
+normal equations cost nothing; the samples are read once to project and once for the residual.
+
+Which lines are fitted: an interfering line is taken in if the tone's variance then grows by no more
+than a tenth over that of the fit with tone and offset alone (for one line: about 0.8 of a beat,
+|f1 - f2| * n / rate). Otherwise it is left out; if the record does not even hold one full beat
+between it and the tone it is named in ``unresolved_Hz``: its share of the phasor cannot be known.
+Beyond one beat a line left out leaks at most 0.22 of its amplitude, less in proportion to the
+beats. Harmonics are measured where the record holds a full beat between them and every other line.
+Saturation is not judged here: the caller knows the converter's range.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.errors import ExitCode, RigError
+
+Reals = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+HARMONICS = (2, 3, 4, 5)
+"""Orders whose amplitudes make up the harmonic distortion."""
+
+FULL_BEAT = 1.0
+"""Beats a record must hold between two lines for one not to be mistaken for the other."""
+
+LARGEST_INFLATION = 1.1
+"""What further lines may do to the variance of the tone."""
+
+SMALLEST_RECORD = 16
+N_BLOCKS = 8
+
+_ROUNDING = 1e-6
+_WORST_INFLATION = 1e6
+_BLOCK = 256
+_STACK = 16
+
+
+class RecordError(RigError):
+    """A record from which the asked-for tone cannot be estimated."""
+
+    code = ExitCode.FINISHED_WITH_FAILURES
+
+
+@dataclass(frozen=True, eq=False)
+class SineFit:
+    """A tone in a record and how well it is known; amplitudes are peak, in the samples' unit."""
+
+    frequency_Hz: float
+    rate_Hz: float
+    n: int
+    phasor: complex
+    covariance: Reals
+    """Of (real, imaginary) part of the phasor, (2, 2), from the residual taken as white."""
+    offset: float
+    residual_rms: float
+    """Of what is left after all fitted lines, with n less the fitted parameters as divisor."""
+    harmonics: Complexes
+    """Phasors of the orders in ``HARMONICS``; NaN where not measured."""
+    block_phasors: Complexes
+    """The tone in up to eight successive parts of whole cycles, same phase reference."""
+    fitted_Hz: tuple[float, ...]
+    """Interfering lines fitted beside the tone."""
+    left_out_Hz: tuple[float, ...]
+    """Interfering lines the record is too short for."""
+
+    @property
+    def unresolved_Hz(self) -> tuple[float, ...]:  # noqa: N802
+        """Lines left out that are within a beat of the tone: what they carry is in the phasor."""
+        duration = _duration(self.n, self.rate_Hz)
+        near = (line for line in self.left_out_Hz if abs(line - self.frequency_Hz) * duration < 1)
+        return tuple(near)
+
+    @property
+    def amplitude(self) -> float:
+        """Peak amplitude."""
+        return abs(self.phasor)
+
+    @property
+    def standard_error(self) -> float:
+        """Of the amplitude, first order: the phasor's error along its own direction."""
+        if not self.phasor:
+            return math.sqrt(float(np.trace(self.covariance)) / 2)
+        direction = np.array([self.phasor.real, self.phasor.imag]) / abs(self.phasor)
+        return math.sqrt(float(direction @ self.covariance @ direction))
+
+    @property
+    def signal_to_noise_dB(self) -> float:  # noqa: N802
+        """Power of the tone over power of the residual, in the whole band up to half the rate."""
+        if not self.residual_rms:
+            return math.inf
+        ratio = self.amplitude / (math.sqrt(2) * self.residual_rms)
+        return 20 * math.log10(ratio) if ratio else -math.inf
+
+    @property
+    def harmonic_distortion(self) -> float:
+        """Root sum of squares of the measured harmonics over the tone (noise adds to it)."""
+        measured = self.harmonics[np.isfinite(self.harmonics)]
+        if not measured.size or not self.amplitude:
+            return math.nan
+        return float(np.linalg.norm(measured)) / self.amplitude
+
+
+def fit_sine(
+    samples: ArrayLike,
+    rate: float,
+    frequency: float,
+    *,
+    interference: Sequence[float] = (),
+    delay_s: float = 0.0,
+) -> SineFit:
+    """Fit the tone at ``frequency`` (Hz) in evenly spaced ``samples`` (n,) taken at ``rate`` (1/s).
+
+    ``interference`` are lines to fit beside it where the record separates them (see
+    :func:`mains_lines`). ``delay_s`` is how much later than t = 0 this channel took its first
+    sample (multiplexer skew): the phasor refers to t = 0. Raises RecordError for NaN, fewer than 16
+    samples or one cycle, or a frequency the rate cannot carry.
+    """
+    y = np.asarray(samples, dtype=float)
+    _check(y, rate, frequency)
+    disturbing = tuple(float(line) for line in interference)
+    fitted, orders = _lines_to_fit(disturbing, float(frequency), float(rate), y.size)
+    left_out = [line for line in disturbing if line not in fitted]
+    lines = _Lines([frequency, *fitted, *(k * frequency for k in orders)], rate, y.size)
+    normal, moments = lines.normal_equations(), lines.moments(y)
+    degrees = y.size - len(moments)
+    if degrees < 1:
+        raise RecordError(
+            f"{y.size} samples cannot carry {len(moments)} unknowns", "take a longer record"
+        )
+    inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    solution = inverse @ moments
+    phasors = solution[1::2] + 1j * solution[2::2]
+    residual = y - solution[0] - lines.synthesise(phasors)
+    residual_rms = math.sqrt(float(np.square(residual).sum()) / degrees)
+    turns = np.exp(-2j * np.pi * delay_s * lines.frequencies)
+    harmonics = np.full(len(HARMONICS), complex(np.nan, np.nan))
+    harmonics[[HARMONICS.index(k) for k in orders]] = (phasors * turns)[1 + len(fitted) :]
+    return SineFit(
+        frequency_Hz=float(frequency),
+        rate_Hz=float(rate),
+        n=y.size,
+        phasor=complex(phasors[0] * turns[0]),
+        covariance=scaled_covariance(residual_rms**2 * inverse[1:3, 1:3], complex(turns[0])),
+        offset=float(solution[0]),
+        residual_rms=residual_rms,
+        harmonics=harmonics,
+        block_phasors=(phasors[0] + lines.block_changes(residual)) * turns[0],
+        fitted_Hz=tuple(fitted),
+        left_out_Hz=tuple(left_out),
+    )
+
+
+def mains_lines(fundamental: float = 50.0, count: int = 5) -> tuple[float, ...]:
+    """The mains frequency and its next harmonics in Hz.
+
+    A tone within a few beats of a line needs the line's true frequency (:func:`line_frequency`):
+    at 51 Hz, a record of 1 s and mains off nominal by 0.02 Hz leak 2 % of the line into the tone.
+    """
+    return tuple(fundamental * order for order in range(1, count + 1))
+
+
+def line_frequency(
+    samples: ArrayLike, rate: float, nominal: float, *, interference: Sequence[float] = ()
+) -> tuple[float, float]:
+    """Frequency of a line near ``nominal`` and its standard error, both in Hz.
+
+    For the mains, which is never at its nominal frequency: from how the line's phase moves through
+    the record's eight parts. Finds lines within 4 / (record length) of ``nominal``; the standard
+    error is the Cramer-Rao bound at the residual found (frequency, phase, amplitude unknown).
+    """
+    frequency = nominal
+    for _ in range(4):
+        fit = fit_sine(samples, rate, frequency, interference=interference)
+        m = fit.block_phasors.size
+        if m < 3:
+            raise RecordError(f"{fit.n} samples hold too few cycles of {nominal} Hz to follow it")
+        phase = np.unwrap(np.angle(fit.block_phasors))
+        part_s = math.floor(frequency * fit.n / rate + _ROUNDING) / m / frequency
+        frequency += float(np.polyfit(np.arange(m) * part_s, phase, 1)[0]) / (2 * np.pi)
+    duration = fit.n / rate
+    error = math.sqrt(6 / fit.n) * fit.residual_rms / (np.pi * duration * fit.amplitude)
+    return frequency, error
+
+
+def whole_cycles(frequency: float, rate: float, minimum_duration: float) -> int:
+    """Samples in a record of whole cycles, at least ``minimum_duration`` (s) and one cycle long.
+
+    Of the next few per cent of longer records the one is taken whose end is nearest to a sample;
+    it is never more than half a sample off. At least the 16 samples a fit asks for.
+    """
+    if not 0 < frequency < rate / 2:
+        raise RecordError(f"{frequency} Hz is not between 0 and half the rate of {rate} 1/s")
+    shortest = max(minimum_duration, SMALLEST_RECORD / rate)
+    first = max(1, math.ceil(shortest * frequency - _ROUNDING))
+    cycles = first + np.arange(1 + min(50, first // 20))
+    ends = cycles * (rate / frequency)
+    misfits = np.abs(ends - np.round(ends))
+    return round(float(ends[np.flatnonzero(misfits <= misfits.min() + _ROUNDING)[0]]))
+
+
+def record_length(
+    frequency: float,
+    rate: float,
+    minimum_duration: float,
+    *,
+    interference: Sequence[float] = (),
+    maximum_duration: float,
+) -> int:
+    """Samples in a record of whole cycles that also separates ``interference`` from the tone.
+
+    Lengthened to one full beat with every line for which that stays within ``maximum_duration``
+    (s); nearer lines remain, and the fit will name them in ``unresolved_Hz``.
+    """
+    beats = [FULL_BEAT / abs(frequency - line) for line in interference if line != frequency]
+    needed = [beat for beat in beats if beat <= maximum_duration]
+    return whole_cycles(frequency, rate, max([minimum_duration, *needed]))
+
+
+class _Lines:
+    """Spectral lines on the grid k / rate, k = 0..n-1; block tables in place of n sines each."""
+
+    def __init__(self, frequencies: Sequence[float], rate: float, n: int):
+        self.frequencies = np.asarray(frequencies, dtype=float)
+        self.n = n
+        self._turns = self.frequencies / rate
+        self._stacks = -(-n // (_BLOCK * _STACK))
+        starts = self._turns * (_BLOCK * np.arange(self._stacks * _STACK))[:, None]
+        self._starts = np.exp(2j * np.pi * (starts - np.floor(starts)))
+        self._table = np.exp(2j * np.pi * self._turns[:, None] * np.arange(_BLOCK))
+
+    def normal_equations(self) -> Reals:
+        """Inner products of the columns 1, cos w_1 k, -sin w_1 k, cos w_2 k, ...: closed forms."""
+        turns = np.concatenate([[0.0], self._turns])
+        total = self._geometric(turns[:, None] + turns)
+        beat = self._geometric(turns[:, None] - turns)
+        full = np.empty((2 * turns.size, 2 * turns.size))
+        full[0::2, 0::2] = (total + beat).real / 2
+        full[1::2, 1::2] = (beat - total).real / 2
+        full[0::2, 1::2] = -(total - beat).imag / 2
+        full[1::2, 0::2] = full[0::2, 1::2].T
+        keep = np.delete(np.arange(2 * turns.size), 1)
+        return full[np.ix_(keep, keep)]
+
+    def moments(self, y: Reals) -> Reals:
+        """Inner products of the same columns with ``y``."""
+        padded = np.zeros(self._stacks * _STACK * _BLOCK)
+        padded[: self.n] = y
+        table = np.concatenate([self._table.real, self._table.imag]).T
+        parts = padded.reshape(self._stacks, _STACK, _BLOCK) @ table
+        parts = parts.reshape(-1, 2, len(self._turns))
+        sums = ((parts[:, 0] + 1j * parts[:, 1]) * self._starts).sum(axis=0)
+        return np.concatenate([[y.sum()], np.stack([sums.real, -sums.imag], axis=1).ravel()])
+
+    def synthesise(self, phasors: Complexes) -> Reals:
+        """Sum of Re(phasor exp(j w k)), shape (n,)."""
+        left = self._starts * phasors
+        rows = np.concatenate([left.real, left.imag], axis=1)
+        table = np.concatenate([self._table.real, -self._table.imag])
+        stacked = rows.reshape(self._stacks, _STACK, -1) @ table
+        wave: Reals = stacked.reshape(-1)[: self.n]
+        return wave
+
+    def block_changes(self, residual: Reals) -> Complexes:
+        """What each part of whole cycles adds to the first line's phasor; (m,), m <= 8, maybe 0."""
+        cycles = math.floor(self._turns[0] * (self.n + 0.5))
+        m = min(N_BLOCKS, cycles)
+        edges = np.round(cycles * np.arange(m + 1) / m / self._turns[0]).astype(int)
+        edges[-1] = min(edges[-1], self.n)
+        wave = (self._starts[:, :1].conj() * self._table[0].conj()).reshape(-1)[: edges[-1]]
+        parts = np.add.reduceat(residual[: edges[-1]] * wave, edges[:-1])
+        changes: Complexes = 2 * parts / np.diff(edges)
+        return changes
+
+    def _geometric(self, turns: Reals) -> Complexes:
+        """Sum over k of exp(2 pi j turns k)."""
+        turns = turns - np.round(turns)
+        flat = np.abs(turns) < 1e-15
+        safe = np.where(flat, 0.5, turns)
+        size = np.where(flat, self.n, np.sin(np.pi * safe * self.n) / np.sin(np.pi * safe))
+        value: Complexes = size * np.exp(1j * np.pi * turns * (self.n - 1))
+        return value
+
+
+def _check(y: Reals, rate: float, frequency: float) -> None:
+    if y.ndim != 1:
+        raise RecordError(f"a record is one row of samples, not an array of shape {y.shape}")
+    if not (math.isfinite(rate) and math.isfinite(frequency) and rate > 0 and frequency > 0):
+        raise RecordError(f"rate {rate} 1/s and frequency {frequency} Hz must be positive")
+    if frequency >= rate / 2:
+        raise RecordError(
+            f"{frequency:g} Hz is not below half the rate of {rate:g} 1/s", "sample faster"
+        )
+    if y.size < SMALLEST_RECORD:
+        raise RecordError(
+            f"{y.size} samples are too short a record: {SMALLEST_RECORD} at least",
+            "take a longer record",
+        )
+    cycles = frequency * _duration(y.size, rate)
+    if cycles < FULL_BEAT:
+        raise RecordError(
+            f"{y.size} samples at {rate:g} 1/s are too short a record of {frequency:g} Hz: "
+            f"{cycles:.2f} cycles, one needed",
+            "take a longer record",
+        )
+    if (rate - 2 * frequency) * _duration(y.size, rate) < FULL_BEAT:
+        raise RecordError(
+            f"{y.size} samples cannot tell {frequency:g} Hz from its image at {rate:g} 1/s",
+            "sample faster or longer",
+        )
+    if not np.isfinite(y).all():
+        raise RecordError(f"{int((~np.isfinite(y)).sum())} of {y.size} samples are not finite")
+
+
+def _duration(n: int, rate: float) -> float:
+    """Length of a record in s, half a sample in its favour: ends are rounded to samples."""
+    return (n + 0.5) / rate
+
+
+def _beats(first: float, second: float, rate: float, n: int) -> float:
+    """Beats in the record between two lines or their images; of a line with its own images."""
+    images = [first + second, rate - first - second]
+    if first != second:
+        images.append(abs(first - second))
+    return min(images) * _duration(n, rate)
+
+
+@lru_cache(maxsize=256)
+def _lines_to_fit(
+    interference: tuple[float, ...], frequency: float, rate: float, n: int
+) -> tuple[list[float], list[int]]:
+    """The interfering lines and the harmonic orders that can be fitted beside the tone."""
+    candidates = [line for line in interference if 0 < line < rate / 2]
+    orders = [order for order in HARMONICS if order * frequency < rate / 2]
+    frequencies = [frequency, *candidates, *(order * frequency for order in orders)]
+    normal = _Lines(frequencies, rate, n).normal_equations()
+    chosen = [0]
+    limit = LARGEST_INFLATION * _tone_variance(normal, chosen)
+    for index in range(1, len(frequencies)):
+        is_harmonic = index > len(candidates)
+        others = [frequencies[k] for k in [*chosen, index]]
+        beats = [_beats(frequencies[index], other, rate, n) for other in others]
+        if is_harmonic and min(beats) < FULL_BEAT:
+            continue
+        if _tone_variance(normal, [*chosen, index]) <= limit:
+            chosen.append(index)
+    fitted = [candidates[k - 1] for k in chosen if 0 < k <= len(candidates)]
+    measured = [orders[k - 1 - len(candidates)] for k in chosen if k > len(candidates)]
+    return fitted, measured
+
+
+def _tone_variance(normal: Reals, chosen: Sequence[int]) -> float:
+    """Variance of the tone (first line), worst phase, for unit noise; infinite if indeterminate."""
+    columns = [0, *(column for k in chosen for column in (2 * k + 1, 2 * k + 2))]
+    part = normal[np.ix_(columns, columns)]
+    try:
+        inverse = np.linalg.inv(part)
+    except np.linalg.LinAlgError:
+        return math.inf
+    inflation = np.diag(inverse) * np.diag(part)
+    if not (inflation.min() > 0 and inflation.max() < _WORST_INFLATION):
+        return math.inf
+    (re, both), (_, im) = inverse[1:3, 1:3]
+    return float((re + im) / 2 + math.hypot((re - im) / 2, both))
+
+
+def scaled_covariance(covariance: Reals, factor: complex) -> Reals:
+    """Covariance of (re, im) of a complex number after its multiplication by ``factor``."""
+    matrix = np.array([[factor.real, -factor.imag], [factor.imag, factor.real]])
+    scaled: Reals = matrix @ covariance @ matrix.T
+    return scaled

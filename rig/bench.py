@@ -1,0 +1,374 @@
+"""The bench: from a bench file to connected instruments that refuse what is outside the limits.
+
+A bench file names, for each role, a driver and its settings. The driver modules come from the
+entry-point group ``rig.drivers``, so a laboratory adds its own without touching this package. All
+errors of a file are shown at once, and all instruments are tried before a connection failure is
+reported.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, Literal, Protocol, TypeVar
+
+from pydantic import Field, ValidationError
+
+from rig.clock import Clock
+from rig.errors import ConfigurationError, LimitError, RigError
+from rig.instruments import (
+    DataAcquisition,
+    DriverModule,
+    Identity,
+    Instrument,
+    Reach,
+    SignalGenerator,
+)
+from rig.settings import Settings
+
+ROLES = ("generator", "daq")
+
+T = TypeVar("T")
+
+Fixture = Literal["film-clamp", "plate", "semi-spherical-object"]
+
+
+class FilmSettings(Settings):
+    """The film under test and its amplifier."""
+
+    amplifier_gain: float = Field(default=1.0, gt=0)
+    """Gain between film and DAQ."""
+    area_mm2: float = Field(default=8.0, gt=0)
+    """Contact area of the indentor."""
+    name: str = ""
+    """Which film: its label or batch."""
+
+
+class LoadCellSettings(Settings):
+    """The dynamic force sensor that carries the film."""
+
+    sensitivity_V_N: float = Field(gt=0)
+    """Output per newton."""
+    max_load_N: float = Field(default=20.0, gt=0)
+    """Largest peak load that film and cell may see; beyond it the run trips."""
+
+
+class FixtureSettings(Settings):
+    """What is mounted on the bench."""
+
+    mounted: Fixture
+    """A procedure refuses to run on the wrong fixture."""
+
+
+class BenchSettings(Settings):
+    """A bench file without its instruments, whose tables belong to their drivers."""
+
+    name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    """Name of the bench, used in messages and file names."""
+    simulation: dict[str, Any] | None = None
+    """Present on a simulated bench: its seed and World. A simulated instrument marks a run as
+    simulated all the same."""
+    heartbeat_timeout_s: float = Field(default=5.0, ge=1, le=600)
+    """A run silent for longer is taken for hung: the guard ends it and makes the bench safe."""
+    fixture: FixtureSettings
+    film: FilmSettings | None = None
+    load_cell: LoadCellSettings | None = None
+
+
+@dataclass(frozen=True)
+class InstrumentPlan:
+    """One role's driver and settings, validated but not connected."""
+
+    role: str
+    driver_name: str
+    driver: DriverModule
+    settings: Settings
+
+
+@dataclass(frozen=True)
+class BenchPlan:
+    """A validated bench file."""
+
+    settings: BenchSettings
+    instruments: tuple[InstrumentPlan, ...]
+    text: str
+    """The file verbatim."""
+    source: str
+    """Where it came from, for messages and the run file."""
+
+
+class GuardedGenerator:
+    """A signal generator that refuses values outside the bench's limits at every call."""
+
+    def __init__(self, inner: SignalGenerator):
+        self._inner = inner
+
+    @property
+    def identity(self) -> Identity:
+        """Who the generator is."""
+        return self._inner.identity
+
+    def reach(self) -> Mapping[str, Reach]:
+        """The generator's limits."""
+        return self._inner.reach()
+
+    def sine(self, frequency_Hz: float, amplitude_V: float) -> None:
+        """A sine within the limits; LimitError before anything is sent otherwise."""
+        limits = self._inner.reach()
+        require("frequency", frequency_Hz, limits["frequency"])
+        require("amplitude", amplitude_V, limits["amplitude"])
+        self._inner.sine(frequency_Hz, amplitude_V)
+
+    def output(self, on: bool) -> None:
+        """Switch the output."""
+        self._inner.output(on)
+
+    def output_is_on(self) -> bool:
+        """The output's state."""
+        return self._inner.output_is_on()
+
+    def make_safe(self) -> None:
+        """Output off."""
+        self._inner.make_safe()
+
+    def close(self) -> None:
+        """Let go of the link."""
+        self._inner.close()
+
+
+@dataclass
+class Bench:
+    """Connected instruments and what is known of the bench around them."""
+
+    plan: BenchPlan
+    clock: Clock
+    instruments: dict[str, Instrument]
+
+    @property
+    def settings(self) -> BenchSettings:
+        """The bench file's own part."""
+        return self.plan.settings
+
+    @property
+    def generator(self) -> SignalGenerator:
+        """The signal generator; ConfigurationError where the bench has none."""
+        return self._role("generator")  # type: ignore[return-value]
+
+    @property
+    def daq(self) -> DataAcquisition:
+        """The DAQ; ConfigurationError where the bench has none."""
+        return self._role("daq")  # type: ignore[return-value]
+
+    @property
+    def film(self) -> FilmSettings:
+        """The film; ConfigurationError where the bench file describes none."""
+        return self._part("film", self.settings.film)
+
+    @property
+    def load_cell(self) -> LoadCellSettings:
+        """The load cell; ConfigurationError where the bench file describes none."""
+        return self._part("load_cell", self.settings.load_cell)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether anything of this bench is simulated: declared, or admitted by an instrument."""
+        admitted = any(i.identity.simulated for i in self.instruments.values())
+        return self.settings.simulation is not None or admitted
+
+    def reach(self) -> dict[str, Reach]:
+        """Every instrument's limits as ``role.quantity``."""
+        return {
+            f"{role}.{quantity}": reach
+            for role, instrument in self.instruments.items()
+            for quantity, reach in instrument.reach().items()
+        }
+
+    def require_fixture(self, *accepted: Fixture) -> None:
+        """Refuse the run where another fixture is mounted."""
+        mounted = self.settings.fixture.mounted
+        if mounted not in accepted:
+            raise ConfigurationError(
+                f"the bench has the {mounted} mounted, this procedure needs "
+                f"{' or '.join(accepted)}",
+                f"mount it and correct [fixture] in {self.plan.source}",
+            )
+
+    def close(self) -> None:
+        """Let go of every link, each in isolation."""
+        for instrument in self.instruments.values():
+            with contextlib.suppress(RigError, OSError):
+                instrument.close()
+        self.clock.close()
+
+    def _role(self, role: str) -> Instrument:
+        if role not in self.instruments:
+            raise ConfigurationError(
+                f"{self.plan.source}: the bench has no {role}", f"add a [{role}] table"
+            )
+        return self.instruments[role]
+
+    def _part(self, name: str, part: T | None) -> T:
+        if part is None:
+            raise ConfigurationError(
+                f"{self.plan.source}: the bench file describes no {name}", f"add a [{name}] table"
+            )
+        return part
+
+
+def require(what: str, value: float, reach: Reach, where: str = "") -> None:
+    """Raise LimitError that names value, unit, limit, device and place unless `reach` holds it."""
+    if reach.holds(value):
+        return
+    place = f"{where}: " if where else ""
+    raise LimitError(
+        f"{place}{what} {value:g} {reach.unit} is outside {reach.low:g} to {reach.high:g} "
+        f"{reach.unit} of the {reach.owner}",
+        "choose a value inside, or correct the bench file if the limit is wrong",
+    )
+
+
+def read_bench(path: Path) -> BenchPlan:
+    """Read and validate a bench file; ConfigurationError tells all that is wrong with it."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot read the bench file {path}: {error.strerror}",
+            "give the file with --bench, or leave it out for the simulated bench",
+        ) from error
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(f"{path} is not UTF-8 text: {error}") from error
+    return parse_bench(text, str(path))
+
+
+def parse_bench(text: str, source: str) -> BenchPlan:
+    """Validate the text of a bench file, all errors at once."""
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"{source}: {error}", "correct the TOML syntax") from error
+    findings: list[str] = []
+    plans = []
+    for role in ROLES:
+        if role in tables:
+            with _collect(findings):
+                plans.append(_plan_instrument(role, tables.pop(role), source))
+    settings = None
+    with _collect(findings):
+        try:
+            settings = BenchSettings.model_validate(tables)
+        except ValidationError as error:
+            raise ConfigurationError.from_validation(error, source) from error
+    if settings is not None:
+        findings += _wiring_errors(settings, plans, source)
+    if findings or settings is None:
+        raise ConfigurationError("; ".join(findings), "correct the bench file")
+    return BenchPlan(settings, tuple(plans), text, source)
+
+
+def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
+    """The simulated bench under a real bench file's limits: its fixture and its drivers' settings,
+    except for where an instrument is and what is wired to it."""
+    own = {part.driver_name: part.settings for part in real.instruments}
+    instruments = []
+    for part in simulated.instruments:
+        if part.driver_name in own:
+            kept = {k: v for k, v in part.settings if k in ("resource", "timeout_s", "channels")}
+            part = replace(part, settings=own[part.driver_name].model_copy(update=kept))
+        instruments.append(part)
+    settings = simulated.settings.model_copy(update={"fixture": real.settings.fixture})
+    return replace(simulated, settings=settings, instruments=tuple(instruments))
+
+
+def connect(plan: BenchPlan, clock: Clock) -> Bench:
+    """Connect to every instrument; where some fail, all failures are told and none stays open."""
+    instruments: dict[str, Instrument] = {}
+    failures: list[RigError] = []
+    for part in plan.instruments:
+        try:
+            instrument = part.driver.connect(part.settings, clock)
+        except RigError as error:
+            failures.append(error)
+            continue
+        guarded = GuardedGenerator(instrument) if part.role == "generator" else instrument  # type: ignore[arg-type]
+        instruments[part.role] = guarded
+    if failures:
+        for instrument in instruments.values():
+            with contextlib.suppress(RigError, OSError):
+                instrument.close()
+        if len(failures) == 1:
+            raise failures[0]
+        first = failures[0]
+        raise RigError("; ".join(f.message for f in failures), first.hint, first.code)
+    return Bench(plan, clock, instruments)
+
+
+def entry(group: str, name: str) -> EntryPoint | None:
+    """The entry point `name` of a group, or None."""
+    return next(iter(entry_points(group=group, name=name)), None)
+
+
+@contextlib.contextmanager
+def _collect(findings: list[str]) -> Iterator[None]:
+    try:
+        yield
+    except ConfigurationError as error:
+        findings.append(error.message)
+
+
+def _plan_instrument(role: str, table: Any, source: str) -> InstrumentPlan:
+    where = f"{source}: [{role}]"
+    if not isinstance(table, dict) or not isinstance(table.get("driver"), str):
+        raise ConfigurationError(f"{where}: names no driver")
+    name = table["driver"]
+    found = entry("rig.drivers", name)
+    if found is None:
+        known = ", ".join(sorted(e.name for e in entry_points(group="rig.drivers")))
+        raise ConfigurationError(f"{where}: driver {name!r} is unknown (known: {known})")
+    module: DriverModule = found.load()
+    if role != module.ROLE:
+        raise ConfigurationError(f"{where}: driver {name!r} is for the role {module.ROLE}")
+    try:
+        settings = module.Settings.model_validate(table)
+    except ValidationError as error:
+        raise ConfigurationError.from_validation(error, where) from error
+    return InstrumentPlan(role, name, module, settings)
+
+
+def _wiring_errors(
+    settings: BenchSettings, plans: list[InstrumentPlan], source: str
+) -> Iterator[str]:
+    """Parts that the bench file describes but whose signal no terminal of the DAQ carries."""
+    wired = next((getattr(p.settings, "channels", {}) for p in plans if p.role == "daq"), {})
+    for name in ("film", "load_cell"):
+        if getattr(settings, name) is not None and name not in wired:
+            yield f"{source}: [{name}] is described, but [daq.channels] wires no {name}"
+
+
+class BenchFactory(Protocol):
+    """What an entry point of group ``rig.benches`` names: a module that can be a bench."""
+
+    def start(self, options: dict[str, Any]) -> RunningBench:
+        """Begin to start the bench as a process of its own, its time slaved to the caller."""
+        ...
+
+    def serve(self, options: dict[str, Any], ready: Callable[[str], None]) -> None:
+        """Be the bench in real time until stopped; `ready` gets the text of its bench file."""
+        ...
+
+
+class RunningBench(Protocol):
+    """A simulated bench that was started for one run."""
+
+    def ready(self) -> dict[str, Any]:
+        """Wait until it listens: ``control_port``, ``bench_toml`` and ``recorded_toml``, the same
+        text without the process's port numbers."""
+        ...
+
+    def wait(self, timeout_s: float = 5.0) -> None:
+        """Wait for the process to end."""
+        ...

@@ -1,0 +1,74 @@
+"""The application ``rig``: its commands, put together so that ``rig --help`` imports next to
+nothing.
+
+A procedure's options come from its settings, whose classes are expensive to import. Only the
+procedure that was asked for is therefore imported; the others show the first line of their module's
+docstring, read from the source.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Sequence
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
+
+import typer
+
+from rig.cli import files, simulate
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    "resume": files.resume,
+    "show": files.show,
+    "verify": files.verify,
+    "recover": files.recover,
+    "simulate": simulate.simulate,
+    "make-safe": simulate.make_safe,
+}
+
+HELP = """Tactile bench controller: sweeps, slide and roll trials, and their files.
+
+Without a bench file (--bench FILE, or bench.toml here) a command runs on the simulated bench and
+says so.
+"""
+
+
+def build(arguments: Sequence[str]) -> typer.Typer:
+    """The application for this command line."""
+    app = typer.Typer(
+        name="rig",
+        help=HELP,
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+    )
+    asked = next((word for word in arguments if not word.startswith("-")), None)
+    for procedure in entry_points(group="rig.procedures"):
+        function: Callable[..., None] = _not_asked
+        if procedure.name == asked:
+            from rig.cli.procedures import command
+
+            function = command(procedure)
+        _add(app, procedure.name, summary(procedure), function)
+    for name, function in COMMANDS.items():
+        _add(app, name, (function.__doc__ or "").split("\n", 1)[0], function)
+    return app
+
+
+def _add(app: typer.Typer, name: str, text: str, function: Callable[..., None]) -> None:
+    app.command(name, help=text, short_help=text)(function)
+
+
+def summary(procedure: EntryPoint) -> str:
+    """First line of the docstring of a procedure's module, without importing the module."""
+    spec = find_spec(procedure.module)
+    if spec is None or spec.origin is None:
+        return ""
+    docstring = ast.get_docstring(ast.parse(Path(spec.origin).read_text(encoding="utf-8")))
+    return (docstring or "").strip().split("\n", 1)[0]
+
+
+def _not_asked() -> None:
+    """Stands in the list of commands for a procedure that another command line asks for."""

@@ -1,0 +1,120 @@
+"""Settings on the command line: one option a field, ``normal_force_N`` as ``--normal-force 4N``.
+
+A value may be a bare number in the field's own unit or carry any unit that converts to it
+(``--settling 200ms``). Lists are separated by commas.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import typing
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import typer
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+
+from rig.errors import ConfigurationError
+from rig.settings import Settings, name_without_unit, unit_of
+
+_QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
+
+
+def option_name(field: str) -> str:
+    """The option of a settings field: ``settling_s`` is ``--settling``."""
+    return "--" + name_without_unit(field).replace("_", "-")
+
+
+def parameters(model: type[Settings]) -> list[inspect.Parameter]:
+    """Command parameters for a settings class: all optional text, validated by the class."""
+    return [
+        inspect.Parameter(
+            field,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=Annotated[
+                str | None,
+                typer.Option(
+                    option_name(field),
+                    help=_help(field, info),
+                    metavar=(unit_of(field) or "VALUE"),
+                    show_default=False,
+                    rich_help_panel="Settings",
+                ),
+            ],
+        )
+        for field, info in model.model_fields.items()
+    ]
+
+
+def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Settings:
+    """Validated settings from option texts; ConfigurationError tells all that is wrong."""
+    values: dict[str, Any] = {}
+    findings: list[str] = []
+    for field, text in given.items():
+        if text is None:
+            continue
+        try:
+            values[field] = parse(text, model.model_fields[field].annotation, unit_of(field))
+        except ValueError as error:
+            findings.append(f"{option_name(field)} {text}: {error}")
+    if findings:
+        raise ConfigurationError("; ".join(findings), "see --help for the units")
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        wrong = ConfigurationError.from_validation(error, "settings")
+        names = {field: option_name(field) for field in model.model_fields}
+        message = re.sub(
+            r"\b(" + "|".join(sorted(names, key=len, reverse=True)) + r")\b",
+            lambda match: names[match[1]],
+            wrong.message,
+        )
+        raise ConfigurationError(message, "see --help for the settings") from error
+
+
+def parse(text: str, annotation: Any, unit: str | None) -> Any:
+    """An option's text as a value for a field of this type; ValueError says what is wrong."""
+    arguments = typing.get_args(annotation)
+    if typing.get_origin(annotation) is tuple:
+        return tuple(parse(item, arguments[0], unit) for item in text.split(",") if item.strip())
+    if type(None) in arguments:
+        if text.strip().lower() == "none":
+            return None
+        annotation = next(a for a in arguments if a is not type(None))
+    if annotation is float:
+        return quantity(text, unit)
+    return text
+
+
+def quantity(text: str, unit: str | None) -> float:
+    """A number in `unit` from text with or without a unit."""
+    match = _QUANTITY.match(text)
+    if match is None:
+        return float(text)  # nan and inf go on to the settings, which refuse them by name
+    number, written = float(match[1]), match[2]
+    if written in ("", unit):
+        return number
+    if unit is None:
+        raise ValueError(f"takes a bare number, not {written!r}")
+    import pint
+
+    try:
+        return float(pint.Quantity(number, written).to(unit).magnitude)
+    except (pint.PintError, TypeError, ValueError, AttributeError) as error:
+        raise ValueError(f"{written!r} does not convert to {unit}") from error
+
+
+def _help(field: str, info: FieldInfo) -> str:
+    words = " ".join((info.description or "").split())
+    default = info.get_default(call_default_factory=True)
+    if default is None:
+        return words
+    if isinstance(default, tuple):
+        shown = f"{len(default)} values, {default[0]:g} to {default[-1]:g}" if default else "none"
+    else:
+        shown = f"{default:g}" if isinstance(default, float) else str(default)
+    unit = unit_of(field)
+    return f"{words} [{shown}{' ' + unit if unit else ''}]"

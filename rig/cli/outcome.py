@@ -1,0 +1,56 @@
+"""How commands end: errors as one line on stderr, the exit code of the contract."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import typer
+
+from rig.errors import ExitCode, RigError
+
+log = logging.getLogger("rig")
+
+
+def start_log(results: Path) -> None:
+    """Keep warnings, errors and tracebacks in ``rig.log`` beside the results, where possible."""
+    with contextlib.suppress(OSError):
+        results.mkdir(parents=True, exist_ok=True)
+        handler = logging.FileHandler(results / "rig.log", delay=True)
+        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+        log.addHandler(handler)
+    log.propagate = False
+    logging.raiseExceptions = False  # a log that cannot be written must not disturb a run
+
+
+@contextlib.contextmanager
+def reported(debug: bool = False) -> Iterator[None]:
+    """Turn what a command raises into one line and an exit code; ``--debug`` shows tracebacks."""
+    try:
+        yield
+    except RigError as error:
+        tell_failure(error, debug)
+        raise typer.Exit(int(error.code)) from None
+    except KeyboardInterrupt:
+        say("stopped by SIGINT; nothing was left running")
+        raise typer.Exit(int(ExitCode.SIGINT)) from None
+    except BrokenPipeError:
+        raise typer.Exit(int(ExitCode.INTERNAL)) from None
+
+
+def tell_failure(error: RigError, debug: bool = False) -> None:
+    """One failure as one line on stderr, its traceback in the log."""
+    log.error("%s", error.one_line(), exc_info=error)
+    say(f"error: {error.one_line()}")
+    if debug:
+        import traceback
+
+        traceback.print_exception(error)
+
+
+def say(text: str) -> None:
+    """One line for a person."""
+    print(text, file=sys.stderr, flush=True)  # noqa: T201 - the command line's own voice

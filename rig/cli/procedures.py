@@ -1,0 +1,193 @@
+"""The command of a procedure: options to a job, the job to a bench, the outcome to the terminal."""
+
+from __future__ import annotations
+
+import inspect
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rig.cli.options import parameters, settings_from
+from rig.cli.outcome import reported, say, start_log
+
+if TYPE_CHECKING:
+    from rig.bench import BenchPlan, RunningBench
+    from rig.clock import Clock
+    from rig.recording.contents import JournalContents
+    from rig.runner.procedure import Procedure
+    from rig.settings import Settings
+
+BENCH_FILE = Path("bench.toml")
+
+
+@dataclass(frozen=True)
+class Request:
+    """The options that every procedure has."""
+
+    bench: Path | None = None
+    results: Path = Path("results")
+    seed: int = 0
+    dry_run: bool = False
+    as_json: bool = False
+    user: str = ""
+    sample: str = ""
+    notes: str = ""
+    figures: bool = True
+    world: Path | None = None
+    fault: Path | None = None
+    world_log: Path | None = None
+    debug: bool = False
+
+
+def _common(
+    bench: Annotated[
+        Path | None,
+        typer.Option(help="Bench file; without one, ./bench.toml or the simulated bench."),
+    ] = None,
+    results: Annotated[Path, typer.Option(help="Folder for run files.")] = Path("results"),
+    seed: Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0)] = 0,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Check and rehearse on the simulated bench; no file.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    user: Annotated[str, typer.Option(help="Who runs it.")] = "",
+    sample: Annotated[str, typer.Option(help="What is on the bench.")] = "",
+    notes: Annotated[str, typer.Option(help="Anything worth keeping.")] = "",
+    figures: Annotated[bool, typer.Option(help="Draw the figure of the run.")] = True,
+    world: Annotated[
+        Path | None, typer.Option(help="World settings (TOML) of a simulated bench.")
+    ] = None,
+    fault: Annotated[
+        Path | None, typer.Option(help="Fault plan (TOML) of a simulated bench.")
+    ] = None,
+    world_log: Annotated[
+        Path | None, typer.Option(help="File for a simulated bench's own log.")
+    ] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Signature of the common options."""
+
+
+def command(entry: EntryPoint) -> Callable[..., None]:
+    """The command function of a procedure, with an option for each of its settings."""
+    procedure: Procedure = entry.load()
+
+    def run(**given: Any) -> None:
+        request = Request(**{name: given.pop(name) for name in Request.__dataclass_fields__})
+        with reported(request.debug):
+            perform(procedure, settings_from(procedure.Settings, given), request)
+
+    common = list(inspect.signature(_common, eval_str=True).parameters.values())
+    own = parameters(procedure.Settings)
+    common = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in common]
+    run.__signature__ = inspect.Signature([*own, *common])  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in (*own, *common)}
+    return run
+
+
+def perform(
+    procedure: Procedure,
+    settings: Settings,
+    request: Request,
+    resume: JournalContents | None = None,
+) -> None:
+    """Run a procedure on the bench that was asked for and end the process with its exit code."""
+    from rig.cli.report import ConsoleReporter, finish, finish_dry_run
+
+    with ExitStack() as stack:
+        results = request.results
+        if request.dry_run:
+            results = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rig-dry-run-")))
+        else:
+            start_log(results)
+        plan, clock, started, recorded_toml = _bench_for(request)
+        from rig.runner.journals import Job
+        from rig.runner.run import execute
+
+        job = Job(
+            procedure=procedure,
+            settings=settings,
+            seed=request.seed,
+            results=results,
+            user=request.user,
+            sample=request.sample,
+            notes=request.notes,
+            resume=resume,
+            recorded_toml=recorded_toml,
+        )
+        reporter = ConsoleReporter(procedure.NAME)
+        with reporter:
+            outcome = execute(job, plan, clock, reporter)
+        if started is not None:
+            started.wait()
+        if request.dry_run:
+            finish_dry_run(outcome, request.as_json)
+        else:
+            finish(procedure, outcome, request.as_json, request.figures, request.debug)
+    raise typer.Exit(int(outcome.code))
+
+
+def _bench_for(request: Request) -> tuple[BenchPlan, Clock, RunningBench | None, str | None]:
+    """The bench file's plan with a wall clock, or a started simulated bench with its own clock."""
+    path = request.bench or (BENCH_FILE if BENCH_FILE.exists() else None)
+    started = None
+    if path is None or request.dry_run:
+        started = _start_simulated(request)  # it boots while this process goes on importing
+    from rig.bench import parse_bench, read_bench, rehearsal
+    from rig.clock import ControlLink, SlavedClock, WallClock
+    from rig.runner.guard import refuse_unsafe
+
+    real = read_bench(path) if path is not None else None
+    if started is None:
+        assert real is not None
+        _refuse_simulation_options(request, path)
+        refuse_unsafe(request.results, real.settings.name)
+        if real.settings.simulation is not None:
+            say(f"SIMULATED bench ({path}): nothing here is measured")
+        return real, WallClock(), None, None
+    from rig.recording import compiled  # noqa: F401 - imported while the bench boots
+
+    ready = started.ready()
+    why = "a rehearsal" if request.dry_run else "no bench.toml"
+    say(f"SIMULATED bench ({why}, seed {request.seed}): nothing here is measured")
+    plan = parse_bench(ready["bench_toml"], "the simulated bench")
+    if real is not None:
+        plan = rehearsal(real, plan)
+    return plan, SlavedClock(ControlLink(ready["control_port"])), started, ready["recorded_toml"]
+
+
+def _start_simulated(request: Request) -> RunningBench:
+    from importlib.metadata import entry_points
+
+    (entry,) = entry_points(group="rig.benches", name="simulated")
+    started: RunningBench = entry.load().start(
+        {
+            "seed": request.seed,
+            "world": _text(request.world),
+            "fault": _text(request.fault),
+            "world_log": _text(request.world_log),
+        }
+    )
+    return started
+
+
+def _refuse_simulation_options(request: Request, path: Path | None) -> None:
+    from rig.errors import ConfigurationError
+
+    given = [name for name in ("world", "fault", "world_log") if getattr(request, name) is not None]
+    if given:
+        options = ", ".join("--" + name.replace("_", "-") for name in given)
+        raise ConfigurationError(
+            f"{options} belongs to a simulated bench that this command starts, not to {path}",
+            "give it to `rig simulate`, or leave the bench file out",
+        )
+
+
+def _text(path: Path | None) -> str | None:
+    return None if path is None else str(path)

@@ -1,0 +1,66 @@
+"""Commands about the bench itself: be a simulated one, make one safe."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rig.cli.outcome import reported, say
+from rig.errors import UnsafeError
+
+
+def simulate(
+    seed: Annotated[int, typer.Option(help="Seed of films and noise.", min=0)] = 0,
+    world: Annotated[Path | None, typer.Option(help="World settings (TOML).")] = None,
+    fault: Annotated[Path | None, typer.Option(help="Fault plan (TOML).")] = None,
+    world_log: Annotated[Path | None, typer.Option(help="File for the World's own log.")] = None,
+    write: Annotated[
+        Path | None, typer.Option(help="Write the bench file here instead of to stdout.")
+    ] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Serve the simulated bench in real time and print the bench file that drives it."""
+    with reported(debug):
+        from importlib.metadata import entry_points
+
+        (entry,) = entry_points(group="rig.benches", name="simulated")
+
+        def ready(text: str) -> None:
+            if write is None:
+                print(text, flush=True)  # noqa: T201 - stdout carries data
+            else:
+                beside = write.with_name(write.name + ".tmp")
+                beside.write_text(text, encoding="utf-8")
+                beside.replace(write)
+            where = f"with --bench {write}" if write else "with this bench file"
+            say(f"SIMULATED bench, seed {seed}, in real time; drive it {where}; Ctrl-C ends it")
+
+        options = {"world": world, "fault": fault, "world_log": world_log}
+        paths = {name: None if path is None else str(path) for name, path in options.items()}
+        entry.load().serve({"seed": seed, **paths}, ready)
+        say("the simulated bench has ended")
+
+
+def make_safe(
+    bench: Annotated[Path, typer.Option(help="Bench file.")] = Path("bench.toml"),
+    results: Annotated[Path, typer.Option(help="Folder with the guard's report.")] = Path(
+        "results"
+    ),
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Bring every instrument of a bench to rest, whatever state it was left in."""
+    with reported(debug):
+        from rig.bench import read_bench
+        from rig.runner.guard import make_bench_safe, report_path
+
+        plan = read_bench(bench)
+        failures = make_bench_safe(plan.text, plan.source)
+        if failures:
+            raise UnsafeError(
+                "; ".join(f"{role}: {why}" for role, why in failures.items()),
+                "switch the bench off by hand and find out why",
+            )
+        report_path(results, plan.settings.name).unlink(missing_ok=True)
+        say(f"{plan.settings.name}: {', '.join(p.role for p in plan.instruments)} made safe")

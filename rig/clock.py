@@ -1,0 +1,203 @@
+"""Bench time: the one clock that procedures, drivers and the runner wait on.
+
+Two clocks share one way of waiting. `WallClock` lives in real time, on hardware or on a simulated
+bench that runs by itself. `SlavedClock` owns the time of a simulated bench: nothing moves there
+unless this clock says so, which makes a run repeatable to the bit and as fast as the computer
+allows.
+
+A wait is cut into slices of at most 20 ms. Before each slice the registered callbacks run: the
+keep-alives of drives with a communication time-out, the check for a stop request, the heartbeat.
+They run from here and from nowhere else, so a procedure that hangs starves them, and the drives
+stop by themselves.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+from rig.errors import InstrumentError
+
+WAIT_SLICE_S = 0.02
+"""The longest stretch of time that passes without a look at stop requests and keep-alives."""
+
+STREAM_SLICE_S = 0.01
+"""The longest advance while an instrument streams: what its pty can buffer without loss."""
+
+STREAM_PATIENCE_S = 5.0
+"""Wall time that a stream reader may take to consume what the simulated bench has sent."""
+
+CONTROL_TIMEOUT_S = 60.0
+"""Wall time the simulated bench may take to answer an advance: only a dead one takes longer."""
+
+Unregister = Callable[[], None]
+
+
+class Clock(ABC):
+    """Seconds since the clock was made, and waiting that stays responsive."""
+
+    def __init__(self) -> None:
+        self._callbacks: list[Callable[[], None]] = []
+
+    @abstractmethod
+    def now(self) -> float:
+        """Bench time in seconds."""
+
+    @abstractmethod
+    def _pass(self, seconds: float) -> None:
+        """Let at most `seconds` of bench time go by, without callbacks."""
+
+    def each_slice(self, callback: Callable[[], None]) -> Unregister:
+        """Call `callback` before every wait slice until the returned function is called."""
+        self._callbacks.append(callback)
+
+        def unregister() -> None:
+            if callback in self._callbacks:
+                self._callbacks.remove(callback)
+
+        return unregister
+
+    def sleep(self, seconds: float) -> None:
+        """Wait `seconds` of bench time; whatever a callback raises ends the wait."""
+        deadline = self.now() + seconds
+        while True:
+            for callback in tuple(self._callbacks):
+                callback()
+            remaining = deadline - self.now()
+            if remaining <= 0:
+                return
+            self._pass(min(remaining, WAIT_SLICE_S))
+
+    def announce(self, run: int, point: int) -> None:  # noqa: B027 - hardware need not know
+        """Tell a simulated bench which point comes next: it keys the point's noise."""
+
+    def close(self) -> None:  # noqa: B027 - nothing to release in real time
+        """Release what the clock holds."""
+
+
+class WallClock(Clock):
+    """Real time, from a monotonic source."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._start = time.monotonic()
+
+    def now(self) -> float:
+        """Seconds since the clock was made."""
+        return time.monotonic() - self._start
+
+    def _pass(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+
+class SlavedClock(Clock):
+    """The time of a simulated bench, moved by this clock through the bench's control socket.
+
+    Only the procedure's thread may sleep on it. After each advance it waits until every stream
+    reader has consumed the bytes that the bench says it has sent, so what a reader has seen at a
+    given bench time never depends on the host's scheduling.
+    """
+
+    def __init__(self, control: ControlLink):
+        super().__init__()
+        self._control = control
+        self._now_us = 0
+        self._consumed: dict[str, Callable[[], int]] = {}
+
+    def now(self) -> float:
+        """Seconds of bench time since the bench started."""
+        return self._now_us * 1e-6
+
+    def sleep(self, seconds: float) -> None:
+        """Wait `seconds` of bench time, counted in whole microseconds."""
+        remaining_us = max(0, round(seconds * 1e6))
+        while True:
+            for callback in tuple(self._callbacks):
+                callback()
+            if remaining_us == 0:
+                return
+            slice_s = STREAM_SLICE_S if self._consumed else WAIT_SLICE_S
+            step_us = min(remaining_us, round(slice_s * 1e6))
+            self._advance(step_us)
+            remaining_us -= step_us
+
+    def follow_stream(self, name: str, consumed: Callable[[], int]) -> Unregister:
+        """Make `sleep` wait for the reader of stream `name`, whose byte count is `consumed()`."""
+        self._consumed[name] = consumed
+        return lambda: self._consumed.pop(name, None) and None
+
+    def announce(self, run: int, point: int) -> None:
+        """Tell the bench which point comes next."""
+        self._control.request("point", run=run, point=point)
+
+    def close(self) -> None:
+        """End the bench this clock drives."""
+        self._control.stop()
+
+    def _pass(self, seconds: float) -> None:
+        self._advance(round(seconds * 1e6))
+
+    def _advance(self, step_us: int) -> None:
+        reply = self._control.request("advance", us=step_us)
+        self._now_us = int(reply["now_us"])
+        for name, sent in reply.get("streams", {}).items():
+            if name in self._consumed:
+                self._wait_for_reader(name, int(sent))
+
+    def _wait_for_reader(self, name: str, sent: int) -> None:
+        give_up = time.monotonic() + STREAM_PATIENCE_S
+        while (got := self._consumed[name]()) < sent:
+            if time.monotonic() > give_up:
+                raise InstrumentError(
+                    name,
+                    "stream",
+                    f"{sent - got} of {sent} bytes did not arrive within {STREAM_PATIENCE_S:g} s",
+                    "the reader or the link is stuck; check the cable and start again",
+                )
+            time.sleep(20e-6)
+
+
+class ControlLink:
+    """The control socket of a simulated bench: one JSON line asks, one JSON line answers."""
+
+    def __init__(self, port: int, host: str = "127.0.0.1"):
+        try:
+            self._socket = socket.create_connection((host, port), timeout=CONTROL_TIMEOUT_S)
+        except OSError as error:
+            raise _control_failed("connect", error) from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._lines = self._socket.makefile("rb")
+
+    def request(self, do: str, **values: object) -> dict[str, Any]:
+        """Send one request and return the bench's answer; InstrumentError where it is gone."""
+        try:
+            self._socket.sendall(json.dumps({"do": do, **values}).encode() + b"\n")
+            line = self._lines.readline()
+        except OSError as error:
+            raise _control_failed(do, error) from error
+        if not line:
+            raise _control_failed(do, "the bench process has ended")
+        answer: dict[str, Any] = json.loads(line)
+        if "error" in answer:
+            raise _control_failed(do, str(answer["error"]))
+        return answer
+
+    def stop(self) -> None:
+        """Ask the bench to end, and close; a bench that is gone already is as good."""
+        try:
+            self.request("stop")
+        except InstrumentError:
+            pass
+        finally:
+            self._lines.close()
+            self._socket.close()
+
+
+def _control_failed(do: str, cause: object) -> InstrumentError:
+    return InstrumentError(
+        "simulated bench", f"control request {do!r}", str(cause), "start the command again"
+    )

@@ -1,0 +1,29 @@
+"""Figures of run files: the only importer of matplotlib, and only inside `draw`.
+
+A figure is a module here with a function ``draw(run) -> Figure``. Whatever is drawn from a
+simulated bench says so in the picture.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+from rig.errors import ConfigurationError
+
+FIGURES = {"sweep": "rig.figures.sweep"}
+
+
+def draw(name: str, run_file: Path) -> list[Path]:
+    """Draw the figure of a run file beside it as PNG and SVG; returns their paths."""
+    if name not in FIGURES:
+        raise ConfigurationError(f"{run_file}: there is no figure for a {name}")
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from rig.figures.style import save
+    from rig.recording.runfile import RunFile
+
+    with RunFile.open(run_file) as run:
+        figure = import_module(FIGURES[name]).draw(run)
+        return save(figure, run_file, simulated=run.outcome.simulated)

@@ -1,0 +1,189 @@
+"""The roles that instruments play, as protocols, and the values that pass between them and others.
+
+A procedure knows roles, a driver knows one instrument's protocol; neither knows the other. Roles
+speak SI-like units named in their arguments; amplitudes are peak values. Every method either does
+what it says and has verified it as far as the instrument allows, or raises an `InstrumentError`
+that names device, command and cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from rig.clock import Clock
+    from rig.settings import Settings
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Who an instrument says it is."""
+
+    vendor: str
+    model: str
+    serial_number: str
+    firmware: str
+
+    @property
+    def simulated(self) -> bool:
+        """Whether this is one of our simulators: their serial numbers begin with SIM."""
+        return self.serial_number.startswith("SIM")
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What a value may be: an interval in a unit, and whose limit it is."""
+
+    low: float
+    high: float
+    unit: str
+    owner: str
+
+    def holds(self, value: float) -> bool:
+        """Whether `value` lies inside; NaN never does."""
+        return self.low <= value <= self.high
+
+
+class Instrument(Protocol):
+    """What every instrument can do."""
+
+    @property
+    def identity(self) -> Identity:
+        """Vendor, model, serial number, firmware, as read at connect."""
+        ...
+
+    def reach(self) -> Mapping[str, Reach]:
+        """The instrument's own limits by quantity name, for the check before the first motion."""
+        ...
+
+    def make_safe(self) -> None:
+        """Bring the instrument to rest and verify it; may be called at any time, any number of
+        times."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the link; the instrument keeps its state."""
+        ...
+
+
+class SignalGenerator(Instrument, Protocol):
+    """One channel that drives the vibrator's amplifier (high impedance)."""
+
+    def sine(self, frequency_Hz: float, amplitude_V: float) -> None:
+        """Make the waveform a sine of this peak amplitude, read back; the output stays as it is."""
+        ...
+
+    def output(self, on: bool) -> None:
+        """Switch the output and verify its state by query."""
+        ...
+
+    def output_is_on(self) -> bool:
+        """The output's state, asked from the instrument."""
+        ...
+
+
+@dataclass(frozen=True)
+class InputChannel:
+    """One analogue input of an acquisition."""
+
+    name: str
+    range_V: float
+    """Bipolar full scale."""
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """What to sample: channels in scan order, one rate for all, samples a channel."""
+
+    channels: tuple[InputChannel, ...]
+    rate_S_s: float
+    samples: int
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """How raw counts become volts and where in time they lie; all per channel, in scan order."""
+
+    channels: tuple[str, ...]
+    rate_S_s: float
+    volts_per_count: tuple[float, ...]
+    offset_V: tuple[float, ...]
+    range_V: tuple[float, ...]
+    delay_s: tuple[float, ...]
+    """When a channel is sampled after the scan's nominal instant (multiplexer skew)."""
+    lowest_count: int
+    highest_count: int
+
+
+@dataclass(frozen=True)
+class Record:
+    """Samples as the converter gave them: counts (n, channels) int16, with their scaling."""
+
+    counts: npt.NDArray[np.int16]
+    scaling: Scaling
+    first_index: int
+    """Index of the first row since the acquisition started."""
+
+    def volts(self, channel: str) -> npt.NDArray[np.float64]:
+        """One channel in volts, shape (n,)."""
+        k = self.scaling.channels.index(channel)
+        counts = self.counts[:, k].astype("f8")
+        return counts * self.scaling.volts_per_count[k] + self.scaling.offset_V[k]
+
+    def delay_s(self, channel: str) -> float:
+        """One channel's sampling delay in seconds."""
+        return self.scaling.delay_s[self.scaling.channels.index(channel)]
+
+    def clipped(self, channel: str) -> int:
+        """How many of a channel's samples stand at either end of the converter's range."""
+        column = self.counts[:, self.scaling.channels.index(channel)]
+        low, high = self.scaling.lowest_count, self.scaling.highest_count
+        return int(((column <= low) | (column >= high)).sum())
+
+
+class DataAcquisition(Instrument, Protocol):
+    """Analogue inputs, sampled together or one after the other (the scaling says which)."""
+
+    def check(self, acquisition: Acquisition) -> None:
+        """Raise LimitError where this instrument cannot do it: rate, range, channel, count."""
+        ...
+
+    def acquire(self, acquisition: Acquisition) -> Record:
+        """Sample once, wait for the end on the bench clock, and return everything."""
+        ...
+
+    def start(self, acquisition: Acquisition) -> Scaling:
+        """Begin sampling without end; `acquisition.samples` is the block size asked for."""
+        ...
+
+    def read(self) -> Record | None:
+        """The next block of a running acquisition, or None where none is ready yet.
+
+        Lost data raise InstrumentError: a gap is never patched.
+        """
+        ...
+
+    def stop(self) -> None:
+        """End a running acquisition; nothing happens where none runs."""
+        ...
+
+
+class DriverModule(Protocol):
+    """What an entry point of group ``rig.drivers`` names: a module with these members."""
+
+    ROLE: str
+    """The role its instrument plays: ``generator`` or ``daq``."""
+    Settings: type[Settings]
+
+    def connect(self, settings: Any, clock: Clock) -> Instrument:
+        """Connect, identify, set the instrument's own limits and read them back."""
+        ...
+
+    def make_safe(self, settings: Any) -> None:
+        """Bring the instrument to rest over a connection of its own; idempotent."""
+        ...

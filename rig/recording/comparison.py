@@ -1,0 +1,140 @@
+"""Whether a run file holds all that its journal holds; reads both to the last sample."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.recording.contents import JournalContents
+from rig.recording.entry import ending, text_of
+from rig.recording.layout import Plot
+from rig.recording.nexus import plain_text, plot_sources
+from rig.recording.records import to_json
+from rig.recording.table import PointTable, point_table
+from rig.recording.waveforms import (
+    channel_attributes,
+    channel_names,
+    segment_attributes,
+    segment_paths,
+    walk_samples,
+)
+
+if TYPE_CHECKING:
+    import h5py
+    from numpy.typing import NDArray
+
+_DAMAGE = (OSError, KeyError, ValueError, RuntimeError, TypeError, AttributeError)
+
+
+def differences(contents: JournalContents, file: Path) -> list[str]:
+    """What of the journal the file lacks or has otherwise; empty if it holds everything."""
+    import h5py
+
+    try:
+        with h5py.File(file) as opened:
+            entry = opened["entry"]
+            found = list(_text_differences(entry, contents))
+            found += _table_differences(entry, contents, point_table(contents))
+            found += _sample_differences(entry, contents)
+            return found
+    except _DAMAGE as error:
+        return [f"cannot be read: {type(error).__name__}: {error}"]
+
+
+def _text_differences(entry: h5py.Group, contents: JournalContents) -> Iterator[str]:
+    header, end = contents.header, ending(contents)
+    expected = {
+        "journal_header/data": to_json(header),
+        "configuration/data": header.bench_toml,
+        "identifier_experiment": header.run_uuid,
+        "outcome/status": end.status,
+        "outcome/reason": end.reason,
+        "end_time": end.end_time,
+    }
+    for path, text in expected.items():
+        if text_of(entry[path]) != plain_text(text):
+            yield f"{path} differs"
+    for name in ("id", "status", "reason", "begin", "result"):
+        yield from _list(entry, f"attempts/{name}", [getattr(a, name) for a in contents.attempts])
+    for name in ("level", "code", "message"):
+        yield from _list(entry, f"events/{name}", [getattr(e, name) for e in contents.events])
+    if entry["events/time"][()].tolist() != [event.time for event in contents.events]:
+        yield "events/time differs"
+
+
+def _list(entry: h5py.Group, path: str, texts: Sequence[str]) -> Iterator[str]:
+    found = [value.decode() for value in entry[path][()]]
+    if found != [plain_text(text) for text in texts]:
+        yield f"{path} differs"
+
+
+def _table_differences(
+    entry: h5py.Group, contents: JournalContents, table: PointTable
+) -> Iterator[str]:
+    yield from _list(entry, "points/id", table.ids)
+    for name, values in table.columns.items():
+        if isinstance(values, list):
+            yield from _list(entry, f"points/{name}", values)
+        elif not _same(entry[f"points/{name}"][()], values):
+            yield f"points/{name} differs"
+    for plot in contents.header.layout.plots:
+        yield from _plot_differences(entry, plot, table)
+
+
+def _plot_differences(entry: h5py.Group, plot: Plot, table: PointTable) -> Iterator[str]:
+    order = table.order(plot.axes)
+    for name, source in plot_sources(plot).items():
+        if not _same(entry[f"{plot.group}/{name}"][()], table.numbers(source)[order]):
+            yield f"{plot.group}/{name} differs"
+
+
+def _sample_differences(entry: h5py.Group, contents: JournalContents) -> list[str]:
+    """Compare every sample, every channel's scale and every block's place in time."""
+    paths = segment_paths(contents)
+    streams = contents.header.streams
+    found: list[str] = []
+    read = [0] * len(paths)
+
+    def compare(number: int, first: int, rows: NDArray[Any]) -> None:
+        data = entry[paths[number]]
+        stream = streams[contents.segments[number].stream]
+        for k, name in enumerate(channel_names(stream.channels)):
+            if not _same(data[name][first : first + len(rows)], rows[:, k]):
+                found.append(f"{paths[number]}/{name} differs at rows from {first}")
+        read[number] += len(rows)
+
+    blocks = walk_samples(contents, compare)
+    for number, path in enumerate(paths):
+        found += _segment_differences(entry[path], contents, number, read[number])
+    for number, stream in enumerate(streams):
+        for name, values in blocks.arrays(number).items():
+            if not _same(entry[f"blocks/{stream.name}/{name}"][()], values):
+                found.append(f"blocks/{stream.name}/{name} differs")
+    return found
+
+
+def _segment_differences(
+    data: h5py.Group, contents: JournalContents, number: int, rows: int
+) -> Iterator[str]:
+    segment = contents.segments[number]
+    for key, value in segment_attributes(contents, number).items():
+        if data.attrs.get(key) != value:
+            yield f"{data.name}: attribute {key} differs"
+    for k, name in enumerate(channel_names(contents.header.streams[segment.stream].channels)):
+        if data[name].shape != (rows,):
+            yield f"{data.name}/{name}: {data[name].shape} samples, the journal has {rows}"
+        for key, value in channel_attributes(segment.state, k).items():
+            if data[name].attrs.get(key) != value:
+                yield f"{data.name}/{name}: attribute {key} differs"
+
+
+def _same(found: NDArray[Any], expected: NDArray[Any]) -> bool:
+    """Equal bit for bit, but for the payload of a NaN."""
+    import numpy as np
+
+    return (
+        found.shape == expected.shape
+        and found.dtype == expected.dtype
+        and bool(np.array_equal(found, expected, equal_nan=found.dtype.kind == "f"))
+    )

@@ -1,0 +1,250 @@
+"""What stands around the samples in ``/entry``: who, when, with what, how it was set and ended.
+
+Writes the NeXus tree of a journal's contents into an open HDF5 file; decides nothing about files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime, timedelta
+from typing import TYPE_CHECKING, Any
+
+from rig.recording.contents import JournalContents
+from rig.recording.header import End, Instrument, Named, RunHeader
+from rig.recording.nexus import (
+    array_field,
+    group,
+    number_field,
+    plain_text,
+    plot_group,
+    text_field,
+    texts_field,
+    unique_name,
+)
+from rig.recording.records import to_json
+from rig.recording.table import PointTable
+
+if TYPE_CHECKING:
+    import h5py
+
+NEVER_CLOSED = "the run ended without closing its journal"
+SIMULATED = "SIMULATED"
+
+
+def ending(contents: JournalContents) -> End:
+    """How the run ended; of a journal that was never closed, what can be said about it."""
+    warnings = [contents.problem] if contents.problem else []
+    if contents.end is not None:
+        end = contents.end
+        if not warnings:
+            return end
+        return end.model_copy(update={"warnings": (*end.warnings, *warnings)})
+    start = datetime.fromisoformat(contents.header.start_time)
+    damaged = contents.problem and not contents.torn
+    return End(
+        status="failed",
+        reason=f"the journal is damaged: {contents.problem}" if damaged else NEVER_CLOSED,
+        attempt=len(contents.ends) + 1,
+        end_time=(start + timedelta(seconds=max(contents.last_time, 0.0))).isoformat(),
+        duration_s=max(contents.last_time, 0.0),
+        points_done=len(contents.grouping.kept),
+        warnings=("end_time is the time of the last record", *warnings),
+        exit=1,
+    )
+
+
+def write_root(file: h5py.File, contents: JournalContents, name: str) -> h5py.Group:
+    """The root's attributes, and the empty entry. Nothing in it depends on when this is done."""
+    import h5py
+
+    program = contents.header.program
+    file.attrs["NX_class"] = "NXroot"
+    file.attrs["default"] = "entry"
+    file.attrs["file_name"] = name
+    file.attrs["file_time"] = ending(contents).end_time
+    file.attrs["creator"] = program.name
+    file.attrs["creator_version"] = program.version
+    file.attrs["HDF5_Version"] = h5py.version.hdf5_version
+    file.attrs["h5py_version"] = h5py.version.version
+    return group(file, "entry", "NXentry")
+
+
+def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable) -> None:
+    """Everything in the entry but the samples."""
+    header, end = contents.header, ending(contents)
+    entry.attrs["default"] = header.layout.default
+    text_field(entry, "definition", header.layout.definition).attrs["version"] = plain_text(
+        header.layout.version
+    )
+    text_field(entry, "title", marked(header, header.title))
+    text_field(entry, "start_time", header.start_time)
+    text_field(entry, "end_time", end.end_time)
+    number_field(entry, "duration", round(end.duration_s), "s")
+    text_field(entry, "identifier_experiment", header.run_uuid)
+    if header.collection is not None:
+        text_field(entry, "identifier_collection", header.collection)
+    program = text_field(entry, "program_name", header.program.name)
+    program.attrs["version"] = plain_text(header.program.version)
+    program.attrs["configuration"] = plain_text(header.program.configuration)
+    _write_named(group(entry, "user", "NXuser"), header.user)
+    _write_named(group(entry, "sample", "NXsample"), header.sample)
+    _write_parameters(group(entry, "parameters", "NXparameters"), header)
+    _write_note(entry, "configuration", "application/toml", header.bench_file, header.bench_toml)
+    _write_note(entry, "journal_header", "application/json", "header.json", to_json(header))
+    if header.notes:
+        _write_note(entry, "notes", "text/plain", "", header.notes)
+    _write_outcome(group(entry, "outcome", "NXcollection"), contents, table, end)
+    _write_events(group(entry, "events", "NXcollection"), contents)
+    _write_instrument(group(entry, "instrument", "NXinstrument"), header)
+    _write_attempts(group(entry, "attempts", "NXcollection"), contents)
+    _write_points(group(entry, "points", "NXcollection"), contents, table)
+    for plot in header.layout.plots:
+        title = marked(header, plot.title or header.title)
+        plot_group(entry, plot, header.layout, table, title)
+
+
+def marked(header: RunHeader, title: str) -> str:
+    """The title, which says first whether the run was simulated."""
+    if not header.simulated or title.startswith(SIMULATED):
+        return title
+    return f"{SIMULATED} {title}"
+
+
+def _write_named(made: h5py.Group, named: Named) -> None:
+    text_field(made, "name", named.name)
+    if named.details():
+        _write_values(group(made, "details", "NXparameters"), named.details(), {})
+
+
+def _write_parameters(made: h5py.Group, header: RunHeader) -> None:
+    _write_values(made, header.settings, header.setting_units)
+
+
+def _write_values(
+    made: h5py.Group, values: Mapping[str, Any], units: Mapping[str, str], prefix: str = ""
+) -> None:
+    """Nested values as nested groups; ``units`` are those of the dotted names."""
+    taken = set(made)
+    for key, value in values.items():
+        name, dotted = unique_name(key, taken), f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            _write_values(group(made, name, "NXparameters"), value, units, f"{dotted}.")
+            continue
+        field = made.create_dataset(name, data=_field_value(value))
+        if dotted in units:
+            field.attrs["units"] = plain_text(units[dotted])
+
+
+def _field_value(value: Any) -> Any:
+    """A number, text or list of numbers as it is, anything else as its JSON text."""
+    if isinstance(value, (bool, float)):
+        return value
+    if isinstance(value, int) and abs(value) < 2**63:
+        return value
+    if isinstance(value, str):
+        return plain_text(value)
+    if isinstance(value, (list, tuple)) and value and all(type(v) is float for v in value):
+        return list(value)
+    if isinstance(value, (list, tuple)) and value and all(type(v) in (int, float) for v in value):
+        return [float(v) for v in value] if all(abs(v) < 2**53 for v in value) else to_json(value)
+    return to_json(value)
+
+
+def _write_note(entry: h5py.Group, name: str, kind: str, file_name: str, data: str) -> None:
+    note = group(entry, name, "NXnote")
+    text_field(note, "type", kind)
+    text_field(note, "file_name", file_name)
+    text_field(note, "data", data)
+
+
+def _write_outcome(
+    made: h5py.Group, contents: JournalContents, table: PointTable, end: End
+) -> None:
+    header = contents.header
+    text_field(made, "status", end.status)
+    text_field(made, "reason", end.reason)
+    number_field(made, "attempt", end.attempt)
+    number_field(made, "points_planned", len(header.points))
+    number_field(made, "points_done", len(table.ids))
+    number_field(made, "exit", end.exit)
+    number_field(made, "duration", end.duration_s, "s")
+    number_field(made, "simulated", header.simulated)
+    number_field(made, "seed", header.seed)
+    text_field(made, "fingerprint", header.fingerprint)
+    texts_field(made, "warnings", [*end.warnings, *table.warnings])
+
+
+def _write_events(made: h5py.Group, contents: JournalContents) -> None:
+    import numpy as np
+
+    times = np.array([event.time for event in contents.events], np.float64)
+    array_field(made, "time", times, "s", "Time (s)").attrs["start"] = contents.header.start_time
+    for name in ("level", "code", "message"):
+        texts_field(made, name, [getattr(event, name) for event in contents.events])
+
+
+def _write_instrument(made: h5py.Group, header: RunHeader) -> None:
+    taken = {"calibrations"}
+    for instrument in header.instruments:
+        part = group(made, unique_name(instrument.name, taken), _class_of(instrument))
+        text_field(part, "name", instrument.name)
+        fabrication = group(part, "fabrication", "NXfabrication")
+        mark = f"{SIMULATED} " if instrument.simulated else ""
+        text_field(fabrication, "vendor", f"{mark}{instrument.vendor}")
+        text_field(fabrication, "model", f"{mark}{instrument.model}")
+        text_field(fabrication, "serial_number", instrument.serial_number)
+        details = group(part, "details", "NXcollection")
+        for name in ("role", "firmware", "driver"):
+            text_field(details, name, getattr(instrument, name))
+        number_field(details, "simulated", instrument.simulated)
+    calibrations = group(made, "calibrations", "NXcollection")
+    names: set[str] = set()
+    for number, calibration in enumerate(header.calibrations):
+        name = next((calibration[k] for k in ("sensor", "name", "kind") if k in calibration), "")
+        part = group(
+            calibrations, unique_name(str(name) or f"calibration_{number}", names), "NXcalibration"
+        )
+        text_field(part, "description", f"calibration of {name}" if name else "calibration")
+        parameters = group(part, "calibration_parameters", "NXparameters")
+        _write_values(parameters, calibration, {})
+
+
+def _class_of(instrument: Instrument) -> str:
+    role = instrument.role.lower()
+    if "stage" in role:
+        return "NXpositioner"
+    return "NXactuator" if "generator" in role or "shaker" in role else "NXsensor"
+
+
+def _write_attempts(made: h5py.Group, contents: JournalContents) -> None:
+    """Every attempt at a point, with the journal's own words."""
+    for name in ("id", "status", "reason", "begin", "result"):
+        texts_field(made, name, [getattr(attempt, name) for attempt in contents.attempts])
+
+
+def _write_points(made: h5py.Group, contents: JournalContents, table: PointTable) -> None:
+    """The readings of the kept points, in the order of the default plot."""
+    import numpy as np
+
+    texts_field(made, "id", table.ids)
+    array_field(made, "attempt", np.array(table.attempts, np.int64))
+    for column in contents.header.layout.columns:
+        values = table.columns[column.name]
+        if isinstance(values, list):
+            field = texts_field(made, column.name, values)
+            field.attrs["long_name"] = plain_text(column.long_name)
+        else:
+            array_field(made, column.name, values, column.units, column.long_name)
+
+
+def text_of(field: h5py.Dataset) -> str:
+    """A text field's value."""
+    value = field[()]
+    return value.decode() if isinstance(value, bytes) else str(value)
+
+
+def header_of(entry: h5py.Group) -> RunHeader:
+    """The run's header as the file keeps it; ValueError if it is none."""
+    from rig.recording.records import from_json
+
+    return RunHeader.model_validate(from_json(text_of(entry["journal_header/data"])))

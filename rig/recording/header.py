@@ -1,0 +1,233 @@
+"""The typed values a journal carries as JSON: the run's header, streams, events and its end.
+
+Values only: no files, no bytes. Unknown keys are refused when a journal is written, which is before
+anything moved; format 1 means exactly these keys.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, model_validator
+
+from rig.recording.layout import Layout
+from rig.settings import Settings
+
+FORMAT = 1
+
+Short = Annotated[str, StringConstraints(max_length=1000)]
+"""Text that may become an HDF5 attribute (these end at 64 KiB)."""
+
+PointId = Annotated[str, StringConstraints(min_length=1, max_length=256)]
+
+
+def _with_offset(text: str) -> str:
+    when = datetime.fromisoformat(text)
+    if when.tzinfo is None:
+        raise ValueError("a time needs its offset from UTC")
+    return text
+
+
+MAX_DEPTH = 32
+
+
+def _shallow(value: Any, depth: int = 0) -> Any:
+    """The value; ValueError if it is nested deeper than anybody's settings are."""
+    if depth > MAX_DEPTH:
+        raise ValueError(f"nested deeper than {MAX_DEPTH}")
+    for item in value.values() if isinstance(value, dict) else value:
+        if isinstance(item, (dict, list, tuple)):
+            _shallow(item, depth + 1)
+    return value
+
+
+Tree = Annotated[dict[str, Any], AfterValidator(_shallow)]
+"""Nested JSON values, not deeper than MAX_DEPTH."""
+
+IsoTime = Annotated[str, StringConstraints(max_length=40), AfterValidator(_with_offset)]
+"""ISO 8601 with an offset from UTC."""
+
+
+class Program(Settings):
+    """What made the run."""
+
+    name: Short
+    version: Short
+    configuration: Short = ""
+    """Hash of the source, with "+dirty" where it was changed."""
+
+
+class Named(Settings):
+    """A person or a sample: a name and whatever else is known."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=True)
+
+    name: Short = ""
+
+    @model_validator(mode="after")
+    def _is_shallow(self) -> Named:
+        _shallow(self.details())
+        return self
+
+    def details(self) -> dict[str, Any]:
+        """Everything known besides the name."""
+        return dict(self.model_extra or {})
+
+
+class Instrument(Settings):
+    """One instrument of the bench, as it introduced itself."""
+
+    name: Short
+    role: Short = ""
+    vendor: Short = ""
+    model: Short = ""
+    serial_number: Short = ""
+    firmware: Short = ""
+    driver: Short = ""
+    simulated: bool = False
+
+
+_DTYPE = re.compile(r"(\|[iu]1|[<>][iu][248]|[<>]f[48])\Z")
+
+
+class Stream(Settings):
+    """A source of sample rows: what its blocks' bytes mean."""
+
+    name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,62}$")]
+    device: Short = ""
+    channels: Annotated[tuple[Short, ...], Field(min_length=1, max_length=64)]
+    dtype: Short
+    """NumPy's notation, byte order included: ``<i2``."""
+    row_shape: tuple[int, ...]
+    """Shape of one row, (channels,)."""
+    units: Short = "count"
+    long_name: Short = ""
+
+    @model_validator(mode="after")
+    def _row_is_channels(self) -> Stream:
+        if not _DTYPE.match(self.dtype):
+            raise ValueError(f"dtype {self.dtype!r}: expected an integer or float such as '<i2'")
+        if self.row_shape != (len(self.channels),):
+            raise ValueError(f"row_shape {self.row_shape} is not ({len(self.channels)},)")
+        if len(set(self.channels)) != len(self.channels):
+            raise ValueError("two channels of one name")
+        return self
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one row."""
+        return int(self.dtype[-1]) * len(self.channels)
+
+
+class StreamState(Settings):
+    """How a stream's counts read from here on: value = scale × count + offset.
+
+    Each list has one entry a channel. It applies to the stream's blocks that follow it in the
+    journal, until the next one.
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    stream: Annotated[int, Field(ge=0, le=65535)]
+    rate_Hz: Annotated[float, Field(gt=0)] | None = None
+    scale: tuple[float, ...]
+    offset: tuple[float, ...]
+    units: Short = "V"
+    """Unit of scale × count + offset."""
+    delay_s: tuple[float, ...] = ()
+    """When the channel is sampled, after the row's time stamp (multiplexed converters)."""
+    range: tuple[float, ...] = ()
+    """Full scale, in ``units``."""
+
+
+class Event(Settings):
+    """Something that happened: a state change, a limit trip, a hold, a retry."""
+
+    time: float
+    """Seconds since the run's start."""
+    level: Short
+    code: Short
+    message: str
+
+
+class End(Settings):
+    """How the run, or this attempt at it, ended."""
+
+    status: Literal["complete", "stopped", "failed"]
+    reason: str = ""
+    attempt: Annotated[int, Field(ge=1)] = 1
+    end_time: IsoTime
+    duration_s: Annotated[float, Field(ge=0)]
+    points_done: Annotated[int, Field(ge=0)]
+    warnings: tuple[str, ...] = ()
+    exit: int = 0
+
+
+class RunHeader(Settings):
+    """What a journal says about its run before the first sample."""
+
+    format: Literal[1] = 1
+    procedure: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_-]{1,60}$")]
+    layout: Layout
+    title: Short
+    run_uuid: Short
+    collection: Short | None = None
+    start_time: IsoTime
+    program: Program
+    settings: Tree
+    setting_units: dict[str, Short] = Field(default_factory=dict)
+    """Dotted name of a setting to its unit."""
+    fingerprint: Short
+    bench_toml: str = ""
+    bench_file: Short = ""
+    simulated: bool
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
+    points: tuple[PointId, ...]
+    """Ids of the planned points, in the planned order."""
+    user: Named = Named()
+    sample: Named = Named()
+    notes: str = ""
+    instruments: tuple[Instrument, ...] = ()
+    calibrations: tuple[Tree, ...] = ()
+    streams: tuple[Stream, ...] = ()
+
+    @model_validator(mode="after")
+    def _names_are_unique(self) -> RunHeader:
+        for what, names in (
+            ("points", self.points),
+            ("instruments", tuple(i.name for i in self.instruments)),
+            ("streams", tuple(s.name for s in self.streams)),
+        ):
+            if len(set(names)) != len(names):
+                raise ValueError(f"{what}: two of one name")
+        if any(i.simulated for i in self.instruments) and not self.simulated:
+            raise ValueError("an instrument is simulated, the run says it is not")
+        return self
+
+    def check_state(self, state: StreamState) -> None:
+        """ValueError unless the state is one of an existing stream, with a value a channel."""
+        if state.stream >= len(self.streams):
+            raise ValueError(f"stream {state.stream} of {len(self.streams)}")
+        channels = len(self.streams[state.stream].channels)
+        for name in ("scale", "offset"):
+            if len(getattr(state, name)) != channels:
+                raise ValueError(f"{name}: {channels} channels need as many values")
+        for name in ("delay_s", "range"):
+            if len(getattr(state, name)) not in (0, channels):
+                raise ValueError(f"{name}: {channels} channels need as many values, or none")
+
+    def check_block(self, stream: int, nbytes: int, first_index: int, host_time: float) -> int:
+        """Rows of a block of ``nbytes``; ValueError unless the stream can have sent it."""
+        if not 0 <= stream < len(self.streams):
+            raise ValueError(f"stream {stream} of {len(self.streams)}")
+        row = self.streams[stream].row_bytes
+        if nbytes == 0 or nbytes % row:
+            raise ValueError(f"{nbytes} bytes are no whole rows of {row} bytes")
+        if not 0 <= first_index < 2**63:
+            raise ValueError(f"first_index {first_index} is out of range")
+        if not math.isfinite(host_time):
+            raise ValueError("host_time is not finite")
+        return nbytes // row

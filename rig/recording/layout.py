@@ -1,0 +1,152 @@
+"""How the readings of a procedure become plots, declared as data.
+
+A layout travels in the journal's header, so that compiling a run needs no procedure's code and a
+lab's own procedure gets the same files as a built-in one.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from pydantic import ConfigDict, TypeAdapter
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,62}\Z")
+_DEFINITION = re.compile(r"NX[A-Za-z0-9_]{1,60}\Z")
+
+RESERVED_GROUPS = frozenset(
+    {
+        *("definition", "title", "start_time", "end_time", "duration", "program_name"),
+        *("identifier_experiment", "identifier_collection", "user", "sample", "parameters"),
+        *("configuration", "journal_header", "notes", "outcome", "events", "instrument"),
+        *("points", "attempts", "waveforms", "discarded", "between_points", "blocks"),
+    }
+)
+"""Names inside ``/entry`` that a plot may not take."""
+
+_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One quantity of the readings, by its name in files.
+
+    ``source`` is the key in the reading. A number column becomes float64, with NaN where a reading
+    lacks the key; a text column becomes UTF-8, with "" there. ``long_name`` is what viewers show:
+    it hides the unit, so write "Gain (dB)".
+    """
+
+    name: str
+    source: str
+    units: str
+    long_name: str
+    kind: Literal["number", "text"] = "number"
+
+    __pydantic_config__ = _STRICT
+
+    def __post_init__(self) -> None:
+        if not _NAME.match(self.name):
+            raise ValueError(f"column {self.name!r}: a name is letters, digits and underscores")
+        if self.name in {"id", "attempt"}:
+            raise ValueError(f"column {self.name!r}: the table of points has that name already")
+        if self.kind == "number" and not self.long_name:
+            raise ValueError(f"column {self.name!r}: long_name is empty")
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """One NXdata group: the signal over its axes, all named columns of the layout.
+
+    The first axis is the plot's dimension. Points are sorted by the axes in turn, so that neither a
+    resumed nor a shuffled run scrambles the curve. ``log_axes`` names the signal or axes that are
+    drawn logarithmically.
+    """
+
+    group: str
+    signal: str
+    axes: tuple[str, ...]
+    errors: str | None = None
+    auxiliary: tuple[str, ...] = ()
+    log_axes: tuple[str, ...] = ()
+    title: str = ""
+
+    __pydantic_config__ = _STRICT
+
+    def __post_init__(self) -> None:
+        if not _NAME.match(self.group) or self.group in RESERVED_GROUPS:
+            raise ValueError(f"plot {self.group!r}: not a usable group name")
+        if not self.axes:
+            raise ValueError(f"plot {self.group!r}: no axis")
+        names = self.datasets()
+        if len(set(names)) != len(names) or "title" in names:
+            raise ValueError(f"plot {self.group!r}: two datasets of one name: {sorted(names)}")
+        strangers = set(self.log_axes) - {self.signal, *self.axes}
+        if strangers:
+            raise ValueError(f"plot {self.group!r}: log_axes names {sorted(strangers)}")
+
+    def datasets(self) -> tuple[str, ...]:
+        """Names of the datasets in the group, besides its title."""
+        errors = (self.errors_name,) if self.errors else ()
+        return (self.signal, *self.axes, *self.auxiliary, *errors)
+
+    @property
+    def errors_name(self) -> str:
+        """The name by which viewers find the signal's standard errors."""
+        return f"{self.signal}_errors"
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """All plots of a procedure's file, and the columns they are made of.
+
+    ``definition`` names the NXDL file ("NXrig_sweep") and ``version`` its version; ``default`` is
+    the plot shown at the first click. Its axes give the order of the table of points.
+    """
+
+    definition: str
+    version: str
+    columns: tuple[Column, ...]
+    plots: tuple[Plot, ...]
+    default: str = "data"
+
+    __pydantic_config__ = _STRICT
+
+    def __post_init__(self) -> None:
+        if not _DEFINITION.match(self.definition):
+            raise ValueError(f"definition {self.definition!r}: expected a name such as NXrig_sweep")
+        names = [column.name for column in self.columns]
+        groups = [plot.group for plot in self.plots]
+        if len(set(names)) != len(names) or len(set(groups)) != len(groups):
+            raise ValueError("two columns or two plots of one name")
+        if self.default not in groups:
+            raise ValueError(f"default {self.default!r} is none of the plots {groups}")
+        numbers = {column.name for column in self.columns if column.kind == "number"}
+        for plot in self.plots:
+            used = {plot.signal, *plot.axes, *plot.auxiliary} | {plot.errors or plot.signal}
+            if used - numbers:
+                raise ValueError(f"plot {plot.group!r}: no number columns {sorted(used - numbers)}")
+
+    def column(self, name: str) -> Column:
+        """The column of that name; KeyError if there is none."""
+        for column in self.columns:
+            if column.name == name:
+                return column
+        raise KeyError(name)
+
+    def plot(self, group: str) -> Plot:
+        """The plot of that group; KeyError if there is none."""
+        for plot in self.plots:
+            if plot.group == group:
+                return plot
+        raise KeyError(group)
+
+    def to_json(self) -> dict[str, Any]:
+        """The layout as JSON-able values, as it stands in the journal's header."""
+        plain: dict[str, Any] = TypeAdapter(Layout).dump_python(self, mode="json")
+        return plain
+
+    @classmethod
+    def from_json(cls, value: Any) -> Layout:
+        """The layout of JSON values; ValueError (pydantic's) if they are none."""
+        return TypeAdapter(cls).validate_python(value)

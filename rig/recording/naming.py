@@ -1,0 +1,36 @@
+"""Names of run files: a folder a day, a number a run of that day."""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime
+from pathlib import Path
+
+RUN_SUFFIX = ".h5"
+JOURNAL_SUFFIX = ".rigj"
+
+_RUN = re.compile(r"_r(\d+)\.(?:h5|rigj)\Z")
+
+
+def next_run_path(results: Path | str, procedure: str, when: datetime) -> Path:
+    """Where the next run's file goes: ``2026-11-21/2026-11-21T22-00-00_sweep_r017.h5``.
+
+    Makes the day's folder. Two processes can be given the same number: the exclusive
+    ``JournalWriter.create`` decides, and the loser (FileExistsError) asks again.
+    """
+    folder = Path(results) / f"{when:%Y-%m-%d}"
+    folder.mkdir(parents=True, exist_ok=True)
+    numbers = [int(found[1]) for p in folder.iterdir() if (found := _RUN.search(p.name))]
+    number = max(numbers, default=0) + 1
+    return folder / f"{when:%Y-%m-%dT%H-%M-%S}_{procedure}_r{number:03d}{RUN_SUFFIX}"
+
+
+def journal_path(run_file: Path | str) -> Path:
+    """The journal beside a run file."""
+    return Path(run_file).with_suffix(JOURNAL_SUFFIX)
+
+
+def checksum_path(run_file: Path | str) -> Path:
+    """The checksum beside a run file: ``<run>.h5.sha256``."""
+    run_file = Path(run_file)
+    return run_file.with_name(run_file.name + ".sha256")

@@ -1,0 +1,154 @@
+"""NeXus in HDF5: groups with a class, fields with a unit, plots that open at the first click.
+
+The conventions are those that h5web, silx, NeXpy and xarray each need: a plot's title is a field,
+``long_name`` shows the unit, logarithmic axes are written in two spellings, and dimension scales
+name the dimensions. h5py is imported by the callers; this module only sees its objects.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import h5py
+    from numpy.typing import NDArray
+
+    from rig.recording.layout import Layout, Plot
+    from rig.recording.table import PointTable
+
+CHUNK_ROWS = 1 << 18
+"""Rows of a chunk: half a MiB of int16, which viewers read at a time."""
+
+
+def safe_name(text: str) -> str:
+    """A valid NeXus name that looks like the text: ``f=10.5 Hz`` gives ``f_10_5_Hz``."""
+    return re.sub(r"[^A-Za-z0-9_]+", "_", text)[:100] or "_"
+
+
+def unique_name(text: str, taken: set[str]) -> str:
+    """``safe_name``, with a number where it is taken; adds it to ``taken``."""
+    name = base = safe_name(text)
+    number = 1
+    while name in taken:
+        number += 1
+        name = f"{base}_{number}"
+    taken.add(name)
+    return name
+
+
+def plain_text(text: object) -> str:
+    """Text as HDF5 can hold it: no NUL and no lone surrogates."""
+    return str(text).replace("\0", "\ufffd").encode("utf-8", "replace").decode()
+
+
+def group(parent: h5py.Group, name: str, nx_class: str) -> h5py.Group:
+    """A new group of a NeXus class."""
+    made = parent.create_group(name)
+    made.attrs["NX_class"] = nx_class
+    return made
+
+
+def text_field(parent: h5py.Group, name: str, text: object) -> h5py.Dataset:
+    """A field of UTF-8 text."""
+    return parent.create_dataset(name, data=plain_text(text))
+
+
+def texts_field(parent: h5py.Group, name: str, texts: Sequence[str]) -> h5py.Dataset:
+    """A field of several texts, shape (n,)."""
+    import h5py
+
+    plain = [plain_text(text) for text in texts]
+    return parent.create_dataset(name, (len(plain),), h5py.string_dtype(), data=plain or None)
+
+
+def number_field(parent: h5py.Group, name: str, value: Any, units: str = "") -> h5py.Dataset:
+    """A scalar field."""
+    field = parent.create_dataset(name, data=value)
+    if units:
+        field.attrs["units"] = units
+    return field
+
+
+def array_field(
+    parent: h5py.Group, name: str, values: NDArray[Any], units: str = "", long_name: str = ""
+) -> h5py.Dataset:
+    """A compressed, checksummed field."""
+    field = empty_field(parent, name, values.shape, values.dtype)
+    if values.size:
+        field[...] = values
+    label(field, units, long_name)
+    return field
+
+
+def empty_field(parent: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
+    """A compressed, checksummed field to be filled: gzip 1, shuffle and fletcher32."""
+    if 0 in shape:
+        return parent.create_dataset(name, shape, dtype)
+    return parent.create_dataset(
+        name,
+        shape,
+        dtype,
+        chunks=(min(shape[0], CHUNK_ROWS), *shape[1:]),
+        compression="gzip",
+        compression_opts=1,
+        shuffle=True,
+        fletcher32=True,
+    )
+
+
+def label(field: h5py.Dataset, units: str, long_name: str) -> None:
+    """Unit and name as viewers show them."""
+    field.attrs["units"] = units
+    if long_name:
+        field.attrs["long_name"] = long_name
+
+
+def plot_group(
+    entry: h5py.Group, plot: Plot, layout: Layout, table: PointTable, title: str
+) -> h5py.Group:
+    """An NXdata group of the table's columns, sorted by the plot's axes."""
+    data = group(entry, plot.group, "NXdata")
+    data.attrs["signal"] = plot.signal
+    data.attrs["axes"] = [plot.axes[0]]
+    for axis in plot.axes:
+        data.attrs[f"{axis}_indices"] = [0]
+    if plot.auxiliary:
+        data.attrs["auxiliary_signals"] = list(plot.auxiliary)
+    if plot.log_axes:
+        data.attrs["SILX_style"] = silx_style(plot)
+    text_field(data, "title", title)
+    order = table.order(plot.axes)
+    for name, source in plot_sources(plot).items():
+        column = layout.column(source)
+        array_field(data, name, table.numbers(source)[order], column.units, column.long_name)
+    _attach_scale(data, plot)
+    return data
+
+
+def plot_sources(plot: Plot) -> dict[str, str]:
+    """Names of a plot's datasets, each with the column it comes from."""
+    sources = {name: name for name in (plot.signal, *plot.axes, *plot.auxiliary)}
+    if plot.errors:
+        sources[plot.errors_name] = plot.errors
+    return sources
+
+
+def silx_style(plot: Plot) -> str:
+    """Scales of a plot's axes, in h5web's and in silx's spelling."""
+    axes = ["log" if plot.axes[0] in plot.log_axes else "linear"]
+    style: dict[str, object] = {"axes_scale_type": axes, "axes_scale_types": axes}
+    if plot.signal in plot.log_axes:
+        style["signal_scale_type"] = "log"
+    return json.dumps(style)
+
+
+def _attach_scale(data: h5py.Group, plot: Plot) -> None:
+    """Give the dimension its name, for xarray and HDFView."""
+    scale = data[plot.axes[0]]
+    scale.make_scale(plot.axes[0])
+    for name in plot_sources(plot):
+        if name != plot.axes[0]:
+            data[name].dims[0].attach_scale(scale)

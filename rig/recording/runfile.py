@@ -1,0 +1,231 @@
+"""Reading a run file: a few plain questions, answered as values and arrays.
+
+Opens with a plain read, never in SWMR mode (which can hang on a damaged file). Whatever is wrong
+with the file is a RunFileError that names it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from rig.recording.entry import header_of, text_of
+from rig.recording.errors import RunFileError
+from rig.recording.header import RunHeader
+
+if TYPE_CHECKING:
+    import h5py
+    import numpy as np
+    from numpy.typing import NDArray
+
+_DAMAGE = (OSError, KeyError, ValueError, RuntimeError, TypeError, AttributeError, RecursionError)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How the run ended. ``duration`` in s; ``status`` complete, stopped or failed."""
+
+    status: str
+    reason: str
+    attempt: int
+    points_planned: int
+    points_done: int
+    simulated: bool
+    seed: int
+    exit: int
+    duration: float
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """Gapless samples of one stream. ``counts`` maps a channel to its raw counts, shape (n,)."""
+
+    path: str
+    point: str | None
+    stream: str
+    status: str
+    rate_Hz: float | None
+    first_index: int
+    host_time: float
+    counts: dict[str, NDArray[Any]]
+    scale: dict[str, float]
+    offset: dict[str, float]
+    units: str
+    """Unit of scale × count + offset."""
+
+    def values(self, channel: str) -> NDArray[np.float64]:
+        """A channel in ``units``, float64 of shape (n,)."""
+        values: NDArray[np.float64] = (
+            self.counts[channel] * self.scale[channel] + self.offset[channel]
+        )
+        return values
+
+
+class RunFile:
+    """An open run file; use it as a context."""
+
+    def __init__(self, path: Path, file: h5py.File) -> None:
+        self.path = path
+        self._file = file
+
+    @classmethod
+    def open(cls, path: Path | str) -> RunFile:
+        """Open a run file. RunFileError if it cannot be read or is no run file."""
+        import h5py
+
+        path = Path(path)
+        if not path.is_file():
+            raise RunFileError(path, "no such file")
+        with _naming(path):
+            file = h5py.File(path, "r")
+        run = cls(path, file)
+        try:
+            with _naming(path):
+                if not isinstance(run.header, RunHeader) or "outcome" not in run.entry:
+                    raise ValueError("it has no outcome")
+        except RunFileError:
+            file.close()
+            raise
+        return run
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def entry(self) -> h5py.Group:
+        """The file's /entry."""
+        return self._file["entry"]
+
+    @cached_property
+    def header(self) -> RunHeader:
+        """What the run was to be: settings, points, instruments, layout."""
+        return header_of(self.entry)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The run's resolved settings, nested."""
+        return self.header.settings
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the run ended."""
+        with _naming(self.path):
+            group = self.entry["outcome"]
+            number = {name: int(group[name][()]) for name in _NUMBERS}
+            return Outcome(
+                status=text_of(group["status"]),
+                reason=text_of(group["reason"]),
+                attempt=number["attempt"],
+                points_planned=number["points_planned"],
+                points_done=number["points_done"],
+                simulated=bool(group["simulated"][()]),
+                seed=number["seed"],
+                exit=number["exit"],
+                duration=float(group["duration"][()]),
+                warnings=tuple(_texts(group["warnings"])),
+            )
+
+    def point_ids(self) -> list[str]:
+        """Ids of the kept points, in the order of ``column``'s rows."""
+        with _naming(self.path):
+            return _texts(self.entry["points/id"])
+
+    def columns(self) -> list[str]:
+        """Names of the columns of the readings."""
+        return [column.name for column in self.header.layout.columns]
+
+    def column(self, name: str) -> NDArray[Any]:
+        """A column of the readings: float64 (or text) of shape (points,), in plot order."""
+        if name not in self.columns():
+            raise RunFileError(self.path, f"no column {name!r}", f"it has {self.columns()}")
+        with _naming(self.path):
+            if self.header.layout.column(name).kind == "text":
+                import numpy as np
+
+                return np.array(_texts(self.entry[f"points/{name}"]), dtype=object)
+            numbers: NDArray[Any] = self.entry[f"points/{name}"][()]
+            return numbers
+
+    def readings(self) -> list[dict[str, Any]]:
+        """The readings as the procedure gave them, in the order of ``point_ids``."""
+        from rig.recording.records import from_json
+
+        with _naming(self.path):
+            results = _texts(self.entry["attempts/result"])
+            return [from_json(results[n])["reading"] for n in self.entry["points/attempt"][()]]
+
+    def waveforms(self, point: str | None = None, status: str = "kept") -> Iterator[Waveform]:
+        """The samples of a point, or of all with that status, one segment at a time."""
+        places = {"kept": "waveforms", "between": "between_points"}
+        place = places.get(status, "discarded")
+        with _naming(self.path):
+            names = list(self.entry[place]) if place in self.entry else []
+            for name in names:
+                data = self.entry[f"{place}/{name}"]
+                if data.attrs["status"] == status and point in (None, data.attrs.get("point")):
+                    yield _waveform(data)
+
+    def summary(self) -> dict[str, Any]:
+        """The run in a few JSON-able values."""
+        header, outcome = self.header, self.outcome
+        return {
+            "file": str(self.path),
+            "procedure": header.procedure,
+            "title": header.title,
+            "start_time": header.start_time,
+            "status": outcome.status,
+            "reason": outcome.reason,
+            "duration_s": outcome.duration,
+            "points_planned": outcome.points_planned,
+            "points_done": outcome.points_done,
+            "simulated": outcome.simulated,
+            "warnings": list(outcome.warnings),
+        }
+
+
+_NUMBERS = ("attempt", "points_planned", "points_done", "seed", "exit")
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Damage to the file as a RunFileError that names it."""
+    try:
+        yield
+    except _DAMAGE as error:
+        reason = f"no readable run file: {type(error).__name__}: {error}".splitlines()[0][:300]
+        hint = "`rig verify` says what is wrong; compile it again if its journal is still there"
+        raise RunFileError(path, reason, hint) from error
+
+
+def _texts(field: h5py.Dataset) -> list[str]:
+    return [value.decode() for value in field[()]]
+
+
+def _waveform(data: h5py.Group) -> Waveform:
+    names = [str(data.attrs["signal"]), *map(str, data.attrs.get("auxiliary_signals", ()))]
+    first = data[names[0]].attrs
+    return Waveform(
+        path=data.name,
+        point=data.attrs.get("point"),
+        stream=data.attrs["stream"],
+        status=data.attrs["status"],
+        rate_Hz=float(first["rate"]) if "rate" in first else None,
+        first_index=int(data.attrs["first_index"]),
+        host_time=float(data.attrs["host_time"]),
+        counts={name: data[name][()] for name in names},
+        scale={name: float(data[name].attrs.get("scale", 1.0)) for name in names},
+        offset={name: float(data[name].attrs.get("offset", 0.0)) for name in names},
+        units=str(first.get("scaled_units", data[names[0]].attrs.get("units", ""))),
+    )

@@ -1,0 +1,86 @@
+"""What is switched on, and how it is switched off again, whatever happens.
+
+Each armed thing registers its off *before* it is switched on: an off that had nothing to do is
+harmless, an on whose off was never registered is not. Offs run in reverse order, each isolated
+from the others' failures and each with a deadline.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rig.errors import RigError
+
+OFF_DEADLINE_S = 3.0
+"""Wall time one off action may take: several of the links' time-outs."""
+
+
+@dataclass(frozen=True)
+class Armed:
+    """One thing that has to be switched off."""
+
+    name: str
+    off: Callable[[], None]
+    deadline_s: float
+
+
+@dataclass(frozen=True)
+class OffFailure:
+    """An off action that did not work."""
+
+    name: str
+    reason: str
+
+
+class Arming:
+    """The register of offs of one run."""
+
+    def __init__(self) -> None:
+        self._armed: list[Armed] = []
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What is armed, in the order of arming."""
+        return tuple(armed.name for armed in self._armed)
+
+    def register(
+        self, name: str, off: Callable[[], None], deadline_s: float = OFF_DEADLINE_S
+    ) -> None:
+        """Remember `off` under `name`; registering a name again replaces its off."""
+        self._armed = [armed for armed in self._armed if armed.name != name]
+        self._armed.append(Armed(name, off, deadline_s))
+
+    def make_safe(self) -> list[OffFailure]:
+        """Run every off in reverse order; returns those that failed and forgets the others."""
+        failures = []
+        kept = []
+        for armed in reversed(self._armed):
+            reason = _run_off(armed)
+            if reason is not None:
+                failures.append(OffFailure(armed.name, reason))
+                kept.append(armed)
+        self._armed = kept[::-1]
+        return failures
+
+
+def _run_off(armed: Armed) -> str | None:
+    """Why the off did not work, or None. A daemon thread, so that a stuck one holds up nothing."""
+    outcome: list[str | None] = []
+
+    def act() -> None:
+        try:
+            armed.off()
+            outcome.append(None)
+        except RigError as error:
+            outcome.append(error.one_line())
+        except Exception as error:  # noqa: BLE001 - one off's bug must not stop the others
+            outcome.append(f"{type(error).__name__}: {error}")
+
+    thread = threading.Thread(target=act, name=f"off {armed.name}", daemon=True)
+    thread.start()
+    thread.join(armed.deadline_s)
+    if not outcome:
+        return f"not done within {armed.deadline_s:g} s"
+    return outcome[0]

@@ -1,0 +1,221 @@
+"""The guard: a side process that makes the bench safe when its run cannot.
+
+It lives in a session of its own and listens on a pipe. The run tells it what the bench is, beats,
+says when the bench is safe and when all is done. Pipe closed before that: the run has died, act.
+Beat late: the run hangs (or was suspended); kill it first, then act. To act is to connect to every
+instrument of the bench and call its driver's `make_safe`, each isolated from the others' failures,
+then to compile the journal, then to write what was done to the guard's report. A report that says
+unsafe keeps the next run from starting.
+
+This module is the program as well (``python -m rig.runner.guard``); it imports the rest of the
+project only when it has to act, so a guard costs a few milliseconds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rig.bench import BenchPlan
+
+
+TAKE_OVER_S = 30.0
+"""How long a run waits for its guard's second try: several of the links' time-outs."""
+
+
+def report_path(results: Path, bench_name: str) -> Path:
+    """Where the guard of a bench leaves its report."""
+    return results / f"guard-{bench_name}.json"
+
+
+def refuse_unsafe(results: Path, bench_name: str) -> None:
+    """Raise UnsafeError where the last guard could not make this bench safe."""
+    from rig.errors import UnsafeError
+
+    path = report_path(results, bench_name)
+    try:
+        report = json.loads(path.read_text())
+        safe = bool(report["safe"])
+    except FileNotFoundError:
+        return
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UnsafeError(
+            f"the guard's report {path} cannot be read ({error})",
+            f"look at the bench, then run: rig make-safe --bench ... or remove {path}",
+        ) from error
+    if not safe:
+        troubles = "; ".join(f"{name}: {why}" for name, why in report.get("failures", {}).items())
+        raise UnsafeError(
+            f"the bench {bench_name} was left unsafe at {report.get('time')}: {troubles}",
+            f"look at the bench, then run: rig make-safe (report: {path})",
+        )
+
+
+class GuardLink:
+    """The run's side: starts the guard and keeps it informed."""
+
+    def __init__(self, plan: BenchPlan, journal: Path, report: Path):
+        self._report = report.resolve()
+        order = {
+            "run_pid": os.getpid(),
+            "journal": str(journal.resolve()),
+            "report": str(self._report),
+            "bench_toml": plan.text,
+            "bench_source": plan.source,
+            "heartbeat_timeout_s": plan.settings.heartbeat_timeout_s,
+        }
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "rig.runner.guard"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        self._tell(json.dumps(order))
+
+    def beat(self) -> None:
+        """The run is alive."""
+        self._tell("beat")
+
+    def safe(self) -> None:
+        """Every armed thing is off: a slow compilation is no reason to act."""
+        self._tell("safe")
+
+    def done(self) -> None:
+        """Nothing is left to guard."""
+        self._tell("done")
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):
+            self._process.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout=5)
+
+    def take_over(self) -> str:
+        """Leave the bench to the guard, and say in a sentence what it made of it."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):
+            self._process.stdin.close()
+        try:
+            self._process.wait(timeout=TAKE_OVER_S)
+            report = json.loads(self._report.read_text())
+        except (subprocess.TimeoutExpired, OSError, ValueError) as error:
+            return f"the guard did not report: {error}"
+        if report["safe"]:
+            return "the guard then made the bench safe"
+        return f"the guard could not make the bench safe either: {report['failures']}"
+
+    def _tell(self, word: str) -> None:
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):  # a run goes on without its guard rather than fail
+            self._process.stdin.write(word.encode() + b"\n")
+            self._process.stdin.flush()
+
+
+@dataclass
+class _Watch:
+    """What the guard knows of its run."""
+
+    order: dict[str, Any]
+    safe: bool = False
+    done: bool = False
+
+
+def main() -> None:
+    """Listen until the run is done, died or hangs; act in the latter cases."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    pipe = sys.stdin.fileno()
+    buffer = b""
+    watch: _Watch | None = None
+    cause = "the run ended without saying so"
+    while True:
+        patience = watch.order["heartbeat_timeout_s"] if watch and not watch.safe else None
+        ready, _, _ = select.select([pipe], [], [], patience)
+        if not ready and watch:
+            cause = f"no sign of life for {patience:g} s; the run was killed"
+            _kill(watch.order["run_pid"])
+            break
+        chunk = os.read(pipe, 65536)
+        if not chunk:
+            break
+        *lines, buffer = (buffer + chunk).split(b"\n")
+        for line in lines:
+            watch = _understand(line, watch)
+    if watch is not None and not watch.done:
+        act(watch.order, cause, already_safe=watch.safe)
+
+
+def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[str, Any]:
+    """Make the bench safe, compile the journal, write the report; returns the report."""
+    failures = {} if already_safe else make_bench_safe(order["bench_toml"], order["bench_source"])
+    report: dict[str, Any] = {
+        "time": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "run_pid": order["run_pid"],
+        "cause": cause,
+        "safe": not failures,
+        "failures": failures,
+        "journal": order["journal"],
+    }
+    _write(Path(order["report"]), report)  # safety first: the report does not wait for the file
+    report["file"] = _compile(Path(order["journal"]))
+    _write(Path(order["report"]), report)
+    return report
+
+
+def make_bench_safe(bench_toml: str, source: str) -> dict[str, str]:
+    """Call every driver's `make_safe`; returns what failed, by role."""
+    from rig.bench import parse_bench
+    from rig.errors import RigError
+
+    failures = {}
+    for part in parse_bench(bench_toml, source).instruments:
+        try:
+            part.driver.make_safe(part.settings)
+        except RigError as error:
+            failures[part.role] = error.one_line()
+        except Exception as error:  # noqa: BLE001 - the other instruments still have to be reached
+            failures[part.role] = f"{type(error).__name__}: {error}"
+    return failures
+
+
+def _compile(journal: Path) -> str:
+    from rig.errors import RigError
+    from rig.recording.recover import recover
+
+    try:
+        return str(recover(journal))
+    except (RigError, OSError) as error:
+        return f"not compiled: {error}"
+
+
+def _understand(line: bytes, watch: _Watch | None) -> _Watch:
+    if watch is None:
+        return _Watch(json.loads(line))
+    watch.safe = watch.safe or line == b"safe"
+    watch.done = watch.done or line == b"done"
+    return watch
+
+
+def _kill(pid: int) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
+
+
+def _write(path: Path, report: dict[str, Any]) -> None:
+    beside = path.with_suffix(".tmp")
+    beside.write_text(json.dumps(report, indent=1) + "\n")
+    beside.replace(path)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,190 @@
+"""A job and its journal: what is asked for, and the record it is written to.
+
+A fresh job begins a journal; a resumed one continues the interrupted run's journal, provided that
+settings, bench and program are the ones it was begun with.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rig
+from rig.bench import Bench
+from rig.errors import ConfigurationError
+from rig.recording.contents import JournalContents
+from rig.recording.errors import RecordingError
+from rig.recording.journal import JournalWriter
+from rig.recording.naming import journal_path, next_run_path
+from rig.runner.guard import report_path
+from rig.runner.procedure import Point, Procedure, Reading
+from rig.runner.source_state import source_state
+from rig.settings import Settings, fingerprint, leaves
+
+if TYPE_CHECKING:
+    from rig.runner.run import Outcome
+
+PROGRAM = "tactile-rig"
+NAME_TRIES = 20
+
+
+@dataclass
+class Journal:
+    """An open journal and what an earlier attempt left in it."""
+
+    path: Path
+    writer: JournalWriter
+    attempt: int
+    kept: Mapping[str, Reading]
+    """Readings of the points that an earlier attempt kept, by point id."""
+
+    @property
+    def stream_index(self) -> dict[str, int]:
+        """Stream numbers by name."""
+        return {stream.name: k for k, stream in enumerate(self.writer.header.streams)}
+
+    def end(self, outcome: Outcome, duration_s: float) -> dict[str, Any]:
+        """The record that closes this attempt."""
+        reasons = [failure.one_line() for failure in outcome.failures]
+        reasons += [f"not switched off: {f.name}: {f.reason}" for f in outcome.off_failures]
+        return {
+            "status": outcome.status,
+            "reason": "; ".join(reasons),
+            "attempt": self.attempt,
+            "end_time": now_iso(),
+            "duration_s": duration_s,
+            "points_done": outcome.points_done,
+            "warnings": outcome.warnings,
+            "exit": int(outcome.code),
+        }
+
+
+@dataclass
+class Job:
+    """What one run is asked to do."""
+
+    procedure: Procedure
+    settings: Settings
+    seed: int
+    results: Path
+    user: str = ""
+    sample: str = ""
+    notes: str = ""
+    resume: JournalContents | None = None
+    run_number: int = 0
+    """Place within a batch; keys the simulated bench's noise."""
+    recorded_toml: str | None = None
+    """The bench file as it is recorded, where the connected one holds a process's port numbers."""
+
+    def fingerprint(self, bench_toml: str) -> str:
+        """What has to be equal for a run to be resumed."""
+        return fingerprint(self.procedure.NAME, self.settings, self.seed, bench_toml)
+
+    def guard_report(self, bench: Bench, journal: Journal) -> Path:
+        """Where the guard reports: beside the run where the bench ends with it, else in the place
+        at which the next run on that bench looks."""
+        if self.recorded_toml is not None:
+            return journal.path.with_suffix(".guard.json")
+        return report_path(self.results, bench.settings.name)
+
+    def open_journal(self, bench: Bench, points: Sequence[Point]) -> Journal:
+        """Begin the journal, or continue the interrupted one."""
+        header = self._header(bench, points)
+        if self.resume is None:
+            writer = self._new_journal(header)
+            return Journal(writer.path, writer, 1, {})
+        begun = self.resume.header
+        for what, was, now in (
+            ("settings or bench", begun.fingerprint, header["fingerprint"]),
+            ("program version", begun.program.version, header["program"]["version"]),
+        ):
+            if was != now:
+                raise ConfigurationError(
+                    f"{self.resume.path}: {what} changed since the run began ({was} then, {now} "
+                    "now); its points would not belong together",
+                    "restore them, or start a new run",
+                )
+        return Journal(
+            self.resume.path,
+            JournalWriter.reopen(self.resume.path),
+            len(self.resume.ends) + 1,
+            {point.id: point.reading for point in self.resume.kept()},
+        )
+
+    def _new_journal(self, header: dict[str, Any]) -> JournalWriter:
+        now = datetime.now().astimezone()
+        try:
+            for _ in range(NAME_TRIES):
+                with contextlib.suppress(FileExistsError):  # another run took the number
+                    path = next_run_path(self.results, self.procedure.NAME, now)
+                    return JournalWriter.create(journal_path(path), header)
+        except OSError as error:
+            raise RecordingError(
+                self.results,
+                f"no run file can be begun there: {error.strerror or error}",
+                "give another folder with --results, or free the disk",
+            ) from error
+        raise RecordingError(self.results, "other runs keep taking the next file name")
+
+    def _header(self, bench: Bench, points: Sequence[Point]) -> dict[str, Any]:
+        bench_toml = self.recorded_toml or bench.plan.text
+        simulated = bench.simulated
+        marker = "SIMULATED " if simulated else ""
+        return {
+            "procedure": self.procedure.NAME,
+            "layout": self.procedure.LAYOUT.to_json(),
+            "title": f"{marker}{self.procedure.NAME} on bench {bench.settings.name}",
+            "run_uuid": str(uuid.uuid4()),
+            "start_time": now_iso(),
+            "program": {
+                "name": PROGRAM,
+                "version": rig.__version__,
+                "configuration": source_state(),
+            },
+            "settings": self.settings.model_dump(mode="json"),
+            "setting_units": {name: unit for name, _, unit in leaves(self.settings) if unit},
+            "fingerprint": self.fingerprint(bench_toml),
+            "bench_toml": bench_toml,
+            "bench_file": bench.plan.source,
+            "simulated": simulated,
+            "seed": self.seed,
+            "points": [point.id for point in points],
+            "user": {"name": self.user},
+            "sample": {"name": self.sample},
+            "notes": self.notes,
+            "instruments": [
+                {
+                    "name": role,
+                    "role": role,
+                    "vendor": instrument.identity.vendor,
+                    "model": instrument.identity.model,
+                    "serial_number": instrument.identity.serial_number,
+                    "firmware": instrument.identity.firmware,
+                    "driver": next(p.driver_name for p in bench.plan.instruments if p.role == role),
+                    "simulated": instrument.identity.simulated,
+                }
+                for role, instrument in bench.instruments.items()
+            ],
+            "streams": [
+                {
+                    "name": stream.name,
+                    "device": stream.device,
+                    "channels": list(stream.channels),
+                    "dtype": "<i2",
+                    "row_shape": [len(stream.channels)],
+                    "units": "count",
+                    "long_name": stream.long_name,
+                }
+                for stream in self.procedure.STREAMS
+            ],
+        }
+
+
+def now_iso() -> str:
+    """The present local time with its offset from UTC, ISO 8601."""
+    return datetime.now().astimezone().isoformat(timespec="milliseconds")

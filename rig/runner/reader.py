@@ -1,0 +1,89 @@
+"""The reader thread: owns a streaming instrument's link, keeps what it says, watches it.
+
+A procedure may sit in a blocking call when the force rises over its limit; the reader does not. It
+reads, stamps and hands each batch to the watchers, which may act on the bench by themselves. What
+goes wrong here is kept and raised in the procedure's thread at its next look.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Generic, Protocol, TypeVar
+
+Sample = TypeVar("Sample")
+Delivered = TypeVar("Delivered", covariant=True)
+Watcher = Callable[[Sequence[Any]], None]
+
+
+class StreamSource(Protocol[Delivered]):
+    """A link that delivers samples; `read` blocks for a short while at most."""
+
+    @property
+    def bytes_consumed(self) -> int:
+        """Bytes taken off the link since it was opened."""
+        ...
+
+    def read(self) -> Sequence[Delivered]:
+        """The samples that have arrived, possibly none."""
+        ...
+
+
+class StreamReader(Generic[Sample]):
+    """Reads a source in a thread of its own until stopped.
+
+    `samples_kept` bounds the ring from which the procedure reads.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        source: StreamSource[Sample],
+        watchers: Sequence[Watcher] = (),
+        samples_kept: int = 100_000,
+    ):
+        self._source = source
+        self._watchers = tuple(watchers)
+        self._ring: deque[Sample] = deque(maxlen=samples_kept)
+        self._failure: BaseException | None = None
+        self._stopping = threading.Event()
+        self._lock = threading.Lock()
+        self._handled_bytes = 0
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begin reading."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread and wait for it."""
+        self._stopping.set()
+        self._thread.join()
+
+    def check(self) -> None:
+        """Raise what ended the thread, if anything did."""
+        if self._failure is not None:
+            raise self._failure
+
+    def bytes_handled(self) -> int:
+        """Bytes whose samples the watchers have seen: what a slaved clock waits for."""
+        return self._handled_bytes
+
+    def latest(self, count: int) -> list[Sample]:
+        """The last `count` samples, oldest first, fewer where fewer have come."""
+        with self._lock:
+            return list(self._ring)[-count:] if count else []
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                samples = self._source.read()
+                if samples:
+                    with self._lock:
+                        self._ring.extend(samples)
+                    for watcher in self._watchers:
+                        watcher(samples)
+                self._handled_bytes = self._source.bytes_consumed
+        except BaseException as failure:  # noqa: BLE001 - raised again by check()
+            self._failure = failure

@@ -1,0 +1,113 @@
+"""Faults on the wire: what a plan says, and what then reaches the client."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drivers.simulated.faults import Delivery, FaultPlan, WireFaults, WireReply
+from rig.errors import ConfigurationError
+
+
+def plan(**fault: object) -> FaultPlan:
+    return FaultPlan.model_validate({"fault": [{"device": "daq", **fault}]})
+
+
+def received(faults: WireFaults, requests: list[bytes]) -> list[bytes]:
+    """What a client of one connection gets, reply after reply, to requests echoed in capitals."""
+    link = faults.link()
+    return [
+        b"".join(reply.data for reply in link.exchange(request, request.upper() + b"\n").replies)
+        for request in requests
+    ]
+
+
+FOUR = [b"a1?", b"a2?", b"a3?", b"a4?"]
+
+
+def test_without_faults_everything_arrives() -> None:
+    assert received(WireFaults(FaultPlan(), "daq"), FOUR[:2]) == [b"A1?\n", b"A2?\n"]
+
+
+def test_silence_befalls_the_nth_request_and_so_many() -> None:
+    faults = WireFaults(plan(kind="silence", at=2, count=2), "daq")
+    assert received(faults, FOUR) == [b"A1?\n", b"", b"", b"A4?\n"]
+
+
+def test_count_zero_is_for_ever_and_over_all_connections() -> None:
+    faults = WireFaults(plan(kind="silence", at=3, count=0), "daq")
+    assert received(faults, FOUR[:2]) == [b"A1?\n", b"A2?\n"]
+    assert received(faults, FOUR * 3) == [b""] * 12
+
+
+def test_only_matching_commands_are_counted_also_inside_a_message() -> None:
+    faults = WireFaults(plan(kind="silence", command="WAV:DATA", at=2), "daq")
+    requests = [b"WAV:STAT?", b"wav:data?", b"*IDN?", b"WAV:STAT?;:WAV:DATA?", b"WAV:DATA?"]
+    assert [reply == b"" for reply in received(faults, requests)] == [0, 0, 0, 1, 0]
+
+
+def test_other_devices_are_spared() -> None:
+    faults = WireFaults(plan(kind="silence", count=0), "generator")
+    assert received(faults, FOUR[:1]) == [b"A1?\n"]
+
+
+def test_stale_reply_comes_in_front_of_the_next() -> None:
+    faults = WireFaults(plan(kind="stale", at=2), "daq")
+    assert received(faults, FOUR) == [b"A1?\n", b"", b"A2?\nA3?\n", b"A4?\n"]
+
+
+def test_stale_reply_keeps_its_tag_and_its_connection() -> None:
+    faults = WireFaults(plan(kind="stale"), "daq")
+    first, second = faults.link(), faults.link()
+    assert first.exchange(b"a?", b"A", tag=7) == Delivery()
+    assert second.exchange(b"b?", b"B", tag=8).replies == (WireReply(b"B", 8),)
+    assert first.exchange(b"set 1", None) == Delivery()
+    assert first.exchange(b"c?", b"C", tag=9).replies == (WireReply(b"A", 7), WireReply(b"C", 9))
+
+
+def test_garbage_is_unreadable_but_as_long_and_ended_alike() -> None:
+    (reply,) = received(WireFaults(plan(kind="garbage"), "daq"), [b"+1.0E+00"])
+    assert len(reply) == 9
+    assert reply.endswith(b"\n")
+    with pytest.raises(UnicodeDecodeError):
+        reply.decode("ascii")
+
+
+def test_truncated_reply_is_its_first_half() -> None:
+    assert received(WireFaults(plan(kind="truncate"), "daq"), [b"abcdefg"]) == [b"ABCD"]
+
+
+def test_close_sends_nothing_more() -> None:
+    link = WireFaults(plan(kind="close"), "daq").link()
+    assert link.exchange(b"a?", b"A") == Delivery(close=True)
+
+
+def test_plan_is_read_from_toml(tmp_path: Path) -> None:
+    path = tmp_path / "faults.toml"
+    path.write_text('[[fault]]\ndevice = "daq"\nkind = "stale"\nat = 3\ncommand = "WAV:DATA"\n')
+    (fault,) = FaultPlan.read(path, devices=["daq", "generator"]).fault
+    assert (fault.kind, fault.at, fault.count, fault.command) == ("stale", 3, 1, "WAV:DATA")
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ('[[fault]]\ndevice = "daq"\nkind = "explode"\n', "'explode'"),
+        ('[[fault]]\ndevice = "daq"\nkind = "stale"\nafter = 2\n', "after: unknown key"),
+        ('[[fault]]\ndevice = "daq"\nkind = "stale"\nat = 0\n', "at = 0"),
+        ('[[fault]]\ndevice = "dac"\nkind = "stale"\n', "'dac': no such device"),
+        ("[[fault]\n", "faults.toml"),
+        ("seed = 3\n", "seed: unknown key"),
+    ],
+)
+def test_a_wrong_plan_is_refused_with_its_reason(tmp_path: Path, text: str, complaint: str) -> None:
+    path = tmp_path / "faults.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match=complaint):
+        FaultPlan.read(path, devices=["daq", "generator"])
+
+
+def test_a_missing_plan_is_a_configuration_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"none\.toml"):
+        FaultPlan.read(tmp_path / "none.toml")
