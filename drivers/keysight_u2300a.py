@@ -293,7 +293,10 @@ class Daq:
         if reply not in known:
             self._link.close()
             raise InstrumentError(
-                "daq", query, f"the answer {reply!r} is none of {', '.join(known)}"
+                "daq",
+                query,
+                f"the answer {reply!r} is none of {', '.join(known)}",
+                f"check the cable and that nothing else talks to {self._settings.resource}",
             )
         return reply
 

@@ -97,7 +97,7 @@ class FoundWrongError(RigError):
 
 
 def _finding(item: Any) -> str:
-    key = ".".join(str(part) for part in item["loc"]) or "the whole"
+    key = ".".join(str(part) for part in item["loc"])
     value = item.get("input")
     kind = item["type"]
     if kind == "extra_forbidden":
@@ -106,6 +106,8 @@ def _finding(item: Any) -> str:
         return f"{key}: missing"
     message = str(item["msg"])
     message = message.removeprefix("Value error, ")
+    if not key:
+        return message
     shown = repr(value)
     if isinstance(value, (dict, list, tuple)) or len(shown) > 60:
         return f"{key}: {message}"

@@ -475,7 +475,7 @@ class Keysight33500B(ScpiInstrument):
 
     def _set_load(self, call: Call) -> None:
         channel, asked = _channel(call), call.arguments[0]
-        value = _asked(asked, Bounds(1.0, 10e3, 50.0), 1.0)
+        value = min(_asked(asked, Bounds(1.0, 10e3, 50.0), 1.0), INFINITE)
         if value < INFINITE:
             value = self._clip(value, 1.0, 10e3)
         elif self._units[channel] == "DBM":

@@ -230,13 +230,13 @@ class ChannelList:
             raise ScpiError(-104)
         channels: list[int] = []
         for part in found.group(1).split(b","):
-            first, colon, last = part.partition(b":")
-            if not first.strip().isdigit() or (colon and not last.strip().isdigit()):
+            found = re.fullmatch(rb"\s*(\d{1,6})\s*(?::\s*(\d{1,6})\s*)?", part)
+            if found is None:
                 raise ScpiError(-102)
-            end = int(last) if colon else int(first)
-            if not int(first) <= end < int(first) + 1000:
+            first, last = int(found.group(1)), int(found.group(2) or found.group(1))
+            if not first <= last < first + 1000:
                 raise ScpiError(-102)
-            channels.extend(range(int(first), end + 1))
+            channels.extend(range(first, last + 1))
         return tuple(channels)
 
 
@@ -473,10 +473,10 @@ class ScpiInstrument(ABC):
 
 
 def _byte(call: Call) -> int:
-    value = round(call.arguments[0].value)
-    if not 0 <= value <= 255:
+    quantity: Quantity = call.arguments[0]
+    if quantity.keyword or not 0 <= quantity.value <= 255:
         raise ScpiError(-222)
-    return int(value)
+    return round(quantity.value)
 
 
 def _read_header(unit: bytes, path: str) -> tuple[str, str, bytes]:

@@ -13,6 +13,7 @@ import typer
 from rig.errors import ExitCode, RigError
 
 log = logging.getLogger("rig")
+log.addHandler(logging.NullHandler())
 
 
 def start_log(results: Path) -> None:

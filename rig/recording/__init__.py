@@ -1,11 +1,18 @@
-"""Recording: the journal of a run as it happens, and the run file that is compiled from it."""
+"""Recording: the journal of a run as it happens, and the run file that is compiled from it.
 
-from rig.recording.errors import JournalError, RecordingError, RunFileError
-from rig.recording.header import End, Event, Instrument, Program, RunHeader, Stream, StreamState
-from rig.recording.journal import JournalWriter, read_journal
-from rig.recording.layout import Column, Layout, Plot
-from rig.recording.naming import journal_path, next_run_path
-from rig.recording.recorder import Recorder
+Names are imported when they are first used: a command that only shows its help pays for none.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rig.recording.errors import JournalError, RecordingError, RunFileError
+    from rig.recording.header import End, Event, Instrument, Program, RunHeader, Stream, StreamState
+    from rig.recording.journal import JournalWriter, read_journal
+    from rig.recording.layout import Column, Layout, Plot
+    from rig.recording.naming import journal_path, next_run_path
+    from rig.recording.recorder import Recorder
 
 __all__ = [
     "Column",
@@ -27,3 +34,14 @@ __all__ = [
     "next_run_path",
     "read_journal",
 ]
+
+_MODULES = ("errors", "header", "journal", "layout", "naming", "recorder")
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        for module in _MODULES:
+            found = vars(import_module(f"{__name__}.{module}")).get(name)
+            if found is not None:
+                return found
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

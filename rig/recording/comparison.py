@@ -118,15 +118,21 @@ def _segment_differences(
     data: h5py.Group, contents: JournalContents, number: int, rows: int
 ) -> Iterator[str]:
     segment = contents.segments[number]
-    for key, value in segment_attributes(contents, number).items():
-        if data.attrs.get(key) != value:
-            yield f"{data.name}: attribute {key} differs"
+    yield from _attribute_differences(data, segment_attributes(contents, number))
     for k, name in enumerate(channel_names(contents.header.streams[segment.stream].channels)):
-        if data[name].shape != (rows,):
-            yield f"{data.name}/{name}: {data[name].shape} samples, the journal has {rows}"
-        for key, value in channel_attributes(segment.state, k).items():
-            if data[name].attrs.get(key) != value:
-                yield f"{data.name}/{name}: attribute {key} differs"
+        field = data[name]
+        if field.shape != (rows,):
+            yield f"{field.name}: {field.shape} samples, the journal has {rows}"
+        yield from _attribute_differences(field, channel_attributes(segment.state, k))
+
+
+def _attribute_differences(
+    item: h5py.Group | h5py.Dataset, expected: dict[str, Any]
+) -> Iterator[str]:
+    attributes = item.attrs
+    for key, value in expected.items():
+        if attributes.get(key) != value:
+            yield f"{item.name}: attribute {key} differs"
 
 
 def _same(found: NDArray[Any], expected: NDArray[Any]) -> bool:

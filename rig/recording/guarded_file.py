@@ -45,6 +45,12 @@ class GuardedFile:
         self._position += len(view)
         return len(view)
 
+    def read(self, size: int) -> bytes:
+        """Read at the position; h5py knows a file by this method, and calls ``readinto``."""
+        data = bytearray(size)
+        self.readinto(memoryview(data))
+        return bytes(data)
+
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Move the position."""
         base = (0, self._position, os.fstat(self._descriptor).st_size)[whence]

@@ -221,7 +221,7 @@ def _waveform(data: h5py.Group) -> Waveform:
         point=data.attrs.get("point"),
         stream=data.attrs["stream"],
         status=data.attrs["status"],
-        rate_Hz=float(first["rate"]) if "rate" in first else None,
+        rate_Hz=float(first["rate_Hz"]) if "rate_Hz" in first else None,
         first_index=int(data.attrs["first_index"]),
         host_time=float(data.attrs["host_time"]),
         counts={name: data[name][()] for name in names},

@@ -171,6 +171,9 @@ class WaveformWriter:
         self._contents = contents
         self._paths = segment_paths(contents)
         self._axes: dict[tuple[float | None, int], h5py.Dataset] = {}
+        self._places: dict[str, h5py.Group] = {}
+        self._fields: dict[int, list[h5py.Dataset]] = {}
+        """The fields of each stream's present segment."""
 
     def write(self, check: Callable[[], None]) -> None:
         """All samples, and the map of blocks to time; ``check`` is called after each piece."""
@@ -180,10 +183,9 @@ class WaveformWriter:
             check()
 
         table = walk_samples(self._contents, piece)
-        for place in sorted(set(PLACES.values())):
-            if place in self._entry:
-                first = next(p for p in self._paths if p.startswith(f"{place}/"))
-                self._entry[place].attrs["default"] = first.removeprefix(f"{place}/")
+        for place, made in self._places.items():
+            first = next(p for p in self._paths if p.startswith(f"{place}/"))
+            made.attrs["default"] = first.removeprefix(f"{place}/")
         blocks = group(self._entry, "blocks", "NXcollection")
         for number, stream in enumerate(self._contents.header.streams):
             part = group(blocks, stream.name, "NXcollection")
@@ -193,20 +195,21 @@ class WaveformWriter:
                     field.attrs["start"] = self._contents.header.start_time
 
     def _piece(self, number: int, first: int, rows: NDArray[Any]) -> None:
+        stream = self._contents.segments[number].stream
         if first == 0:
-            self._make_group(number)
-        data = self._entry[self._paths[number]]
-        stream = self._contents.header.streams[self._contents.segments[number].stream]
-        for k, name in enumerate(channel_names(stream.channels)):
-            data[name][first : first + len(rows)] = rows[:, k]
+            self._fields[stream] = self._make_group(number)
+        for k, field in enumerate(self._fields[stream]):
+            field[first : first + len(rows)] = rows[:, k]
 
-    def _make_group(self, number: int) -> None:
+    def _make_group(self, number: int) -> list[h5py.Dataset]:
+        """The group of a segment; gives its channels' fields, to be filled."""
         segment = self._contents.segments[number]
         stream = self._contents.header.streams[segment.stream]
         place, name = self._paths[number].split("/")
-        if place not in self._entry:
-            group(self._entry, place, "NXcollection")
-        data = group(self._entry[place], name, "NXdata")
+        if place not in self._places:
+            self._places[place] = group(self._entry, place, "NXcollection")
+        data = group(self._places[place], name, "NXdata")
+        fields = []
         names = channel_names(stream.channels)
         axis = self._axis(data, segment)
         data.attrs["signal"] = names[0]
@@ -221,6 +224,8 @@ class WaveformWriter:
             label(field, stream.units, f"{channel} ({stream.units})")
             for key, value in channel_attributes(segment.state, k).items():
                 field.attrs[key] = value
+            fields.append(field)
+        return fields
 
     def _title(self, segment: Segment, stream: str) -> str:
         marks = "SIMULATED " if self._contents.header.simulated else ""
@@ -280,11 +285,9 @@ def channel_attributes(state: StreamState | None, channel: int) -> dict[str, Any
         "scaled_units": state.units,
     }
     if state.rate_Hz is not None:
-        attributes["rate"] = state.rate_Hz
-        attributes["rate_units"] = "Hz"
+        attributes["rate_Hz"] = state.rate_Hz
     if state.delay_s:
-        attributes["delay"] = state.delay_s[channel]
-        attributes["delay_units"] = "s"
+        attributes["delay_s"] = state.delay_s[channel]
     if state.range:
         attributes["range"] = state.range[channel]
     return attributes

@@ -42,6 +42,8 @@ class Journal:
     attempt: int
     kept: Mapping[str, Reading]
     """Readings of the points that an earlier attempt kept, by point id."""
+    elapsed_s: float = 0.0
+    """Seconds from the run's start to the start of this attempt."""
 
     @property
     def stream_index(self) -> dict[str, int]:
@@ -114,7 +116,16 @@ class Job:
             JournalWriter.reopen(self.resume.path),
             len(self.resume.ends) + 1,
             {point.id: point.reading for point in self.resume.kept()},
+            self._elapsed_s(),
         )
+
+    def _elapsed_s(self) -> float:
+        """A bench that ended with its run stood still in between; time went on for any other."""
+        assert self.resume is not None
+        if self.recorded_toml is not None:
+            return self.resume.last_time
+        begun = datetime.fromisoformat(self.resume.header.start_time)
+        return (datetime.now().astimezone() - begun).total_seconds()
 
     def _new_journal(self, header: dict[str, Any]) -> JournalWriter:
         now = datetime.now().astimezone()

@@ -77,19 +77,19 @@ class Outcome:
 class Run:
     """What `arm` and `take` may use of the run they belong to."""
 
-    def __init__(self, settings: Any, bench: Bench, recorder: Recorder, streams: Mapping[str, int]):
+    def __init__(self, settings: Any, bench: Bench, recorder: Recorder, journal: Journal):
         self.settings = settings
         self.bench = bench
         self.clock: Clock = bench.clock
         self.warnings: list[str] = []
         self._arming = Arming()
         self._recorder = recorder
-        self._streams = streams
+        self._streams = journal.stream_index
         self._scalings: dict[str, Scaling] = {}
-        self._start_s = bench.clock.now()
+        self._start_s = bench.clock.now() - journal.elapsed_s
 
     def elapsed_s(self) -> float:
-        """Bench time since the run's start in seconds."""
+        """Bench time since the run's start in seconds; a resumed run goes on counting."""
         return self.clock.now() - self._start_s
 
     @property
@@ -118,7 +118,7 @@ class Run:
                 }
             )
             self._scalings[stream] = scaling
-        self._recorder.put_block(index, record.first_index, time.time(), record.counts)
+        self._recorder.put_block(index, record.first_index, self.elapsed_s(), record.counts)
 
     def event(self, level: str, code: str, message: str) -> None:
         """Record that something happened; warnings are repeated at the end of the run."""
@@ -152,9 +152,9 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, reporter: Reporter) -> Outc
         with contextlib.closing(bench):
             try:
                 points = job.procedure.points(job.settings)
+                outcome.points_planned = len(points)
                 bench.require_fixture(*job.procedure.FIXTURES)
                 check_points(points, bench)
-                outcome.points_planned = len(points)
                 stop.check()
                 journal = job.open_journal(bench, points)
             except RigError as error:
@@ -180,9 +180,10 @@ class _Loop:
         self.stop, self.reporter, self.outcome = stop, reporter, outcome
         self.recorder = Recorder(journal.writer)
         self.guard = GuardLink(bench.plan, journal.path, job.guard_report(bench, journal))
-        self.run = Run(job.settings, bench, self.recorder, journal.stream_index)
+        self.run = Run(job.settings, bench, self.recorder, journal)
         self.readings = dict(journal.kept)
         self._last_beat = 0.0
+        self._begun_s = bench.clock.now()
 
     def go(self) -> None:
         """Take the points, then safe, data, report."""
@@ -253,7 +254,7 @@ class _Loop:
         return reading
 
     def _make_safe(self) -> None:
-        self.outcome.duration_s = self.run.elapsed_s()
+        self.outcome.duration_s = self.bench.clock.now() - self._begun_s
         armed = self.run.arming.names
         self.outcome.off_failures = self.run.arming.make_safe()
         failed = {failure.name for failure in self.outcome.off_failures}

@@ -76,7 +76,7 @@ def test_raw_counts_and_their_scale_are_there_for_every_point(file: Path) -> Non
     with h5py.File(file) as opened:
         group = opened["entry/waveforms/f_10_Hz_lo_1_N"]
         np.testing.assert_array_equal(group["time"], np.arange(500) / 1000.0)
-        assert group["force"].attrs["delay"] == 4e-6
+        assert group["force"].attrs["delay_s"] == 4e-6
         assert group["force"].attrs["range"] == 5.0
         blocks = opened["entry/blocks/daq"]
         assert blocks["host_time"][:3].tolist() == [0.05, 3.1, 3.2]

@@ -211,3 +211,11 @@ def test_arbitrary_waveforms_as_lists_and_blocks(say: Talk, bench: IdealBench) -
 def test_waveform_beyond_full_scale_is_refused(say: Talk) -> None:
     say("SOUR1:DATA:ARB big, " + ",".join(["1.5"] * 8))
     assert say.errors() == [-222]
+
+
+@pytest.mark.parametrize("header", ["FREQ", "VOLT", "VOLT:OFFS", "PHAS", "OUTP:LOAD", "BURS:NCYC"])
+@pytest.mark.parametrize("number", ["1e999", "-1e999", "9.9e37", "1e-320"])
+def test_absurd_numbers_end_at_a_limit(say: Talk, header: str, number: str) -> None:
+    say(f"{header} {number}")
+    assert set(say.errors()) <= {-222}
+    assert -1e38 < value(say(f"{header}?")) < 1e38

@@ -120,6 +120,7 @@ def test_millivolts_are_not_megavolts(lamp: Lamp, say: Talk) -> None:
         ("FREQ INF", -104), ("SHAP ROUND", -224), ("SHAP 7", -104), ("OUTP perhaps", -104),
         ("ROUT:SCAN 101", -104), ("ROUT:SCAN (@105:101)", -102), ("ROUT:SCAN (@)", -104),
         ("BLINK 3", -113), ("*IDN? 1", -108), ("*ESE 400", -222), ("FREQ ONCE;MORE", -104),
+        ("*ESE 1e999", -222), ("ROUT:SCAN (@1::2)", -102),
     ],
 )  # fmt: skip
 def test_what_is_refused_says_why(lamp: Lamp, say: Talk, message: str, code: int) -> None:

@@ -1,0 +1,177 @@
+"""Running the program as its users do: the real command line in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+RIG = [sys.executable, "-c", "from rig.cli import main; main()"]
+PATIENCE_S = 120.0
+
+
+@dataclass
+class Finished:
+    """A command that has ended."""
+
+    code: int
+    stdout: str
+    stderr: str
+
+    @property
+    def object(self) -> dict[str, Any]:
+        """What ``--json`` printed."""
+        return json.loads(self.stdout)
+
+    @property
+    def errors(self) -> list[str]:
+        """The lines on stderr that report errors."""
+        return [line for line in self.stderr.splitlines() if line.startswith("error: ")]
+
+
+class Running:
+    """A command that is running; its stderr can be waited for line by line."""
+
+    def __init__(self, arguments: list[str], cwd: Path, env: dict[str, str]):
+        self.process = subprocess.Popen(
+            [*RIG, *arguments],
+            cwd=cwd,
+            env=env,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self._lines: list[str] = []
+        self._news = threading.Condition()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def wait_for(self, pattern: str) -> str:
+        """Wait until a line of stderr matches; the line."""
+        deadline = time.monotonic() + PATIENCE_S
+        seen = 0
+        while True:
+            with self._news:
+                for line in self._lines[seen:]:
+                    if re.search(pattern, line):
+                        return line
+                seen = len(self._lines)
+                if not self._reader.is_alive() or time.monotonic() > deadline:
+                    raise AssertionError(f"no line {pattern!r} in:\n" + "".join(self._lines))
+                self._news.wait(0.2)
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal to the command."""
+        self.process.send_signal(number)
+
+    def finish(self) -> Finished:
+        """Wait for the end."""
+        assert self.process.stdout is not None
+        stdout = self.process.stdout.read()
+        code = self.process.wait(PATIENCE_S)
+        self._reader.join(PATIENCE_S)
+        return Finished(code, stdout, "".join(self._lines))
+
+    def _read(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            with self._news:
+                self._lines.append(line)
+                self._news.notify_all()
+
+
+class Rig:
+    """The command ``rig`` in a folder of its own."""
+
+    COMMAND = RIG
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.results = folder / "results"
+        self.world_log = folder / "world.jsonl"
+        self.env = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "TERM")}
+        self._started: list[Running] = []
+
+    def start(self, *arguments: str) -> Running:
+        """Start a command."""
+        running = Running(list(arguments), self.folder, self.env)
+        self._started.append(running)
+        return running
+
+    def run(self, *arguments: str) -> Finished:
+        """Run a command to its end."""
+        return self.start(*arguments).finish()
+
+    def sweep(self, *arguments: str) -> Finished:
+        """A sweep on the slaved simulated bench, with its World's log, without a figure."""
+        return self.run(*self.sweep_arguments(*arguments))
+
+    def start_sweep(self, *arguments: str) -> Running:
+        """The same, started."""
+        return self.start(*self.sweep_arguments(*arguments))
+
+    def sweep_arguments(self, *arguments: str) -> list[str]:
+        """Arguments of such a sweep."""
+        log = ["--world-log", str(self.world_log)]
+        return ["sweep", "--json", "--no-figures", *log, *arguments]
+
+    def fault(self, text: str) -> str:
+        """Write a fault plan; its path."""
+        path = self.folder / "fault.toml"
+        path.write_text(text)
+        return str(path)
+
+    def world(self, text: str) -> str:
+        """Write World settings; their path."""
+        path = self.folder / "world.toml"
+        path.write_text(text)
+        return str(path)
+
+    def log(self) -> list[dict[str, Any]]:
+        """The World's log so far."""
+        return [json.loads(line) for line in self.world_log.read_text().splitlines()]
+
+    def outputs(self) -> list[bool]:
+        """Every state the generator's output went through, in order."""
+        return [entry["value"] for entry in self.log() if entry["what"] == "ch1.on"]
+
+    def await_world(self, what: str, value: object = None) -> None:
+        """Wait until the World's log says that `what` happened."""
+        deadline = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline:
+            for entry in self.log() if self.world_log.exists() else []:
+                if entry["what"] == what and value in (None, entry["value"]):
+                    return
+            time.sleep(0.05)
+        raise AssertionError(f"the World's log never said {what}")
+
+    def only(self, pattern: str) -> Path:
+        """The one file below the results folder that matches."""
+        (path,) = self.results.rglob(pattern)
+        return path
+
+    def close(self) -> None:
+        """End what a test left running."""
+        for running in self._started:
+            if running.process.poll() is None:
+                running.process.kill()
+                running.process.wait()
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Rig]:
+    """The command line, in an empty folder."""
+    made = Rig(tmp_path)
+    yield made
+    made.close()

@@ -1,0 +1,74 @@
+"""A run that is killed or hangs: the guard makes the bench safe and compiles what there is."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+
+from rig.recording.contents import read_journal
+from rig.recording.runfile import RunFile
+from rig.recording.verify import verify
+
+PATIENCE_S = 30.0
+
+
+def guard_report(rig) -> dict:
+    """The guard's final report, once it has compiled."""
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        for path in rig.results.rglob("*.guard.json"):
+            report = json.loads(path.read_text())
+            if "file" in report:
+                return report
+        time.sleep(0.05)
+    raise AssertionError("the guard never reported")
+
+
+def test_a_killed_run_is_made_safe_compiled_and_can_be_resumed(rig):
+    running = rig.start_sweep()
+    running.wait_for(r"^40/141 ")
+    running.send(signal.SIGKILL)
+    running.process.wait()
+    report = guard_report(rig)
+
+    assert report["safe"] is True
+    rig.await_world("ch1.on", False)
+    off = next(e for e in rig.log() if e["what"] == "ch1.on" and e["value"] is False)
+    on = next(e for e in rig.log() if e["what"] == "ch1.on" and e["value"] is True)
+    assert off["by"] != on["by"], "the guard came in on a connection of its own"
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert run.outcome.status == "failed"
+        assert len(run.point_ids()) >= 20
+
+    resumed = rig.run("resume", str(file), "--no-figures", "--json")
+    assert resumed.code == 0, resumed.stderr
+    assert resumed.object["points_done"] == 141
+    assert verify(file) == []
+
+
+def test_a_run_that_hangs_is_ended_and_made_safe_by_the_guard(rig):
+    running = rig.start_sweep()
+    running.wait_for(r"^40/141 ")
+    running.send(signal.SIGSTOP)
+    report = guard_report(rig)
+
+    assert running.process.wait(PATIENCE_S) == -signal.SIGKILL
+    assert report["safe"] is True
+    assert "no sign of life" in report["cause"]
+    rig.await_world("ch1.on", False)
+    journal = read_journal(rig.only("*.rigj"))
+    assert len(journal.kept_ids()) >= 20  # what was put last may not have been written
+
+
+def test_the_bench_ends_by_itself_after_its_run_was_killed(rig):
+    running = rig.start_sweep()
+    running.wait_for(r"^10/141 ")
+    running.send(signal.SIGKILL)
+    running.process.wait()
+
+    rig.await_world("owner-gone")
+    rig.await_world("end")
+    assert rig.outputs()[-1] is False

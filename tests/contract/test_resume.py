@@ -1,0 +1,56 @@
+"""An interrupted sweep goes on where it was interrupted, and gives what it would have given."""
+
+from __future__ import annotations
+
+import signal
+
+import numpy as np
+
+from rig.recording.runfile import RunFile
+
+
+def test_a_resumed_sweep_equals_an_uninterrupted_one(rig):
+    whole = rig.sweep()
+    assert whole.code == 0, whole.stderr
+    running = rig.start_sweep()
+    running.wait_for(r"^50/141 ")
+    running.send(signal.SIGINT)
+    stopped = running.finish()
+    resumed = rig.run("resume", stopped.object["journal"], "--no-figures", "--json")
+
+    assert resumed.code == 0, resumed.stderr
+    assert resumed.object["points_done"] == 141
+    assert not list(rig.results.rglob("*.rigj")), "a complete run needs its journal no more"
+    with (
+        RunFile.open(rig.folder / whole.object["file"]) as expected,
+        RunFile.open(rig.folder / resumed.object["file"]) as got,
+    ):
+        assert got.point_ids() == expected.point_ids()
+        assert len(set(got.point_ids())) == 141
+        assert got.outcome.attempt == 2
+        difference = got.column("gain") - expected.column("gain")
+        # The World remembers phase and ringing, so values agree within their errors, not bitwise.
+        assert np.abs(difference / expected.column("gain_error")).max() < 1.0
+
+
+def test_a_complete_run_is_not_resumed(rig):
+    done = rig.sweep("--frequencies", "20")
+    again = rig.run("resume", done.object["file"])
+
+    assert again.code == 2
+    assert "complete" in again.errors[0]
+
+
+def test_a_run_is_not_resumed_on_another_program_version(rig, monkeypatch):
+    running = rig.start_sweep()
+    running.wait_for(r"^5/141 ")
+    running.send(signal.SIGINT)
+    stopped = running.finish()
+    journal = rig.folder / stopped.object["journal"]
+    content = journal.read_bytes()
+    # The header's checksum protects it: an edited journal is refused, not resumed.
+    journal.write_bytes(content.replace(b'"amplitude_V":0.7', b'"amplitude_V":0.8', 1))
+    again = rig.run("resume", str(journal))
+
+    assert again.code == 2
+    assert "journal" in again.errors[0] or "rigj" in again.errors[0]

@@ -1,0 +1,74 @@
+"""Stop requests at any instant: safe first, then a readable file, then one line and its code."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+import pytest
+
+from rig.recording.runfile import RunFile
+from rig.recording.verify import verify
+
+STOPS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
+
+
+@pytest.mark.parametrize("number", STOPS, ids=lambda number: number.name)
+def test_a_signal_in_the_middle_ends_the_run_in_order(rig, number):
+    running = rig.start_sweep()
+    running.wait_for(r"^20/141 ")
+    running.send(number)
+    ended = running.finish()
+
+    assert ended.code == STOPS[number]
+    assert rig.outputs() == [True, False]
+    told = ended.object
+    assert told["outcome"] == "stopped"
+    assert 20 <= told["points_done"] < 141
+    (line,) = [line for line in ended.stderr.splitlines() if number.name in line]
+    assert "switched off: generator output" in line
+    assert f"resume with: rig resume {told['journal']}" in line
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert run.outcome.status == "stopped"
+        assert len(run.point_ids()) == told["points_done"]
+
+
+def test_a_signal_before_the_bench_is_connected_switches_nothing_on(rig):
+    running = rig.start_sweep()
+    rig.await_world("ch1.load_ohm")
+    running.send(signal.SIGINT)
+    ended = running.finish()
+
+    assert ended.code == 130
+    assert rig.outputs() in ([], [True, False])  # the signal met the connection, or came just after
+    assert ended.object["outcome"] == "stopped"
+
+
+def test_further_signals_do_not_disturb_the_clean_up(rig):
+    running = rig.start_sweep()
+    running.wait_for(r"^20/141 ")
+    for _ in range(30):
+        if running.process.poll() is not None:
+            break
+        running.send(signal.SIGINT)
+        time.sleep(0.01)
+    ended = running.finish()
+
+    assert ended.code == 130
+    assert rig.outputs() == [True, False]
+    assert verify(rig.only("*.h5")) == []
+
+
+def test_a_stop_while_waiting_is_seen_within_the_wait(rig):
+    """A sweep that settles for an hour at its only point stops at once, not after the hour."""
+    running = rig.start_sweep("--frequencies", "20", "--settling", "60")
+    rig.await_world("ch1.on", True)
+    running.send(signal.SIGTERM)
+    ended = running.finish()
+
+    assert ended.code == 143
+    assert rig.outputs() == [True, False]
+    assert ended.object["points_done"] == 0
+    assert verify(rig.only("*.h5")) == []

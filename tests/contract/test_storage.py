@@ -1,0 +1,59 @@
+"""Disks that fill up or cannot be written: safe first, then the error; what is kept is kept."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+from pathlib import Path
+
+LIMIT_BYTES = 400_000
+
+
+def test_a_disk_that_fills_up_ends_the_run_safely(rig):
+    """A file-size limit of the process stands for a full disk: the write fails in the same way."""
+
+    def small_disk() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT_BYTES, LIMIT_BYTES))
+
+    ended = subprocess.run(
+        [*rig.COMMAND, *rig.sweep_arguments("--frequencies", "200.5,300,400,500,600,700,800,900,1000")],
+        cwd=rig.folder,
+        env=rig.env,
+        preexec_fn=small_disk,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+    assert ended.returncode == 1, ended.stderr
+    errors = [line for line in ended.stderr.splitlines() if line.startswith("error: ")]
+    assert ".rigj" in errors[0]
+    assert "File too large" in errors[0]
+    assert rig.outputs() == [True, False]
+    # With room again, everything that had reached the journal can be compiled.
+    journal = rig.only("*.rigj")
+    recovered = rig.run("recover", str(journal))
+    assert recovered.code == 0, recovered.stderr
+    assert rig.run("verify", recovered.stdout.strip()).code == 0
+
+
+def test_a_results_folder_that_cannot_be_written_is_told_before_anything_moves(rig):
+    (rig.folder / "results").write_text("a file where a folder should be")
+    ended = rig.sweep("--frequencies", "20")
+
+    assert ended.code == 1, ended.stderr
+    (error,) = ended.errors
+    assert "results" in error
+    assert "--results" in error
+    assert True not in rig.outputs()
+
+
+def test_a_read_only_results_folder_is_told_before_anything_moves(rig):
+    ended = rig.sweep("--frequencies", "20", "--results", "/proc/results")
+
+    assert ended.code == 1, ended.stderr
+    (error,) = ended.errors
+    assert "/proc/results" in error
+    assert True not in rig.outputs()
+    assert not Path("/proc/results").exists()
