@@ -111,12 +111,19 @@ class Generator:
         """The output's state as the instrument reports it."""
         reply = self._link.query(f"{self._output}?")
         if reply not in ("0", "1"):
-            raise InstrumentError("generator", f"{self._output}?", f"the answer is {reply!r}")
+            self._link.close()
+            raise InstrumentError(
+                "generator",
+                f"{self._output}?",
+                f"the answer {reply!r} is neither 0 nor 1",
+                f"check the cable and that nothing else talks to {self._settings.resource}",
+            )
         return reply == "1"
 
     def make_safe(self) -> None:
-        """Output off, verified."""
-        self.output(False)
+        """Output off, verified by its state alone: old entries in the error queue do not count."""
+        reply = self._link.query(f"{self._output} 0;:{self._output}?")
+        self._verify(self._output, reply, 0)
 
     def close(self) -> None:
         """Let go of the connection; the output stays as it is."""
@@ -128,7 +135,7 @@ class Generator:
 
     def _verify(self, header: str, reply: str, wanted: float) -> None:
         got = self._link.number(f"{header}?", reply)
-        if abs(got - wanted) > READBACK_TOLERANCE * max(abs(wanted), 1e-9):
+        if not abs(got - wanted) <= READBACK_TOLERANCE * max(abs(wanted), 1e-9):  # NaN too
             raise InstrumentError(
                 "generator",
                 header,

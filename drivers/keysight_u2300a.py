@@ -8,6 +8,7 @@ Burst mode packs a scan as tightly as the converter can; it is always on where t
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -94,6 +95,8 @@ class Daq:
         self._scaling: Scaling | None = None
         self._running: Acquisition | None = None
         self._rows_read = 0
+        self._torn = False
+        """A block of the running acquisition was lost in its transfer."""
 
     @property
     def identity(self) -> Identity:
@@ -132,11 +135,18 @@ class Daq:
 
     def highest_rate(self, channels: int) -> float:
         """The highest rate per channel, in S/s, at which `channels` channels can be sampled."""
-        return self.model.total_rate_S_s / (1 if self.model.simultaneous else channels)
+        sharing = 1 if self.model.simultaneous else channels
+        return float(self.model.total_rate_S_s // sharing)  # units take whole S/s
 
     def check(self, acquisition: Acquisition) -> None:
         """Raise LimitError where this model cannot do the acquisition."""
         device = f"daq {self.identity.model}"
+        names = [channel.name for channel in acquisition.channels]
+        if not names or len(set(names)) != len(names):
+            raise LimitError(
+                f"{device}: cannot sample {', '.join(names) or 'no channel'} in one scan",
+                "name each channel once, and one at least",
+            )
         for channel in acquisition.channels:
             if channel.name not in self._settings.channels:
                 raise LimitError(
@@ -167,6 +177,7 @@ class Daq:
     def acquire(self, acquisition: Acquisition) -> Record:
         """Sample once; waits on the bench clock until the unit says that it has finished."""
         self._configure(acquisition, continuous=False)
+        configured, self._configured = self._configured, None  # until the unit has obeyed
         self._link.command("DIG")
         nominal_s = acquisition.samples / self._scaling_now().rate_S_s
         self._clock.sleep(nominal_s)
@@ -180,20 +191,31 @@ class Daq:
                     "check the trigger settings of the unit",
                 )
             self._clock.sleep(POLL_S)
-        return Record(self._block(acquisition), self._scaling_now(), first_index=0)
+        counts = self._block(acquisition)
+        self._configured = configured
+        return Record(counts, self._scaling_now(), first_index=0)
 
     def start(self, acquisition: Acquisition) -> Scaling:
         """Begin sampling without end in blocks of `acquisition.samples` rows."""
         self._configure(acquisition, continuous=True)
+        self._configured = None  # what follows a stream begins with a stop
         self._link.command("RUN")
         self._running = acquisition
         self._rows_read = 0
+        self._torn = False
         return self._scaling_now()
 
     def read(self) -> Record | None:
         """The next block, None where none is complete, InstrumentError where data were lost."""
         if self._running is None:
             raise InstrumentError("daq", "WAV:DATA?", "no acquisition is running")
+        if self._torn:
+            raise InstrumentError(
+                "daq",
+                "WAV:DATA?",
+                f"the block after row {self._rows_read} was lost in its transfer",
+                "start the acquisition again",
+            )
         state = self._state("WAV:STAT?", ("EPTY", "FRAG", "DATA", "OVER"))
         if state == "OVER":
             raise InstrumentError(
@@ -205,7 +227,9 @@ class Daq:
         if state != "DATA":
             return None
         first = self._rows_read
+        self._torn = True  # the unit hands a block out once, whether it arrives or not
         counts = self._block(self._running)
+        self._torn = False
         self._rows_read += len(counts)
         return Record(counts, self._scaling_now(), first)
 
@@ -226,7 +250,7 @@ class Daq:
         if self._configured == (acquisition, continuous):
             return
         self.check(acquisition)
-        self._configured = None
+        self._configured = self._running = None
         terminals = ",".join(str(self._terminal(c)) for c in self._scan_order(acquisition))
         if self.model.simultaneous:
             everything = f"(@101:{100 + self.model.terminals})"
@@ -239,6 +263,7 @@ class Daq:
             ranges += [f"ROUT:CHAN:RANG {channel.range_V:g},{where}", f"ROUT:CHAN:POL BIP,{where}"]
         points = "WAV:POIN" if continuous else "ACQ:POIN"
         rate, samples = self._link.command(
+            "STOP",  # settings are refused while something runs, left over by a failure perhaps
             f"ACQ:SRAT {LOWEST_RATE_S_S:g}",  # a longer scan list is refused at a high rate
             *scan,
             *ranges,
@@ -250,7 +275,12 @@ class Daq:
             raise InstrumentError(
                 "daq", points, f"set to {acquisition.samples} but reads back {samples}"
             )
-        self._scaling = self._scaling_at(acquisition, self._link.number("ACQ:SRAT?", rate))
+        rate_S_s = self._link.number("ACQ:SRAT?", rate)
+        if not 0 < rate_S_s < math.inf:
+            raise InstrumentError(
+                "daq", "ACQ:SRAT", f"set to {acquisition.rate_S_s:g} but reads back {rate}"
+            )
+        self._scaling = self._scaling_at(acquisition, rate_S_s)
         self._configured = (acquisition, continuous)
 
     def _terminal(self, channel: InputChannel) -> int:

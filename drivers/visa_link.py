@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 _ERROR_REPLY = re.compile(r'^([+-]?\d+),"(.*)"$')
 _SMALLEST_BLOCK_REPLY = len(b"#10")
+_LINE_ENDS = (b"", b"\n", b"\r\n")
+_LONGEST_ERROR_QUEUE = 32
 
 
 class VisaLink:
@@ -96,7 +98,7 @@ class VisaLink:
 
         try:
             if self._session is None:
-                self._session = self._open()
+                self._session = self._open(message)
             yield self._session
         except pyvisa.errors.VisaIOError as error:
             self.close()
@@ -118,13 +120,19 @@ class VisaLink:
             self.close()
             raise
 
-    def _open(self) -> Any:
+    def _open(self, message: str) -> Any:
+        """A new session; `message` is what it is wanted for."""
         import pyvisa
 
         wait_ms = round(self._timeout_s * 1000)
-        session: Any = pyvisa.ResourceManager("@py").open_resource(
-            self.resource, open_timeout=wait_ms
-        )
+        try:
+            session: Any = pyvisa.ResourceManager("@py").open_resource(
+                self.resource, open_timeout=wait_ms
+            )
+        except pyvisa.errors.VisaIOError:
+            raise
+        except Exception as error:  # pyvisa-py raises anything here, down to a bare Exception
+            raise self._broken(message, f"{type(error).__name__}: {error}") from error
         session.timeout = wait_ms
         session.write_termination = "\n"
         session.read_termination = "\n"
@@ -136,20 +144,32 @@ class VisaLink:
             self._clock.sleep(self._timeout_s)
 
     def _check_error(self, message: str, reply: str) -> None:
+        """Raise where the queue held errors; all are taken out, so that none blames the next
+        command."""
+        errors: list[str] = []
+        while (entry := self._error_entry(message, reply)) is not None:
+            errors.append(entry)
+            if len(errors) == _LONGEST_ERROR_QUEUE:
+                break
+            reply = self.query("SYST:ERR?")
+        if errors:
+            raise InstrumentError(
+                self.device,
+                _first(message),
+                "; ".join(errors),
+                "check the value against its manual",
+            )
+
+    def _error_entry(self, message: str, reply: str) -> str | None:
         match = _ERROR_REPLY.match(reply)
         if match is None:
             raise self._garbage(message, reply, "an error-queue entry")
         code, text = int(match[1]), match[2]
         if code == 0:
-            return
+            return None
         if code == -222:
             text += " (the instrument clipped the value and applied the clipped one)"
-        raise InstrumentError(
-            self.device,
-            _first(message),
-            f"error {code}: {text}",
-            "check the value against its manual",
-        )
+        return f"error {code}: {text}"
 
     def _block_content(self, message: str, raw: bytes, expected: int) -> bytes:
         if len(raw) < _SMALLEST_BLOCK_REPLY or raw[:1] != b"#" or not raw[1:2].isdigit():
@@ -166,6 +186,9 @@ class VisaLink:
                 f"{len(content)} of {announced} announced bytes",
                 f"{expected} bytes",
             )
+        rest = raw[2 + digits + announced :]
+        if rest not in _LINE_ENDS:
+            raise self._garbage(message, rest[:40], "the end of a block")
         return content
 
     def _garbage(self, message: str, got: object, wanted: str) -> InstrumentError:

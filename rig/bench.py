@@ -253,17 +253,17 @@ def parse_bench(text: str, source: str) -> BenchPlan:
         raise ConfigurationError(f"{source}: {error}", "correct the TOML syntax") from error
     findings: list[str] = []
     plans = []
-    for role in ROLES:
-        if role in tables:
-            with _collect(findings):
-                plans.append(_plan_instrument(role, tables.pop(role), source))
+    described = [role for role in ROLES if role in tables]
+    for role in described:
+        with _collect(findings):
+            plans.append(_plan_instrument(role, tables.pop(role), source))
     settings = None
     with _collect(findings):
         try:
             settings = BenchSettings.model_validate(tables)
         except ValidationError as error:
             raise ConfigurationError.from_validation(error, source) from error
-    if settings is not None:
+    if settings is not None and ("daq" not in described or any(p.role == "daq" for p in plans)):
         findings += _wiring_errors(settings, plans, source)
     if findings or settings is None:
         raise ConfigurationError("; ".join(findings), "correct the bench file")
@@ -271,8 +271,8 @@ def parse_bench(text: str, source: str) -> BenchPlan:
 
 
 def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
-    """The simulated bench under a real bench file's limits: its fixture and its drivers' settings,
-    except for where an instrument is and what is wired to it."""
+    """The simulated bench under a real bench file's limits: its fixture, its load limit and its
+    drivers' settings, except for where an instrument is and what is wired to it."""
     own = {part.driver_name: part.settings for part in real.instruments}
     instruments = []
     for part in simulated.instruments:
@@ -280,7 +280,11 @@ def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
             kept = {k: v for k, v in part.settings if k in ("resource", "timeout_s", "channels")}
             part = replace(part, settings=own[part.driver_name].model_copy(update=kept))
         instruments.append(part)
-    settings = simulated.settings.model_copy(update={"fixture": real.settings.fixture})
+    limits: dict[str, Any] = {"fixture": real.settings.fixture}
+    if real.settings.load_cell is not None and simulated.settings.load_cell is not None:
+        kept = {"sensitivity_V_N": simulated.settings.load_cell.sensitivity_V_N}
+        limits["load_cell"] = real.settings.load_cell.model_copy(update=kept)
+    settings = simulated.settings.model_copy(update=limits)
     return replace(simulated, settings=settings, instruments=tuple(instruments))
 
 
@@ -329,7 +333,10 @@ def _plan_instrument(role: str, table: Any, source: str) -> InstrumentPlan:
     if found is None:
         known = ", ".join(sorted(e.name for e in entry_points(group="rig.drivers")))
         raise ConfigurationError(f"{where}: driver {name!r} is unknown (known: {known})")
-    module: DriverModule = found.load()
+    try:
+        module: DriverModule = found.load()
+    except ImportError as error:
+        raise ConfigurationError(f"{where}: driver {name!r} cannot be loaded: {error}") from error
     if role != module.ROLE:
         raise ConfigurationError(f"{where}: driver {name!r} is for the role {module.ROLE}")
     try:

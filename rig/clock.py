@@ -179,9 +179,12 @@ class ControlLink:
             line = self._lines.readline()
         except OSError as error:
             raise _control_failed(do, error) from error
-        if not line:
+        if not line.endswith(b"\n"):
             raise _control_failed(do, "the bench process has ended")
-        answer: dict[str, Any] = json.loads(line)
+        try:
+            answer: dict[str, Any] = json.loads(line)
+        except ValueError as error:
+            raise _control_failed(do, f"the answer {line[:40]!r} is not JSON") from error
         if "error" in answer:
             raise _control_failed(do, str(answer["error"]))
         return answer

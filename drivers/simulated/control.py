@@ -36,6 +36,7 @@ class ControlServer:
         self._stop = stop
         self._orphaned = orphaned
         self._server: asyncio.Server | None = None
+        self._owned = False
         self._stopped = False
 
     async def start(self, port: int = 0) -> int:
@@ -64,7 +65,7 @@ class ControlServer:
                 self._stop()
             else:
                 return {"error": f"unknown request {do!r}"}
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
             return {"error": f"{type(error).__name__}: {error}"}
         return {"now_us": self._world.now_us}
 
@@ -75,6 +76,7 @@ class ControlServer:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        owner, self._owned = not self._owned, True
         try:
             while line := await reader.readline():
                 writer.write(json.dumps(self.answer(line)).encode() + b"\n")
@@ -83,5 +85,5 @@ class ControlServer:
             pass  # the owner died in the middle of a word: the same as a close
         finally:
             writer.close()
-            if not self._stopped:
+            if owner and not self._stopped:
                 self._orphaned()

@@ -55,13 +55,12 @@ class Arming:
     def make_safe(self) -> list[OffFailure]:
         """Run every off in reverse order; returns those that failed and forgets the others."""
         failures = []
-        kept = []
         for armed in reversed(self._armed):
             reason = _run_off(armed)
             if reason is not None:
                 failures.append(OffFailure(armed.name, reason))
-                kept.append(armed)
-        self._armed = kept[::-1]
+            else:  # what another thread has armed meanwhile stays armed
+                self._armed = [other for other in self._armed if other is not armed]
         return failures
 
 

@@ -57,9 +57,10 @@ class StreamReader(Generic[Sample]):
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread and wait for it."""
+        """End the thread and wait for it; nothing happens where it never began."""
         self._stopping.set()
-        self._thread.join()
+        if self._thread.ident is not None:
+            self._thread.join()
 
     def check(self) -> None:
         """Raise what ended the thread, if anything did."""
@@ -67,7 +68,11 @@ class StreamReader(Generic[Sample]):
             raise self._failure
 
     def bytes_handled(self) -> int:
-        """Bytes whose samples the watchers have seen: what a slaved clock waits for."""
+        """Bytes whose samples the watchers have seen: what a slaved clock waits for.
+
+        Raises what ended the thread: nobody should wait for a reader that has died.
+        """
+        self.check()
         return self._handled_bytes
 
     def latest(self, count: int) -> list[Sample]:

@@ -16,6 +16,7 @@ def test_a_resumed_sweep_equals_an_uninterrupted_one(rig):
     running.wait_for(r"^50/141 ")
     running.send(signal.SIGINT)
     stopped = running.finish()
+    resumed_from = stopped.object["points_done"]
     resumed = rig.run("resume", stopped.object["journal"], "--no-figures", "--json")
 
     assert resumed.code == 0, resumed.stderr
@@ -28,9 +29,14 @@ def test_a_resumed_sweep_equals_an_uninterrupted_one(rig):
         assert got.point_ids() == expected.point_ids()
         assert len(set(got.point_ids())) == 141
         assert got.outcome.attempt == 2
-        difference = got.column("gain") - expected.column("gain")
-        # The World remembers phase and ringing, so values agree within their errors, not bitwise.
-        assert np.abs(difference / expected.column("gain_error")).max() < 1.0
+        difference = (got.column("gain") - expected.column("gain"))[resumed_from:]
+        errors = np.hypot(got.column("gain_error"), expected.column("gain_error"))[resumed_from:]
+        # The World remembers the generator's phase, so the same noise meets another phase: values
+        # taken after the interruption agree within their errors, those before it to the bit.
+        assert np.abs(difference / errors).max() < 4.5
+        assert np.sqrt(np.mean((difference / errors) ** 2)) < 1.3
+        kept_before = slice(0, resumed_from)
+        assert (got.column("gain")[kept_before] == expected.column("gain")[kept_before]).all()
 
 
 def test_a_complete_run_is_not_resumed(rig):

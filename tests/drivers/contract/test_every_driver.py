@@ -1,0 +1,264 @@
+"""One contract for all drivers: every role method, every documented error, no wrong value ever."""
+
+from __future__ import annotations
+
+import inspect
+import time
+from importlib.metadata import entry_points
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from rig.errors import InstrumentError, InstrumentTimeoutError
+
+from .cases import CASES, STRANGER, TIMEOUT_S, Case, Service
+from .roles import ROLES, Role
+
+EVERY = pytest.mark.parametrize("case", CASES, ids=repr)
+KINDS = ("silence", "garbage", "close", "truncate", "stale")
+PATIENCE_S = 20.0
+
+
+def role_of(case: Case) -> Role:
+    return ROLES[case.module().ROLE]
+
+
+def connect(case: Case, service: Service) -> Any:
+    module = case.module()
+    return module.connect(module.Settings.model_validate(service.settings), service.clock)
+
+
+def members(protocol: type) -> dict[str, Any]:
+    """Public members of a protocol, inherited ones included."""
+    return {
+        name: member
+        for base in reversed(protocol.__mro__[:-1])
+        for name, member in vars(base).items()
+        if not name.startswith("_") and (callable(member) or isinstance(member, property))
+    }
+
+
+class Remembering:
+    """An instrument that remembers which of its members were used."""
+
+    def __init__(self, inner: Any):
+        self._inner = inner
+        self.used: set[str] = set()
+
+    def __getattr__(self, name: str) -> Any:
+        self.used.add(name)
+        return getattr(self._inner, name)
+
+
+# --- what a driver is ------------------------------------------------------------------------
+
+
+def test_every_installed_driver_has_a_case() -> None:
+    installed = {entry.name for entry in entry_points(group="rig.drivers")}
+    assert installed == {case.driver for case in CASES}
+
+
+@EVERY
+def test_the_module_has_what_an_entry_point_names(case: Case) -> None:
+    module = case.module()
+    assert module.ROLE in ROLES, "write the role's script into roles.py"
+    assert {name for name in ("Settings", "connect", "make_safe") if hasattr(module, name)} == {
+        "Settings",
+        "connect",
+        "make_safe",
+    }
+    assert list(inspect.signature(module.connect).parameters) == ["settings", "clock"]
+    assert list(inspect.signature(module.make_safe).parameters) == ["settings"]
+
+
+@EVERY
+def test_settings_refuse_an_unknown_key_and_name_it(case: Case) -> None:
+    with case.serve() as service:
+        settings = case.module().Settings
+        settings.model_validate(service.settings)
+        with pytest.raises(ValidationError, match="colour"):
+            settings.model_validate({**service.settings, "colour": "red"})
+
+
+@EVERY
+def test_the_instrument_has_every_member_of_its_role(case: Case) -> None:
+    with case.serve() as service:
+        instrument = connect(case, service)
+        for name, member in members(role_of(case).protocol).items():
+            own = getattr(instrument, name)
+            if callable(member):
+                wanted = list(inspect.signature(member).parameters)[1:]
+                assert list(inspect.signature(own).parameters) == wanted, name
+        instrument.close()
+
+
+@EVERY
+def test_a_whole_experiment_works_and_calls_every_method(case: Case) -> None:
+    role = role_of(case)
+    with case.serve() as service:
+        instrument = Remembering(connect(case, service))
+        assert instrument.identity.simulated
+        reach = instrument.reach()
+        assert set(reach) == role.quantities
+        for quantity, limits in reach.items():
+            assert limits.low < limits.high, quantity
+            assert instrument.identity.model in limits.owner
+        for step in role.script:
+            step.act(instrument, service)
+        instrument.close()
+        assert instrument.used >= set(members(role.protocol))
+
+
+@EVERY
+def test_connecting_leaves_the_instrument_at_rest(case: Case) -> None:
+    with case.serve() as service:
+        first = connect(case, service)
+        role_of(case).excite(first, service)
+        assert not service.at_rest()
+        second = connect(case, service)
+        assert service.at_rest()
+        first.close()
+        second.close()
+
+
+# --- what goes wrong -------------------------------------------------------------------------
+
+
+@EVERY
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over(
+    case: Case, kind: str
+) -> None:
+    """The fault befalls each request of a whole experiment in turn.
+
+    Every step either does what it says or raises an InstrumentError that tells what to do; never
+    does a late, broken or foreign reply become a value. What failed once works when repeated.
+    """
+    at = 1
+    while True:
+        with case.serve({"kind": kind, "at": at}) as service:
+            failures = experiment_with_retries(case, service)
+            if service.faults.requests < at:
+                break
+        where = f"{kind} at request {at}"
+        assert len(failures) <= 1, f"{where}: {[str(f) for f in failures]}"
+        for failure in failures:
+            assert failure.device, where
+            assert failure.command, where
+            assert failure.hint, where
+        if kind == "silence":
+            assert failures, f"{where}: nobody noticed"
+            assert isinstance(failures[0], InstrumentTimeoutError), where
+        at += 1
+    assert at > len(role_of(case).script), "the faults befell hardly anything"
+
+
+def experiment_with_retries(case: Case, service: Service) -> list[InstrumentError]:
+    """The role's script, each step repeated once where it failed."""
+    failures: list[InstrumentError] = []
+    try:
+        instrument = connect(case, service)
+    except InstrumentError as failure:
+        failures.append(failure)
+        instrument = connect(case, service)
+    for step in role_of(case).script:
+        try:
+            step.act(instrument, service)
+        except InstrumentError as failure:
+            failures.append(failure)
+            step.act(instrument, service)
+    instrument.close()
+    return failures
+
+
+@EVERY
+def test_silence_is_told_with_device_command_time_and_remedy_and_charged(case: Case) -> None:
+    with case.serve({"kind": "silence", "count": 0}) as service:
+        before = service.now_s()
+        with pytest.raises(InstrumentTimeoutError) as caught:
+            connect(case, service)
+        error = caught.value
+        assert error.device == case.module().ROLE
+        assert error.command in error.message
+        assert f"no answer within {TIMEOUT_S:g} s" in error.message
+        assert error.hint is not None
+        assert service.settings["resource"] in error.hint
+        assert service.now_s() - before == pytest.approx(TIMEOUT_S), "bench time went on meanwhile"
+
+
+@EVERY
+def test_an_instrument_that_is_not_there_is_told(case: Case) -> None:
+    with case.serve() as service:
+        pass  # its port is closed again
+    with pytest.raises(InstrumentError) as caught:
+        connect(case, service)
+    assert caught.value.device == case.module().ROLE
+    assert service.settings["resource"] in str(caught.value.hint)
+
+
+@EVERY
+def test_an_instrument_that_goes_away_and_comes_back_works_again(case: Case) -> None:
+    step = role_of(case).script[-1]
+    with case.serve({"kind": "close", "at": 1, "command": ""}) as service:
+        with pytest.raises(InstrumentError):
+            connect(case, service)
+        instrument = connect(case, service)
+        step.act(instrument, service)
+        instrument.close()
+
+
+@EVERY
+def test_another_instrument_is_refused_with_both_names_and_let_go(case: Case) -> None:
+    with case.serve(identity=STRANGER) as service:
+        with pytest.raises(InstrumentError) as caught:
+            connect(case, service)
+        told = caught.value.one_line()
+        assert "ACME T-1000" in told
+        assert service.settings["resource"] in told
+        assert "expected" in told
+        deadline = time.monotonic() + PATIENCE_S
+        while service.connections() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert service.connections() == 0
+
+
+# --- making safe and letting go --------------------------------------------------------------
+
+
+@EVERY
+def test_make_safe_of_the_module_gets_in_beside_a_live_connection(case: Case) -> None:
+    module = case.module()
+    with case.serve() as service:
+        instrument = connect(case, service)
+        role_of(case).excite(instrument, service)
+        assert not service.at_rest()
+        settings = module.Settings.model_validate(service.settings)
+        for _ in range(2):
+            module.make_safe(settings)
+            assert service.at_rest()
+        for step in role_of(case).script:  # the live connection is none the worse
+            step.act(instrument, service)
+        instrument.close()
+
+
+@EVERY
+def test_make_safe_of_a_silent_instrument_is_an_error_not_a_hope(case: Case) -> None:
+    module = case.module()
+    with case.serve({"kind": "silence", "count": 0}) as service:
+        settings = module.Settings.model_validate(service.settings)
+        with pytest.raises(InstrumentTimeoutError):
+            module.make_safe(settings)
+
+
+@EVERY
+def test_close_lets_go_however_often(case: Case) -> None:
+    with case.serve() as service:
+        instrument = connect(case, service)
+        assert service.connections() > 0
+        instrument.close()
+        instrument.close()
+        deadline = time.monotonic() + PATIENCE_S
+        while service.connections() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert service.connections() == 0
