@@ -173,6 +173,93 @@ class DataAcquisition(Instrument, Protocol):
         ...
 
 
+class LinearStage(Instrument, Protocol):
+    """One linear axis. Waiting happens on the bench clock; positions in mm, speeds in mm/s.
+
+    `reach` holds ``position`` and ``speed``. An axis that has not been homed refuses to move.
+    """
+
+    def homed(self) -> bool:
+        """Whether the axis knows where it is."""
+        ...
+
+    def home(self) -> None:
+        """Find the reference and wait for it."""
+        ...
+
+    def position_mm(self) -> float:
+        """The measured position, asked from the drive."""
+        ...
+
+    def start_move(self, position_mm: float, speed_mm_s: float) -> None:
+        """Begin to move there, or change the target of the motion under way."""
+        ...
+
+    def moving(self) -> bool:
+        """Whether a motion is under way; a drive fault raises InstrumentError."""
+        ...
+
+    def move_to(self, position_mm: float, speed_mm_s: float) -> None:
+        """Move there, wait, and verify by measured position."""
+        ...
+
+    def stop(self) -> None:
+        """Stop the axis and wait until it is at rest."""
+        ...
+
+    def keep_alive(self) -> None:
+        """One exchange that feeds the drive's communication time-out and checks it for faults."""
+        ...
+
+
+@dataclass(frozen=True)
+class ForceFrames:
+    """Consecutive frames of a force sensor."""
+
+    first_index: int
+    """Index of the first frame since the stream was started."""
+    raw: npt.NDArray[np.float32]
+    """As the amplifier sent them: (n, 3), its own unit (mV/V)."""
+    force_N: npt.NDArray[np.float64]
+    """(n, 3): forces along the sensor's x, y, z after matrix and tare."""
+    saturated: npt.NDArray[np.bool_]
+    """(n,): the amplifier's converter was at its end."""
+
+    def __len__(self) -> int:
+        return len(self.raw)
+
+
+class ForceSensor(Instrument, Protocol):
+    """A three-axis force sensor that streams. Its link is owned by one reader thread.
+
+    `reach` holds ``rate`` in frames/s and ``force`` in N.
+    """
+
+    @property
+    def bytes_consumed(self) -> int:
+        """Bytes taken off the link since it was opened."""
+        ...
+
+    def start(self, rate_S_s: float) -> float:
+        """Begin to stream; returns the rate that the amplifier reports."""
+        ...
+
+    def read(self) -> ForceFrames | None:
+        """The frames that have arrived, or None; waits a few milliseconds at most.
+
+        Bytes that are no frame raise InstrumentError: a gap is never patched.
+        """
+        ...
+
+    def stop(self) -> None:
+        """End the stream."""
+        ...
+
+    def tare(self, zero_mV_V: tuple[float, float, float]) -> None:
+        """Take this reading as no force; the amplifier's own zero stays as it is."""
+        ...
+
+
 class DriverModule(Protocol):
     """What an entry point of group ``rig.drivers`` names: a module with these members."""
 
