@@ -253,8 +253,9 @@ class Daq:
         self._configured = self._running = None
         terminals = ",".join(str(self._terminal(c)) for c in self._scan_order(acquisition))
         if self.model.simultaneous:
-            everything = f"(@101:{100 + self.model.terminals})"
-            scan = [f"ROUT:ENAB OFF,{everything}", f"ROUT:ENAB ON,(@{terminals})"]
+            scan = [f"ROUT:ENAB ON,(@{terminals})"]  # first: a scan is never empty
+            if others := self._other_terminals(acquisition):
+                scan.append(f"ROUT:ENAB OFF,(@{','.join(map(str, others))})")
         else:
             scan = [f"ROUT:SCAN (@{terminals})", "ACQ:BURS ON"]
         ranges = []
@@ -285,6 +286,10 @@ class Daq:
 
     def _terminal(self, channel: InputChannel) -> int:
         return self._settings.channels[channel.name]
+
+    def _other_terminals(self, acquisition: Acquisition) -> list[int]:
+        wanted = {self._terminal(channel) for channel in acquisition.channels}
+        return [t for t in range(101, 101 + self.model.terminals) if t not in wanted]
 
     def _scan_order(self, acquisition: Acquisition) -> tuple[InputChannel, ...]:
         """A scan list keeps its order; simultaneous channels come in the terminals' order."""

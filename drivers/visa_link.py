@@ -50,7 +50,8 @@ class VisaLink:
         """Send one message and return its one-line reply without the line end."""
         with self._conversation(message) as session:
             session.write(message)
-            return str(session.read()).strip("\r\n")
+            reply: bytes = session.read_raw()
+            return reply.decode("ascii").strip("\r\n")
 
     def query_block(self, message: str, content_bytes: int) -> bytes:
         """Send a query answered by a definite-length block of exactly `content_bytes` bytes."""

@@ -40,7 +40,8 @@ def test_a_generator_that_fails_once_is_still_switched_off(rig, kind):
 def test_an_off_that_fails_too_is_told_after_the_first_cause(rig):
     plan = (
         '[[fault]]\ndevice = "daq"\nkind = "silence"\ncommand = "DIG"\nat = 2\n'
-        '[[fault]]\ndevice = "generator"\nkind = "silence"\ncommand = "OUTP1 0"\nat = 2\ncount = 0\n'
+        '[[fault]]\ndevice = "generator"\nkind = "silence"\ncommand = "OUTP1 0"\nat = 2\n'
+        "count = 0\n"
     )
     ended = rig.sweep(*FREQUENCIES, "--fault", rig.fault(plan))
 
@@ -56,7 +57,8 @@ def test_an_off_that_fails_too_is_told_after_the_first_cause(rig):
 def test_an_off_that_fails_once_is_done_by_the_guard(rig):
     plan = (
         '[[fault]]\ndevice = "daq"\nkind = "silence"\ncommand = "DIG"\nat = 2\n'
-        '[[fault]]\ndevice = "generator"\nkind = "silence"\ncommand = "OUTP1 0"\nat = 2\ncount = 1\n'
+        '[[fault]]\ndevice = "generator"\nkind = "silence"\ncommand = "OUTP1 0"\nat = 2\n'
+        "count = 1\n"
     )
     ended = rig.sweep(*FREQUENCIES, "--fault", rig.fault(plan))
 

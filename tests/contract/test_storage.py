@@ -16,7 +16,10 @@ def test_a_disk_that_fills_up_ends_the_run_safely(rig):
         resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT_BYTES, LIMIT_BYTES))
 
     ended = subprocess.run(
-        [*rig.COMMAND, *rig.sweep_arguments("--frequencies", "200.5,300,400,500,600,700,800,900,1000")],
+        [
+            *rig.COMMAND,
+            *rig.sweep_arguments("--frequencies", "200.5,300,400,500,600,700,800,900,1000"),
+        ],
         cwd=rig.folder,
         env=rig.env,
         preexec_fn=small_disk,

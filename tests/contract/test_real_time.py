@@ -1,0 +1,127 @@
+"""The same sweep on a bench file in real time; a bench that somebody else changes meanwhile."""
+
+from __future__ import annotations
+
+import re
+import signal
+import tomllib
+
+import pytest
+
+from rig.recording.runfile import RunFile
+from rig.recording.verify import verify
+
+
+@pytest.fixture
+def bench_file(rig):
+    """A simulated bench that runs by itself, and the file that drives it."""
+    path = rig.folder / "a-bench.toml"
+    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
+    serving.wait_for("Ctrl-C ends it")
+    yield path
+    serving.send(signal.SIGINT)
+    ended = serving.finish()
+    assert ended.code == 0, ended.stderr
+
+
+def test_the_same_sweep_runs_on_a_bench_file_in_real_time(rig, bench_file):
+    ended = rig.run(
+        "sweep", "--bench", str(bench_file), "--json", "--no-figures", "--frequencies", "210,2100"
+    )
+
+    assert ended.code == 0, ended.stderr
+    assert ended.object["simulated"] is True
+    assert "SIMULATED" in ended.stderr
+    assert rig.outputs() == [True, False]
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert run.header.title.startswith("SIMULATED")
+        assert run.header.bench_toml == bench_file.read_text()
+
+
+def test_a_simulated_bench_whose_file_hides_it_is_still_marked(rig, bench_file):
+    """The instruments admit it themselves: their serial numbers begin with SIM."""
+    text = bench_file.read_text()
+    hidden = re.sub(r"\[simulation\]\n(?:.+\n)*", "", text)
+    assert "simulation" not in tomllib.loads(hidden)
+    bench_file.with_name("b.toml").write_text(hidden)
+    ended = rig.run("sweep", "--bench", "b.toml", "--json", "--no-figures", "--frequencies", "2100")
+
+    assert ended.code == 0, ended.stderr
+    assert ended.object["simulated"] is True
+    with RunFile.open(rig.only("*.h5")) as run:
+        assert run.outcome.simulated
+
+
+def test_an_amplitude_that_the_generator_clips_is_a_failure(rig, bench_file):
+    """-222 means that the instrument applied another value than it was asked for."""
+    import pyvisa
+
+    resource = tomllib.loads(bench_file.read_text())["generator"]["resource"]
+    running = rig.start(
+        "sweep", "--bench", str(bench_file), "--json", "--no-figures",
+        "--frequencies", "210,310,410,510,610,710,810,910,1010",
+    )  # fmt: skip
+    running.wait_for("^2/9 ")
+    somebody = pyvisa.ResourceManager("@py").open_resource(resource)
+    somebody.write_termination = somebody.read_termination = "\n"
+    somebody.query("SOUR1:VOLT 0.2;:SOUR1:VOLT:LIM:HIGH 0.3;:SOUR1:VOLT:LIM:LOW -0.3;:SYST:ERR?")
+    somebody.close()
+    ended = running.finish()
+
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert error.startswith("error: generator: SOUR1:FREQ")
+    assert "error -222" in error
+    assert "clipped" in error
+    assert rig.outputs() == [True, False]
+    assert ended.object["points_done"] >= 2
+    assert verify(rig.only("*.h5")) == []
+
+
+def test_a_bench_that_disappears_is_told_and_the_next_start_is_refused(rig, bench_file):
+    """The output could not be switched off: exit 7, and nobody starts before somebody looked."""
+    text = bench_file.read_text()
+    generator = tomllib.loads(text)["generator"]["resource"]
+    nowhere = text.replace(generator, "TCPIP::127.0.0.1::9::SOCKET")
+    bench_file.with_name("gone.toml").write_text(nowhere)
+    unreachable = rig.run("sweep", "--bench", "gone.toml", "--frequencies", "210")
+    assert unreachable.code == 3
+    assert "generator" in unreachable.errors[0]
+
+    cannot = rig.run("make-safe", "--bench", "gone.toml")
+    assert cannot.code == 7
+    assert "by hand" in cannot.errors[0]
+    can = rig.run("make-safe", "--bench", str(bench_file))
+    assert can.code == 0
+
+
+def test_a_killed_run_leaves_a_bench_that_the_guard_made_safe(rig, bench_file):
+    running = rig.start(
+        "sweep", "--bench", str(bench_file), "--no-figures", "--frequencies", "210,310,410,510,610"
+    )
+    running.wait_for("^1/5 ")
+    running.send(signal.SIGKILL)
+    running.process.wait()
+    rig.await_world("ch1.on", False)
+
+    assert rig.outputs() == [True, False]
+    again = rig.run("sweep", "--bench", str(bench_file), "--no-figures", "--frequencies", "210")
+    assert again.code == 0, again.stderr
+
+
+def test_an_unsafe_report_keeps_the_next_run_from_starting(rig, bench_file):
+    rig.results.mkdir()
+    (rig.results / "guard-simulated.json").write_text(
+        '{"time": "2026-11-21T03:00:00+0000", "safe": false, '
+        '"failures": {"generator": "no answer"}}'
+    )
+    refused = rig.run("sweep", "--bench", str(bench_file), "--frequencies", "210")
+    assert refused.code == 7
+    assert "no answer" in refused.errors[0]
+    assert "rig make-safe" in refused.errors[0]
+    assert True not in rig.outputs()
+
+    assert rig.run("make-safe", "--bench", str(bench_file)).code == 0
+    assert rig.run("sweep", "--bench", str(bench_file), "--frequencies", "210").code == 0
