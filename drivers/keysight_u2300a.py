@@ -182,7 +182,7 @@ class Daq:
         nominal_s = acquisition.samples / self._scaling_now().rate_S_s
         self._clock.sleep(nominal_s)
         give_up = self._clock.now() + PATIENCE_S
-        while self._state("WAV:COMP?", ("YES", "NO")) == "NO":
+        while self._ask("WAV:COMP?", ("YES", "NO")) == "NO":
             if self._clock.now() > give_up:
                 raise InstrumentError(
                     "daq",
@@ -216,7 +216,7 @@ class Daq:
                 f"the block after row {self._rows_read} was lost in its transfer",
                 "start the acquisition again",
             )
-        state = self._state("WAV:STAT?", ("EPTY", "FRAG", "DATA", "OVER"))
+        state = self._ask("WAV:STAT?", ("EPTY", "FRAG", "DATA", "OVER"))
         if state == "OVER":
             raise InstrumentError(
                 "daq",
@@ -239,8 +239,9 @@ class Daq:
         self._link.command("STOP")
 
     def make_safe(self) -> None:
-        """A DAQ drives nothing; its acquisition is ended."""
-        self.stop()
+        """A DAQ drives nothing; its acquisition is ended, whatever the error queue holds."""
+        self._running = None
+        self._ask("STOP;*OPC?", ("1",))
 
     def close(self) -> None:
         """Let go of the connection."""
@@ -323,7 +324,7 @@ class Daq:
         words = np.frombuffer(raw, dtype="<i2").reshape(-1, width)
         return words >> (16 - self.model.bits)
 
-    def _state(self, query: str, known: tuple[str, ...]) -> str:
+    def _ask(self, query: str, known: tuple[str, ...]) -> str:
         reply = self._link.query(query)
         if reply not in known:
             self._link.close()

@@ -18,7 +18,8 @@ from rig.bench import Fixture
 from rig.errors import InstrumentError
 from rig.instruments import Acquisition, InputChannel, Record
 from rig.recording.layout import Column, Layout, Plot
-from rig.runner.procedure import Move, Point, Reading, StreamPlan
+from rig.runner.points import Move, Point, Reading
+from rig.runner.procedure import StreamPlan
 from rig.runner.trip import TripError
 from rig.settings import Settings as BaseSettings
 

@@ -9,6 +9,7 @@ way to be a simulated bench.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import signal
@@ -92,7 +93,7 @@ class StartedBench:
     def __init__(self, options: Options):
         self._process = subprocess.Popen(
             [sys.executable, "-m", "drivers.simulated.bench", json.dumps(asdict(options))],
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,  # never written: its end tells the bench that we died
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             start_new_session=True,  # a terminal's Ctrl-C is the run's business, not the bench's
@@ -120,7 +121,7 @@ class StartedBench:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        for pipe in (self._process.stdout, self._process.stderr):
+        for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
             if pipe is not None:
                 pipe.close()
 
@@ -152,6 +153,8 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
     loop = asyncio.get_running_loop()
 
     def orphaned() -> None:
+        if not world.timeline.slaved:
+            return
         world.timeline.set_free()
         world.log("world", "owner-gone", None, "world")
         loop.call_later(options.linger_s, ended.set)
@@ -161,27 +164,41 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
     daq = HislipServer(
         KeysightU2300A(settings.daq_model, world, world), faults=WireFaults(faults, "daq")
     )
-    control = ControlServer(world, {}, ended.set, orphaned if options.slaved else lambda: None)
+    control = ControlServer(world, {}, ended.set, orphaned)
+    if options.slaved:
+        await loop.connect_read_pipe(lambda: _OwnersPipe(orphaned), sys.stdin)
     for number in (signal.SIGTERM,) if options.slaved else (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
-    await generator.start()
-    await daq.start()
-    port = await control.start()
-    overrides = settings.model_dump(mode="json", exclude_defaults=True)
-    ready(
-        {
-            "control_port": port,
-            "bench_toml": bench_toml(
-                options, overrides, _endpoints(settings, port, generator.port, daq.port)
-            ),
-            "recorded_toml": bench_toml(options, overrides, _endpoints(settings, 0, 0, 0)),
-        }
-    )
-    await ended.wait()
-    control.close()
-    await generator.close()
-    await daq.close()
-    world.close()
+    try:
+        await generator.start()
+        await daq.start()
+        port = await control.start()
+        overrides = settings.model_dump(mode="json", exclude_defaults=True)
+        listening = _endpoints(settings, port, generator.port, daq.port)
+        anywhere = _endpoints(settings, 0, 0, 0)
+        ready(
+            {
+                "control_port": port,
+                "bench_toml": bench_toml(options, overrides, listening),
+                "recorded_toml": bench_toml(options, overrides, anywhere),
+            }
+        )
+        await ended.wait()
+    finally:
+        control.close()
+        await generator.close()
+        await daq.close()
+        world.close()
+
+
+class _OwnersPipe(asyncio.Protocol):
+    """The owner's end of our stdin: closed when the owner is gone, however early it dies."""
+
+    def __init__(self, gone: Callable[[], None]):
+        self._gone = gone
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._gone()
 
 
 def _endpoints(settings: Any, control: int, generator: int, daq: int) -> Endpoints:
@@ -203,7 +220,8 @@ def main() -> None:
         signal.signal(number, signal.SIG_IGN)
 
     def say(what: dict[str, Any]) -> None:
-        os.write(sys.stdout.fileno(), json.dumps(what).encode() + b"\n")
+        with contextlib.suppress(BrokenPipeError):  # the owner died first: its pipe will tell
+            os.write(sys.stdout.fileno(), json.dumps(what).encode() + b"\n")
 
     try:
         asyncio.run(_serve(Options(**json.loads(sys.argv[1])), say))

@@ -51,7 +51,7 @@ _STACK = 16
 class RecordError(RigError):
     """A record from which the asked-for tone cannot be estimated."""
 
-    code = ExitCode.FINISHED_WITH_FAILURES
+    code = ExitCode.INSTRUMENT
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ def resume(
     debug: Debug = False,
 ) -> None:
     """Go on with an interrupted run at the point where it was interrupted."""
-    with reported(debug):
+    with reported(debug, as_json):
         from pydantic import ValidationError
 
         from rig.bench import entry

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -28,18 +30,34 @@ def start_log(results: Path) -> None:
 
 
 @contextlib.contextmanager
-def reported(debug: bool = False) -> Iterator[None]:
-    """Turn what a command raises into one line and an exit code; ``--debug`` shows tracebacks."""
+def reported(debug: bool = False, as_json: bool = False) -> Iterator[None]:
+    """Turn what a command raises into one line and an exit code; ``--debug`` shows tracebacks.
+
+    With `as_json` stdout carries an object for a command that could not even begin, too.
+    """
     try:
         yield
     except RigError as error:
         tell_failure(error, debug)
+        if as_json:
+            print(json.dumps(_nothing_done(error)))  # noqa: T201 - stdout carries data
         raise typer.Exit(int(error.code)) from None
     except KeyboardInterrupt:
         say("stopped by SIGINT; nothing was left running")
         raise typer.Exit(int(ExitCode.SIGINT)) from None
     except BrokenPipeError:
         raise typer.Exit(int(ExitCode.INTERNAL)) from None
+
+
+def _nothing_done(error: RigError) -> dict[str, Any]:
+    return {
+        "file": None,
+        "outcome": "failed",
+        "exit": int(error.code),
+        "simulated": None,
+        "summary": {},
+        "errors": [error.one_line()],
+    }
 
 
 def tell_failure(error: RigError, debug: bool = False) -> None:

@@ -80,7 +80,7 @@ def command(entry: EntryPoint) -> Callable[..., None]:
 
     def run(**given: Any) -> None:
         request = Request(**{name: given.pop(name) for name in Request.__dataclass_fields__})
-        with reported(request.debug):
+        with reported(request.debug, request.as_json):
             perform(procedure, settings_from(procedure.Settings, given), request)
 
     common = list(inspect.signature(_common, eval_str=True).parameters.values())
@@ -99,16 +99,18 @@ def perform(
 ) -> None:
     """Run a procedure on the bench that was asked for and end the process with its exit code."""
     from rig.cli.report import ConsoleReporter, finish, finish_dry_run
+    from rig.runner.stopping import StopFlag
 
     with ExitStack() as stack:
+        stop = stack.enter_context(StopFlag())  # from here on, a signal ends things in order
         results = request.results
         if request.dry_run:
             results = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rig-dry-run-")))
         else:
             start_log(results)
         plan, clock, started, recorded_toml = _bench_for(request)
-        from rig.runner.journals import Job
-        from rig.runner.run import execute
+        from rig.runner.execution import execute
+        from rig.runner.jobs import Job
 
         job = Job(
             procedure=procedure,
@@ -123,7 +125,7 @@ def perform(
         )
         reporter = ConsoleReporter(procedure.NAME)
         with reporter:
-            outcome = execute(job, plan, clock, reporter)
+            outcome = execute(job, plan, clock, stop, reporter)
         if started is not None:
             started.wait()
         if request.dry_run:

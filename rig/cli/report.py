@@ -20,8 +20,9 @@ from rig.cli.outcome import say, tell_failure
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from rig.runner.procedure import Point, Procedure, Reading
-    from rig.runner.run import Outcome
+    from rig.runner.outcome import Outcome
+    from rig.runner.points import Point, Reading
+    from rig.runner.procedure import Procedure
 
 
 class ConsoleReporter:

@@ -99,7 +99,9 @@ def test_one_hash(rig):
     row("all cores loaded", walls[True], "s", 2)
 
     first = found[0]
-    differing = sorted({name for other in found for name in first if other.get(name) != first[name]})
+    differing = sorted(
+        {name for other in found for name in first if other.get(name) != first[name]}
+    )
     whole = {hashlib.sha256(repr(sorted(one.items())).encode()).hexdigest() for one in found}
     print(f"{len(first)} groups and datasets a file; {len(whole)} different hash(es):")
     print("\n".join(sorted(whole)))

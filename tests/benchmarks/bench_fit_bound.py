@@ -108,8 +108,9 @@ def test_error_of_the_fit_is_near_the_bound(daq):
         ratios[row] = np.sqrt(np.square(np.abs(errors)).mean(axis=0) / 2) / least
         bias = np.abs(errors.mean(axis=0)) / least * math.sqrt(DRAWS)
         print(
-            f"{point.condition:9.2f} Hz, n = {point.acquisitions[0].samples:6d}: load cell "
-            f"{ratios[row, 0]:.3f} (bias {bias[0]:.1f}), film {ratios[row, 1]:.3f} (bias {bias[1]:.1f})"
+            f"{point.condition:9.2f} Hz, n = {point.acquisitions[0].samples:6d}: "
+            f"load cell {ratios[row, 0]:.3f} (bias {bias[0]:.1f}), "
+            f"film {ratios[row, 1]:.3f} (bias {bias[1]:.1f})"
         )
     print(f"median ratio {np.median(ratios):.3f}, largest {ratios.max():.3f}")
     too_large = [

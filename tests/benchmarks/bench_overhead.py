@@ -34,9 +34,11 @@ from rig.recording.layout import Column, Layout, Plot
 from rig.recording.recorder import Recorder
 from rig.recording.runfile import RunFile
 from rig.recording.verify import verify
-from rig.runner.journals import Job
-from rig.runner.procedure import Point
-from rig.runner.run import Run, execute
+from rig.runner.execution import execute
+from rig.runner.jobs import Job
+from rig.runner.points import Point
+from rig.runner.run import Run
+from rig.runner.stopping import StopFlag
 from rig.settings import Settings
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "foreign"))
@@ -152,7 +154,7 @@ def test_where_the_overhead_goes(rig, real_time_bench, monkeypatch):
     heading("the same in this process, by what the wall time went to (each without the others)")
     settings = sweep.Settings(**SHORT)
     job = Job(sweep, settings, 0, rig.results)
-    outcome = execute(job, read_bench(real_time_bench), WallClock(), reporter)
+    outcome = execute(job, read_bench(real_time_bench), WallClock(), StopFlag(), reporter)
     assert outcome.code == ExitCode.DONE, outcome.failures
 
     points = sweep.points(settings)
@@ -235,7 +237,7 @@ def points_per_second(plan, clock, results, count, monkeypatch):
 
         patch.setattr(Recorder, "close", noting_close)
         patch.setattr(os, "fdatasync", noting_sync)
-        outcome = execute(Job(NoOp(count), Settings(), 0, results), plan, clock, reporter)
+        outcome = execute(Job(NoOp(count), Settings(), 0, results), plan, clock, StopFlag(), reporter)
     assert outcome.code == ExitCode.DONE, outcome.failures
     assert outcome.points_done == count
     assert verify(outcome.file) == []
@@ -254,8 +256,9 @@ class NoOp:
     name, parent, hints = "no_op", None, {}
     point = 0
     def read(self):
+        values = [self.point + 1 / (k + 3) for k in range(len(names))]
         now = time.time()
-        return {n: {"value": self.point + 1 / (k + 3), "timestamp": now} for k, n in enumerate(names)}
+        return {n: {"value": v, "timestamp": now} for n, v in zip(names, values)}
     def describe(self):
         return {n: {"source": "none", "dtype": "number", "shape": []} for n in names}
     def read_configuration(self):
@@ -330,7 +333,7 @@ def test_where_a_point_that_does_nothing_goes(rig, real_time_bench, monkeypatch)
     ledger.wrap(monkeypatch, Recorder, "_put_records", lambda *_: "recorder: two puts")
     ledger.wrap(monkeypatch, Run, "check_stop", lambda *_: "check_stop")
     job = Job(NoOp(BLUESKY_COUNT), Settings(), 0, rig.results)
-    outcome = execute(job, read_bench(real_time_bench), WallClock(), reporter)
+    outcome = execute(job, read_bench(real_time_bench), WallClock(), StopFlag(), reporter)
     assert outcome.code == ExitCode.DONE, outcome.failures
     walls = np.diff(reporter.kept_at)
     for name in ("recorder: two puts", "check_stop"):

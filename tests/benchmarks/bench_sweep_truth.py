@@ -64,7 +64,9 @@ def test_response_is_unbiased_and_its_errors_are_right(rig, daq):
         walls.append(ended.object["duration_s"])
         file.unlink()
     values = np.stack(residuals)  # (seeds, frequencies, quantities)
-    print(f"{values.shape[0]} seeds x {values.shape[1]} frequencies; warnings of the runs: {warned}")
+    print(
+        f"{values.shape[0]} seeds x {values.shape[1]} frequencies; warnings of the runs: {warned}"
+    )
     row("bench time of a sweep", walls, "s", 1)
 
     rows = [("whole sweep", np.ones(len(frequency), bool))]
@@ -80,7 +82,9 @@ def test_response_is_unbiased_and_its_errors_are_right(rig, daq):
             mean, spread = mean_and_spread(values[:, chosen, k])
             cells.append(f"mean {mean:+5.2f} se, spread {spread:.3f}")
             if abs(mean) > UNLIKELY or not SPREAD[0] <= spread <= SPREAD[1]:
-                failures.append(f"{daq} {name} {quantity}: mean {mean:+.2f} se, spread {spread:.3f}")
+                failures.append(
+                    f"{daq} {name} {quantity}: mean {mean:+.2f} se, spread {spread:.3f}"
+                )
         print(f"{name:20s} " + " ".join(cells))
 
     both = values[:, :, :2]

@@ -1,4 +1,4 @@
-"""What the benchmarks share: the machine in a line, spread in a few words, a target met or missed."""
+"""What the benchmarks share: the machine in a line, a spread in a line, a target met or missed."""
 
 from __future__ import annotations
 

@@ -72,3 +72,15 @@ def test_the_bench_ends_by_itself_after_its_run_was_killed(rig):
     rig.await_world("owner-gone")
     rig.await_world("end")
     assert rig.outputs()[-1] is False
+
+
+def test_a_run_killed_while_it_starts_leaves_no_bench_behind(rig):
+    running = rig.start_sweep()
+    while not rig.world_log.exists():
+        time.sleep(0.005)
+    running.send(signal.SIGKILL)
+    running.process.wait()
+
+    rig.await_world("owner-gone")
+    rig.await_world("end")
+    assert rig.outputs()[-1:] in ([], [False])

@@ -72,3 +72,16 @@ def test_a_stop_while_waiting_is_seen_within_the_wait(rig):
     assert rig.outputs() == [True, False]
     assert ended.object["points_done"] == 0
     assert verify(rig.only("*.h5")) == []
+
+
+@pytest.mark.parametrize("number", STOPS, ids=lambda number: number.name)
+def test_a_signal_while_the_program_starts_has_the_same_exit_code(rig, number):
+    running = rig.start_sweep()
+    while not rig.world_log.exists():
+        time.sleep(0.005)
+    running.send(number)
+    ended = running.finish()
+
+    assert ended.code == STOPS[number]
+    assert rig.outputs() in ([], [True, False])
+    rig.await_world("end")

@@ -125,7 +125,7 @@ def test_connecting_leaves_the_instrument_at_rest(case: Case) -> None:
 # --- what goes wrong -------------------------------------------------------------------------
 
 
-@EVERY
+@pytest.mark.parametrize("case", [case for case in CASES if case.every_fault], ids=repr)
 @pytest.mark.parametrize("kind", KINDS)
 def test_one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over(
     case: Case, kind: str

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import rig
 from rig.bench import Bench
@@ -22,12 +22,11 @@ from rig.recording.errors import RecordingError
 from rig.recording.journal import JournalWriter
 from rig.recording.naming import journal_path, next_run_path
 from rig.runner.guard import report_path
-from rig.runner.procedure import Point, Procedure, Reading
+from rig.runner.outcome import Outcome
+from rig.runner.points import Point, Reading
+from rig.runner.procedure import Procedure
 from rig.runner.source_state import source_state
 from rig.settings import Settings, fingerprint, leaves
-
-if TYPE_CHECKING:
-    from rig.runner.run import Outcome
 
 PROGRAM = "tactile-rig"
 NAME_TRIES = 20

@@ -1,0 +1,320 @@
+"""The GSV-6/GSV-8 serial protocol as frames: bytes in, frames out, no I/O and no instrument.
+
+    AA | header | control | data | [crc] | 85          big-endian
+
+    header   bits 7-6: 00 measurement, 01 response, 10 request; bits 5-4: 01 serial, 11 serial with
+             CRC; bits 3-0: length of the data, or for a measurement the number of values less one
+    control  request: command number; response: error code; measurement: bit 7 set, bits 6-4 data
+             type, bit 1 multi-axis error, bit 0 converter saturated
+
+A request or response ends with CRC-8 (polynomial 07, start 0), a measurement with CRC-16/Modbus
+(low byte first), both over header to data. A response of 15 bytes or more has 15 in its header and
+its length less 15 where the error code would stand.
+
+AA and 85 occur inside data, so a lost byte makes frames out of the middle of others. The decoder
+therefore drops one byte at a time until a whole frame fits, and tells every byte that it dropped.
+Frames of measurements come in runs of one layout: a run is checked and decoded as one array.
+
+Source: ME-Messsysteme, GSV Communication Protocol Specification (ba-gsvcom_en, 11/2022), p. 9-15.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+SYNC, END = 0xAA, 0x85
+SMALLEST_FRAME = 4
+LONGEST_PARAMETERS = 15
+LONG_RESPONSE = 15
+
+MEASUREMENT, RESPONSE, REQUEST = 0, 1, 2
+SERIAL, SERIAL_WITH_CRC = 1, 3
+
+INT16, INT24, FLOAT32 = 1, 2, 3
+VALUE_BYTES = {INT16: 2, INT24: 3, FLOAT32: 4}
+INTEGER_FULL_SCALE = 1.05
+"""What the largest integer stands for, in input ranges; times the user scale in user units."""
+
+SATURATED, MULTI_AXIS_ERROR = 0x01, 0x02
+
+REJECTED_KEPT = 64
+"""How many of the bytes that were no frame are kept to be shown."""
+
+_MORE, _NO_FRAME = -1, 0
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What the measurement frames of a stream look like."""
+
+    values: int
+    """Values in a frame, 1 to 16."""
+    data_type: int = FLOAT32
+    crc: bool = False
+
+    @cached_property
+    def header(self) -> int:
+        """The frames' second byte."""
+        interface = SERIAL_WITH_CRC if self.crc else SERIAL
+        return MEASUREMENT << 6 | interface << 4 | self.values - 1
+
+    @cached_property
+    def size(self) -> int:
+        """Bytes in a frame."""
+        return SMALLEST_FRAME + self.values * VALUE_BYTES[self.data_type] + 2 * self.crc
+
+
+@dataclass(frozen=True)
+class Response:
+    """The answer to a request."""
+
+    code: int
+    """0 done, 1 done with another value changed, else an error."""
+    data: bytes
+    crc: bool
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """A run of measurement frames that came one after the other."""
+
+    layout: Layout
+    values: npt.NDArray[np.float32]
+    """(n, values): user units for floats; for integers input ranges before the user scale."""
+    status: npt.NDArray[np.uint8]
+    """(n,): bit 0 the converter was saturated, bit 1 multi-axis error."""
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def size(self) -> int:
+        """Bytes that the run took on the link."""
+        return len(self.values) * self.layout.size
+
+
+Frame = Response | Measurements
+
+
+def request(command: int, parameters: bytes = b"", crc: bool = False) -> bytes:
+    """A request as bytes; ValueError for more than 15 bytes of parameters."""
+    if len(parameters) > LONGEST_PARAMETERS:
+        raise ValueError(f"{len(parameters)} parameter bytes are more than {LONGEST_PARAMETERS}")
+    interface = SERIAL_WITH_CRC if crc else SERIAL
+    body = bytes((REQUEST << 6 | interface << 4 | len(parameters), command)) + parameters
+    check = bytes((crc8(body),)) if crc else b""
+    return bytes((SYNC,)) + body + check + bytes((END,))
+
+
+class Decoder:
+    """Takes bytes as they arrive and gives responses and runs of measurements, in order.
+
+    `expected` narrows measurements to one layout and `crc_only` refuses frames without a CRC: what
+    is refused counts as bytes that are no frame.
+    """
+
+    def __init__(self) -> None:
+        self.expected: Layout | None = None
+        self.crc_only = False
+        self.dropped = 0
+        """Bytes that were no frame, in all."""
+        self._rejected = bytearray()
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """The frames that are complete with these bytes."""
+        buffer = self._rest + data
+        at, found = 0, list[Frame]()
+        while True:
+            at = self._seek(buffer, at)
+            size = self._size(buffer, at)
+            if size == _MORE or (size != _NO_FRAME and at + size > len(buffer)):
+                break
+            frame = self._frame(buffer, at, size) if size != _NO_FRAME else None
+            if frame is None:
+                self._drop(buffer[at : at + 1])
+                at += 1
+                continue
+            found.append(frame)
+            at += frame.size if isinstance(frame, Measurements) else size
+        self._rest = buffer[at:]
+        return found
+
+    def reset(self) -> None:
+        """Forget an unfinished frame and what was dropped."""
+        self._rest = b""
+        self._rejected.clear()
+
+    def take_rejected(self) -> bytes:
+        """The first bytes that were no frame since this was last asked."""
+        rejected = bytes(self._rejected)
+        self._rejected.clear()
+        return rejected
+
+    def _seek(self, buffer: bytes, at: int) -> int:
+        """The next place where a frame may begin."""
+        begin = buffer.find(SYNC, at)
+        begin = len(buffer) if begin < 0 else begin
+        self._drop(buffer[at:begin])
+        return begin
+
+    def _drop(self, data: bytes) -> None:
+        self.dropped += len(data)
+        self._rejected += data[: REJECTED_KEPT - len(self._rejected)]
+
+    def _size(self, buffer: bytes, at: int) -> int:
+        """Bytes of the frame that begins here, `_MORE` where they do not tell, `_NO_FRAME`."""
+        if len(buffer) < at + 2:
+            return _MORE
+        header = buffer[at + 1]
+        kind, interface, length = header >> 6, header >> 4 & 3, header & 15
+        if interface != SERIAL_WITH_CRC and (interface != SERIAL or self.crc_only):
+            return _NO_FRAME
+        crc = interface == SERIAL_WITH_CRC
+        if kind not in (MEASUREMENT, RESPONSE) or self._unexpected(kind, header):
+            return _NO_FRAME
+        if len(buffer) < at + 3:
+            return _MORE
+        control = buffer[at + 2]
+        if kind == MEASUREMENT:
+            layout = self._layout(header, control)
+            return layout.size if layout else _NO_FRAME
+        extra = control if length == LONG_RESPONSE else 0
+        return SMALLEST_FRAME + length + extra + crc
+
+    def _unexpected(self, kind: int, header: int) -> bool:
+        return kind == MEASUREMENT and self.expected is not None and header != self.expected.header
+
+    def _layout(self, header: int, control: int) -> Layout | None:
+        layout = _layout(header, control >> 4)
+        if layout is not None and self.expected is not None:
+            return layout if layout.data_type == self.expected.data_type else None
+        return layout
+
+    def _frame(self, buffer: bytes, at: int, size: int) -> Frame | None:
+        if buffer[at + size - 1] != END:
+            return None
+        if buffer[at + 1] >> 6 == RESPONSE:
+            return _response(buffer[at : at + size])
+        layout = self._layout(buffer[at + 1], buffer[at + 2])
+        assert layout is not None
+        return _measurements(buffer, at, layout)
+
+
+@cache
+def _layout(header: int, indicator: int) -> Layout | None:
+    """The layout that a measurement's header and the upper half of its control byte tell."""
+    data_type = indicator & 7
+    if not indicator & 8 or data_type not in VALUE_BYTES:
+        return None
+    return Layout((header & 15) + 1, data_type, header >> 4 & 3 == SERIAL_WITH_CRC)
+
+
+def _response(frame: bytes) -> Response | None:
+    crc = frame[1] >> 4 & 3 == SERIAL_WITH_CRC
+    end = len(frame) - 1 - crc
+    if crc and crc8(frame[1:end]) != frame[end]:
+        return None
+    long = frame[1] & 15 == LONG_RESPONSE
+    return Response(0 if long else frame[2], frame[3:end], crc)
+
+
+def _measurements(buffer: bytes, at: int, layout: Layout) -> Measurements | None:
+    """The run of frames of one layout that begins here, or None where not even one is whole."""
+    size = layout.size
+    count = (len(buffer) - at) // size
+    rows = np.frombuffer(buffer, np.uint8, count * size, at).reshape(count, size)
+    pattern, mask = _fixed_bytes(layout)
+    wrong = ((rows ^ pattern) & mask).any(axis=1)
+    if layout.crc:
+        wrong |= crc16_of_rows(rows[:, 1:-1]) != 0  # over a message and its own CRC it is 0
+    run = int(wrong.argmax()) if wrong.any() else count
+    if run == 0:
+        return None
+    rows = rows[:run]
+    data = rows[:, 3 : 3 + layout.values * VALUE_BYTES[layout.data_type]]
+    return Measurements(layout, _values(data, layout.data_type), rows[:, 2] & 0x0F)
+
+
+@cache
+def _fixed_bytes(layout: Layout) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
+    """A frame with only the bits that all frames of a layout share, and which bits those are."""
+    pattern, mask = np.zeros((2, layout.size), np.uint8)
+    pattern[:3] = SYNC, layout.header, 0x80 | layout.data_type << 4
+    pattern[-1] = END
+    mask[[0, 1, -1]] = 0xFF
+    mask[2] = 0xF0
+    return pattern, mask
+
+
+def _values(data: npt.NDArray[np.uint8], data_type: int) -> npt.NDArray[np.float32]:
+    """Values of big-endian bytes (n, width); integers are offset binary."""
+    if data_type == FLOAT32:
+        return np.ascontiguousarray(data).view(">f4").astype(np.float32)
+    bits = 8 * VALUE_BYTES[data_type]
+    digits = data.reshape(len(data), -1, VALUE_BYTES[data_type]).astype(np.int64)
+    weights = 256 ** np.arange(VALUE_BYTES[data_type] - 1, -1, -1)
+    offset = (digits * weights).sum(axis=2) - (1 << bits - 1)
+    return np.asarray(offset * (INTEGER_FULL_SCALE / (1 << bits - 1)), dtype=np.float32)
+
+
+# --- checksums -------------------------------------------------------------------------------
+
+
+def _crc8_table() -> bytes:
+    table = bytearray()
+    for value in range(256):
+        for _ in range(8):
+            value = (value << 1 ^ (0x07 if value & 0x80 else 0)) & 0xFF
+        table.append(value)
+    return bytes(table)
+
+
+def _crc16_table() -> npt.NDArray[np.uint16]:
+    table = np.arange(256, dtype=np.uint16)
+    for _ in range(8):
+        table = table >> 1 ^ np.where(table & 1, 0xA001, 0).astype(np.uint16)
+    return table
+
+
+_CRC8 = _crc8_table()
+_CRC16 = _crc16_table()
+
+
+def crc8(data: bytes) -> int:
+    """CRC-8 of requests and responses: polynomial 07, start 0."""
+    crc = 0
+    for byte in data:
+        crc = _CRC8[crc ^ byte]
+    return crc
+
+
+def crc16_of_rows(rows: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint16]:
+    """CRC-16/Modbus of each row of bytes (n, length): (n,).
+
+    A CRC is linear, so each byte contributes by value and place alone: one table look-up a byte,
+    combined by exclusive or.
+    """
+    start, places, tables = _crc16_by_place(rows.shape[1])
+    return np.asarray(np.bitwise_xor.reduce(tables[places + rows], axis=1) ^ start)
+
+
+@cache
+def _crc16_by_place(
+    length: int,
+) -> tuple[np.uint16, npt.NDArray[np.intp], npt.NDArray[np.uint16]]:
+    """What the start value FFFF leaves after `length` bytes; where each place's table begins; the
+    tables, one after the other."""
+    start = np.array([0xFFFF], np.uint16)
+    for _ in range(length):
+        start = _CRC16[start & 0xFF] ^ start >> 8
+    tables = np.empty((length, 256), np.uint16)
+    column = _CRC16
+    for place in range(length - 1, -1, -1):
+        tables[place] = column
+        column = _CRC16[column & 0xFF] ^ column >> 8
+    return start[0], np.arange(length) * 256, tables.ravel()

@@ -1,0 +1,36 @@
+"""How a run ended, as values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rig.errors import ExitCode, RigError
+from rig.runner.arming import OffFailure
+
+
+@dataclass
+class Outcome:
+    """How a run ended."""
+
+    status: str
+    """complete, stopped or failed"""
+    code: ExitCode
+    points_planned: int = 0
+    points_done: int = 0
+    simulated: bool = False
+    file: Path | None = None
+    journal: Path | None = None
+    """The journal, where it is still needed: to resume, or to recover what was not compiled."""
+    duration_s: float = 0.0
+    """Bench time from the first to the last point of this attempt."""
+    summary: Mapping[str, Any] = field(default_factory=dict)
+    failures: list[RigError] = field(default_factory=list)
+    """What went wrong, first cause first."""
+    off_failures: list[OffFailure] = field(default_factory=list)
+    guard_report: str = ""
+    """What the guard made of a bench that the run could not make safe."""
+    switched_off: tuple[str, ...] = ()
+    warnings: list[str] = field(default_factory=list)

@@ -1,0 +1,201 @@
+"""The World: what its terminals carry, and noise that depends on nothing but its key."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.simulated.ports import Excitation
+from drivers.simulated.world import (
+    AMPLIFIER_CLIP_V,
+    FILM_TERMINAL,
+    LOAD_CELL_TERMINAL,
+    NOISE_CHUNK,
+    World,
+    WorldSettings,
+    read_world,
+)
+from rig.errors import ConfigurationError
+
+RATE = 50e3
+BOTH = (LOAD_CELL_TERMINAL, FILM_TERMINAL)
+QUIET = {"noise_density_V_sqrtHz": 0.0, "mains_amplitude_mV": 0.0}
+SILENT = {"film_input": QUIET, "load_cell_input": QUIET}
+
+
+def world(seed: int = 3, **settings: object) -> World:
+    return World(WorldSettings.model_validate(settings), seed, slaved=True)
+
+
+def drive(of: World, amplitude: float, frequency: float = 200.0, on: bool = True) -> None:
+    of.excite(1, Excitation(on, "SIN", frequency, amplitude, 0.0, 0.0), "test")
+
+
+def sampled(
+    of: World, count: int = 2000, terminals: tuple[int, ...] = BOTH, first: int = 0, at_us: int = 0
+) -> np.ndarray:
+    """A fresh acquisition's volts."""
+    number = of.begin_acquisition()
+    return of.volts(number, terminals, at_us, RATE, first, count, (0.0,) * len(terminals))
+
+
+def test_a_driven_bench_loads_the_cell_and_the_film() -> None:
+    bench = world(**SILENT)
+    assert not sampled(bench).any(), "nothing is driven"
+    drive(bench, 0.7)
+    settled = sampled(bench, at_us=2_000_000)
+    cell, film = np.ptp(settled, axis=0) / 2
+    assert 0.01 < cell < 1
+    assert 0.01 < film < 5
+    drive(bench, 1.4)
+    assert np.ptp(sampled(bench, at_us=4_000_000), axis=0) / 2 == pytest.approx(
+        [2 * cell, 2 * film], rel=1e-6
+    )
+
+
+def test_the_other_channel_drives_nothing() -> None:
+    bench = world(**SILENT)
+    bench.excite(2, Excitation(True, "SIN", 200.0, 5.0, 0.0, 0.0), "test")
+    assert not sampled(bench, at_us=1_000_000).any()
+
+
+def test_a_late_channel_sees_the_same_signal_later() -> None:
+    bench = world(**SILENT)
+    drive(bench, 1.0)
+    number = bench.begin_acquisition()
+    skew = 7 / RATE
+    twice = bench.volts(
+        number, (FILM_TERMINAL, FILM_TERMINAL), 10_000, RATE, 0, 1000, (0.0, skew)
+    )
+    assert twice[:-7, 1] == pytest.approx(twice[7:, 0], abs=1e-9)
+
+
+def test_an_open_film_carries_noise_and_hum_only() -> None:
+    quiet, noisy = world(film="open-circuit", **SILENT), world(film="open-circuit")
+    for bench in (quiet, noisy):
+        drive(bench, 1.0)
+    assert not sampled(quiet, terminals=(FILM_TERMINAL,), at_us=10_000).any()
+    assert np.ptp(sampled(quiet, at_us=10_000)[:, 0]) > 0.01, "the load cell is still there"
+    assert 0 < np.abs(sampled(noisy, terminals=(FILM_TERMINAL,))).max() < 0.01
+
+
+def test_the_films_amplifier_clips_and_the_load_cell_does_not_care() -> None:
+    mild, loud = world(film_gain=1.0, **SILENT), world(film_gain=1000.0, **SILENT)
+    for bench in (mild, loud):
+        drive(bench, 1.0)
+    plain, clipped = sampled(mild, at_us=10_000), sampled(loud, at_us=10_000)
+    assert clipped[:, 1].max() == AMPLIFIER_CLIP_V
+    assert clipped[:, 1].min() == -AMPLIFIER_CLIP_V
+    expected = np.clip(1000 * plain[:, 1], -AMPLIFIER_CLIP_V, AMPLIFIER_CLIP_V)
+    assert clipped[:, 1] == pytest.approx(expected)
+    assert (clipped[:, 0] == plain[:, 0]).all()
+
+
+def test_noise_is_of_the_stated_size() -> None:
+    density = {"noise_density_V_sqrtHz": 1e-5, "mains_amplitude_mV": 0.0}
+    bench = world(film="open-circuit", film_input=density)
+    noise = sampled(bench, 20_000, (FILM_TERMINAL,))[:, 0]
+    from rig.model.front_end import noise_rms
+
+    expected = noise_rms(bench.settings.film_input, RATE)
+    assert noise.std() == pytest.approx(expected, rel=0.05)
+    neighbours = np.corrcoef(noise[:-1], noise[1:])[0, 1]
+    assert abs(neighbours) < 0.05
+
+
+@pytest.mark.parametrize("size", [1, 10, NOISE_CHUNK - 1, NOISE_CHUNK, 3 * NOISE_CHUNK])
+def test_noise_does_not_depend_on_the_blocks_it_is_read_in(size: int) -> None:
+    bench = world(film="open-circuit")
+    number = bench.begin_acquisition()
+    count = 3 * NOISE_CHUNK if size > 1 else 100
+
+    def read(first: int, rows: int) -> np.ndarray:
+        return bench.volts(number, (FILM_TERMINAL,), 0, RATE, first, rows, (0.0,))
+
+    whole = read(0, count)
+    blocks = [read(first, min(size, count - first)) for first in range(0, count, size)]
+    assert (np.concatenate(blocks) == whole).all()
+    assert (read(count // 2, 50) == whole[count // 2 : count // 2 + 50]).all(), "random access"
+
+
+def test_a_points_noise_does_not_depend_on_what_came_before_it() -> None:
+    fresh, used = world(), world()
+    used.announce(0, 17)
+    for _ in range(5):
+        sampled(used)
+    for bench in (fresh, used):
+        bench.announce(2, 40)
+    for _ in range(3):
+        assert (sampled(fresh) == sampled(used)).all()
+
+
+def keyed_noise(
+    seed: int = 3, run: int = 0, point: int = 0, earlier: int = 0, terminal: int = FILM_TERMINAL
+) -> np.ndarray:
+    bench = world(seed, film="open-circuit")
+    bench.announce(run, point)
+    for _ in range(earlier):
+        sampled(bench)
+    return sampled(bench, terminals=(terminal,))[:, 0]
+
+
+@pytest.mark.parametrize(
+    "key",
+    [{"seed": 4}, {"run": 1}, {"point": 1}, {"earlier": 1}, {"terminal": LOAD_CELL_TERMINAL}],
+    ids=lambda key: next(iter(key)),
+)
+def test_every_part_of_its_key_makes_other_noise(key: dict[str, int]) -> None:
+    one, other = keyed_noise(), keyed_noise(**key)
+    assert (keyed_noise(**key) == other).all(), "the same key gives the same noise"
+    assert abs(np.corrcoef(np.diff(one), np.diff(other))[0, 1]) < 0.1
+
+
+def test_the_film_is_drawn_from_the_seed() -> None:
+    def response(seed: int, film: str) -> np.ndarray:
+        bench = world(seed, film=film, **SILENT)
+        drive(bench, 1.0)
+        return sampled(bench, at_us=100_000)
+
+    assert (response(1, "drawn") == response(1, "drawn")).all()
+    assert np.abs(response(1, "drawn") - response(2, "drawn")).max() > 1e-3
+    assert (response(1, "nominal") == response(2, "nominal")).all()
+
+
+def test_the_log_tells_what_happened_and_when(tmp_path: Path) -> None:
+    path = tmp_path / "world.jsonl"
+    bench = World(WorldSettings(), 0, slaved=True, log=path)
+    bench.timeline.advance(1500)
+    bench.log("generator", "ch1.on", True, "socket#1")
+    (said,) = [json.loads(line) for line in path.read_text().splitlines()]
+    assert said == {
+        "t_us": 1500, "device": "generator", "what": "ch1.on", "value": True, "by": "socket#1",
+    }  # fmt: skip
+    bench.close()
+    assert json.loads(path.read_text().splitlines()[-1])["what"] == "end"
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('film = "torn"\n', "film = 'torn'"),
+        ("film_gian = 2\n", "film_gian: unknown key"),
+        ("film_gain = nan\n", "film_gain"),
+        ("[film_input]\nmains_frequency_Hz = -1\n", "film_input.mains_frequency_Hz = -1"),
+        ("film = \n", "world.toml"),
+    ],
+)
+def test_wrong_world_settings_are_refused(tmp_path: Path, text: str, told: str) -> None:
+    path = tmp_path / "world.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError) as caught:
+        read_world(str(path))
+    assert told in caught.value.message
+
+
+def test_missing_world_settings_are_refused_and_none_are_the_defaults(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"none\.toml"):
+        read_world(str(tmp_path / "none.toml"))
+    assert read_world(None) == WorldSettings()

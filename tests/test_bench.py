@@ -1,0 +1,323 @@
+"""Bench files: everything wrong is told at once; what is connected refuses what is outside."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rig import bench as benches
+from rig.bench import (
+    Bench,
+    GuardedGenerator,
+    InstrumentPlan,
+    connect,
+    parse_bench,
+    read_bench,
+    rehearsal,
+    require,
+)
+from rig.clock import WallClock
+from rig.errors import ConfigurationError, ExitCode, InstrumentError, LimitError, RigError
+from rig.instruments import Identity, Reach
+
+GOOD = """
+name = "bench-3"
+heartbeat_timeout_s = 7
+
+[fixture]
+mounted = "film-clamp"
+
+[film]
+name = "batch 12"
+
+[load_cell]
+sensitivity_V_N = 0.5
+max_load_N = 12.0
+
+[generator]
+driver = "keysight-33500b"
+resource = "TCPIP::192.168.0.12::5025::SOCKET"
+max_amplitude_V = 2.0
+
+[daq]
+driver = "keysight-u2300a"
+resource = "USB0::0x0957::0x1518::TW1::INSTR"
+channels = { load_cell = 101, film = 103 }
+"""
+
+
+def refused(text: str) -> str:
+    with pytest.raises(ConfigurationError) as caught:
+        parse_bench(text, "bench.toml")
+    assert "\n" not in caught.value.one_line()
+    assert caught.value.code == ExitCode.USAGE
+    return caught.value.one_line()
+
+
+def changed(old: str, new: str) -> str:
+    assert old in GOOD
+    return GOOD.replace(old, new)
+
+
+# --- the file --------------------------------------------------------------------------------
+
+
+def test_a_good_file_becomes_a_plan() -> None:
+    plan = parse_bench(GOOD, "bench.toml")
+    assert plan.settings.name == "bench-3"
+    assert plan.settings.load_cell is not None
+    assert plan.settings.load_cell.max_load_N == 12.0
+    assert [part.role for part in plan.instruments] == ["generator", "daq"]
+    assert plan.text == GOOD
+
+
+WRONG: dict[str, tuple[str, str]] = {
+    "unknown key": (changed("name = ", "nmae = 1\nname = "), "nmae: unknown key"),
+    "unknown key of a part": (changed("sensitivity_V_N", "gain = 1\nsensitivity_V_N"), "gain"),
+    "unknown key of a driver": (changed("max_amplitude_V", "loud = 1\nmax_amplitude_V"), "loud"),
+    "unknown table": (GOOD + "\n[oven]\nx = 1\n", "oven: unknown key"),
+    "unknown driver": (changed("keysight-33500b", "keysight-1"), "known: keysight-33500b"),
+    "driver of another role": (
+        changed("keysight-33500b", "keysight-u2300a"),
+        "driver 'keysight-u2300a' is for the role daq",
+    ),
+    "no driver": (changed('driver = "keysight-33500b"\n', ""), "[generator]: names no driver"),
+    "a role that is no table": (
+        GOOD.split("[daq]")[0].replace('name = "bench-3"', 'name = "b"\ndaq = 3'),
+        "[daq]: names no driver",
+    ),
+    "missing setting": (changed("max_amplitude_V = 2.0\n", ""), "max_amplitude_V: missing"),
+    "limit beyond the instrument": (changed("= 2.0", "= 200.0"), "max_amplitude_V = 200.0"),
+    "not a number": (changed("= 0.5", '= "half"'), "load_cell.sensitivity_V_N = 'half'"),
+    "not finite": (changed("= 0.5", "= nan"), "load_cell.sensitivity_V_N"),
+    "fixture that does not exist": (changed("film-clamp", "vice"), "fixture.mounted = 'vice'"),
+    "no fixture": (changed('[fixture]\nmounted = "film-clamp"\n', ""), "fixture: missing"),
+    "name that is no file name": (changed("bench-3", "../bench"), "name = '../bench'"),
+    "a part that is not wired": (
+        changed("film = 103", "spare = 103"),
+        "[film] is described, but [daq.channels] wires no film",
+    ),
+    "a part without a DAQ": (GOOD.split("[daq]")[0], "wires no load_cell"),
+    "two signals on one terminal": (changed("film = 103", "film = 101"), "one terminal"),
+    "syntax": (changed("[film]", "[film"), "correct the TOML syntax"),
+    "a key twice": (changed("max_load_N = 12.0", "max_load_N = 1\nmax_load_N = 2"), "bench.toml"),
+    "empty": ("", "name: missing"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_file_is_refused_with_place_and_reason(case: str) -> None:
+    text, told = WRONG[case]
+    message = refused(text)
+    assert "bench.toml" in message
+    assert told in message, message
+
+
+def test_all_errors_are_told_at_once() -> None:
+    text = changed("film-clamp", "vice").replace("= 2.0", "= 200.0").replace("= 101", "= 1")
+    message = refused(text)
+    for told in ("fixture.mounted", "max_amplitude_V", "load_cell = 1 is no terminal"):
+        assert told in message
+
+
+def test_a_daq_that_is_wrong_itself_is_not_blamed_for_its_wiring() -> None:
+    message = refused(changed("channels = {", "channel = {"))
+    assert "channel: unknown key" in message
+    assert "wires no" not in message
+
+
+def test_a_driver_that_cannot_be_imported_is_a_configuration_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def load() -> Any:
+        raise ImportError("No module named 'acme_sdk'")
+
+    real = benches.entry
+    broken = SimpleNamespace(load=load)
+    monkeypatch.setattr(
+        benches, "entry", lambda g, n: broken if n == "keysight-33500b" else real(g, n)
+    )
+    assert "'keysight-33500b' cannot be loaded: No module named 'acme_sdk'" in refused(GOOD)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda path: None,
+        lambda path: path.mkdir(),
+        lambda path: path.write_bytes(b"name = \xff"),
+        lambda path: path.write_text("name = "),
+    ],
+    ids=["missing", "a folder", "not text", "not TOML"],
+)
+def test_a_file_that_cannot_be_read_is_told_by_name(tmp_path: Path, make: Any) -> None:
+    path = tmp_path / "bench.toml"
+    make(path)
+    with pytest.raises(ConfigurationError, match=r"bench\.toml"):
+        read_bench(path)
+
+
+# --- connected -------------------------------------------------------------------------------
+
+
+class Fake:
+    """An instrument that remembers what was asked of it."""
+
+    def __init__(self, serial: str = "MY1"):
+        self.identity = Identity("ACME", "G", serial, "1")
+        self.calls: list[tuple[object, ...]] = []
+
+    def reach(self) -> dict[str, Reach]:
+        return {
+            "frequency": Reach(1.0, 1000.0, "Hz", "generator G"),
+            "amplitude": Reach(0.1, 2.0, "V", "generator G"),
+        }
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *arguments: self.calls.append((name, *arguments))
+
+
+def plan_with(*drivers: Any) -> benches.BenchPlan:
+    """The good file's plan with other drivers behind its roles."""
+    plan = parse_bench(GOOD, "bench.toml")
+    parts = [
+        InstrumentPlan(part.role, part.driver_name, driver, part.settings)
+        for part, driver in zip(plan.instruments, drivers, strict=True)
+    ]
+    return replace(plan, instruments=tuple(parts))
+
+
+def works(instrument: Fake) -> Any:
+    return SimpleNamespace(connect=lambda settings, clock: instrument)
+
+
+def fails(error: Exception) -> Any:
+    def connect(settings: object, clock: object) -> Any:
+        raise error
+
+    return SimpleNamespace(connect=connect)
+
+
+def test_connecting_gives_a_guarded_generator_and_the_limits_of_all() -> None:
+    generator, daq = Fake(), Fake()
+    bench = connect(plan_with(works(generator), works(daq)), WallClock())
+    assert isinstance(bench.generator, GuardedGenerator)
+    assert "generator.frequency" in bench.reach()
+    assert bench.load_cell.sensitivity_V_N == 0.5
+    assert not bench.simulated
+    bench.close()
+    assert ("close",) in generator.calls
+    assert ("close",) in daq.calls
+
+
+def test_all_instruments_are_tried_before_failures_are_told() -> None:
+    first = InstrumentError("generator", "*IDN?", "no answer", "switch it on")
+    second = LimitError("daq: no such terminal", "correct it")
+    with pytest.raises(RigError) as caught:
+        connect(plan_with(fails(first), fails(second)), WallClock())
+    assert caught.value.one_line() == (
+        "generator: *IDN?: no answer; daq: no such terminal; switch it on"
+    )
+    assert caught.value.code == ExitCode.INSTRUMENT
+
+
+def test_what_did_connect_is_closed_where_another_failed() -> None:
+    generator = Fake()
+    error = InstrumentError("daq", "*IDN?", "no answer")
+    with pytest.raises(InstrumentError) as caught:
+        connect(plan_with(works(generator), fails(error)), WallClock())
+    assert caught.value is error
+    assert generator.calls == [("close",)]
+
+
+def test_one_simulated_instrument_makes_the_bench_simulated() -> None:
+    assert connect(plan_with(works(Fake()), works(Fake("SIM1"))), WallClock()).simulated
+
+
+def test_a_declared_simulation_is_simulated() -> None:
+    plan = plan_with(works(Fake()), works(Fake()))
+    settings = plan.settings.model_copy(update={"simulation": {"seed": 1}})
+    assert connect(replace(plan, settings=settings), WallClock()).simulated
+
+
+@pytest.mark.parametrize(
+    ("frequency", "amplitude", "told"),
+    [
+        (1001.0, 1.0, "frequency 1001 Hz is outside 1 to 1000 Hz of the generator G"),
+        (0.5, 1.0, "frequency 0.5 Hz"),
+        (10.0, 2.1, "amplitude 2.1 V is outside 0.1 to 2 V"),
+        (10.0, -1.0, "amplitude -1 V"),
+        (float("nan"), 1.0, "frequency nan"),
+        (10.0, float("inf"), "amplitude inf"),
+    ],
+)
+def test_a_guarded_generator_refuses_before_anything_is_sent(
+    frequency: float, amplitude: float, told: str
+) -> None:
+    inner = Fake()
+    with pytest.raises(LimitError) as caught:
+        GuardedGenerator(inner).sine(frequency, amplitude)  # type: ignore[arg-type]
+    assert told in caught.value.message
+    assert inner.calls == []
+
+
+def test_a_guarded_generator_passes_on_what_is_inside() -> None:
+    inner = Fake()
+    generator = GuardedGenerator(inner)  # type: ignore[arg-type]
+    generator.sine(1000.0, 2.0)
+    generator.output(True)
+    generator.make_safe()
+    assert inner.calls == [("sine", 1000.0, 2.0), ("output", True), ("make_safe",)]
+
+
+def test_require_names_value_unit_limit_device_and_place() -> None:
+    reach = Reach(0, 5, "N", "load cell")
+    require("load", 5, reach)
+    with pytest.raises(LimitError) as caught:
+        require("load", 5.5, reach, "point 3")
+    assert caught.value.message == "point 3: load 5.5 N is outside 0 to 5 N of the load cell"
+
+
+@pytest.mark.parametrize("part", ["generator", "daq", "film", "load_cell"])
+def test_a_part_that_the_bench_has_not_is_named_when_it_is_asked_for(part: str) -> None:
+    plan = parse_bench('name = "bare"\n[fixture]\nmounted = "plate"\n', "bare.toml")
+    with pytest.raises(ConfigurationError, match=rf"bare\.toml.*{part}.*"):
+        getattr(Bench(plan, WallClock(), {}), part)
+
+
+def test_the_wrong_fixture_is_refused() -> None:
+    plan = parse_bench('name = "bare"\n[fixture]\nmounted = "plate"\n', "bare.toml")
+    bench = Bench(plan, WallClock(), {})
+    bench.require_fixture("film-clamp", "plate")
+    with pytest.raises(ConfigurationError, match="has the plate mounted.*needs film-clamp"):
+        bench.require_fixture("film-clamp")
+
+
+# --- rehearsal -------------------------------------------------------------------------------
+
+
+def test_a_rehearsal_keeps_the_real_limits_on_the_simulated_bench() -> None:
+    real = parse_bench(changed("film-clamp", "plate"), "bench.toml")
+    simulated = parse_bench(
+        changed("bench-3", "simulated")
+        .replace("192.168.0.12", "127.0.0.1")
+        .replace("= 2.0", "= 10.0")
+        .replace("max_load_N = 12.0", "max_load_N = 20.0")
+        .replace("sensitivity_V_N = 0.5", "sensitivity_V_N = 0.1")
+        .replace("film = 103", "film = 102"),
+        "the simulated bench",
+    )
+    plan = rehearsal(real, simulated)
+    generator, daq = (part.settings for part in plan.instruments)
+    assert generator.max_amplitude_V == 2.0  # type: ignore[attr-defined]
+    assert "127.0.0.1" in generator.resource  # type: ignore[attr-defined]
+    assert daq.channels == {"load_cell": 101, "film": 102}  # type: ignore[attr-defined]
+    assert plan.settings.fixture.mounted == "plate"
+    assert plan.settings.name == "simulated"
+    assert plan.settings.load_cell is not None
+    assert plan.settings.load_cell.max_load_N == 12.0
+    assert plan.settings.load_cell.sensitivity_V_N == 0.1, "of the simulated cell"

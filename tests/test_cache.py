@@ -1,0 +1,95 @@
+"""The disk cache: a hit is what was stored, anything else is a miss, and losing it costs time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rig.cache import DiskCache, NoCache, user_cache
+
+KEY, CONTENT = "contact of a hemisphere, mesh 3", bytes(range(256)) * 2
+
+
+@pytest.fixture
+def cache(tmp_path: Path) -> DiskCache:
+    return DiskCache(tmp_path / "cache")
+
+
+@pytest.mark.parametrize("content", [b"", b"x", CONTENT])
+@pytest.mark.parametrize("key", ["", "plain", "../../etc/passwd", "a\0b", "µ" * 500])
+def test_what_is_put_is_got_under_any_key(cache: DiskCache, key: str, content: bytes) -> None:
+    assert cache.get(key) is None
+    cache.put(key, content)
+    assert cache.get(key) == content
+    assert cache.get(key + "'") is None
+    assert cache.path(key).parent == cache.folder
+
+
+def test_the_last_put_counts(cache: DiskCache) -> None:
+    cache.put(KEY, b"old")
+    cache.put(KEY, b"new")
+    assert cache.get(KEY) == b"new"
+    assert len(list(cache.folder.iterdir())) == 1
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_a_damaged_file_is_a_miss(cache: DiskCache, data: st.DataObject) -> None:
+    cache.put(KEY, CONTENT)
+    path = cache.path(KEY)
+    raw = bytearray(path.read_bytes())
+    damage = data.draw(st.sampled_from(["flip", "cut", "append", "zero"]))
+    at = data.draw(st.integers(0, len(raw) - 1))
+    if damage == "flip":
+        raw[at] ^= data.draw(st.integers(1, 255))
+    elif damage == "cut":
+        del raw[at:]
+    elif damage == "append":
+        raw += data.draw(st.binary(min_size=1, max_size=64))
+    else:
+        raw[at:] = bytes(len(raw) - at)
+    changed = bytes(raw) != path.read_bytes()
+    path.write_bytes(raw)
+    assert (cache.get(KEY) is None) == changed
+    cache.put(KEY, CONTENT)
+    assert cache.get(KEY) == CONTENT, "a damaged entry is replaced"
+
+
+def test_anothers_entry_under_this_name_is_a_miss(cache: DiskCache) -> None:
+    cache.put("other", CONTENT)
+    cache.path("other").rename(cache.path(KEY))
+    assert cache.get(KEY) is None
+
+
+def test_a_folder_that_cannot_be_written_costs_nothing_but_the_cache(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    cache = DiskCache(tmp_path / "file")
+    cache.put(KEY, CONTENT)
+    assert cache.get(KEY) is None
+    assert (tmp_path / "file").read_text() == "not a folder"
+
+
+def test_a_folder_in_the_entrys_place_is_a_miss_and_leaves_no_litter(cache: DiskCache) -> None:
+    cache.path(KEY).mkdir(parents=True)
+    cache.put(KEY, CONTENT)
+    assert cache.get(KEY) is None
+    assert list(cache.folder.iterdir()) == [cache.path(KEY)]
+
+
+def test_no_cache_keeps_nothing() -> None:
+    cache = NoCache()
+    cache.put(KEY, CONTENT)
+    assert cache.get(KEY) is None
+
+
+def test_the_users_cache_can_be_put_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RIG_CACHE", str(tmp_path))
+    user_cache().put(KEY, CONTENT)
+    assert len(list(tmp_path.iterdir())) == 1
+    monkeypatch.delenv("RIG_CACHE")
+    assert "tactile-rig" in str(user_cache().folder)
