@@ -45,6 +45,7 @@ REJECTED_KEPT = 64
 """How many of the bytes that were no frame are kept to be shown."""
 
 _MORE, _NO_FRAME = -1, 0
+_STATUS = np.uint8(0x0F)
 
 
 @dataclass(frozen=True)
@@ -228,16 +229,29 @@ def _measurements(buffer: bytes, at: int, layout: Layout) -> Measurements | None
     size = layout.size
     count = (len(buffer) - at) // size
     rows = np.frombuffer(buffer, np.uint8, count * size, at).reshape(count, size)
-    pattern, mask = _fixed_bytes(layout)
-    wrong = ((rows ^ pattern) & mask).any(axis=1)
-    if layout.crc:
-        wrong |= crc16_of_rows(rows[:, 1:-1]) != 0  # over a message and its own CRC it is 0
-    run = int(wrong.argmax()) if wrong.any() else count
+    run = _whole_alone(buffer, at, layout) if count == 1 else _whole_rows(rows, layout)
     if run == 0:
         return None
     rows = rows[:run]
     data = rows[:, 3 : 3 + layout.values * VALUE_BYTES[layout.data_type]]
-    return Measurements(layout, _values(data, layout.data_type), rows[:, 2] & 0x0F)
+    return Measurements(layout, _values(data, layout.data_type), rows[:, 2] & _STATUS)
+
+
+def _whole_alone(buffer: bytes, at: int, layout: Layout) -> bool:
+    """Whether a last frame is whole: a reader that keeps up gets one at a time, and for one frame
+    this is several times faster than an array."""
+    frame = buffer[at : at + layout.size]
+    known = frame[1] == layout.header and frame[2] >> 4 == 8 | layout.data_type
+    return known and frame[-1] == END and not (layout.crc and crc16(frame[1:-1]))
+
+
+def _whole_rows(rows: npt.NDArray[np.uint8], layout: Layout) -> int:
+    """How many of the rows, from the first, are whole frames of a layout."""
+    pattern, mask = _fixed_bytes(layout)
+    wrong = ((rows ^ pattern) & mask).any(axis=1)
+    if layout.crc:
+        wrong |= crc16_of_rows(rows[:, 1:-1]) != 0  # over a message and its own CRC it is 0
+    return int(wrong.argmax()) if wrong.any() else len(rows)
 
 
 @cache
@@ -277,12 +291,13 @@ def _crc8_table() -> bytes:
 def _crc16_table() -> npt.NDArray[np.uint16]:
     table = np.arange(256, dtype=np.uint16)
     for _ in range(8):
-        table = table >> 1 ^ np.where(table & 1, 0xA001, 0).astype(np.uint16)
+        table = np.where(table & 1, table >> 1 ^ 0xA001, table >> 1).astype(np.uint16)
     return table
 
 
 _CRC8 = _crc8_table()
 _CRC16 = _crc16_table()
+_CRC16_LIST: list[int] = _CRC16.tolist()
 
 
 def crc8(data: bytes) -> int:
@@ -290,6 +305,14 @@ def crc8(data: bytes) -> int:
     crc = 0
     for byte in data:
         crc = _CRC8[crc ^ byte]
+    return crc
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/Modbus, of which a frame carries the low byte first."""
+    crc = 0xFFFF
+    for byte in data:
+        crc = _CRC16_LIST[(crc ^ byte) & 0xFF] ^ crc >> 8
     return crc
 
 

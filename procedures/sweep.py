@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, field_validator, model_validator
 
+from procedures import sweep_layout
+from procedures.sweep_layout import reading_of
 from rig.bench import Fixture
 from rig.errors import InstrumentError
 from rig.instruments import Acquisition, InputChannel, Record
-from rig.recording.layout import Column, Layout, Plot
 from rig.runner.points import Move, Point, Reading
 from rig.runner.procedure import StreamPlan
 from rig.runner.trip import TripError
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 NAME = "sweep"
 FIXTURES: tuple[Fixture, ...] = ("film-clamp",)
 FIGURE = "sweep"
+LAYOUT = sweep_layout.LAYOUT
 STREAMS = (StreamPlan("waveform", "daq", ("load_cell", "film"), "Load cell and film, raw counts"),)
 
 HIGHEST_RATE_S_S = 500e3
@@ -147,23 +149,7 @@ def take(run: Run, point: Point) -> Reading:
     refuse_overload(run, load)
     refuse_silence(voltage)
 
-    response = complex_response(voltage, load)
-    return {
-        "frequency_Hz": point.condition,
-        "gain_dB": response.gain_dB,
-        "gain_standard_error_dB": response.gain_standard_error_dB,
-        "phase_deg": response.phase_deg,
-        "phase_standard_error_deg": response.phase_standard_error_deg,
-        "coherence": response.coherence,
-        "response_real_V_N": response.value.real,
-        "response_imag_V_N": response.value.imag,
-        "response_var_real": float(response.covariance[0, 0]),
-        "response_var_imag": float(response.covariance[1, 1]),
-        "response_cov_real_imag": float(response.covariance[0, 1]),
-        **phasor_columns("load", "N", load),
-        **phasor_columns("voltage", "V", voltage),
-        "settled_at_s": run.elapsed_s(),
-    }
+    return reading_of(complex_response(voltage, load), load, voltage, run.elapsed_s())
 
 
 def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, Any]:
@@ -241,17 +227,6 @@ def refuse_silence(voltage: SineFit) -> None:
         )
 
 
-def phasor_columns(name: str, unit: str, tone: SineFit) -> Reading:
-    """A fitted tone as columns of the reading."""
-    return {
-        f"{name}_amplitude_{unit}": tone.amplitude,
-        f"{name}_standard_error_{unit}": tone.standard_error,
-        f"{name}_phase_deg": math.degrees(math.atan2(tone.phasor.imag, tone.phasor.real)),
-        f"{name}_distortion": tone.harmonic_distortion,
-        f"{name}_residual_rms_{unit}": tone.residual_rms,
-    }
-
-
 def _point(settings: Settings, frequency: float) -> Point:
     from rig.analysis.sine_fit import mains_lines, record_length
 
@@ -277,64 +252,3 @@ def _point(settings: Settings, frequency: float) -> Point:
         acquisitions=(Acquisition(channels, rate, samples),),
         duration_s=settings.settling_s + samples / rate,
     )
-
-
-LAYOUT = Layout(
-    definition="NXrig_sweep",
-    version="1",
-    columns=(
-        Column("frequency", "frequency_Hz", "Hz", "Frequency (Hz)"),
-        Column("gain", "gain_dB", "dB", "Gain (dB re 1 V/N)"),
-        Column("gain_error", "gain_standard_error_dB", "dB", "Standard error of the gain (dB)"),
-        Column("phase", "phase_deg", "deg", "Phase (deg)"),
-        Column("phase_error", "phase_standard_error_deg", "deg", "Standard error (deg)"),
-        Column("coherence", "coherence", "", "Squared coherence"),
-        Column("response_real", "response_real_V_N", "V/N", "Response, real part (V/N)"),
-        Column("response_imag", "response_imag_V_N", "V/N", "Response, imaginary part (V/N)"),
-        Column("response_var_real", "response_var_real", "V^2/N^2", "Variance, real (V^2/N^2)"),
-        Column("response_var_imag", "response_var_imag", "V^2/N^2", "Variance, imag. (V^2/N^2)"),
-        Column("response_cov", "response_cov_real_imag", "V^2/N^2", "Covariance (V^2/N^2)"),
-        Column("load_amplitude", "load_amplitude_N", "N", "Load, peak (N)"),
-        Column("load_phase", "load_phase_deg", "deg", "Load phase (deg)"),
-        Column("load_distortion", "load_distortion", "", "Harmonic distortion of the load"),
-        Column("load_residual", "load_residual_rms_N", "N", "Load residual, rms (N)"),
-        Column("voltage_amplitude", "voltage_amplitude_V", "V", "Film voltage, peak (V)"),
-        Column("voltage_phase", "voltage_phase_deg", "deg", "Film voltage phase (deg)"),
-        Column("voltage_distortion", "voltage_distortion", "", "Harmonic distortion of the film"),
-        Column("voltage_residual", "voltage_residual_rms_V", "V", "Film residual, rms (V)"),
-        Column("settled_at", "settled_at_s", "s", "Time of the record's end (s)"),
-    ),
-    plots=(
-        Plot(
-            "data",
-            "gain",
-            ("frequency",),
-            errors="gain_error",
-            log_axes=("frequency",),
-            title="Gain of the PVDF film against frequency",
-        ),
-        Plot(
-            "phase",
-            "phase",
-            ("frequency",),
-            errors="phase_error",
-            log_axes=("frequency",),
-            title="Phase of the film voltage against the load",
-        ),
-        Plot("coherence", "coherence", ("frequency",), log_axes=("frequency",)),
-        Plot(
-            "load",
-            "load_amplitude",
-            ("frequency",),
-            auxiliary=("load_phase",),
-            log_axes=("frequency",),
-        ),
-        Plot(
-            "voltage",
-            "voltage_amplitude",
-            ("frequency",),
-            auxiliary=("voltage_phase",),
-            log_axes=("frequency", "voltage_amplitude"),
-        ),
-    ),
-)

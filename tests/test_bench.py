@@ -293,7 +293,7 @@ def test_the_wrong_fixture_is_refused() -> None:
     plan = parse_bench('name = "bare"\n[fixture]\nmounted = "plate"\n', "bare.toml")
     bench = Bench(plan, WallClock(), {})
     bench.require_fixture("film-clamp", "plate")
-    with pytest.raises(ConfigurationError, match="has the plate mounted.*needs film-clamp"):
+    with pytest.raises(ConfigurationError, match=r"has the plate mounted.*needs film-clamp"):
         bench.require_fixture("film-clamp")
 
 

@@ -45,7 +45,8 @@ def refuse_unsafe(results: Path, bench_name: str) -> None:
     path = report_path(results, bench_name)
     try:
         report = json.loads(path.read_text())
-        safe = bool(report["safe"])
+        safe = report["safe"] is True
+        failures = dict(report.get("failures", {}))
     except FileNotFoundError:
         return
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -54,7 +55,7 @@ def refuse_unsafe(results: Path, bench_name: str) -> None:
             f"look at the bench, then run: rig make-safe --bench ... or remove {path}",
         ) from error
     if not safe:
-        troubles = "; ".join(f"{name}: {why}" for name, why in report.get("failures", {}).items())
+        troubles = "; ".join(f"{name}: {why}" for name, why in failures.items())
         raise UnsafeError(
             f"the bench {bench_name} was left unsafe at {report.get('time')}: {troubles}",
             f"look at the bench, then run: rig make-safe (report: {path})",
@@ -166,9 +167,11 @@ def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[s
         "failures": failures,
         "journal": order["journal"],
     }
-    _write(Path(order["report"]), report)  # safety first: the report does not wait for the file
+    with contextlib.suppress(OSError):  # a report that cannot be written keeps no data back
+        _write(Path(order["report"]), report)  # safety first: it does not wait for the file
     report["file"] = _compile(Path(order["journal"]))
-    _write(Path(order["report"]), report)
+    with contextlib.suppress(OSError):
+        _write(Path(order["report"]), report)
     return report
 
 

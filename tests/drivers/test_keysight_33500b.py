@@ -139,9 +139,11 @@ def test_a_reply_that_is_not_what_was_set_is_refused(reply: str, told: str) -> N
 )
 def test_a_limit_that_does_not_read_back_ends_the_connection(sent: str, reply: str) -> None:
     place = [message for message, _ in CONNECT].index(sent)
-    with playing("socket", *CONNECT[:place], (sent, reply)) as resource:
-        with pytest.raises(InstrumentError, match="reads back"):
-            connected(resource)
+    with (
+        playing("socket", *CONNECT[:place], (sent, reply)) as resource,
+        pytest.raises(InstrumentError, match="reads back"),
+    ):
+        connected(resource)
 
 
 def test_an_output_state_that_is_neither_on_nor_off_is_refused() -> None:
@@ -167,9 +169,11 @@ def test_the_guards_make_safe_is_one_message_and_ignores_a_dead_runs_errors() ->
 
 
 def test_the_guards_make_safe_believes_the_state_only() -> None:
-    with playing("socket", ("OUTP1 0;:OUTP1?", "1")) as resource:
-        with pytest.raises(InstrumentError, match="set to 0 but reads back 1"):
-            make_safe(settings(resource))
+    with (
+        playing("socket", ("OUTP1 0;:OUTP1?", "1")) as resource,
+        pytest.raises(InstrumentError, match="set to 0 but reads back 1"),
+    ):
+        make_safe(settings(resource))
 
 
 @pytest.mark.parametrize("wrong", [{"max_amplitude_V": 11}, {"channel": 3}, {"timeout_s": 0}])

@@ -326,9 +326,11 @@ def test_a_terminal_beyond_the_model_is_refused() -> None:
 
 @pytest.mark.parametrize("model", ["34972A", "U2722A", ""])
 def test_another_unit_is_refused_untouched(model: str) -> None:
-    with playing("hislip", hello(model)[0]) as resource:
-        with pytest.raises(InstrumentError) as caught:
-            connected(resource)
+    with (
+        playing("hislip", hello(model)[0]) as resource,
+        pytest.raises(InstrumentError) as caught,
+    ):
+        connected(resource)
     assert f"{resource} is a Agilent Technologies {model}" in caught.value.message
     assert "one of U2331A" in caught.value.one_line()
 

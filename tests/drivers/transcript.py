@@ -35,7 +35,12 @@ class Transcript:
             return None
         expected, reply = self._due.pop(0)
         if text != expected:
-            same = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(text, expected)))
+            same = sum(
+                1
+                for _ in takewhile(
+                    lambda pair: pair[0] == pair[1], zip(text, expected, strict=False)
+                )
+            )
             self._surprise = f"expected {expected}\n     got {text}\n         {' ' * same}^"
             return None
         return reply.encode() + b"\n" if isinstance(reply, str) else reply

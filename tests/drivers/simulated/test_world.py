@@ -67,9 +67,7 @@ def test_a_late_channel_sees_the_same_signal_later() -> None:
     drive(bench, 1.0)
     number = bench.begin_acquisition()
     skew = 7 / RATE
-    twice = bench.volts(
-        number, (FILM_TERMINAL, FILM_TERMINAL), 10_000, RATE, 0, 1000, (0.0, skew)
-    )
+    twice = bench.volts(number, (FILM_TERMINAL, FILM_TERMINAL), 10_000, RATE, 0, 1000, (0.0, skew))
     assert twice[:-7, 1] == pytest.approx(twice[7:, 0], abs=1e-9)
 
 

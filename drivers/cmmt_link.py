@@ -1,0 +1,244 @@
+"""A Modbus TCP conversation with a CMMT drive that sends nothing twice and trusts nothing late.
+
+What is written and read, nothing about motion. Every request is sent once: the library's own
+retries are off, because only the caller knows whether a repetition is harmless. After a time-out or
+a broken answer the connection is closed and the next request opens a new one, so that a late answer
+dies with its connection.
+
+Register addresses and the parameter mailbox: the vendor's client festo-edcon 0.14.12,
+``edrive/com_modbus.py``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rig.errors import InstrumentError, InstrumentTimeoutError
+
+if TYPE_CHECKING:
+    from rig.clock import Clock
+
+OUTPUT_IMAGE = 0
+INPUT_IMAGE = 100
+COMMUNICATION_TIMEOUT = 400
+MAILBOX_PARAMETER = 500
+MAILBOX_SUBINDEX = 501
+MAILBOX_ELEMENTS = 502
+MAILBOX_EXECUTE = 503
+MAILBOX_LENGTH = 504
+MAILBOX_DATA = 510
+
+# The library reports on its logger what is raised here anyway; without a handler of the program's
+# own, Python would print it.
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())
+
+_READ, _WRITE, _DONE = 1, 2, 0x10
+_BASIC, _REGULAR = 1, 2
+_BROKEN = (OSError, EOFError, struct.error, ValueError, IndexError, KeyError, TypeError)
+"""What a library may raise over an answer that is none; each becomes an InstrumentError."""
+
+
+class CmmtLink:
+    """One drive's Modbus TCP connection; the time-out is wall time.
+
+    `device` is the name used in errors. A lock is held for one transaction, never longer.
+    """
+
+    def __init__(
+        self, device: str, host: str, port: int, unit_id: int, timeout_s: float, clock: Clock
+    ):
+        self.device = device
+        self.where = f"{host}:{port}"
+        self.charging = False
+        """Whether a time-out is being charged to the clock just now."""
+        self._host, self._port, self._unit_id = host, port, unit_id
+        self._timeout_s = timeout_s
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._client: Any = None
+
+    def identification(self) -> dict[int, str]:
+        """Device identification objects 0 to 5: vendor, product code, revision, URL, product
+        name, model (function 43/14, read codes 1 and 2, as the vendor's client asks)."""
+        found: dict[int, str] = {}
+        for code in (_BASIC, _REGULAR):
+            reply = self._ask(
+                "read device identification",
+                lambda client, code=code: client.read_device_information(
+                    read_code=code, object_id=0, device_id=self._unit_id
+                ),
+            )
+            for number, text in getattr(reply, "information", {}).items():
+                if isinstance(text, bytes):
+                    found[int(number)] = text.decode("ascii", "replace")
+        if not {0, 1, 2, 3, 4, 5} <= set(found):
+            raise self.garbage("read device identification", found, "six objects")
+        return found
+
+    def read(self, address: int, count: int, charge: bool = True) -> list[int]:
+        """`count` holding registers. `charge` off: a time-out does not move the bench's clock."""
+        what = f"read register {address}"
+        reply = self._ask(
+            what,
+            lambda client: client.read_holding_registers(
+                address, count=count, device_id=self._unit_id
+            ),
+            charge,
+        )
+        registers = list(getattr(reply, "registers", ()))
+        if len(registers) != count:
+            raise self.garbage(what, f"{len(registers)} registers", f"{count} registers")
+        return registers
+
+    def write(self, address: int, values: Sequence[int], charge: bool = True) -> None:
+        """Write consecutive registers in one request; the drive acknowledges address and count."""
+        what = f"write register {address}"
+        reply = self._ask(
+            what,
+            lambda client: client.write_registers(address, list(values), device_id=self._unit_id),
+            charge,
+        )
+        if (reply.address, reply.count) != (address, len(values)):
+            raise self.garbage(what, (reply.address, reply.count), (address, len(values)))
+
+    def write_one(self, address: int, value: int) -> None:
+        """Write one register; the drive echoes it."""
+        what = f"write register {address}"
+        reply = self._ask(
+            what, lambda client: client.write_register(address, value, device_id=self._unit_id)
+        )
+        if (reply.address, list(reply.registers)) != (address, [value]):
+            raise self.garbage(what, (reply.address, list(reply.registers)), (address, [value]))
+
+    def parameter(self, number: int, elements: int = 1) -> bytes:
+        """The raw little-endian bytes of a drive parameter (PNU); InstrumentError if refused."""
+        self._mailbox(number, elements)
+        self._execute(_READ, f"read parameter {number}")
+        (length,) = self.read(MAILBOX_LENGTH, 1)
+        if not 0 < length <= 200:
+            raise self.garbage(f"read parameter {number}", f"{length} bytes", "a parameter")
+        registers = self.read(MAILBOX_DATA, (length + 1) // 2)
+        return struct.pack(f"<{len(registers)}H", *registers)[:length]
+
+    def set_parameter(self, number: int, raw: bytes) -> None:
+        """Write a drive parameter and verify that it reads back the same."""
+        self._mailbox(number, 1)
+        self.write_one(MAILBOX_LENGTH, len(raw))
+        padded = raw + b"\0" * (len(raw) % 2)
+        self.write(MAILBOX_DATA, struct.unpack(f"<{len(padded) // 2}H", padded))
+        self._execute(_WRITE, f"write parameter {number}")
+        kept = self.parameter(number)
+        if kept != raw:
+            raise InstrumentError(
+                self.device,
+                f"write parameter {number}",
+                f"set to {raw.hex()} but reads back {kept.hex()}",
+                "something else configures the drive, or the value is outside its range",
+            )
+
+    def close(self) -> None:
+        """Close the connection; the next request opens a new one."""
+        with self._lock:
+            client, self._client = self._client, None
+        if client is not None:
+            with contextlib.suppress(Exception):  # the link is going away whatever it says
+                client.close()
+
+    def garbage(self, what: str, got: object, wanted: object) -> InstrumentError:
+        """Close the link over an answer that is not what was asked for; the error to raise."""
+        self.close()
+        shown = str(got)
+        shown = shown if len(shown) <= 80 else shown[:77] + "..."
+        return InstrumentError(
+            self.device,
+            what,
+            f"the answer {shown} is not {wanted}",
+            f"check the network and that {self.where} is the drive",
+        )
+
+    def _mailbox(self, number: int, elements: int) -> None:
+        self.write_one(MAILBOX_PARAMETER, number)
+        self.write_one(MAILBOX_SUBINDEX, 0)
+        self.write_one(MAILBOX_ELEMENTS, elements)
+
+    def _execute(self, code: int, what: str) -> None:
+        self.write_one(MAILBOX_EXECUTE, code)
+        (result,) = self.read(MAILBOX_EXECUTE, 1)
+        if result != _DONE:
+            raise ParameterRefusedError(
+                self.device,
+                what,
+                f"refused with result {result:#x}",
+                "the firmware may not know this parameter, or it cannot be changed now",
+            )
+
+    def _ask(self, what: str, request: Callable[[Any], Any], charge: bool = True) -> Any:
+        """One transaction, sent once; every failure closes the link and names its cause."""
+        from pymodbus.exceptions import ModbusException
+
+        begun = time.monotonic()
+        try:
+            with self._lock:
+                reply = request(self._opened(what))
+        except InstrumentError:
+            self.close()
+            raise
+        except (ModbusException, *_BROKEN) as error:
+            self.close()
+            if time.monotonic() - begun >= 0.9 * self._timeout_s:
+                raise self._timed_out(what, charge) from error
+            raise self._broken(what, f"{type(error).__name__}: {error}") from error
+        if reply.isError():
+            raise InstrumentError(
+                self.device,
+                what,
+                f"the drive refused it (Modbus exception {reply.exception_code})",
+                f"check the firmware and the settings of the drive at {self.where}",
+            )
+        return reply
+
+    def _opened(self, what: str) -> Any:
+        if self._client is None:
+            from pymodbus.client import ModbusTcpClient
+
+            client = ModbusTcpClient(
+                self._host, port=self._port, timeout=self._timeout_s, retries=0
+            )
+            if not client.connect():
+                raise self._broken(what, "it cannot be opened")
+            self._client = client
+        return self._client
+
+    def _timed_out(self, what: str, charge: bool) -> InstrumentTimeoutError:
+        """A time-out is wall time; the bench's clock has to hear of it, once."""
+        if charge and not self.charging:
+            self.charging = True
+            try:
+                with contextlib.suppress(InstrumentError):  # the time-out itself is the news
+                    self._clock.sleep(self._timeout_s)
+            finally:
+                self.charging = False
+        return InstrumentTimeoutError(
+            self.device,
+            what,
+            f"no answer within {self._timeout_s:g} s",
+            f"check that {self.where} is switched on and reachable",
+        )
+
+    def _broken(self, what: str, cause: str) -> InstrumentError:
+        return InstrumentError(
+            self.device,
+            what,
+            f"the connection failed ({cause})",
+            f"check that {self.where} is switched on and reachable",
+        )
+
+
+class ParameterRefusedError(InstrumentError):
+    """The drive answered, and would not read or write the parameter."""

@@ -1,0 +1,588 @@
+"""ME-Messsysteme GSV-8 amplifier with a three-axis force sensor as a ForceSensor, serial.
+
+The sensor's bridges sit on channels 1 to 3. The amplifier streams mV/V as floats; calibration
+matrix and tare are applied here, so that a file holds both what came and what it means. Nothing is
+driven: there is nothing to make safe.
+
+A response does not say which request it answers, and measurements come between request and
+response. So frames are routed by type, one request is under way at a time, and after a time-out or
+a broken answer the link is not trusted until a query whose answer has another length than those
+that are missing has been answered: late answers come before it and are dropped.
+
+A measurement frame has neither counter nor time stamp. A lost one shows only against bench time
+(`ForceAmplifier.frames_behind`); bytes that are no frame are an error at once.
+
+Settings go to the amplifier's EEPROM, so they are read first and written only where they differ.
+
+Sources: ME-Messsysteme, GSV Communication Protocol Specification (ba-gsvcom_en, 11/2022); GSV-8
+manual (ba-gsv8_en). Commands 49, 4A, 63, 80, 81, A2: parameters as a public client sends them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from drivers import gsv_frames
+from drivers.gsv_frames import Layout, Measurements, Response
+from rig.clock import Clock
+from rig.errors import InstrumentError, InstrumentTimeoutError
+from rig.instruments import ForceFrames, Identity, Reach
+from rig.settings import Settings as BaseSettings
+
+ROLE = "force_sensor"
+
+DEVICE = "force sensor"
+MODEL = "GSV-8"
+MODEL_NUMBER = 0x08
+CHANNELS = (1, 2, 3)
+FIRMWARE_WITH_CRC = (1, 56)
+INPUT_RANGE_MV_V = 3.5
+"""Input range of the factory setting; with a user scale as large, floats are in mV/V."""
+MULTI_AXIS, AUTO_FILTER, MIN_MAX = 0x01, 0x02, 0x04
+READ_WAIT_S = 0.005
+"""Longest wait for bytes in one read: what a request may be kept waiting by the reader."""
+RATE_TOLERANCE = 1e-6
+QUERIES_UNTIL_TRUSTED = 2
+
+Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+
+
+class Settings(BaseSettings):
+    """Where the amplifier is, and what its sensor is."""
+
+    driver: Literal["me-gsv8"] = "me-gsv8"
+    port: str = Field(min_length=1)
+    """Serial port, for example /dev/ttyACM0 or COM5."""
+    baudrate: int = Field(default=230_400, ge=19_200, le=3_500_000)
+    """Bits a second; without meaning over USB."""
+    timeout_s: float = Field(default=0.5, gt=0, le=60)
+    """Longest wait for an answer."""
+    rate_S_s: float = Field(default=1000.0, ge=1, le=12_000)
+    """Frames a second that `connect` sets; `start` may ask for others."""
+    nominal_force_N: float = Field(default=50.0, gt=0)
+    """The sensor's nominal force on each axis."""
+    rated_output_mV_V: float = Field(default=0.6, gt=0)
+    """Bridge output at the nominal force; 0.6 is typical of a K3D40 [unconfirmed for 50 N]."""
+    matrix_N_mV_V: Matrix | None = None
+    """The calibration sheet's matrix, force in N by bridge output in mV/V; without one, nominal
+    force by rated output on the diagonal, which neglects 0.4 to 2 % of crosstalk."""
+    max_force_N: float | None = Field(default=None, gt=0)
+    """Largest force along any axis; the nominal force where it is not given."""
+    user_scale_mV_V: float = Field(default=INPUT_RANGE_MV_V, gt=0)
+    """The amplifier's user scale and the input range that it stands for."""
+
+    @model_validator(mode="after")
+    def _plausible(self) -> Settings:
+        if abs(np.linalg.det(np.array(self.matrix))) < 1e-9:
+            raise ValueError("matrix_N_mV_V cannot be inverted: two axes would be one")
+        if self.max_force_N is not None and self.max_force_N > 1.5 * self.nominal_force_N:
+            raise ValueError(
+                f"max_force_N = {self.max_force_N:g} is beyond 1.5 times nominal_force_N"
+            )
+        return self
+
+    @property
+    def matrix(self) -> Matrix:
+        """Force in N by bridge output in mV/V."""
+        if self.matrix_N_mV_V is not None:
+            return self.matrix_N_mV_V
+        gain = self.nominal_force_N / self.rated_output_mV_V
+        return ((gain, 0.0, 0.0), (0.0, gain, 0.0), (0.0, 0.0, gain))
+
+    @property
+    def force_limit_N(self) -> float:
+        """The largest force allowed along an axis."""
+        return self.max_force_N if self.max_force_N is not None else self.nominal_force_N
+
+
+@dataclass(frozen=True)
+class Command:
+    """A request: its number, its name for people, and how many bytes its answer holds."""
+
+    number: int
+    name: str
+    answer_bytes: int = 0
+
+
+GET_INTERFACE = Command(0x01, "GetInterface", 4)
+READ_USER_SCALE = Command(0x14, "ReadUserScale", 4)
+WRITE_USER_SCALE = Command(0x15, "WriteUserScale")
+GET_SERIAL_NUMBER = Command(0x1F, "GetSerNo", 8)
+STOP_TRANSMISSION = Command(0x23, "StopTransmission")
+START_TRANSMISSION = Command(0x24, "StartTransmission")
+GET_MODE = Command(0x26, "GetMode", 4)
+SET_MODE = Command(0x27, "SetMode")
+FIRMWARE_VERSION = Command(0x2B, "FirmwareVersion", 4)
+GET_TX_MAPPING = Command(0x49, "GetTxMapping", 2)
+SET_TX_MAPPING = Command(0x4A, "SetTxMapping")
+READ_DATA_RATE_RANGE = Command(0x63, "ReadDataRateRange", 4)
+GET_TX_MODE = Command(0x80, "GetTXMode", 2)
+SET_TX_MODE = Command(0x81, "SetTXMode")
+READ_DATA_RATE = Command(0x8A, "ReadDataRate", 4)
+WRITE_DATA_RATE = Command(0x8B, "WriteDataRate")
+GET_INPUT_TYPE = Command(0xA2, "GetInputType", 5)
+
+TOKENS = ((GET_SERIAL_NUMBER, b""), (GET_TX_MAPPING, b"\0"), (GET_INPUT_TYPE, b"\x01\xff"))
+"""Queries that change nothing and whose answers differ in length."""
+
+ERRORS: dict[int, str] = {
+    0x40: "unknown command",
+    0x41: "command not implemented",
+    0x42: "broken frame",
+    0x43: "wrong checksum",
+    0x50: "wrong parameter",
+    0x51: "wrong parameter address",
+    0x52: "wrong parameter value",
+    0x53: "wrong parameter bits",
+    0x54: "parameter too large",
+    0x55: "parameter too small",
+    0x56: "wrong combination of parameters",
+    0x57: "parameter too large for the other settings",
+    0x58: "parameter too small for the other settings",
+    0x59: "parameter not implemented",
+    0x5A: "parameters came too late",
+    0x5B: "wrong number of parameters",
+    0x5C: "parameter does not match the settings",
+    0x5D: "parameter collides with the hardware",
+    0x60: "no data available",
+    0x61: "inconsistent data",
+    0x62: "wrong state",
+    0x63: "function not supported",
+    0x64: "data rate too high",
+    0x6E: "memory in the wrong condition",
+    0x6F: "memory access denied",
+    0x70: "access denied",
+    0x71: "write access is blocked",
+}
+
+
+class GsvLink:
+    """One serial port with frames on it: requests one at a time, measurements on the side.
+
+    Any number of threads may call; each lock is held for one read or one request.
+    """
+
+    def __init__(self, settings: Settings, clock: Clock):
+        self.crc = False
+        """Whether requests carry a CRC; set it once the amplifier is known to have it."""
+        self._settings = settings
+        self._clock = clock
+        self._port: Any = None
+        self._decoder = gsv_frames.Decoder()
+        self._responses: deque[Response] = deque()
+        self._frames: list[Measurements] = []
+        self._frame_bytes = 0
+        self._taken = 0
+        self._unanswered: set[int] = set()
+        self._reading = threading.Lock()
+        self._asking = threading.RLock()
+
+    @property
+    def bytes_consumed(self) -> int:
+        """Bytes taken off the link, less those of measurements not yet collected."""
+        with self._reading:
+            return self._taken - self._frame_bytes
+
+    def expect(self, layout: Layout | None) -> None:
+        """From now on, a measurement of another layout is an error; nothing is, with None."""
+        with self._reading:
+            self._decoder.expected = layout
+            self._decoder.crc_only = layout is not None and layout.crc
+
+    def greet(self) -> None:
+        """End the stream that may be running, and drop all that was under way before."""
+        with self._asking:
+            self._decoder.crc_only = self.crc = False
+            self._unanswered = {STOP_TRANSMISSION.answer_bytes}
+            with self._failing(STOP_TRANSMISSION):
+                self._write(STOP_TRANSMISSION, b"")
+                self._synchronise()
+
+    def request(self, command: Command, parameters: bytes = b"") -> bytes:
+        """Send a request and return the data of its answer; InstrumentError for an error code, a
+        broken answer or none."""
+        with self._asking, self._failing(command):
+            if self._unanswered:
+                self._synchronise()
+            return self._ask(command, parameters)
+
+    def collect(self) -> list[Measurements]:
+        """The measurements since the last call; waits for a few milliseconds where none has come.
+
+        Bytes that are no frame raise InstrumentError.
+        """
+        with self._failing(None):
+            if not self._frames:
+                self._receive()
+            with self._reading:
+                frames, self._frames, self._frame_bytes = self._frames, [], 0
+            self._refuse_rejected("stream")
+            return frames
+
+    def discard(self) -> None:
+        """Forget measurements that nobody collected."""
+        with self._reading:
+            self._frames, self._frame_bytes = [], 0
+
+    def close(self) -> None:
+        """Close the port."""
+        with self._reading:
+            port, self._port = self._port, None
+            self._decoder.reset()
+            self._responses.clear()
+            self._frames, self._frame_bytes = [], 0
+        if port is not None:
+            with contextlib.suppress(OSError):
+                port.close()
+
+    # --- one request -------------------------------------------------------------------------
+
+    def _ask(self, command: Command, parameters: bytes) -> bytes:
+        self._responses.clear()
+        self._write(command, parameters)
+        self._unanswered.add(command.answer_bytes)
+        response = self._await(command, strict=True)
+        if len(response.data) != (command.answer_bytes if response.code <= 1 else 0):
+            raise self._error(
+                command.name,
+                f"the answer holds {len(response.data)} bytes, not {command.answer_bytes}: "
+                f"{response.data.hex(' ')}",
+            )
+        self._unanswered.clear()
+        if response.code > 1:
+            raise self._refused(command, parameters, response.code)
+        return response.data
+
+    def _synchronise(self) -> None:
+        """Make sure that the next answer belongs to the next request.
+
+        What came late is dropped until a query is answered whose answer cannot be taken for one
+        of those that are missing.
+        """
+        for command, parameters in TOKENS:
+            if command.answer_bytes in self._unanswered:
+                continue
+            with self._reading:
+                self._decoder.reset()
+            self._responses.clear()
+            self._write(command, parameters)
+            self._unanswered.add(command.answer_bytes)
+            while True:
+                response = self._await(command, strict=False)
+                if response.code == 0 and len(response.data) == command.answer_bytes:
+                    break
+            self._decoder.take_rejected()
+            self._unanswered.clear()
+            return
+        self._unanswered.clear()
+        raise self._error(
+            "synchronise", "too many answers are missing", "switch the amplifier off and on"
+        )
+
+    def _write(self, command: Command, parameters: bytes) -> None:
+        if self._port is None:
+            self._port = self._open()
+        self._port.write(gsv_frames.request(command.number, parameters, self.crc))
+
+    def _await(self, command: Command, strict: bool) -> Response:
+        """The next response; `strict` makes bytes that are no frame an error."""
+        deadline = time.monotonic() + self._settings.timeout_s
+        while not self._responses:
+            if time.monotonic() > deadline:
+                raise InstrumentTimeoutError(
+                    DEVICE,
+                    command.name,
+                    f"no answer within {self._settings.timeout_s:g} s",
+                    f"check that the amplifier is switched on and connected to "
+                    f"{self._settings.port}",
+                )
+            self._receive()
+            if strict:
+                self._refuse_rejected(command.name)
+        return self._responses.popleft()
+
+    def _receive(self) -> None:
+        """Take what has come off the port, waiting for it a little, and route it."""
+        if not self._reading.acquire(timeout=READ_WAIT_S):
+            return  # another thread is reading: it routes what this one waits for
+        try:
+            if self._port is None:
+                raise self._error("read", "the port is closed")
+            data: bytes = self._port.read(max(1, self._port.in_waiting))
+            for frame in self._decoder.feed(data):
+                if isinstance(frame, Response):
+                    self._responses.append(frame)
+                else:
+                    self._frames.append(frame)
+                    self._frame_bytes += frame.size
+            self._taken += len(data)
+        finally:
+            self._reading.release()
+
+    # --- what goes wrong ---------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def _failing(self, command: Command | None) -> Any:
+        """Turn failures into InstrumentErrors; a port that failed is closed and opened anew."""
+        import serial
+
+        name = command.name if command is not None else "stream"
+        try:
+            yield
+        except InstrumentTimeoutError:
+            with contextlib.suppress(InstrumentError):  # the time-out itself is the news
+                self._clock.sleep(self._settings.timeout_s)
+            raise
+        except (serial.SerialException, OSError, TypeError) as error:  # TypeError: closed meanwhile
+            self.close()
+            raise self._error(name, f"the connection failed ({error})") from error
+
+    def _open(self) -> Any:
+        import serial
+
+        port = serial.Serial(
+            self._settings.port,
+            self._settings.baudrate,
+            timeout=READ_WAIT_S,
+            write_timeout=self._settings.timeout_s,
+            exclusive=True,
+        )
+        with self._reading:
+            self._decoder.reset()
+        return port
+
+    def _refuse_rejected(self, command: str) -> None:
+        with self._reading:
+            rejected = self._decoder.take_rejected()
+        if rejected:
+            raise self._error(
+                command, f"{len(rejected)} bytes came that are no frame: {rejected.hex(' ')}"
+            )
+
+    def _refused(self, command: Command, parameters: bytes, code: int) -> InstrumentError:
+        sent = f" {parameters.hex(' ')}" if parameters else ""
+        reason = ERRORS.get(code, "an error without a name")
+        hint = "check the value against the amplifier's manual"
+        if code == 0x71:
+            hint = "take the write lock off with the maker's program"
+        return InstrumentError(
+            DEVICE, f"{command.name}{sent}", f"refused with error {code:02X}: {reason}", hint
+        )
+
+    def _error(self, command: str, cause: str, hint: str | None = None) -> InstrumentError:
+        usual = f"check the cable and that nothing else talks to {self._settings.port}"
+        return InstrumentError(DEVICE, command, cause, hint or usual)
+
+
+class ForceAmplifier:
+    """A GSV-8 with a three-axis sensor on its first three channels.
+
+    One thread reads; the others may ask meanwhile.
+    """
+
+    def __init__(self, settings: Settings, clock: Clock):
+        self._settings = settings
+        self._clock = clock
+        self._link = GsvLink(settings, clock)
+        self._identity: Identity | None = None
+        self._matrix = np.array(settings.matrix)
+        self._zero = np.zeros(3)
+        self._layout = Layout(len(CHANNELS))
+        self._rates = (0.0, 0.0)
+        self._rate = 0.0
+        self._started_s: float | None = None
+        self._next = 0
+        self._broken: InstrumentError | None = None
+
+    @property
+    def identity(self) -> Identity:
+        """Who answered at connect."""
+        assert self._identity is not None, "connect() identifies before anything else"
+        return self._identity
+
+    @property
+    def bytes_consumed(self) -> int:
+        """Bytes taken off the link since it was opened, less those that `read` has yet to give."""
+        return self._link.bytes_consumed
+
+    @property
+    def frames_behind(self) -> float:
+        """Frames that bench time says are due since `start` and that `read` has not given.
+
+        A few on the way are normal; one that is lost stays. The amplifier's own clock makes it
+        drift by some 50 parts in a million. 0 while no stream runs.
+        """
+        if self._started_s is None:
+            return 0.0
+        return (self._clock.now() - self._started_s) * self._rate - self._next
+
+    def prepare(self) -> None:
+        """End any stream, identify, and set what a stream of bridge outputs needs, read back."""
+        link = self._link
+        link.greet()
+        number = link.request(GET_SERIAL_NUMBER).decode("ascii", "replace").strip("\0 ")
+        major, minor = struct.unpack(">HH", link.request(FIRMWARE_VERSION))
+        link.crc = (major, minor) >= FIRMWARE_WITH_CRC
+        flags = b"\x08" if link.crc else b""
+        model = link.request(GET_INTERFACE, flags)[0] & 0x3F
+        if model != MODEL_NUMBER:
+            raise InstrumentError(
+                DEVICE,
+                GET_INTERFACE.name,
+                f"{self._settings.port} is an amplifier of model number {model:02X}, "
+                f"serial number {number}",
+                f"a {MODEL} ({MODEL_NUMBER:02X}) is expected; correct [force_sensor] in the "
+                "bench file",
+            )
+        self._identity = Identity("ME-Messsysteme", MODEL, number, f"{major}.{minor}")
+        self._layout = Layout(len(CHANNELS), gsv_frames.FLOAT32, link.crc)
+        self._prepare_values()
+        self._rates = self._read_rate_range()
+        self._set_rate(self._settings.rate_S_s)
+
+    def reach(self) -> Mapping[str, Reach]:
+        """Frame rates of the amplifier, and the force that the bench file allows on an axis."""
+        owner = f"force sensor {self.identity.model}"
+        limit = self._settings.force_limit_N
+        return {
+            "rate": Reach(*self._rates, "1/s", owner),
+            "force": Reach(-limit, limit, "N", owner),
+        }
+
+    def start(self, rate_S_s: float) -> float:
+        """Begin to stream at the nearest rate that the amplifier has; that rate in frames/s."""
+        self._set_rate(rate_S_s)
+        self._link.discard()
+        self._link.expect(self._layout)
+        self._broken = None
+        self._next = 0
+        self._link.request(START_TRANSMISSION)
+        self._started_s = self._clock.now()
+        return self._rate
+
+    def read(self) -> ForceFrames | None:
+        """The frames that have arrived, or None; waits a few milliseconds at most.
+
+        Bytes that are no frame raise InstrumentError, now and until the stream is started again.
+        """
+        if self._broken is not None:
+            raise self._broken
+        try:
+            runs = self._link.collect()
+        except InstrumentError as error:
+            self._broken = error if self._started_s is not None else None
+            raise
+        if not runs:
+            return None
+        raw = np.concatenate([run.values for run in runs])
+        status = np.concatenate([run.status for run in runs])
+        first, self._next = self._next, self._next + len(raw)
+        force = (raw.astype(np.float64) - self._zero) @ self._matrix.T
+        return ForceFrames(first, raw, force, status & gsv_frames.SATURATED != 0)
+
+    def stop(self) -> None:
+        """End the stream; frames that nobody read are dropped."""
+        self._started_s = None
+        self._link.request(STOP_TRANSMISSION)
+        self._link.discard()
+
+    def tare(self, zero_mV_V: tuple[float, float, float]) -> None:
+        """Take this reading in mV/V as no force, from the next `read` on."""
+        self._zero = np.array(zero_mV_V, dtype=np.float64)
+
+    def make_safe(self) -> None:
+        """Nothing: a sensor drives nothing, and its stream guards the rest of the bench."""
+
+    def close(self) -> None:
+        """Let go of the port; a stream goes on unheard until the next connect ends it."""
+        self._started_s = None
+        self._link.close()
+
+    # --- settings of the amplifier -----------------------------------------------------------
+
+    def _prepare_values(self) -> None:
+        """Three floats a frame, in mV/V, without matrix, minima and maxima."""
+        scale = self._settings.user_scale_mV_V
+        for channel in CHANNELS:
+            _, hundredths = struct.unpack(
+                ">BI", self._link.request(GET_INPUT_TYPE, bytes((channel, 0xFF)))
+            )
+            if not abs(hundredths / 100 - scale) < 0.005:
+                raise InstrumentError(
+                    DEVICE,
+                    GET_INPUT_TYPE.name,
+                    f"channel {channel} has an input range of {hundredths / 100:g} mV/V, "
+                    f"the bench file says {scale:g} mV/V",
+                    "set the input type with the maker's program, or correct user_scale_mV_V",
+                )
+            self._agree(
+                READ_USER_SCALE, WRITE_USER_SCALE, bytes((channel,)), struct.pack(">f", scale)
+            )
+        (mode,) = struct.unpack(">I", self._link.request(GET_MODE))
+        wanted = mode & ~(MULTI_AXIS | MIN_MAX) | AUTO_FILTER
+        self._agree(GET_MODE, SET_MODE, b"", struct.pack(">I", wanted))
+        self._agree(GET_TX_MODE, SET_TX_MODE, b"\x01", struct.pack(">H", gsv_frames.FLOAT32))
+        count = struct.pack(">H", len(CHANNELS))
+        self._agree(GET_TX_MAPPING, SET_TX_MAPPING, b"\0", count)
+
+    def _agree(self, read: Command, write: Command, index: bytes, wanted: bytes) -> None:
+        """Bring one setting to `wanted`, writing only where it differs, and read it back."""
+        if self._link.request(read, index) == wanted:
+            return
+        self._link.request(write, index + wanted)
+        got = self._link.request(read, index)
+        if got != wanted:
+            raise InstrumentError(
+                DEVICE,
+                write.name,
+                f"set to {wanted.hex(' ')} but reads back {got.hex(' ')}",
+                "something else controls the amplifier, or the value is outside its range",
+            )
+
+    def _set_rate(self, rate_S_s: float) -> None:
+        """The nearest rate that the amplifier has, read back."""
+        if self._read_rate() != rate_S_s:
+            self._link.request(WRITE_DATA_RATE, struct.pack(">f", rate_S_s))
+            got = self._read_rate()
+            if not 0.5 * rate_S_s <= got <= 2 * rate_S_s:  # NaN too
+                raise InstrumentError(
+                    DEVICE,
+                    WRITE_DATA_RATE.name,
+                    f"set to {rate_S_s:g} frames/s but reads back {got:g}",
+                    "something else controls the amplifier",
+                )
+
+    def _read_rate(self) -> float:
+        (self._rate,) = struct.unpack(">f", self._link.request(READ_DATA_RATE))
+        return self._rate
+
+    def _read_rate_range(self) -> tuple[float, float]:
+        """Slowest and fastest rate as the amplifier is set."""
+        (fastest,) = struct.unpack(">f", self._link.request(READ_DATA_RATE_RANGE, b"\0"))
+        (slowest,) = struct.unpack(">f", self._link.request(READ_DATA_RATE_RANGE, b"\x01"))
+        return float(slowest), float(fastest)
+
+
+def connect(settings: Settings, clock: Clock) -> ForceAmplifier:
+    """Connect to the amplifier, leaving it silent and ready to stream three floats a frame."""
+    amplifier = ForceAmplifier(settings, clock)
+    try:
+        amplifier.prepare()
+    except BaseException:
+        amplifier.close()
+        raise
+    return amplifier
+
+
+def make_safe(settings: Settings) -> None:
+    """Nothing: a sensor drives nothing, and whoever still reads it may need it."""

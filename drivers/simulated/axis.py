@@ -1,0 +1,349 @@
+"""The motion of one simulated axis: what its setpoint and its carriage do, at any past instant.
+
+Pure mechanics without I/O, protocol or clock: every call says what time it is. Motion is a history
+of stretches of constant acceleration, so position and velocity are exact wherever they are asked
+for, and a force sensor may sample the past. Distances in mm, speeds in mm/s, World time in integer
+microseconds.
+
+The setpoint follows trapezoidal profiles. The carriage follows the setpoint unless an external
+force larger than the drive's force limit holds it back: then it stands where it is, and the
+following error grows until its window is left. That, and the limit switches, are looked at once a
+millisecond of World time while the axis moves, as a drive's own cycle does.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+CYCLE_us = 1000
+HISTORY_KEPT = 20_000
+"""Stretches of motion kept: minutes of servo motion at 100 retargets a second."""
+
+Load = Callable[[float, int], float]
+"""Force in N along the axis's positive direction on a carriage at (position in mm, World us)."""
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """What the axis is built like."""
+
+    start_mm: float = 10.0
+    """Where the carriage stands when the World begins."""
+    low_switch_mm: float = -5.0
+    """Where the negative hardware limit switch is."""
+    high_switch_mm: float = 105.0
+    quick_deceleration_mm_s2: float = 5000.0
+    """How hard the drive brakes when a limit switch or a fault makes it stop."""
+    following_window_mm: float = 0.5
+    """How far the carriage may lag behind the setpoint."""
+    fixed_stop_window_mm: float = 0.05
+    """The same while the drive travels to a fixed stop: there it means that the stop is found."""
+    peak_force_N: float = 200.0
+    """What the drive can push with when nothing else limits it."""
+
+
+class Event(Enum):
+    """What the axis met by itself; each ends its motion."""
+
+    FOLLOWING_ERROR = "following error"
+    FIXED_STOP = "fixed stop"
+    LOW_SWITCH = "negative limit switch"
+    HIGH_SWITCH = "positive limit switch"
+
+
+@dataclass(frozen=True)
+class Happening:
+    """An event, when and where."""
+
+    event: Event
+    t_us: int
+    position_mm: float
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of constant acceleration, of finite or endless (``inf``) length."""
+
+    duration_s: float
+    acceleration_mm_s2: float
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A phase placed in the World: its state at `start_s`."""
+
+    start_s: float
+    position_mm: float
+    velocity_mm_s: float
+    acceleration_mm_s2: float
+
+    def at(self, t_s: float) -> tuple[float, float]:
+        """Position and velocity."""
+        dt = t_s - self.start_s
+        velocity = self.velocity_mm_s + self.acceleration_mm_s2 * dt
+        return self.position_mm + (self.velocity_mm_s + velocity) / 2 * dt, velocity
+
+
+def stopping_distance(velocity_mm_s: float, deceleration_mm_s2: float) -> float:
+    """Signed distance covered by a controlled stop: v |v| / 2a."""
+    return velocity_mm_s * abs(velocity_mm_s) / (2 * deceleration_mm_s2)
+
+
+def stop_profile(velocity_mm_s: float, deceleration_mm_s2: float) -> list[Phase]:
+    """A controlled stop."""
+    if velocity_mm_s == 0:
+        return []
+    braking = -math.copysign(deceleration_mm_s2, velocity_mm_s)
+    return [Phase(abs(velocity_mm_s) / deceleration_mm_s2, braking)]
+
+
+def move_profile(
+    distance_mm: float, velocity_mm_s: float, speed: float, acceleration: float, deceleration: float
+) -> list[Phase]:
+    """From a velocity to rest `distance_mm` further on, in the least time that the limits allow.
+
+    A motion that cannot stop in time, or goes the other way, stops first and comes back.
+    """
+    overshoot = stopping_distance(velocity_mm_s, deceleration)
+    away = velocity_mm_s * distance_mm < 0 or (distance_mm == 0 and velocity_mm_s != 0)
+    if away or abs(overshoot) > abs(distance_mm) * (1 + 1e-12) + 1e-12:
+        first = stop_profile(velocity_mm_s, deceleration)
+        return first + move_profile(distance_mm - overshoot, 0.0, speed, acceleration, deceleration)
+    if distance_mm == 0:
+        return []
+    sign = math.copysign(1.0, distance_mm)
+    length, begin = abs(distance_mm), abs(velocity_mm_s)
+    peak_squared = (length + begin**2 / (2 * acceleration)) / (
+        1 / (2 * acceleration) + 1 / (2 * deceleration)
+    )
+    peak = min(max(math.sqrt(peak_squared), begin), max(speed, 0.0)) if begin <= speed else speed
+    rate = acceleration if peak >= begin else -deceleration
+    changing = (peak**2 - begin**2) / (2 * rate)
+    cruising = max(0.0, length - changing - peak**2 / (2 * deceleration))
+    phases = [
+        Phase((peak - begin) / rate, sign * rate),
+        Phase(cruising / peak if peak else 0.0, 0.0),
+        Phase(peak / deceleration, -sign * deceleration),
+    ]
+    return [phase for phase in phases if phase.duration_s > 0]
+
+
+class Path:
+    """A history of stretches that ends at rest."""
+
+    def __init__(self, start_mm: float):
+        self._stretches = [Stretch(0.0, start_mm, 0.0, 0.0)]
+        self._starts = [0.0]
+
+    @property
+    def rests_from_s(self) -> float:
+        """When the motion planned so far ends."""
+        return self._starts[-1]
+
+    @property
+    def rests_at_mm(self) -> float:
+        """Where it ends."""
+        return self._stretches[-1].position_mm
+
+    def at(self, t_s: float) -> tuple[float, float]:
+        """Position and velocity; before the kept history, its first state."""
+        index = max(bisect_right(self._starts, t_s) - 1, 0)
+        stretch = self._stretches[index]
+        return stretch.at(max(t_s, stretch.start_s))
+
+    def acceleration(self, t_s: float) -> float:
+        """Acceleration in mm/s^2."""
+        return self._stretches[max(bisect_right(self._starts, t_s) - 1, 0)].acceleration_mm_s2
+
+    def replan(
+        self, t_s: float, position_mm: float, velocity_mm_s: float, phases: list[Phase], end_mm: float
+    ) -> None:
+        """From `t_s` on do this instead; the motion ends exactly at `end_mm`."""
+        keep = bisect_right(self._starts, t_s)
+        if keep and self._starts[keep - 1] == t_s:
+            keep -= 1  # a stretch of no length says nothing
+        del self._stretches[keep:], self._starts[keep:]
+        for phase in phases:
+            stretch = Stretch(t_s, position_mm, velocity_mm_s, phase.acceleration_mm_s2)
+            self._append(stretch)
+            t_s += phase.duration_s
+            position_mm, velocity_mm_s = stretch.at(t_s)
+        self._append(Stretch(t_s, end_mm, 0.0, 0.0))
+        if len(self._starts) > 2 * HISTORY_KEPT:
+            del self._stretches[:-HISTORY_KEPT], self._starts[:-HISTORY_KEPT]
+
+    def _append(self, stretch: Stretch) -> None:
+        self._stretches.append(stretch)
+        self._starts.append(stretch.start_s)
+
+
+@dataclass(frozen=True)
+class Command:
+    """The move that was asked for last."""
+
+    target_mm: float
+    speed_mm_s: float
+    acceleration_mm_s2: float
+    deceleration_mm_s2: float
+
+    def profile(self, position_mm: float, velocity_mm_s: float) -> list[Phase]:
+        """How to get there from a state of motion."""
+        return move_profile(
+            self.target_mm - position_mm,
+            velocity_mm_s,
+            self.speed_mm_s,
+            self.acceleration_mm_s2,
+            self.deceleration_mm_s2,
+        )
+
+
+class Axis:
+    """One axis. Commands never go back in time; positions may be asked for at any past instant."""
+
+    def __init__(self, mechanics: Mechanics, load: Load):
+        self.mechanics = mechanics
+        self.force_limit_N = mechanics.peak_force_N
+        """What the drive pushes with at most, from now on."""
+        self.seeks_fixed_stop = False
+        """Whether being held back is what the motion is for."""
+        self.jammed = False
+        """A fault: the carriage cannot be moved by any force."""
+        self._load = load
+        self._setpoint = Path(mechanics.start_mm)
+        self._carriage = Path(mechanics.start_mm)
+        self._command: Command | None = None
+        self._held_direction = 0.0
+        """Which way the setpoint went on when the carriage was held back; 0 while it follows."""
+        self._settled_us = 0
+        self._settling = False
+        self._happenings: list[Happening] = []
+
+    # --- what it does -------------------------------------------------------------------------
+
+    def move(self, now_us: int, command: Command) -> None:
+        """Go to a position, also out of a motion under way; ValueError for a speed of nothing."""
+        if not command.speed_mm_s > 0:
+            raise ValueError(f"cannot move at {command.speed_mm_s} mm/s")
+        self.settle(now_us)
+        position, velocity = self._setpoint.at(now_us * 1e-6)
+        self._command = command
+        self._become(
+            now_us, position, velocity, command.profile(position, velocity), command.target_mm
+        )
+
+    def stop(self, now_us: int, deceleration_mm_s2: float) -> None:
+        """A controlled stop."""
+        self.settle(now_us)
+        self._brake(now_us, deceleration_mm_s2)
+
+    def quick_stop(self, now_us: int) -> None:
+        """Stop as hard as the drive can."""
+        self.stop(now_us, self.mechanics.quick_deceleration_mm_s2)
+
+    # --- what can be seen of it ---------------------------------------------------------------
+
+    def position(self, t_us: int) -> float:
+        """Where the carriage is or was, in mm."""
+        self.settle(t_us)
+        return self._carriage.at(t_us * 1e-6)[0]
+
+    def velocity(self, t_us: int) -> float:
+        """The carriage's velocity in mm/s."""
+        self.settle(t_us)
+        return self._carriage.at(t_us * 1e-6)[1]
+
+    def acceleration(self, t_us: int) -> float:
+        """The carriage's acceleration in mm/s^2."""
+        self.settle(t_us)
+        return self._carriage.acceleration(t_us * 1e-6)
+
+    def following_error(self, t_us: int) -> float:
+        """How far the carriage lags behind the setpoint, in mm."""
+        self.settle(t_us)
+        return self._setpoint.at(t_us * 1e-6)[0] - self._carriage.at(t_us * 1e-6)[0]
+
+    def finished(self, t_us: int) -> bool:
+        """Whether the setpoint has come to its end."""
+        self.settle(t_us)
+        return t_us * 1e-6 >= self._setpoint.rests_from_s
+
+    def happenings(self, now_us: int) -> list[Happening]:
+        """What the axis met since this was last asked, in order."""
+        self.settle(now_us)
+        met, self._happenings = self._happenings, []
+        return met
+
+    # --- one cycle after the other ------------------------------------------------------------
+
+    def settle(self, t_us: int) -> None:
+        """Bring the history up to `t_us`. A load that asks for a position meanwhile, because
+        another axis moves the same thing, gets the history as it is."""
+        if self._settling or t_us <= self._settled_us:
+            return
+        self._settling = True
+        try:
+            cycle = (self._settled_us // CYCLE_us + 1) * CYCLE_us
+            while cycle <= t_us and (cycle - CYCLE_us) * 1e-6 < self._setpoint.rests_from_s:
+                self._cycle(cycle)
+                cycle += CYCLE_us
+            self._settled_us = t_us
+        finally:
+            self._settling = False
+
+    def _cycle(self, t_us: int) -> None:
+        position, velocity = self._carriage.at(t_us * 1e-6)
+        wanted, going = self._setpoint.at(t_us * 1e-6)
+        if self._held_direction:
+            self._stay(t_us, position, wanted, going)
+        elif going and self._held_back(position, going, t_us):
+            self._held_direction = math.copysign(1.0, going)
+            self._carriage.replan(t_us * 1e-6, position, 0.0, [], position)
+        elif velocity < 0 and position <= self.mechanics.low_switch_mm:
+            self._meet(Event.LOW_SWITCH, t_us, position)
+        elif velocity > 0 and position >= self.mechanics.high_switch_mm:
+            self._meet(Event.HIGH_SWITCH, t_us, position)
+
+    def _held_back(self, position: float, going: float, t_us: int) -> bool:
+        against = -self._load(position, t_us) * math.copysign(1.0, going)
+        return self.jammed or against > self.force_limit_N
+
+    def _stay(self, t_us: int, position: float, wanted: float, going: float) -> None:
+        """The carriage stands; it goes again when the setpoint has come back to it.
+
+        A load that gives way meanwhile (a skin that creeps) does not draw the carriage on.
+        """
+        ahead = (wanted - position) * self._held_direction
+        seeking, mechanics = self.seeks_fixed_stop, self.mechanics
+        if ahead > (mechanics.fixed_stop_window_mm if seeking else mechanics.following_window_mm):
+            self._meet(Event.FIXED_STOP if seeking else Event.FOLLOWING_ERROR, t_us, position)
+        elif ahead <= 0 and not self.jammed and self._command is not None:
+            self._held_direction = 0.0
+            phases = self._command.profile(position, going)
+            self._become(t_us, position, going, phases, self._command.target_mm)
+        elif -ahead > mechanics.following_window_mm:
+            self._meet(Event.FOLLOWING_ERROR, t_us, position)
+
+    def _meet(self, event: Event, t_us: int, position: float) -> None:
+        self._happenings.append(Happening(event, t_us, position))
+        self._brake(t_us, self.mechanics.quick_deceleration_mm_s2)
+
+    def _brake(self, t_us: int, deceleration_mm_s2: float) -> None:
+        """A carriage that is held back stands already: its setpoint comes back to it."""
+        path = self._carriage if self._held_direction else self._setpoint
+        self._held_direction = 0.0
+        position, velocity = path.at(t_us * 1e-6)
+        end = position + stopping_distance(velocity, deceleration_mm_s2)
+        phases = stop_profile(velocity, deceleration_mm_s2)
+        self._command = None
+        self._become(t_us, position, velocity, phases, end)
+
+    def _become(
+        self, t_us: int, position: float, velocity: float, phases: list[Phase], end_mm: float
+    ) -> None:
+        self._setpoint.replan(t_us * 1e-6, position, velocity, phases, end_mm)
+        if not self._held_direction:
+            self._carriage.replan(t_us * 1e-6, position, velocity, phases, end_mm)

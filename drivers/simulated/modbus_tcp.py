@@ -1,0 +1,275 @@
+"""Modbus TCP as a server speaks it: frames in, frames out, and a small TCP server around that.
+
+The protocol core knows function codes and exceptions and nothing about a drive; the drive is a
+`RegisterDevice` and knows nothing about frames. pymodbus's own server is not used because its
+device identification belongs to the process, not to a device, and because it answers for units
+that do not exist; here every device answers for itself, and `WireFaults` reaches every reply.
+
+Functions: 3 and 4 (read registers, one address space), 6, 16, 23, 43/14 (device identification).
+Source: Modbus Application Protocol Specification V1.1b3; Modbus Messaging on TCP/IP V1.0b.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Protocol, cast
+
+from drivers.simulated.faults import FaultPlan, WireFaults
+
+ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE = 1, 2, 3, 4
+MOST_READ, MOST_WRITTEN, MOST_WRITTEN_WITH_READ = 125, 123, 121
+LONGEST_REPLY_PDU = 253
+UNITS = (0, 1, 255)
+"""Unit identifiers answered to: the only device here, and what means "whoever is there"."""
+
+_HEADER = struct.Struct(">HHHB")
+
+
+class ModbusError(Exception):
+    """An exception reply with this code; nothing was changed."""
+
+    def __init__(self, code: int):
+        super().__init__(f"exception {code}")
+        self.code = code
+
+
+class RegisterDevice(Protocol):
+    """What is behind the registers; `by` names the connection. Answers at once."""
+
+    def read(self, address: int, count: int, by: str) -> Sequence[int]:
+        """The registers, or ModbusError."""
+        ...
+
+    def write(self, address: int, values: Sequence[int], by: str) -> None:
+        """Take the values, or ModbusError with nothing stored."""
+        ...
+
+    def identification(self) -> Mapping[int, str]:
+        """Device identification objects by number."""
+        ...
+
+
+# --- one request -----------------------------------------------------------------------------
+
+
+def describe(pdu: bytes) -> bytes:
+    """A request in words that a fault plan can name: ``FC3 100``, ``FC16 0``, ``FC43``."""
+    code = pdu[0]
+    if code in (3, 4, 6, 16, 23) and len(pdu) >= 3:
+        return b"FC%d %d" % (code, int.from_bytes(pdu[1:3], "big"))
+    return b"FC%d" % code
+
+
+def reply_to(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
+    """The reply PDU to a request PDU."""
+    try:
+        return bytes([pdu[0]]) + _FUNCTIONS.get(pdu[0], _unknown)(pdu, device, by)
+    except ModbusError as error:
+        return bytes([pdu[0] | 0x80, error.code])
+
+
+def _unknown(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
+    raise ModbusError(ILLEGAL_FUNCTION)
+
+
+def _read(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
+    address, count = _unpack(">HH", pdu[1:])
+    return _registers(device, address, count, by)
+
+
+def _write_one(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
+    address, value = _unpack(">HH", pdu[1:])
+    device.write(address, [value], by)
+    return pdu[1:]
+
+
+def _write(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
+    address, count = _unpack(">HH", pdu[1:5])
+    device.write(address, _values(pdu[5:], count, MOST_WRITTEN), by)
+    return pdu[1:5]
+
+
+def _read_write(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
+    """Writes, then reads."""
+    read_address, read_count, address, count = _unpack(">HHHH", pdu[1:9])
+    values = _values(pdu[9:], count, MOST_WRITTEN_WITH_READ)
+    if not 1 <= read_count <= MOST_READ:
+        raise ModbusError(ILLEGAL_VALUE)
+    device.write(address, values, by)
+    return _registers(device, read_address, read_count, by)
+
+
+def _identify(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
+    """Function 43, MEI type 14: codes 1 to 3 stream, 4 asks for one object."""
+    kind, code, first = _unpack(">BBB", pdu[1:])
+    if kind != 14:
+        raise ModbusError(ILLEGAL_FUNCTION)
+    objects = device.identification()
+    last = {1: 2, 2: 127, 3: 255}.get(code)
+    if code == 4:
+        if first not in objects:
+            raise ModbusError(ILLEGAL_ADDRESS)
+        last = first
+    if last is None:
+        raise ModbusError(ILLEGAL_VALUE)
+    if first > last or first not in objects:
+        first = 0  # an unknown object to begin with means from the beginning
+    body, told, more, following = b"", 0, 0, 0
+    for number in sorted(n for n in objects if first <= n <= last):
+        text = objects[number].encode("ascii", "replace")
+        entry = bytes([number, len(text)]) + text
+        if len(body) + len(entry) > LONGEST_REPLY_PDU - 7:
+            more, following = 0xFF, number
+            break
+        body += entry
+        told += 1
+    conformity = 0x82  # regular identification, stream and single access
+    return bytes([14, code, conformity, more, following, told]) + body
+
+
+_FUNCTIONS = {3: _read, 4: _read, 6: _write_one, 16: _write, 23: _read_write, 43: _identify}
+
+
+def _registers(device: RegisterDevice, address: int, count: int, by: str) -> bytes:
+    if not 1 <= count <= MOST_READ:
+        raise ModbusError(ILLEGAL_VALUE)
+    if address + count > 0x10000:
+        raise ModbusError(ILLEGAL_ADDRESS)
+    return struct.pack(f">B{count}H", 2 * count, *device.read(address, count, by))
+
+
+def _values(data: bytes, count: int, most: int) -> list[int]:
+    """The register values behind a byte count."""
+    if not 1 <= count <= most or len(data) != 1 + 2 * count or data[0] != 2 * count:
+        raise ModbusError(ILLEGAL_VALUE)
+    return list(struct.unpack(f">{count}H", data[1:]))
+
+
+def _unpack(layout: str, data: bytes) -> tuple[int, ...]:
+    if len(data) != struct.calcsize(layout):
+        raise ModbusError(ILLEGAL_VALUE)
+    return struct.unpack(layout, data)
+
+
+# --- frames ----------------------------------------------------------------------------------
+
+
+class FrameError(Exception):
+    """Bytes that are no Modbus TCP frame: the connection cannot be understood any more."""
+
+
+class FrameSplitter:
+    """Cuts a byte stream into (transaction, unit, PDU)."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+
+    def feed(self, data: bytes) -> list[tuple[int, int, bytes]]:
+        """The complete frames so far; FrameError where there can be none."""
+        self._buffer += data
+        frames = []
+        while len(self._buffer) >= _HEADER.size:
+            transaction, protocol, length, unit = _HEADER.unpack(self._buffer[: _HEADER.size])
+            if protocol != 0 or not 2 <= length <= LONGEST_REPLY_PDU + 1:
+                raise FrameError(f"protocol {protocol}, length {length}")
+            end = 6 + length
+            if len(self._buffer) < end:
+                break
+            frames.append((transaction, unit, self._buffer[_HEADER.size : end]))
+            self._buffer = self._buffer[end:]
+        return frames
+
+
+def frame(transaction: int, unit: int, pdu: bytes) -> bytes:
+    """A PDU with its header."""
+    return _HEADER.pack(transaction, 0, len(pdu) + 1, unit) + pdu
+
+
+# --- the server ------------------------------------------------------------------------------
+
+
+class ModbusTcpServer:
+    """Listens on ``host`` for any number of clients; commands are logged as ``modbus#n``.
+
+    ``port`` 0 takes any free one, which `port` then tells.
+    """
+
+    def __init__(
+        self,
+        device: RegisterDevice,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        faults: WireFaults | None = None,
+    ):
+        self.device = device
+        self.faults = faults if faults is not None else WireFaults(FaultPlan(), "")
+        self.transports: set[asyncio.Transport] = set()
+        self._host = host
+        self._port = port
+        self._server: asyncio.Server | None = None
+        self._connections = 0
+
+    @property
+    def port(self) -> int:
+        """The TCP port listened on."""
+        return self._port
+
+    async def start(self) -> None:
+        """Begin to listen. Raises OSError when the port is taken."""
+        loop = asyncio.get_running_loop()
+        self._server = await loop.create_server(lambda: _Peer(self), self._host, self._port)
+        self._port = self._server.sockets[0].getsockname()[1]
+
+    async def close(self) -> None:
+        """Stop listening and drop every connection."""
+        server, self._server = self._server, None
+        if server is not None:
+            server.close()
+        for transport in list(self.transports):
+            transport.abort()
+        if server is not None:
+            await server.wait_closed()
+
+    def next_name(self) -> str:
+        """A name for a new connection, numbered from 1."""
+        self._connections += 1
+        return f"modbus#{self._connections}"
+
+
+class _Peer(asyncio.Protocol):
+    """One connection; asyncio sets TCP_NODELAY on it."""
+
+    def __init__(self, server: ModbusTcpServer):
+        self._server = server
+        self._link = server.faults.link()
+        self._splitter = FrameSplitter()
+        self._by = server.next_name()
+        self._transport: asyncio.Transport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)
+        self._server.transports.add(self._transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._transport is not None:
+            self._server.transports.discard(self._transport)
+
+    def data_received(self, data: bytes) -> None:
+        assert self._transport is not None
+        try:
+            frames = self._splitter.feed(data)
+        except FrameError:
+            self._transport.abort()
+            return
+        for transaction, unit, pdu in frames:
+            if unit not in UNITS:
+                continue  # nobody there: silence
+            reply = frame(transaction, unit, reply_to(pdu, self._server.device, self._by))
+            delivery = self._link.exchange(describe(pdu), reply, transaction)
+            for one in delivery.replies:
+                self._transport.write(one.data)
+            if delivery.close:
+                self._transport.close()
+                return

@@ -1,0 +1,257 @@
+"""What a measured response says about the circuit of the paper's figure 6, and what it cannot say.
+
+The response fixes a level and a pole (`rig.analysis.film_fit`). Which circuit values it leaves open
+is computed, not assumed: from the derivatives of ln|H| of the nodal circuit by the logarithm of each
+value, at a circuit that has the measured level and pole, weighted with the measured errors. A value
+whose column is zero does not show; values whose columns are parallel act as one; and what is left
+in the null space are changes of several values together that leave |H| as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rig.analysis.estimate import Estimate
+from rig.analysis.response import DB_PER_RELATIVE, Complexes, Reals
+from rig.analysis.response_curve import ResponseCurve
+from rig.model import pvdf
+from rig.model.pvdf import CircuitSettings
+
+Reading = Callable[[ArrayLike, CircuitSettings], Complexes]
+READINGS: Mapping[str, Reading] = {
+    "printed": pvdf.printed,
+    "ohmic": pvdf.ohmic,
+    "circuit": pvdf.circuit,
+}
+"""The three readings of the paper's equation (4), by name."""
+PAPER_OFFSET_DB = 24.0
+"""What the paper subtracted from its computed gain to meet the measured one (figure 7)."""
+SYMBOLS: Mapping[str, str] = {
+    "film_capacitance_pF": "C_PV",
+    "film_resistance_ohm": "R_PV",
+    "input_capacitance_pF": "C_OPi",
+    "input_resistance_ohm": "R_OPi",
+    "output_resistance_ohm": "R_OPo",
+    "series_resistance_ohm": "R1+R2",
+    "feedback_resistance_ohm": "R3+R4",
+    "d33_C_N": "d33",
+    "gain": "gain",
+}
+
+_STEP = 1e-3
+_PARALLEL = 1e-6
+_NULL = 1e-7
+_ASYMPTOTE_HZ = 1e-2
+
+
+@dataclass(frozen=True)
+class Separability:
+    """What |H| tells about the values of a circuit; all names are symbols of the paper."""
+
+    fixed: int
+    """How many combinations of values the response fixes."""
+    without_effect: tuple[str, ...]
+    """Values that do not show in |H| however large."""
+    act_as_one: tuple[tuple[str, ...], ...]
+    """Values that enter |H| through one common quantity."""
+    trade: tuple[Mapping[str, float], ...]
+    """Null directions among what is left: exponents of common changes that leave |H| as it is."""
+    seen_above: Mapping[str, float]
+    """Values that are zero in the circuit: from which size (ohm) |H| would show them at 95 %."""
+
+    def sentences(self) -> list[str]:
+        """The list in words."""
+        lines = [f"|H| fixes {self.fixed} combinations of the circuit's values; it cannot separate:"]
+        lines += [f"  {' from '.join(names)} (they act as one)" for names in self.act_as_one]
+        for direction in self.trade:
+            powers = ", ".join(f"{name}^{power:+.3g}" for name, power in direction.items())
+            lines.append(f"  changes in proportion {powers} (they leave |H| as it is)")
+        if self.without_effect:
+            lines.append(f"  {', '.join(self.without_effect)} from anything (no effect on |H|)")
+        for name, size in self.seen_above.items():
+            lines.append(f"  {name} from zero below {size:.3g} ohm")
+        return lines
+
+
+@dataclass(frozen=True)
+class CircuitComparison:
+    """Level and pole found, against the circuit as the paper gives it."""
+
+    level: Estimate
+    corner: Estimate
+    offsets: Mapping[str, Estimate]
+    """Reading less measured level at 1 Hz, dB: what to subtract from that reading."""
+    film_corner_Hz: float
+    """1 / (2 pi R_PV C_PV) of the given circuit: 6631 Hz with Table 1."""
+    circuit_corner_Hz: float
+    """The pole of the given circuit by nodal analysis (R_OPi parallel to R_PV)."""
+    separability: Separability
+
+    def sentences(self) -> list[str]:
+        """The comparison in words."""
+        offsets = ", ".join(f"{name} {offset.value:+.2f} dB" for name, offset in self.offsets.items())
+        return [
+            self._corner_sentence(),
+            f"Offset of each reading of equation (4) to the measured level (+- "
+            f"{self.level.high - self.level.value:.2g} dB): {offsets}; the paper subtracted "
+            f"{PAPER_OFFSET_DB:g} dB from its own.",
+            *self.separability.sentences(),
+        ]
+
+    def _corner_sentence(self) -> str:
+        predicted = (
+            f"the circuit's values predict {self.film_corner_Hz:.0f} Hz for the film alone "
+            f"(R_PV C_PV) and {self.circuit_corner_Hz:.0f} Hz with the amplifier's input"
+        )
+        if not math.isfinite(self.corner.high):
+            return f"No corner is seen below {self.corner.low:.0f} Hz; {predicted}."
+        if self.corner.covers(self.film_corner_Hz) or self.corner.covers(self.circuit_corner_Hz):
+            return f"The gain saturates at {self.corner}, as expected: {predicted}."
+        ratio = self.film_corner_Hz / self.corner.value
+        return (
+            f"The gain saturates at {self.corner}; {predicted}: these values do not explain the "
+            f"measured saturation, which needs a time constant {ratio:.2f} times R_PV C_PV."
+        )
+
+
+def compare_circuit(
+    curve: ResponseCurve, level: Estimate, corner: Estimate, given: CircuitSettings
+) -> CircuitComparison:
+    """Set ``level`` (dB re 1 V/N at 1 Hz) and ``corner`` (Hz), as fitted, beside a given circuit."""
+    offsets = {
+        name: Estimate.normal(
+            asymptote_dB(reading, given) - level.value, level.standard_error, "dB"
+        )
+        for name, reading in READINGS.items()
+    }
+    film_time = given.film_resistance_ohm * given.film_capacitance_pF * 1e-12
+    return CircuitComparison(
+        level=level,
+        corner=corner,
+        offsets=offsets,
+        film_corner_Hz=1 / (2 * math.pi * film_time),
+        circuit_corner_Hz=pvdf.corner_frequency(given),
+        separability=separability(curve, matched(given, level.value, corner.value)),
+    )
+
+
+def asymptote_dB(reading: Reading, circuit: CircuitSettings) -> float:  # noqa: N802
+    """Level of a reading at 1 Hz as equation (2) means it: its low-frequency asymptote, dB."""
+    response = reading(np.array([_ASYMPTOTE_HZ]), circuit)
+    return float(20 * np.log10(np.abs(response[0]) / _ASYMPTOTE_HZ))
+
+
+def matched(given: CircuitSettings, level_dB: float, corner_Hz: float) -> CircuitSettings:
+    """The given circuit with C_PV and d33 changed to a level and a corner (where it has one)."""
+    values = given.model_dump()
+    if math.isfinite(corner_Hz):
+        scale = pvdf.corner_frequency(given) / corner_Hz
+        total = (given.film_capacitance_pF + given.input_capacitance_pF) * scale
+        values["film_capacitance_pF"] = max(
+            total - given.input_capacitance_pF, 1e-3 * given.film_capacitance_pF
+        )
+    values["d33_C_N"] *= 10 ** ((level_dB - pvdf.level_at_one_hertz(given)) / 20)
+    return CircuitSettings.model_validate(values)
+
+
+def separability(curve: ResponseCurve, circuit: CircuitSettings) -> Separability:
+    """Which values of ``circuit`` the gains of ``curve`` tell apart, with their errors."""
+    columns = _sensitivities(curve, circuit)
+    zero = {name for name, value in circuit.model_dump().items() if value == 0}
+    strength = {name: float(np.linalg.norm(column)) for name, column in columns.items()}
+    strongest = max(strength.values())
+    silent = {name for name, size in strength.items() if size <= _NULL * strongest}
+    groups = _parallel([name for name in columns if name not in zero | silent], columns)
+    leaders = np.stack([columns[group[0]] / strength[group[0]] for group in groups])
+    turned, sizes, _ = np.linalg.svd(leaders, full_matrices=True)
+    rank = int((sizes > _NULL * sizes[0]).sum())
+    basis = np.linalg.qr(np.stack([columns[group[0]] for group in groups]).T)[0][:, :rank]
+    null = turned[:, rank:].T / np.array([strength[group[0]] for group in groups])
+    return Separability(
+        fixed=rank,
+        without_effect=tuple(SYMBOLS[name] for name in columns if name in silent),
+        act_as_one=tuple(tuple(SYMBOLS[n] for n in group) for group in groups if len(group) > 1),
+        trade=tuple(_exponents(direction, groups) for direction in _reduced(null)),
+        seen_above={
+            SYMBOLS[name]: _smallest_seen(columns[name], basis, circuit)
+            for name in columns
+            if name in zero - silent
+        },
+    )
+
+
+def _sensitivities(curve: ResponseCurve, circuit: CircuitSettings) -> dict[str, Reals]:
+    """Of ln|H| to each value's logarithm, in standard errors; (n,) each.
+
+    A value that is zero has no logarithm: it is varied in units of the film's resistance.
+    """
+    weight = DB_PER_RELATIVE / curve.gain_errors_dB
+    values = circuit.model_dump()
+
+    def logarithm(name: str, value: float) -> Reals:
+        changed = CircuitSettings.model_validate(values | {name: value})
+        result: Reals = np.log(np.abs(pvdf.circuit(curve.frequencies, changed)))
+        return result
+
+    columns = {}
+    for name, value in values.items():
+        if value == 0:
+            step = 1e-6 * circuit.film_resistance_ohm
+            change = (logarithm(name, step) - logarithm(name, 0.0)) / 1e-6
+        else:
+            up, down = value * math.exp(_STEP), value * math.exp(-_STEP)
+            change = (logarithm(name, up) - logarithm(name, down)) / (2 * _STEP)
+        columns[name] = weight * change
+    return columns
+
+
+def _parallel(names: list[str], columns: dict[str, Reals]) -> list[list[str]]:
+    """Names in groups of parallel columns, the strongest of each group first."""
+    ordered = sorted(names, key=lambda name: -float(np.linalg.norm(columns[name])))
+    groups: list[list[str]] = []
+    for name in ordered:
+        for group in groups:
+            if _sine(columns[name], columns[group[0]]) < _PARALLEL**0.5:
+                group.append(name)
+                break
+        else:
+            groups.append([name])
+    return groups
+
+
+def _sine(first: Reals, second: Reals) -> float:
+    """Of the angle between two columns."""
+    unit = second / np.linalg.norm(second)
+    return float(np.linalg.norm(first - unit * (unit @ first)) / np.linalg.norm(first))
+
+
+def _reduced(null: Reals) -> Reals:
+    """Null directions (k, m) in reduced echelon form: as few values in each as possible."""
+    rows = null.copy()
+    for k in range(len(rows)):
+        pivot = int(np.argmax(np.abs(rows[k])))
+        rows[k] /= rows[k, pivot]
+        for other in range(len(rows)):
+            if other != k:
+                rows[other] -= rows[other, pivot] * rows[k]
+    rows[np.abs(rows) < 1e-4] = 0.0
+    return rows
+
+
+def _exponents(direction: Reals, groups: list[list[str]]) -> dict[str, float]:
+    return {
+        SYMBOLS[group[0]]: float(power)
+        for group, power in zip(groups, direction, strict=True)
+        if power
+    }
+
+
+def _smallest_seen(column: Reals, basis: Reals, circuit: CircuitSettings) -> float:
+    """Size in ohm that would stand out by two standard errors beside all that is fitted anyway."""
+    own = column - basis @ (basis.T @ column)
+    return 2 * circuit.film_resistance_ohm / max(float(np.linalg.norm(own)), 1e-12)

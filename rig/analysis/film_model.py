@@ -1,0 +1,168 @@
+"""The shape of a film's frequency response, with its derivatives: no data, no fitting.
+
+    H(f) = polarity * 10^(b/20) * j f / (1 + j f / corner) * prod_k N_k(f) [* extensions]
+
+a first-order circuit (level and one pole: all that a response shows of the paper's figure 6) times
+one second-order notch for each mechanical drop (paper 3.2 (iii)),
+
+    N(f) = (1 - x^2 + j g x / Q) / (1 - x^2 + j x / Q),   x = f / f_drop,   g = 10^(-depth/20).
+
+``b`` is the level of equation (2) at 1 Hz: the low-frequency asymptote, free of pole and drops.
+Two extensions turn a statement into a parameter that can be tested:
+
+- a *slope* s in dB/decade in place of the 20 of eq. (2): the magnitude takes a further factor
+  min(f, 2000 Hz)^(s/20 - 1). The exponent is free up to 2 kHz and one above; the phase is left
+  to the circuit. A first-order film has s = 20 exactly, whatever its pole, drops and grid.
+- a *break*: a factor 1 + j f / break, from which on the gain rises by 20 dB/decade more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rig.analysis.response import Complexes, Reals
+
+FIRST_ORDER_SLOPE = 20.0
+"""dB/decade of a stress-rate sensor (paper eq. 2)."""
+SLOPE_BAND_HZ = (2.0, 2000.0)
+"""Where the paper finds that slope (3.2 (i))."""
+
+_NEPER_PER_DB = math.log(10) / 20
+_N_NOTCH = 3
+
+
+@dataclass(frozen=True)
+class Notch:
+    """One drop: where it is deepest (Hz), quality factor of its poles, depth in dB (> 0)."""
+
+    frequency_Hz: float
+    pole_Q: float
+    depth_dB: float
+
+    @property
+    def half_width_Hz(self) -> float:
+        """From the centre to where half of the poles' power is left: f / (2 Q)."""
+        return self.frequency_Hz / (2 * self.pole_Q)
+
+
+@dataclass(frozen=True)
+class FilmModel:
+    """Values of all parameters; an extension that is None is not in the model."""
+
+    level_dB: float
+    """b: dB re 1 V/N at 1 Hz, asymptote."""
+    inverse_corner_s: float
+    """1 / corner frequency in 1/Hz; zero is a film without a corner."""
+    notches: tuple[Notch, ...] = ()
+    polarity: float = 1.0
+    """+1, or -1 for a film connected the other way round."""
+    slope_dB_decade: float | None = None
+    break_Hz: float | None = None
+
+    @property
+    def vector(self) -> Reals:
+        """Parameters (m,): b, 1/corner, [slope], [ln break], then ln f, ln Q, depth a notch."""
+        head = [self.level_dB, self.inverse_corner_s]
+        if self.slope_dB_decade is not None:
+            head.append(self.slope_dB_decade)
+        if self.break_Hz is not None:
+            head.append(math.log(self.break_Hz))
+        for notch in self.notches:
+            head += [math.log(notch.frequency_Hz), math.log(notch.pole_Q), notch.depth_dB]
+        return np.array(head)
+
+    @property
+    def first_notch(self) -> int:
+        """Index in :attr:`vector` of the first notch's first parameter."""
+        return 2 + (self.slope_dB_decade is not None) + (self.break_Hz is not None)
+
+    def moved_to(self, vector: Reals) -> FilmModel:
+        """The same model with the parameters of ``vector``."""
+        rest = [float(value) for value in vector[2 : self.first_notch]]
+        triples = vector[self.first_notch :].reshape(-1, _N_NOTCH)
+        return replace(
+            self,
+            level_dB=float(vector[0]),
+            inverse_corner_s=float(vector[1]),
+            slope_dB_decade=rest.pop(0) if self.slope_dB_decade is not None else None,
+            break_Hz=math.exp(rest.pop(0)) if self.break_Hz is not None else None,
+            notches=tuple(
+                Notch(math.exp(log_f), math.exp(log_q), float(depth))
+                for log_f, log_q, depth in triples
+            ),
+        )
+
+    def response(self, frequencies: Reals) -> Complexes:
+        """Complex V/N at ``frequencies`` (n,) in Hz."""
+        value = self.trend(frequencies)
+        for notch in self.notches:
+            numerator, denominator = _halves(frequencies, notch)
+            value = value * numerator / denominator
+        return value
+
+    def trend(self, frequencies: Reals) -> Complexes:
+        """The same without the drops."""
+        jf = 1j * frequencies
+        level = self.polarity * 10 ** (self.level_dB / 20)
+        value: Complexes = level * jf / (1 + jf * self.inverse_corner_s)
+        if self.slope_dB_decade is not None:
+            excess = self.slope_dB_decade / FIRST_ORDER_SLOPE - 1
+            value = value * np.minimum(frequencies, SLOPE_BAND_HZ[1]) ** excess
+        if self.break_Hz is not None:
+            value = value * (1 + jf / self.break_Hz)
+        return value
+
+    def loss_dB(self, frequencies: Reals) -> Reals:  # noqa: N802
+        """What the drops take away, dB >= 0 where they are drops, (n,)."""
+        ratio = np.abs(self.trend(frequencies) / self.response(frequencies))
+        loss: Reals = 20 * np.log10(ratio)
+        return loss
+
+    def jacobian(self, frequencies: Reals) -> Complexes:
+        """Derivatives of :meth:`response` by :attr:`vector`: (m, n)."""
+        jf = 1j * frequencies
+        rows = [
+            np.full(frequencies.shape, _NEPER_PER_DB, dtype=complex),
+            -jf / (1 + jf * self.inverse_corner_s),
+        ]
+        if self.slope_dB_decade is not None:
+            rows.append(np.log(np.minimum(frequencies, SLOPE_BAND_HZ[1])) / FIRST_ORDER_SLOPE + 0j)
+        if self.break_Hz is not None:
+            rows.append(-jf / self.break_Hz / (1 + jf / self.break_Hz))
+        for notch in self.notches:
+            rows += _notch_derivatives(frequencies, notch)
+        logarithmic = np.stack(rows)
+        return logarithmic * self.response(frequencies)
+
+
+def without(model: FilmModel, index: int) -> FilmModel:
+    """The model less its notch number ``index``."""
+    kept = tuple(notch for k, notch in enumerate(model.notches) if k != index)
+    return replace(model, notches=kept)
+
+
+def in_order(notches: Sequence[Notch]) -> tuple[Notch, ...]:
+    """Notches by ascending frequency."""
+    return tuple(sorted(notches, key=lambda notch: notch.frequency_Hz))
+
+
+def _halves(frequencies: Reals, notch: Notch) -> tuple[Complexes, Complexes]:
+    x = frequencies / notch.frequency_Hz
+    width = 1j * x / notch.pole_Q
+    return 1 - x**2 + 10 ** (-notch.depth_dB / 20) * width, 1 - x**2 + width
+
+
+def _notch_derivatives(frequencies: Reals, notch: Notch) -> list[Complexes]:
+    """Of ln N by ln f_drop, ln Q and depth in dB."""
+    x = frequencies / notch.frequency_Hz
+    width = 1j * x / notch.pole_Q
+    g = 10 ** (-notch.depth_dB / 20)
+    numerator, denominator = _halves(frequencies, notch)
+    by_frequency = -((g * width - 2 * x**2) / numerator - (width - 2 * x**2) / denominator)
+    by_quality = -g * width / numerator + width / denominator
+    by_depth = -_NEPER_PER_DB * g * width / numerator
+    return [by_frequency, by_quality, by_depth]

@@ -1,0 +1,208 @@
+"""Commands about files and benches: one line for what is wrong, its exit code, nothing else."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.recording.runfile import RunFile
+from rig.recording.verify import verify
+
+SHORT = ("--frequencies", "200,1000", "--no-figures", "--json")
+
+
+@pytest.fixture(scope="module")
+def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A complete run file, made once."""
+    from conftest import Rig
+
+    rig = Rig(tmp_path_factory.mktemp("made"))
+    done = rig.sweep("--frequencies", "200")
+    assert done.code == 0, done.stderr
+    return rig.only("*.h5")
+
+
+def a_folder(path: Path, good: Path) -> None:
+    path.mkdir()
+
+
+def missing(path: Path, good: Path) -> None:
+    pass
+
+
+def text(path: Path, good: Path) -> None:
+    path.write_text("hello\n")
+
+
+def truncated(path: Path, good: Path) -> None:
+    content = good.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+
+
+def empty(path: Path, good: Path) -> None:
+    path.touch()
+
+
+CODES = {"show": 8, "verify": 8, "recover": 2, "resume": 2}
+
+
+@pytest.mark.parametrize("make", [a_folder, missing, text, truncated, empty])
+@pytest.mark.parametrize("command", CODES)
+def test_a_file_that_is_no_run_is_told_in_one_line(
+    rig: Any, run_file: Path, command: str, make: Any
+) -> None:
+    path = rig.folder / "given.h5"
+    make(path, run_file)
+    ended = rig.run(command, "given.h5")
+
+    assert ended.code == CODES[command], ended.stderr
+    assert len(ended.errors) == 1
+    assert ended.stderr.splitlines() == ended.errors, "one line, and no traceback"
+    assert "given" in ended.errors[0] + ended.stdout
+    if command != "verify":
+        assert ended.stdout == ""
+
+
+@pytest.mark.parametrize("command", ["recover", "resume"])
+def test_a_text_file_is_no_journal(rig: Any, command: str) -> None:
+    (rig.folder / "given.rigj").write_text("hello\n")
+    ended = rig.run(command, "given.rigj")
+
+    assert ended.code == 2
+    (error,) = ended.errors
+    assert "given.rigj" in error
+    assert "not a journal" in error
+
+
+def test_a_sound_file_is_shown_and_verified(rig: Any, run_file: Path) -> None:
+    for path in run_file.parent.iterdir():
+        shutil.copy(path, rig.folder)
+    shown = rig.run("show", run_file.name)
+    assert shown.code == 0, shown.stderr
+    assert "sweep" in shown.stdout
+    assert "SIMULATED" in shown.stdout or "simulated" in shown.stdout
+    verified = rig.run("verify", run_file.name)
+    assert verified.code == 0
+    assert verified.stdout == f"{run_file.name}: sound\n"
+
+
+def test_verify_tells_every_file_and_counts_the_wrong_ones(rig: Any, run_file: Path) -> None:
+    for path in run_file.parent.iterdir():
+        shutil.copy(path, rig.folder)
+    (rig.folder / "bad.h5").write_text("hello\n")
+    ended = rig.run("verify", "bad.h5", run_file.name)
+
+    assert ended.code == 8
+    assert ended.stdout.splitlines()[-1] == f"{run_file.name}: sound"
+    assert ended.errors == ["error: 1 of 2 files are not sound"]
+
+
+def test_a_dry_run_writes_nothing_and_tells_the_true_duration(rig: Any) -> None:
+    rehearsed = rig.run("sweep", *SHORT, "--dry-run")
+    assert rehearsed.code == 0, rehearsed.stderr
+    assert list(rig.folder.iterdir()) == [], "nothing was written"
+    told = rehearsed.object
+    assert told["dry_run"] is True
+    assert told["file"] is None
+    assert told["points_done"] == 2
+    assert "nothing was recorded" in rehearsed.stderr
+
+    taken = rig.run("sweep", *SHORT)
+    assert taken.object["duration_s"] == told["duration_s"]
+    assert told["duration_s"] > 2 * 0.2, "it settles at each point"
+
+
+def test_a_dry_run_under_a_bench_file_keeps_that_benchs_limits(rig: Any) -> None:
+    """The bench itself is not there, and a rehearsal does not miss it."""
+    (rig.folder / "bench.toml").write_text(
+        'name = "real"\n[fixture]\nmounted = "film-clamp"\n'
+        "[film]\n[load_cell]\nsensitivity_V_N = 0.1\n"
+        '[generator]\ndriver = "keysight-33500b"\nmax_amplitude_V = 0.5\n'
+        'resource = "TCPIP::127.0.0.1::1::SOCKET"\n'
+        '[daq]\ndriver = "keysight-u2300a"\nresource = "TCPIP::127.0.0.1::hislip0,1::INSTR"\n'
+        "channels = { load_cell = 101, film = 102 }\n"
+    )
+    allowed = rig.run("sweep", *SHORT, "--amplitude", "0.4V", "--dry-run")
+    assert allowed.code == 0, allowed.stderr
+    refused = rig.run("sweep", *SHORT, "--amplitude", "0.6V", "--dry-run")
+    assert refused.code == 4
+    assert "0.6 V is outside 0.001 to 0.5 V" in refused.errors[0]
+
+
+def test_a_bench_in_real_time_is_driven_made_safe_and_ended(rig: Any) -> None:
+    log = ("--world-log", str(rig.world_log))
+    simulator = rig.start("simulate", "--write", "sim.toml", "--seed", "5", *log)
+    assert "SIMULATED" in simulator.wait_for(r"drive it with --bench sim\.toml")
+
+    done = rig.run("sweep", *SHORT, "--bench", "sim.toml")
+    assert done.code == 0, done.stderr
+    assert done.object["simulated"] is True
+    assert done.object["points_done"] == 2
+    assert "SIMULATED sweep: complete" in done.stderr
+    file = rig.folder / done.object["file"]
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert run.header.simulated
+        assert run.header.title.startswith("SIMULATED")
+    assert rig.outputs() == [True, False]
+
+    refused = rig.run("sweep", *SHORT, "--bench", "sim.toml", *log)
+    assert refused.code == 2
+    assert "--world-log belongs to a simulated bench that this command starts" in refused.errors[0]
+
+    safe = rig.run("make-safe", "--bench", "sim.toml")
+    assert safe.code == 0
+    assert safe.stderr == "simulated: generator, daq made safe\n"
+
+    simulator.send(signal.SIGINT)
+    ended = simulator.finish()
+    assert ended.code == 0
+    assert "the simulated bench has ended" in ended.stderr
+
+    gone = rig.run("make-safe", "--bench", "sim.toml")
+    assert gone.code == 7
+    (error,) = gone.errors
+    for words in ("generator: OUTP1 0", "daq: STOP", "by hand"):
+        assert words in error
+
+
+def test_make_safe_clears_the_report_that_kept_runs_from_starting(rig: Any) -> None:
+    simulator = rig.start("simulate", "--write", "sim.toml")
+    simulator.wait_for("drive it")
+    rig.results.mkdir()
+    report = rig.results / "guard-simulated.json"
+    report.write_text('{"safe": false, "time": "yesterday", "failures": {"daq": "silent"}}')
+
+    refused = rig.run("sweep", *SHORT, "--bench", "sim.toml")
+    assert refused.code == 7
+    assert "left unsafe at yesterday: daq: silent" in refused.errors[0]
+    assert rig.run("make-safe", "--bench", "sim.toml").code == 0
+    assert not report.exists()
+    again = rig.run("sweep", *SHORT, "--bench", "sim.toml")
+    assert again.code == 0, again.stderr
+    simulator.send(signal.SIGTERM)
+    assert simulator.finish().code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("make-safe", "--bench", "none.toml"), "none.toml"),
+        (("sweep", "--bench", "none.toml"), "none.toml"),
+        (("sweep", "--world", "none.toml"), "none.toml"),
+        (("sweep", "--fault", "none.toml"), "none.toml"),
+        (("simulate", "--world", "none.toml"), "none.toml"),
+    ],
+)
+def test_a_file_that_is_not_there_is_a_usage_error(
+    rig: Any, arguments: tuple[str, ...], told: str
+) -> None:
+    ended = rig.run(*arguments)
+    assert ended.code == 2, ended.stderr
+    (error,) = ended.errors
+    assert told in error
+    assert "Traceback" not in ended.stderr

@@ -1,0 +1,58 @@
+"""What a person meets first: help that comes at once and says what there is."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.metadata import entry_points
+
+import pytest
+
+EXPENSIVE = ("scipy", "numpy", "h5py", "matplotlib", "pint", "pydantic", "pyvisa", "numba")
+PROGRAM = f"""
+import sys
+sys.argv[0] = "rig"
+from rig.cli import main
+try:
+    main()
+finally:
+    print("imported:", *[m for m in {EXPENSIVE!r} if m in sys.modules], file=sys.stderr)
+"""
+
+
+def rig(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", PROGRAM, *arguments], capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ()])
+def test_help_imports_nothing_expensive(arguments: tuple[str, ...]) -> None:
+    shown = rig(*arguments)
+    assert shown.stderr.splitlines()[-1] == "imported:", shown.stderr
+    assert "Usage: " in shown.stdout + shown.stderr
+
+
+def test_help_lists_every_procedure_with_its_summary_and_every_command() -> None:
+    shown = " ".join(rig("--help").stdout.split())
+    for entry in entry_points(group="rig.procedures"):
+        first_line = (entry.load().__doc__ or "").split("\n", 1)[0]
+        assert first_line.rstrip(".")[:40] in shown
+        assert f" {entry.name} " in shown
+    for command in ("resume", "show", "verify", "recover", "simulate", "make-safe"):
+        assert f" {command} " in shown
+    assert "simulated bench" in shown
+
+
+def test_a_procedures_help_shows_its_settings_with_units_and_defaults() -> None:
+    shown = " ".join(rig("sweep", "--help").stdout.split())
+    for words in ("--amplitude V", "[0.7 V]", "--settling s", "--dry-run", "--json"):
+        assert words in shown
+    assert "2 to 20000 Hz" in shown
+
+
+def test_a_command_that_does_not_exist_is_a_usage_error() -> None:
+    shown = rig("swoop")
+    assert shown.returncode == 2
+    assert "swoop" in shown.stderr
+    assert "Traceback" not in shown.stderr

@@ -1,0 +1,244 @@
+"""The guard over its real pipe, on real simulators: when it acts, what it does, what it leaves."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.simulated.bench import start
+from rig.bench import BenchPlan, parse_bench
+from rig.clock import ControlLink, WallClock
+from rig.errors import UnsafeError
+from rig.runner.guard import GuardLink, act, refuse_unsafe, report_path
+
+PATIENCE_S = 60.0
+
+
+class Bench:
+    """A simulated bench in a process of its own, with its vibrator switched on."""
+
+    def __init__(self, folder: Path):
+        self.log_path = folder / "world.jsonl"
+        self.journal = folder / "run.rigj"
+        self.report = folder / "guard.json"
+        self._started = start({"world_log": str(self.log_path)})
+        ready = self._started.ready()
+        self._control = ControlLink(ready["control_port"])
+        self.plan: BenchPlan = parse_bench(ready["bench_toml"], "the simulated bench")
+        part = self.plan.instruments[0]
+        self.generator: Any = part.driver.connect(part.settings, WallClock())
+        self.generator.output(True)
+
+    def outputs(self) -> list[tuple[bool, str]]:
+        """Every state of the output and who brought it about."""
+        entries = [json.loads(line) for line in self.log_path.read_text().splitlines()]
+        return [(e["value"], e["by"]) for e in entries if e["what"] == "ch1.on"]
+
+    def order(self, **more: object) -> dict[str, Any]:
+        """What a run tells its guard."""
+        return {
+            "run_pid": 0,
+            "journal": str(self.journal),
+            "report": str(self.report),
+            "bench_toml": self.plan.text,
+            "bench_source": self.plan.source,
+            "heartbeat_timeout_s": 60.0,
+            **more,
+        }
+
+    def end(self) -> None:
+        self.generator.close()
+        self._control.stop()
+        self._started.wait()
+
+
+class Guard:
+    """The guard's program at the end of a pipe."""
+
+    def __init__(self) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "rig.runner.guard"], stdin=subprocess.PIPE
+        )
+
+    def tell(self, word: str) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(word.encode() + b"\n")
+        self.process.stdin.flush()
+
+    def finish(self) -> int:
+        assert self.process.stdin is not None
+        self.process.stdin.close()
+        return self.process.wait(PATIENCE_S)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    made = Bench(tmp_path)
+    yield made
+    made.end()
+
+
+@pytest.fixture
+def guard() -> Iterator[Guard]:
+    made = Guard()
+    yield made
+    if made.process.poll() is None:
+        made.process.kill()
+        made.process.wait()
+
+
+@pytest.fixture
+def run() -> Iterator[subprocess.Popen[bytes]]:
+    """A process that stands for a hung run."""
+    process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+    yield process
+    if process.poll() is None:
+        process.kill()
+    process.wait()
+
+
+def report_of(bench: Bench) -> dict[str, Any]:
+    """The guard's report, once it is final."""
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        if bench.report.exists() and "file" in (report := json.loads(bench.report.read_text())):
+            return report
+        time.sleep(0.02)
+    raise AssertionError("the guard never reported")
+
+
+def test_a_run_that_is_done_leaves_its_guard_nothing_to_do(bench: Bench) -> None:
+    link = GuardLink(bench.plan, bench.journal, bench.report)
+    link.beat()
+    link.safe()
+    link.done()
+    assert not bench.report.exists()
+    assert [on for on, _ in bench.outputs()] == [True]
+
+
+def test_a_closed_pipe_makes_the_guard_act_on_a_connection_of_its_own(bench: Bench) -> None:
+    link = GuardLink(bench.plan, bench.journal, bench.report)
+    link.beat()
+    assert link.take_over() == "the guard then made the bench safe"
+    (_, run), (off, by) = bench.outputs()
+    assert off is False
+    assert by != run
+    report = report_of(bench)
+    assert report["safe"] is True
+    assert report["cause"] == "the run ended without saying so"
+    assert "not compiled" in report["file"], "there was no journal, and that is told"
+
+
+def test_a_run_that_died_after_it_was_safe_is_compiled_only(bench: Bench, guard: Guard) -> None:
+    guard.tell(json.dumps(bench.order()))
+    guard.tell("safe")
+    assert guard.finish() == 0
+    assert report_of(bench)["safe"] is True
+    assert [on for on, _ in bench.outputs()] == [True], "the guard did not touch the bench"
+
+
+def test_a_late_beat_ends_the_run_and_then_makes_the_bench_safe(
+    bench: Bench, guard: Guard, run: subprocess.Popen[bytes]
+) -> None:
+    guard.tell(json.dumps(bench.order(run_pid=run.pid, heartbeat_timeout_s=1.0)))
+    for _ in range(30):
+        guard.tell("beat")
+        time.sleep(0.05)
+    assert run.poll() is None, "beats keep the run alive"
+    assert not bench.report.exists()
+    report = report_of(bench)
+    assert run.wait(PATIENCE_S) == -signal.SIGKILL
+    assert "no sign of life for 1 s; the run was killed" in report["cause"]
+    assert report["safe"] is True
+    assert [on for on, _ in bench.outputs()] == [True, False]
+
+
+def test_signals_do_not_keep_the_guard_from_its_work(bench: Bench, guard: Guard) -> None:
+    guard.tell(json.dumps(bench.order(heartbeat_timeout_s=1.0)))
+    guard.tell("beat")
+    deadline = time.monotonic() + PATIENCE_S
+    status = Path(f"/proc/{guard.process.pid}/status")
+    while time.monotonic() < deadline:  # until it has set its handlers
+        ignored = next(x for x in status.read_text().splitlines() if x.startswith("SigIgn"))
+        if int(ignored.split()[1], 16) >> (signal.SIGTERM - 1) & 1:
+            break
+        time.sleep(0.01)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        guard.process.send_signal(number)
+    assert guard.finish() == 0
+    assert report_of(bench)["safe"] is True
+    assert bench.outputs()[-1][0] is False
+
+
+def test_a_guard_without_an_order_ends_quietly(guard: Guard) -> None:
+    assert guard.finish() == 0
+
+
+def test_a_bench_that_is_gone_is_reported_unsafe_with_every_instrument(
+    tmp_path: Path, guard: Guard
+) -> None:
+    bench = Bench(tmp_path)
+    bench.report = report_path(tmp_path, bench.plan.settings.name)
+    bench.end()
+    guard.tell(json.dumps(bench.order()))
+    guard.finish()
+    report = report_of(bench)
+    assert report["safe"] is False
+    assert set(report["failures"]) == {"generator", "daq"}
+    with pytest.raises(UnsafeError) as caught:
+        refuse_unsafe(tmp_path, bench.plan.settings.name)
+    told = caught.value.one_line()
+    assert report["time"] in told
+    for words in ("generator: OUTP1 0", "daq: STOP", "rig make-safe", str(bench.report)):
+        assert words in told
+
+
+def test_a_report_that_cannot_be_written_keeps_no_data_back(bench: Bench) -> None:
+    report = act(bench.order(report=str(bench.report / "no" / "such" / "folder.json")), "a test")
+    assert report["safe"] is True
+    assert "not compiled" in report["file"]
+    assert bench.outputs()[-1][0] is False
+
+
+def write(text: str) -> Callable[[Path], object]:
+    return lambda path: path.write_text(text)
+
+
+@pytest.mark.parametrize(
+    "leave",
+    [
+        write(""),
+        write("{}"),
+        write("[]"),
+        write('{"safe": "perhaps"}'),
+        write('{"safe": false, "failures": 3}'),
+        write('{"safe": false}'),
+        lambda path: path.write_bytes(b"\xff\xfe"),
+        lambda path: path.mkdir(),
+    ],
+    ids=["empty", "no word", "a list", "perhaps", "odd failures", "unsafe", "no text", "a folder"],
+)
+def test_a_report_that_does_not_say_safe_refuses_the_next_run(
+    tmp_path: Path, leave: Callable[[Path], object]
+) -> None:
+    leave(report_path(tmp_path, "bench-3"))
+    refuse_unsafe(tmp_path, "another-bench")
+    with pytest.raises(UnsafeError) as caught:
+        refuse_unsafe(tmp_path, "bench-3")
+    told = caught.value.one_line()
+    assert "guard-bench-3.json" in told
+    assert "rig make-safe" in told
+
+
+def test_a_safe_report_or_none_lets_the_next_run_go(tmp_path: Path) -> None:
+    refuse_unsafe(tmp_path, "bench-3")
+    report_path(tmp_path, "bench-3").write_text('{"safe": true, "failures": {}}')
+    refuse_unsafe(tmp_path, "bench-3")
