@@ -68,13 +68,7 @@ class CmmtLink:
         name, model (function 43/14, read codes 1 and 2, as the vendor's client asks)."""
         found: dict[int, str] = {}
         for code in (_BASIC, _REGULAR):
-            reply = self._ask(
-                "read device identification",
-                lambda client, code=code: client.read_device_information(
-                    read_code=code, object_id=0, device_id=self._unit_id
-                ),
-            )
-            for number, text in getattr(reply, "information", {}).items():
+            for number, text in self._objects(code).items():
                 if isinstance(text, bytes):
                     found[int(number)] = text.decode("ascii", "replace")
         if not {0, 1, 2, 3, 4, 5} <= set(found):
@@ -162,6 +156,15 @@ class CmmtLink:
             f"check the network and that {self.where} is the drive",
         )
 
+    def _objects(self, code: int) -> dict[int, Any]:
+        reply = self._ask(
+            "read device identification",
+            lambda client: client.read_device_information(
+                read_code=code, object_id=0, device_id=self._unit_id
+            ),
+        )
+        return getattr(reply, "information", {})
+
     def _mailbox(self, number: int, elements: int) -> None:
         self.write_one(MAILBOX_PARAMETER, number)
         self.write_one(MAILBOX_SUBINDEX, 0)
@@ -207,7 +210,7 @@ class CmmtLink:
         if self._client is None:
             from pymodbus.client import ModbusTcpClient
 
-            client = ModbusTcpClient(
+            client: Any = ModbusTcpClient(
                 self._host, port=self._port, timeout=self._timeout_s, retries=0
             )
             if not client.connect():

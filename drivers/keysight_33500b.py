@@ -20,7 +20,7 @@ from rig.errors import InstrumentError
 from rig.instruments import Identity, Reach
 from rig.settings import Settings as BaseSettings
 
-ROLE = "generator"
+ROLES = ("generator",)
 
 LOWEST_FREQUENCY_HZ = 1e-6
 HIGHEST_FREQUENCY_HZ = 20e6  # sine, 33511B/33512B; the 3352xB go to 30 MHz

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-ROLE = "daq"
+ROLES = ("daq",)
 
 LOWEST_RATE_S_S = 3.0
 MOST_SAMPLES = 8_000_000  # of one acquisition, all channels together

@@ -25,7 +25,7 @@ import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -39,7 +39,7 @@ from rig.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments import ForceFrames, Identity, Reach
 from rig.settings import Settings as BaseSettings
 
-ROLE = "force_sensor"
+ROLES = ("force_sensor",)
 
 DEVICE = "force sensor"
 MODEL = "GSV-8"
@@ -51,8 +51,8 @@ INPUT_RANGE_MV_V = 3.5
 MULTI_AXIS, AUTO_FILTER, MIN_MAX = 0x01, 0x02, 0x04
 READ_WAIT_S = 0.005
 """Longest wait for bytes in one read: what a request may be kept waiting by the reader."""
-RATE_TOLERANCE = 1e-6
-QUERIES_UNTIL_TRUSTED = 2
+STREAMING = 0x08
+CRC16_ON = b"\x08"
 
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
@@ -100,8 +100,8 @@ class Settings(BaseSettings):
         return ((gain, 0.0, 0.0), (0.0, gain, 0.0), (0.0, 0.0, gain))
 
     @property
-    def force_limit_N(self) -> float:
-        """The largest force allowed along an axis."""
+    def force_limit(self) -> float:
+        """The largest force allowed along an axis, in N."""
         return self.max_force_N if self.max_force_N is not None else self.nominal_force_N
 
 
@@ -201,18 +201,19 @@ class GsvLink:
 
     def greet(self) -> None:
         """End the stream that may be running, and drop all that was under way before."""
-        with self._asking:
-            self._decoder.crc_only = self.crc = False
-            self._unanswered = {STOP_TRANSMISSION.answer_bytes}
-            with self._failing(STOP_TRANSMISSION):
-                self._write(STOP_TRANSMISSION, b"")
-                self._synchronise()
+        self.expect(None)
+        self.crc = False
+        with self._failing(STOP_TRANSMISSION), self._asking:
+            self._open_port()
+            self._write(STOP_TRANSMISSION, b"")
+            self._synchronise()
 
     def request(self, command: Command, parameters: bytes = b"") -> bytes:
         """Send a request and return the data of its answer; InstrumentError for an error code, a
         broken answer or none."""
-        with self._asking, self._failing(command):
-            if self._unanswered:
+        with self._failing(command), self._asking:
+            self._open_port()
+            if self._unanswered or self._responses:
                 self._synchronise()
             return self._ask(command, parameters)
 
@@ -248,9 +249,7 @@ class GsvLink:
     # --- one request -------------------------------------------------------------------------
 
     def _ask(self, command: Command, parameters: bytes) -> bytes:
-        self._responses.clear()
         self._write(command, parameters)
-        self._unanswered.add(command.answer_bytes)
         response = self._await(command, strict=True)
         if len(response.data) != (command.answer_bytes if response.code <= 1 else 0):
             raise self._error(
@@ -272,16 +271,14 @@ class GsvLink:
         for command, parameters in TOKENS:
             if command.answer_bytes in self._unanswered:
                 continue
-            with self._reading:
-                self._decoder.reset()
-            self._responses.clear()
+            self._drain()
             self._write(command, parameters)
-            self._unanswered.add(command.answer_bytes)
             while True:
                 response = self._await(command, strict=False)
                 if response.code == 0 and len(response.data) == command.answer_bytes:
                     break
-            self._decoder.take_rejected()
+            with self._reading:
+                self._decoder.take_rejected()
             self._unanswered.clear()
             return
         self._unanswered.clear()
@@ -289,9 +286,17 @@ class GsvLink:
             "synchronise", "too many answers are missing", "switch the amplifier off and on"
         )
 
+    def _drain(self) -> None:
+        """Drop what has come until nothing comes for a moment."""
+        deadline = time.monotonic() + self._settings.timeout_s
+        while self._receive() and time.monotonic() < deadline:
+            pass
+        with self._reading:
+            self._decoder.reset()
+            self._responses.clear()
+
     def _write(self, command: Command, parameters: bytes) -> None:
-        if self._port is None:
-            self._port = self._open()
+        self._unanswered.add(command.answer_bytes)
         self._port.write(gsv_frames.request(command.number, parameters, self.crc))
 
     def _await(self, command: Command, strict: bool) -> Response:
@@ -307,18 +312,22 @@ class GsvLink:
                     f"{self._settings.port}",
                 )
             self._receive()
-            if strict:
+            if strict and not self._responses:  # after the response they are the stream's affair
                 self._refuse_rejected(command.name)
         return self._responses.popleft()
 
-    def _receive(self) -> None:
-        """Take what has come off the port, waiting for it a little, and route it."""
+    def _receive(self) -> int:
+        """Take what has come off the port, waiting for it a little, and route it; how many bytes
+        it was. Where another thread is at it, that one routes what this one waits for."""
         if not self._reading.acquire(timeout=READ_WAIT_S):
-            return  # another thread is reading: it routes what this one waits for
+            return 0
         try:
             if self._port is None:
                 raise self._error("read", "the port is closed")
-            data: bytes = self._port.read(max(1, self._port.in_waiting))
+            waiting = self._port.in_waiting
+            data: bytes = self._port.read(waiting or 1)
+            if data and not waiting:  # the first byte has come: take the others with it
+                data += self._port.read(self._port.in_waiting)
             for frame in self._decoder.feed(data):
                 if isinstance(frame, Response):
                     self._responses.append(frame)
@@ -326,13 +335,14 @@ class GsvLink:
                     self._frames.append(frame)
                     self._frame_bytes += frame.size
             self._taken += len(data)
+            return len(data)
         finally:
             self._reading.release()
 
     # --- what goes wrong ---------------------------------------------------------------------
 
     @contextlib.contextmanager
-    def _failing(self, command: Command | None) -> Any:
+    def _failing(self, command: Command | None) -> Iterator[None]:
         """Turn failures into InstrumentErrors; a port that failed is closed and opened anew."""
         import serial
 
@@ -343,13 +353,16 @@ class GsvLink:
             with contextlib.suppress(InstrumentError):  # the time-out itself is the news
                 self._clock.sleep(self._settings.timeout_s)
             raise
-        except (serial.SerialException, OSError, TypeError) as error:  # TypeError: closed meanwhile
+        except (serial.SerialException, OSError) as error:
             self.close()
             raise self._error(name, f"the connection failed ({error})") from error
 
-    def _open(self) -> Any:
+    def _open_port(self) -> None:
+        """Open the port where it is closed; what comes from it is not trusted yet."""
         import serial
 
+        if self._port is not None:
+            return
         port = serial.Serial(
             self._settings.port,
             self._settings.baudrate,
@@ -358,8 +371,8 @@ class GsvLink:
             exclusive=True,
         )
         with self._reading:
-            self._decoder.reset()
-        return port
+            self._port = port
+            self._unanswered = {STOP_TRANSMISSION.answer_bytes}
 
     def _refuse_rejected(self, command: str) -> None:
         with self._reading:
@@ -433,17 +446,7 @@ class ForceAmplifier:
         number = link.request(GET_SERIAL_NUMBER).decode("ascii", "replace").strip("\0 ")
         major, minor = struct.unpack(">HH", link.request(FIRMWARE_VERSION))
         link.crc = (major, minor) >= FIRMWARE_WITH_CRC
-        flags = b"\x08" if link.crc else b""
-        model = link.request(GET_INTERFACE, flags)[0] & 0x3F
-        if model != MODEL_NUMBER:
-            raise InstrumentError(
-                DEVICE,
-                GET_INTERFACE.name,
-                f"{self._settings.port} is an amplifier of model number {model:02X}, "
-                f"serial number {number}",
-                f"a {MODEL} ({MODEL_NUMBER:02X}) is expected; correct [force_sensor] in the "
-                "bench file",
-            )
+        self._check_interface(link.request(GET_INTERFACE, CRC16_ON if link.crc else b""), number)
         self._identity = Identity("ME-Messsysteme", MODEL, number, f"{major}.{minor}")
         self._layout = Layout(len(CHANNELS), gsv_frames.FLOAT32, link.crc)
         self._prepare_values()
@@ -453,7 +456,7 @@ class ForceAmplifier:
     def reach(self) -> Mapping[str, Reach]:
         """Frame rates of the amplifier, and the force that the bench file allows on an axis."""
         owner = f"force sensor {self.identity.model}"
-        limit = self._settings.force_limit_N
+        limit = self._settings.force_limit
         return {
             "rate": Reach(*self._rates, "1/s", owner),
             "force": Reach(-limit, limit, "N", owner),
@@ -510,6 +513,25 @@ class ForceAmplifier:
 
     # --- settings of the amplifier -----------------------------------------------------------
 
+    def _check_interface(self, state: bytes, serial_number: str) -> None:
+        """Whether this is a GSV-8, and silent."""
+        port = self._settings.port
+        if (model := state[0] & 0x3F) != MODEL_NUMBER:
+            raise InstrumentError(
+                DEVICE,
+                GET_INTERFACE.name,
+                f"{port} is an amplifier of model number {model:02X}, serial {serial_number}",
+                f"a {MODEL} ({MODEL_NUMBER:02X}) is expected; correct [force_sensor] in the "
+                "bench file",
+            )
+        if state[1] & STREAMING:
+            raise InstrumentError(
+                DEVICE,
+                STOP_TRANSMISSION.name,
+                "the amplifier goes on streaming",
+                f"check that nothing else talks to {port}",
+            )
+
     def _prepare_values(self) -> None:
         """Three floats a frame, in mV/V, without matrix, minima and maxima."""
         scale = self._settings.user_scale_mV_V
@@ -528,16 +550,25 @@ class ForceAmplifier:
             self._agree(
                 READ_USER_SCALE, WRITE_USER_SCALE, bytes((channel,)), struct.pack(">f", scale)
             )
-        (mode,) = struct.unpack(">I", self._link.request(GET_MODE))
+        found = self._link.request(GET_MODE)
+        (mode,) = struct.unpack(">I", found)
         wanted = mode & ~(MULTI_AXIS | MIN_MAX) | AUTO_FILTER
-        self._agree(GET_MODE, SET_MODE, b"", struct.pack(">I", wanted))
+        self._agree(GET_MODE, SET_MODE, b"", struct.pack(">I", wanted), found)
         self._agree(GET_TX_MODE, SET_TX_MODE, b"\x01", struct.pack(">H", gsv_frames.FLOAT32))
         count = struct.pack(">H", len(CHANNELS))
         self._agree(GET_TX_MAPPING, SET_TX_MAPPING, b"\0", count)
 
-    def _agree(self, read: Command, write: Command, index: bytes, wanted: bytes) -> None:
-        """Bring one setting to `wanted`, writing only where it differs, and read it back."""
-        if self._link.request(read, index) == wanted:
+    def _agree(
+        self,
+        read: Command,
+        write: Command,
+        index: bytes,
+        wanted: bytes,
+        found: bytes | None = None,
+    ) -> None:
+        """Bring one setting to `wanted`, writing only where it differs from what is read or was
+        `found`, and read it back."""
+        if (self._link.request(read, index) if found is None else found) == wanted:
             return
         self._link.request(write, index + wanted)
         got = self._link.request(read, index)

@@ -26,6 +26,7 @@ _IMAGE = struct.Struct(f"<{IMAGE_REGISTERS}H")
 class Stw1(IntFlag):
     """Control word 1 in positioning mode."""
 
+    NONE = 0
     ON = 1 << 0
     NO_COAST_STOP = 1 << 1
     NO_QUICK_STOP = 1 << 2
@@ -45,6 +46,7 @@ class Stw1(IntFlag):
 class PosStw1(IntFlag):
     """Positioning control word 1 (bits 0 to 6 are a record number, unused here)."""
 
+    NONE = 0
     ABSOLUTE = 1 << 8
     DIRECTION_POSITIVE = 1 << 9
     DIRECTION_NEGATIVE = 1 << 10
@@ -56,6 +58,7 @@ class PosStw1(IntFlag):
 class PosStw2(IntFlag):
     """Positioning control word 2."""
 
+    NONE = 0
     TRACKING = 1 << 0
     SET_REFERENCE = 1 << 1
     INCREMENTAL_JOG = 1 << 5
@@ -66,6 +69,7 @@ class PosStw2(IntFlag):
 class Stw2(IntFlag):
     """Control word 2 (bits 12 to 15 are a sign of life, unused here)."""
 
+    NONE = 0
     PARKING = 1 << 7
     TRAVEL_TO_FIXED_STOP = 1 << 8
 
@@ -73,6 +77,7 @@ class Stw2(IntFlag):
 class Zsw1(IntFlag):
     """Status word 1 in positioning mode."""
 
+    NONE = 0
     READY_TO_SWITCH_ON = 1 << 0
     READY_TO_OPERATE = 1 << 1
     OPERATION_ENABLED = 1 << 2
@@ -94,6 +99,7 @@ class Zsw1(IntFlag):
 class PosZsw1(IntFlag):
     """Positioning status word 1."""
 
+    NONE = 0
     HARDWARE_LIMIT_NEGATIVE = 1 << 8
     HARDWARE_LIMIT_POSITIVE = 1 << 9
     JOGGING = 1 << 10
@@ -106,6 +112,7 @@ class PosZsw1(IntFlag):
 class PosZsw2(IntFlag):
     """Positioning status word 2."""
 
+    NONE = 0
     TRACKING = 1 << 0
     SPEED_LIMITED = 1 << 1
     SETPOINT_AVAILABLE = 1 << 2
@@ -123,10 +130,10 @@ class PosZsw2(IntFlag):
 class Outputs:
     """What the controller tells the drive; the default is all zero, which asks for nothing."""
 
-    stw1: Stw1 = Stw1(0)
-    pos_stw1: PosStw1 = PosStw1(0)
-    pos_stw2: PosStw2 = PosStw2(0)
-    stw2: Stw2 = Stw2(0)
+    stw1: Stw1 = Stw1.NONE
+    pos_stw1: PosStw1 = PosStw1.NONE
+    pos_stw2: PosStw2 = PosStw2.NONE
+    stw2: Stw2 = Stw2.NONE
     override: int = 0
     """Share of the set speed, 0x4000 is all of it."""
     target: int = 0
@@ -165,9 +172,9 @@ class Outputs:
 class Inputs:
     """What the drive tells the controller."""
 
-    zsw1: Zsw1 = Zsw1(0)
-    pos_zsw1: PosZsw1 = PosZsw1(0)
-    pos_zsw2: PosZsw2 = PosZsw2(0)
+    zsw1: Zsw1 = Zsw1.NONE
+    pos_zsw1: PosZsw1 = PosZsw1.NONE
+    pos_zsw2: PosZsw2 = PosZsw2.NONE
     zsw2: int = 0
     meldw: int = 0
     position: int = 0

@@ -37,6 +37,7 @@ class VisaLink:
         self._timeout_s = timeout_s
         self._clock = clock
         self._session: Any = None
+        self._reopening = False
 
     def identify(self) -> Identity:
         """Ask ``*IDN?``; InstrumentError where the answer has not four fields."""
@@ -137,6 +138,9 @@ class VisaLink:
         session.timeout = wait_ms
         session.write_termination = "\n"
         session.read_termination = "\n"
+        if self._reopening:
+            session.write("*CLS")  # what the broken conversation left behind blames no new command
+        self._reopening = True
         return session
 
     def _charge_timeout(self) -> None:

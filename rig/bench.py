@@ -32,6 +32,9 @@ from rig.settings import Settings
 
 ROLES = ("generator", "daq")
 
+WAITS_PER_CALL = 2
+"""A call on an instrument may wait twice for its time-out: to reconnect, and for the answer."""
+
 T = TypeVar("T")
 
 Fixture = Literal["film-clamp", "plate", "semi-spherical-object"]
@@ -199,9 +202,7 @@ class Bench:
 
     def close(self) -> None:
         """Let go of every link, each in isolation."""
-        for instrument in self.instruments.values():
-            with contextlib.suppress(RigError, OSError):
-                instrument.close()
+        _close_all(self.instruments)
         self.clock.close()
 
     def _role(self, role: str) -> Instrument:
@@ -265,6 +266,8 @@ def parse_bench(text: str, source: str) -> BenchPlan:
             raise ConfigurationError.from_validation(error, source) from error
     if settings is not None and ("daq" not in described or any(p.role == "daq" for p in plans)):
         findings += _wiring_errors(settings, plans, source)
+    if settings is not None:
+        findings += _impatience(settings, plans, source)
     if findings or settings is None:
         raise ConfigurationError("; ".join(findings), "correct the bench file")
     return BenchPlan(settings, tuple(plans), text, source)
@@ -298,17 +301,24 @@ def connect(plan: BenchPlan, clock: Clock) -> Bench:
         except RigError as error:
             failures.append(error)
             continue
+        except BaseException:
+            _close_all(instruments)
+            raise
         guarded = GuardedGenerator(instrument) if part.role == "generator" else instrument  # type: ignore[arg-type]
         instruments[part.role] = guarded
     if failures:
-        for instrument in instruments.values():
-            with contextlib.suppress(RigError, OSError):
-                instrument.close()
+        _close_all(instruments)
         if len(failures) == 1:
             raise failures[0]
         first = failures[0]
         raise RigError("; ".join(f.message for f in failures), first.hint, first.code)
     return Bench(plan, clock, instruments)
+
+
+def _close_all(instruments: Mapping[str, Instrument]) -> None:
+    for instrument in instruments.values():
+        with contextlib.suppress(RigError, OSError):
+            instrument.close()
 
 
 def entry(group: str, name: str) -> EntryPoint | None:
@@ -337,8 +347,9 @@ def _plan_instrument(role: str, table: Any, source: str) -> InstrumentPlan:
         module: DriverModule = found.load()
     except ImportError as error:
         raise ConfigurationError(f"{where}: driver {name!r} cannot be loaded: {error}") from error
-    if role != module.ROLE:
-        raise ConfigurationError(f"{where}: driver {name!r} is for the role {module.ROLE}")
+    if role not in module.ROLES:
+        roles = " or ".join(module.ROLES)
+        raise ConfigurationError(f"{where}: driver {name!r} is for the role {roles}")
     try:
         settings = module.Settings.model_validate(table)
     except ValidationError as error:
@@ -354,6 +365,17 @@ def _wiring_errors(
     for name in ("film", "load_cell"):
         if getattr(settings, name) is not None and name not in wired:
             yield f"{source}: [{name}] is described, but [daq.channels] wires no {name}"
+
+
+def _impatience(settings: BenchSettings, plans: list[InstrumentPlan], source: str) -> Iterator[str]:
+    """A run that waits for an instrument must not be taken for one that hangs."""
+    for plan in plans:
+        longest_s = WAITS_PER_CALL * getattr(plan.settings, "timeout_s", 0.0)
+        if longest_s >= settings.heartbeat_timeout_s:
+            yield (
+                f"{source}: heartbeat_timeout_s {settings.heartbeat_timeout_s:g} is not above "
+                f"{longest_s:g} s, which one call of the {plan.role} may take with its timeout_s"
+            )
 
 
 class BenchFactory(Protocol):

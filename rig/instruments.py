@@ -263,8 +263,8 @@ class ForceSensor(Instrument, Protocol):
 class DriverModule(Protocol):
     """What an entry point of group ``rig.drivers`` names: a module with these members."""
 
-    ROLE: str
-    """The role its instrument plays: ``generator`` or ``daq``."""
+    ROLES: tuple[str, ...]
+    """Roles its instrument can play, such as ``generator`` or ``stage_z``."""
     Settings: type[Settings]
 
     def connect(self, settings: Any, clock: Clock) -> Instrument:

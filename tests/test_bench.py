@@ -321,3 +321,11 @@ def test_a_rehearsal_keeps_the_real_limits_on_the_simulated_bench() -> None:
     assert plan.settings.load_cell is not None
     assert plan.settings.load_cell.max_load_N == 12.0
     assert plan.settings.load_cell.sensitivity_V_N == 0.1, "of the simulated cell"
+
+
+def test_a_heartbeat_shorter_than_an_instruments_patience_is_refused() -> None:
+    """A run that only waits for an answer must not be killed for hanging."""
+    line = refused(GOOD.replace("heartbeat_timeout_s = 7", "heartbeat_timeout_s = 3"))
+    assert "heartbeat_timeout_s 3 is not above 4 s" in line
+    assert "generator" in line
+    assert "daq" in line

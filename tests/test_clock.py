@@ -215,6 +215,7 @@ class PtyForce:
         self.sent = 0
         self.bytes_consumed = 0
         self.stuck = False
+        self._deliveries: list[threading.Thread] = []
 
     def send_late(self, data: bytes, delay_s: float) -> None:
         """Count the bytes as sent now, deliver them in two parts a while later."""
@@ -226,7 +227,8 @@ class PtyForce:
             time.sleep(delay_s)
             os.write(self.master, data[3:])
 
-        threading.Thread(target=deliver).start()
+        self._deliveries.append(threading.Thread(target=deliver))
+        self._deliveries[-1].start()
 
     def read(self) -> list[int]:
         """What has arrived, one sample a byte."""
@@ -242,6 +244,8 @@ class PtyForce:
         return list(data)
 
     def close(self) -> None:
+        for delivery in self._deliveries:
+            delivery.join()
         os.close(self.master)
         os.close(self.slave)
 

@@ -160,7 +160,12 @@ class Path:
         return self._stretches[max(bisect_right(self._starts, t_s) - 1, 0)].acceleration_mm_s2
 
     def replan(
-        self, t_s: float, position_mm: float, velocity_mm_s: float, phases: list[Phase], end_mm: float
+        self,
+        t_s: float,
+        position_mm: float,
+        velocity_mm_s: float,
+        phases: list[Phase],
+        end_mm: float,
     ) -> None:
         """From `t_s` on do this instead; the motion ends exactly at `end_mm`."""
         keep = bisect_right(self._starts, t_s)
@@ -302,6 +307,8 @@ class Axis:
         elif going and self._held_back(position, going, t_us):
             self._held_direction = math.copysign(1.0, going)
             self._carriage.replan(t_us * 1e-6, position, 0.0, [], position)
+        elif self._command is None:
+            return  # braking already
         elif velocity < 0 and position <= self.mechanics.low_switch_mm:
             self._meet(Event.LOW_SWITCH, t_us, position)
         elif velocity > 0 and position >= self.mechanics.high_switch_mm:

@@ -1,10 +1,10 @@
 """What a measured response says about the circuit of the paper's figure 6, and what it cannot say.
 
-The response fixes a level and a pole (`rig.analysis.film_fit`). Which circuit values it leaves open
-is computed, not assumed: from the derivatives of ln|H| of the nodal circuit by the logarithm of each
-value, at a circuit that has the measured level and pole, weighted with the measured errors. A value
-whose column is zero does not show; values whose columns are parallel act as one; and what is left
-in the null space are changes of several values together that leave |H| as it is.
+The response fixes a level and a pole (`rig.analysis.film_fit`). Which circuit values it leaves
+open is computed, not assumed: from the derivatives of ln|H| of the nodal circuit by the logarithm
+of each value, at a circuit that has the measured level and pole, weighted with the measured errors.
+A value whose column is zero does not show; values whose columns are parallel act as one; and what
+is left in the null space are changes of several values together that leave |H| as it is.
 """
 
 from __future__ import annotations
@@ -62,11 +62,11 @@ class Separability:
     trade: tuple[Mapping[str, float], ...]
     """Null directions among what is left: exponents of common changes that leave |H| as it is."""
     seen_above: Mapping[str, float]
-    """Values that are zero in the circuit: from which size (ohm) |H| would show them at 95 %."""
+    """Values that are zero in the circuit: from which size (ohm) |H| would show them (2 errors)."""
 
     def sentences(self) -> list[str]:
         """The list in words."""
-        lines = [f"|H| fixes {self.fixed} combinations of the circuit's values; it cannot separate:"]
+        lines = [f"|H| fixes {self.fixed} combinations of circuit values; it cannot separate:"]
         lines += [f"  {' from '.join(names)} (they act as one)" for names in self.act_as_one]
         for direction in self.trade:
             powers = ", ".join(f"{name}^{power:+.3g}" for name, power in direction.items())
@@ -74,7 +74,8 @@ class Separability:
         if self.without_effect:
             lines.append(f"  {', '.join(self.without_effect)} from anything (no effect on |H|)")
         for name, size in self.seen_above.items():
-            lines.append(f"  {name} from zero below {size:.3g} ohm")
+            below = f" below {size / 1e3:.2g} kohm" if math.isfinite(size) else ""
+            lines.append(f"  {name} from zero{below}")
         return lines
 
 
@@ -90,11 +91,15 @@ class CircuitComparison:
     """1 / (2 pi R_PV C_PV) of the given circuit: 6631 Hz with Table 1."""
     circuit_corner_Hz: float
     """The pole of the given circuit by nodal analysis (R_OPi parallel to R_PV)."""
+    highest_Hz: float
+    """End of the measured range."""
     separability: Separability
 
     def sentences(self) -> list[str]:
         """The comparison in words."""
-        offsets = ", ".join(f"{name} {offset.value:+.2f} dB" for name, offset in self.offsets.items())
+        offsets = ", ".join(
+            f"{name} {offset.value:+.2f} dB" for name, offset in self.offsets.items()
+        )
         return [
             self._corner_sentence(),
             f"Offset of each reading of equation (4) to the measured level (+- "
@@ -108,8 +113,8 @@ class CircuitComparison:
             f"the circuit's values predict {self.film_corner_Hz:.0f} Hz for the film alone "
             f"(R_PV C_PV) and {self.circuit_corner_Hz:.0f} Hz with the amplifier's input"
         )
-        if not math.isfinite(self.corner.high):
-            return f"No corner is seen below {self.corner.low:.0f} Hz; {predicted}."
+        if self.corner.low > self.highest_Hz or not math.isfinite(self.corner.value):
+            return f"No corner is seen up to {self.highest_Hz:g} Hz; {predicted}."
         if self.corner.covers(self.film_corner_Hz) or self.corner.covers(self.circuit_corner_Hz):
             return f"The gain saturates at {self.corner}, as expected: {predicted}."
         ratio = self.film_corner_Hz / self.corner.value
@@ -122,7 +127,7 @@ class CircuitComparison:
 def compare_circuit(
     curve: ResponseCurve, level: Estimate, corner: Estimate, given: CircuitSettings
 ) -> CircuitComparison:
-    """Set ``level`` (dB re 1 V/N at 1 Hz) and ``corner`` (Hz), as fitted, beside a given circuit."""
+    """Set a fitted ``level`` (dB re 1 V/N at 1 Hz) and ``corner`` (Hz) beside a given circuit."""
     offsets = {
         name: Estimate.normal(
             asymptote_dB(reading, given) - level.value, level.standard_error, "dB"
@@ -136,6 +141,7 @@ def compare_circuit(
         offsets=offsets,
         film_corner_Hz=1 / (2 * math.pi * film_time),
         circuit_corner_Hz=pvdf.corner_frequency(given),
+        highest_Hz=float(curve.frequencies[-1]),
         separability=separability(curve, matched(given, level.value, corner.value)),
     )
 
@@ -178,7 +184,7 @@ def separability(curve: ResponseCurve, circuit: CircuitSettings) -> Separability
         act_as_one=tuple(tuple(SYMBOLS[n] for n in group) for group in groups if len(group) > 1),
         trade=tuple(_exponents(direction, groups) for direction in _reduced(null)),
         seen_above={
-            SYMBOLS[name]: _smallest_seen(columns[name], basis, circuit)
+            SYMBOLS[name]: _smallest_seen(curve, circuit, name, basis)
             for name in columns
             if name in zero - silent
         },
@@ -251,7 +257,29 @@ def _exponents(direction: Reals, groups: list[list[str]]) -> dict[str, float]:
     }
 
 
-def _smallest_seen(column: Reals, basis: Reals, circuit: CircuitSettings) -> float:
-    """Size in ohm that would stand out by two standard errors beside all that is fitted anyway."""
-    own = column - basis @ (basis.T @ column)
-    return 2 * circuit.film_resistance_ohm / max(float(np.linalg.norm(own)), 1e-12)
+def _smallest_seen(
+    curve: ResponseCurve, circuit: CircuitSettings, name: str, basis: Reals
+) -> float:
+    """Size in ohm of a value that is zero at which |H| would differ by two standard errors.
+
+    From whole changes, not derivatives: what a small series resistance does to |H| is, to first
+    order, what the pole does. Level and corner follow the change (C_PV and d33 are fitted anyway).
+    Infinite where 1e12 times the film's resistance would not do.
+    """
+    weight = DB_PER_RELATIVE / curve.gain_errors_dB
+    level, corner = pvdf.level_at_one_hertz(circuit), pvdf.corner_frequency(circuit)
+    at_zero = np.log(np.abs(pvdf.circuit(curve.frequencies, circuit)))
+
+    def stands_out(size: float) -> bool:
+        changed = CircuitSettings.model_validate(circuit.model_dump() | {name: size})
+        response = pvdf.circuit(curve.frequencies, matched(changed, level, corner))
+        change = weight * (np.log(np.abs(response)) - at_zero)
+        return bool(np.linalg.norm(change - basis @ (basis.T @ change)) > 2)
+
+    low, high = 1e-6 * circuit.film_resistance_ohm, 1e12 * circuit.film_resistance_ohm
+    if not stands_out(high):
+        return math.inf
+    for _ in range(60):
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if stands_out(middle) else (middle, high)
+    return high

@@ -8,9 +8,10 @@ nothing more stands out. So no drop is ever averaged into the trend, nor into an
 
 Against invented drops: every point is given an error of at least 3 % beside its own, so that the
 search judges shape, in dB, and not the last digit of a precise point; a candidate must save six
-standard errors squared, more than half of that without the frequency that supports it most, and
-end as a notch of at least 1 dB with a Q of at least 2, its depth five standard errors from zero and
-its frequency known to 2 %.
+standard errors squared and end as a notch of at least 1 dB with a Q of at least 2, its depth five
+standard errors from zero, its frequency known to 2 %, and still needed when the one frequency that
+is nearest to it is left out: a single odd point is not a drop. A drop somewhat beyond the highest
+frequency is fitted too where its flank shows, for the corner's sake.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.analysis.film_fit import FilmFit, fit_film, minimised
+from rig.analysis.film_fit import FilmFit, chi_square, fit_film, minimised
 from rig.analysis.film_model import FilmModel, Notch, in_order, without
 from rig.analysis.response import Complexes, Reals
 from rig.analysis.response_curve import CurveError, ResponseCurve
@@ -33,8 +34,10 @@ SEARCH_ERROR = 0.03
 """Relative error every point has in the search, at least: 0.26 dB."""
 CLEAR_DROP = 36.0
 """Chi-square a candidate must save: six standard errors."""
-CLEAR_WITHOUT_BEST = 18.0
-"""And without the one frequency that supports it most: a single odd point is not a drop."""
+CLEAR_WITHOUT_NEAREST = 18.0
+"""What the fitted notch must save without the frequency nearest to it."""
+BEYOND_RANGE = 1.2
+"""Over the highest frequency: as far as drops are looked for."""
 CLEAR_DEPTH = 5.0
 """Standard errors of the fitted depth."""
 KNOWN_FREQUENCY = 0.02
@@ -50,14 +53,15 @@ _TRIED_Q = (2.0, 3.2, 5.0, 8.0, 12.5, 20.0, 32.0)
 _TRIED_CORNERS = 120
 
 
-def fit_with_drops(curve: ResponseCurve) -> FilmFit:
+def fit_with_drops(curve: ResponseCurve, break_Hz: float | None = None) -> FilmFit:
     """Circuit and all drops of a measured response, fitted together.
 
+    With ``break_Hz`` the trend is that of a film with a break, which is looked for from there on.
     Raises CurveError for fewer than 8 different frequencies, less than a decade of them, or points
     that no such model comes near.
     """
     _check_span(curve)
-    fit = fit_film(curve, _searched(curve))
+    fit = fit_film(curve, _searched(curve, break_Hz))
     while fit.model.notches:
         unlikely = _least_likely(curve, fit)
         if unlikely is None:
@@ -112,10 +116,10 @@ def _check_span(curve: ResponseCurve) -> None:
         )
 
 
-def _searched(curve: ResponseCurve) -> FilmModel:
+def _searched(curve: ResponseCurve, break_Hz: float | None) -> FilmModel:
     """The circuit with every drop that stands out."""
     tolerant = curve.with_relative_error(SEARCH_ERROR)
-    model = _first_trend(tolerant)
+    model = _first_trend(tolerant, break_Hz)
     for _ in range(MOST_DROPS):
         candidate = _best_candidate(tolerant, model)
         if candidate is None:
@@ -124,27 +128,30 @@ def _searched(curve: ResponseCurve) -> FilmModel:
     return replace(model, notches=in_order(model.notches))
 
 
-def _first_trend(curve: ResponseCurve) -> FilmModel:
+def _first_trend(curve: ResponseCurve, break_Hz: float | None) -> FilmModel:
     """Level and corner that drops do not pull: least sum of ln(1 + (distance / 0.1)^2)."""
     f = curve.frequencies
+    rise = 1.0 if break_Hz is None else 1 + 1j * f / break_Hz
     best, best_cost = FilmModel(0.0, 0.0), np.inf
     corners = np.geomspace(f[0], 10 * f[-1], _TRIED_CORNERS)
     for inverse in (*(1 / corners), 0.0):
-        shape = curve.responses * (1 + 1j * f * inverse) / (1j * f)
+        shape = curve.responses * (1 + 1j * f * inverse) / (1j * f * rise)
         polarity = 1.0 if np.median(shape.real / np.abs(shape)) >= 0 else -1.0
         level = float(np.median(np.log(np.abs(shape))))
         distance = np.abs(np.log(polarity * shape) - level)
         cost = float(np.log1p(np.square(distance / 0.1)).sum())
         if cost < best_cost:
             best_cost = cost
-            best = FilmModel(level * 20 / np.log(10), float(inverse), polarity=polarity)
+            best = FilmModel(
+                level * 20 / np.log(10), float(inverse), polarity=polarity, break_Hz=break_Hz
+            )
     return best
 
 
 def _best_candidate(curve: ResponseCurve, model: FilmModel) -> Notch | None:
     """The notch that saves most chi-square, if it is a clear one."""
     f = curve.frequencies
-    centres, qualities = _candidates(float(f[0]), float(f[-1]))
+    centres, qualities = _candidates(float(f[0]), BEYOND_RANGE * float(f[-1]))
     expected = model.response(f)
     filters = curve.whitened(-expected * _band_pass(f, centres, qualities))
     residual = curve.whitened(curve.responses - expected)
@@ -157,24 +164,8 @@ def _best_candidate(curve: ResponseCurve, model: FilmModel) -> Notch | None:
     best = int(np.argmax(saved))
     if saved[best] < CLEAR_DROP:
         return None
-    without_best = _saved_without_best(f, filters[best], residual, saved, best)
-    if without_best < CLEAR_WITHOUT_BEST:
-        return None
     remaining = 1 - min(float(amount[best]), 0.9)
     return Notch(float(centres[best]), float(qualities[best]), -20 * float(np.log10(remaining)))
-
-
-def _saved_without_best(
-    f: Reals, matched: Reals, residual: Reals, saved: Reals, best: int
-) -> float:
-    """What the candidate saves without the frequency that contributes most to it."""
-    product = (matched * residual).reshape(2, -1).sum(axis=0)
-    power = np.square(matched).reshape(2, -1).sum(axis=0)
-    _, place = np.unique(f, return_inverse=True)
-    support, weight = np.bincount(place, product), np.bincount(place, power)
-    strongest = int(np.argmax(support))
-    left = max(float(weight.sum() - weight[strongest]), 1e-300)
-    return float(max(support.sum() - support[strongest], 0.0) ** 2 / left)
 
 
 def _candidates(lowest: float, highest: float) -> tuple[Reals, Reals]:
@@ -196,18 +187,35 @@ def _band_pass(f: Reals, centres: Reals, qualities: Reals) -> Complexes:
 
 
 def _least_likely(curve: ResponseCurve, fit: FilmFit) -> int | None:
-    """Index of the notch that is least of a drop, among those that are none."""
-    worst, least = None, np.inf
-    variances = np.diag(fit.covariance)
-    for k, notch in enumerate(fit.model.notches):
-        at = fit.model.first_notch + 3 * k
-        frequency_error, depth_error = np.sqrt(np.maximum(variances[[at, at + 2]], 0.0))
-        is_drop = (
-            notch.depth_dB >= max(SMALLEST_DEPTH_DB, CLEAR_DEPTH * depth_error)
-            and notch.pole_Q >= SMALLEST_Q
-            and curve.frequencies[0] <= notch.frequency_Hz <= curve.frequencies[-1]
-            and frequency_error <= KNOWN_FREQUENCY
-        )
-        if not is_drop and notch.depth_dB < least:
-            worst, least = k, notch.depth_dB
-    return worst
+    """Index of the shallowest notch that is no drop, if there is one."""
+    doubtful = [
+        k
+        for k in range(len(fit.model.notches))
+        if not (_is_distinct(curve, fit, k) and _stands_without_nearest(curve, fit, k))
+    ]
+    return min(doubtful, key=lambda k: fit.model.notches[k].depth_dB) if doubtful else None
+
+
+def _is_distinct(curve: ResponseCurve, fit: FilmFit, index: int) -> bool:
+    """Whether a notch is deep, narrow and well enough known to be called a drop."""
+    notch, at = fit.model.notches[index], fit.model.first_notch + 3 * index
+    variances = np.maximum(np.diag(fit.covariance)[at : at + 3], 0.0)
+    frequency_error, _, depth_error = np.sqrt(variances)
+    return bool(
+        notch.depth_dB >= max(SMALLEST_DEPTH_DB, CLEAR_DEPTH * depth_error)
+        and notch.pole_Q >= SMALLEST_Q
+        and curve.frequencies[0] <= notch.frequency_Hz <= BEYOND_RANGE * curve.frequencies[-1]
+        and frequency_error <= KNOWN_FREQUENCY
+    )
+
+
+def _stands_without_nearest(curve: ResponseCurve, fit: FilmFit, index: int) -> bool:
+    """Whether the notch is needed by more than the one frequency nearest to it."""
+    f = curve.frequencies
+    nearest = f[np.argmin(np.abs(np.log(f / fit.model.notches[index].frequency_Hz)))]
+    rest = curve.with_relative_error(fit.model_error).at(f != nearest)
+    if len(rest) * 2 <= len(fit.model.vector):
+        return False
+    with_it = chi_square(rest, minimised(rest, fit.model))
+    without_it = chi_square(rest, minimised(rest, without(fit.model, index)))
+    return without_it - with_it >= CLEAR_WITHOUT_NEAREST

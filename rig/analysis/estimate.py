@@ -37,7 +37,7 @@ class Estimate:
     def of_inverse(cls, inverse: float, standard_error: float, unit: str) -> Estimate:
         """1 over a quantity with a normal error; no upper end where that one may be zero.
 
-        An ``inverse`` of zero or less has an infinite value: only the lower end then says something.
+        An ``inverse`` of zero or less has an infinite value: then only the lower end counts.
         """
         half = COVERAGE_95 * standard_error
         value = 1 / inverse if inverse > 0 else math.inf
@@ -58,7 +58,9 @@ class Estimate:
             "low": self.low,
             "high": self.high,
         }
-        plain = {name: number if math.isfinite(number) else None for name, number in numbers.items()}
+        plain = {
+            name: number if math.isfinite(number) else None for name, number in numbers.items()
+        }
         return {**plain, "unit": self.unit}
 
     def __str__(self) -> str:

@@ -81,11 +81,16 @@ class FilmFit:
         return Estimate.of_inverse(self.model.inverse_corner_s, self._errors[1], "Hz")
 
     @property
+    def delay(self) -> Estimate:
+        """Of the film's channel after the load's, us."""
+        return Estimate.normal(1e6 * self.model.delay_s, 1e6 * self._errors[2], "us")
+
+    @property
     def slope(self) -> Estimate:
         """The free exponent in dB/decade. Raises CurveError for a model without one."""
         if self.model.slope_dB_decade is None:
             raise CurveError("the slope of this model was not free")
-        return Estimate.normal(self.model.slope_dB_decade, self._errors[2], "dB/decade")
+        return Estimate.normal(self.model.slope_dB_decade, self._errors[3], "dB/decade")
 
     @property
     def drops(self) -> tuple[DropEstimate, ...]:
@@ -205,7 +210,8 @@ def _inverse(normal: Reals) -> Reals:
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0] = 1.0
     inverse: Reals = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True, rcond=1e-14)
-    return inverse / np.outer(scale, scale)
+    inverse /= np.outer(scale, scale)
+    return inverse
 
 
 def _log_determinant(curve: ResponseCurve) -> float:

@@ -1,6 +1,7 @@
 """The shape of a film's frequency response, with its derivatives: no data, no fitting.
 
-    H(f) = polarity * 10^(b/20) * j f / (1 + j f / corner) * prod_k N_k(f) [* extensions]
+    H(f) = polarity * 10^(b/20) * j f / (1 + j f / corner) * exp(-2 pi j f delay)
+           * prod_k N_k(f) [* extensions]
 
 a first-order circuit (level and one pole: all that a response shows of the paper's figure 6) times
 one second-order notch for each mechanical drop (paper 3.2 (iii)),
@@ -8,6 +9,8 @@ one second-order notch for each mechanical drop (paper 3.2 (iii)),
     N(f) = (1 - x^2 + j g x / Q) / (1 - x^2 + j x / Q),   x = f / f_drop,   g = 10^(-depth/20).
 
 ``b`` is the level of equation (2) at 1 Hz: the low-frequency asymptote, free of pole and drops.
+The delay is what the two channels still differ by in time after all corrections (converter skew,
+the lag of the load cell's amplifier): it is fitted so that it cannot pass for a part of the pole.
 Two extensions turn a statement into a parameter that can be tested:
 
 - a *slope* s in dB/decade in place of the 20 of eq. (2): the magnitude takes a further factor
@@ -43,11 +46,6 @@ class Notch:
     pole_Q: float
     depth_dB: float
 
-    @property
-    def half_width_Hz(self) -> float:
-        """From the centre to where half of the poles' power is left: f / (2 Q)."""
-        return self.frequency_Hz / (2 * self.pole_Q)
-
 
 @dataclass(frozen=True)
 class FilmModel:
@@ -58,6 +56,8 @@ class FilmModel:
     inverse_corner_s: float
     """1 / corner frequency in 1/Hz; zero is a film without a corner."""
     notches: tuple[Notch, ...] = ()
+    delay_s: float = 0.0
+    """How much later the film's channel is than the load's."""
     polarity: float = 1.0
     """+1, or -1 for a film connected the other way round."""
     slope_dB_decade: float | None = None
@@ -65,8 +65,8 @@ class FilmModel:
 
     @property
     def vector(self) -> Reals:
-        """Parameters (m,): b, 1/corner, [slope], [ln break], then ln f, ln Q, depth a notch."""
-        head = [self.level_dB, self.inverse_corner_s]
+        """Parameters (m,): b, 1/corner, delay, [slope], [ln break]; ln f, ln Q, depth a notch."""
+        head = [self.level_dB, self.inverse_corner_s, self.delay_s]
         if self.slope_dB_decade is not None:
             head.append(self.slope_dB_decade)
         if self.break_Hz is not None:
@@ -78,16 +78,17 @@ class FilmModel:
     @property
     def first_notch(self) -> int:
         """Index in :attr:`vector` of the first notch's first parameter."""
-        return 2 + (self.slope_dB_decade is not None) + (self.break_Hz is not None)
+        return 3 + (self.slope_dB_decade is not None) + (self.break_Hz is not None)
 
     def moved_to(self, vector: Reals) -> FilmModel:
         """The same model with the parameters of ``vector``."""
-        rest = [float(value) for value in vector[2 : self.first_notch]]
+        rest = [float(value) for value in vector[3 : self.first_notch]]
         triples = vector[self.first_notch :].reshape(-1, _N_NOTCH)
         return replace(
             self,
             level_dB=float(vector[0]),
             inverse_corner_s=float(vector[1]),
+            delay_s=float(vector[2]),
             slope_dB_decade=rest.pop(0) if self.slope_dB_decade is not None else None,
             break_Hz=math.exp(rest.pop(0)) if self.break_Hz is not None else None,
             notches=tuple(
@@ -108,7 +109,8 @@ class FilmModel:
         """The same without the drops."""
         jf = 1j * frequencies
         level = self.polarity * 10 ** (self.level_dB / 20)
-        value: Complexes = level * jf / (1 + jf * self.inverse_corner_s)
+        turned = np.exp(-2 * np.pi * jf * self.delay_s)
+        value: Complexes = level * turned * jf / (1 + jf * self.inverse_corner_s)
         if self.slope_dB_decade is not None:
             excess = self.slope_dB_decade / FIRST_ORDER_SLOPE - 1
             value = value * np.minimum(frequencies, SLOPE_BAND_HZ[1]) ** excess
@@ -128,6 +130,7 @@ class FilmModel:
         rows = [
             np.full(frequencies.shape, _NEPER_PER_DB, dtype=complex),
             -jf / (1 + jf * self.inverse_corner_s),
+            -2 * np.pi * jf,
         ]
         if self.slope_dB_decade is not None:
             rows.append(np.log(np.minimum(frequencies, SLOPE_BAND_HZ[1])) / FIRST_ORDER_SLOPE + 0j)

@@ -1,4 +1,4 @@
-"""A measured frequency response as arrays, checked once: what every analysis of a sweep starts from.
+"""A measured frequency response as arrays, checked once: what the analyses of a sweep start from.
 
 Points may come in any order, repeat a frequency or leave some out; they are sorted here, so that no
 result depends on the order of measurement.
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rig.analysis.response import DB_PER_RELATIVE, Complexes, Reals
 from rig.errors import ExitCode, RigError
@@ -33,7 +33,9 @@ class ResponseCurve:
     """Of (real, imaginary) part, (V/N)^2, (n, 2, 2)."""
 
     @classmethod
-    def of(cls, frequencies: ArrayLike, responses: ArrayLike, covariances: ArrayLike) -> ResponseCurve:
+    def of(
+        cls, frequencies: ArrayLike, responses: ArrayLike, covariances: ArrayLike
+    ) -> ResponseCurve:
         """Check and sort: frequencies (n,) Hz, responses (n,) V/N, covariances (n, 2, 2).
 
         Raises CurveError, naming the argument and the value, for unequal lengths, anything not
@@ -70,8 +72,14 @@ class ResponseCurve:
         extra = np.square(relative * np.abs(self.responses))[:, None, None] * np.eye(2)
         return ResponseCurve(self.frequencies, self.responses, self.covariances + extra)
 
+    def at(self, chosen: NDArray[np.bool_]) -> ResponseCurve:
+        """The points for which ``chosen`` (n,) is true."""
+        return ResponseCurve(
+            self.frequencies[chosen], self.responses[chosen], self.covariances[chosen]
+        )
+
     def whitened(self, values: Complexes) -> Reals:
-        """Complex ``values`` (..., n) as (..., 2 n) reals of unit variance under the covariances."""
+        """Complex ``values`` (..., n) as (..., 2 n) reals, of unit variance if errors are right."""
         lower = np.linalg.cholesky(self.covariances)
         first = values.real / lower[:, 0, 0]
         second = (values.imag - lower[:, 1, 0] * first) / lower[:, 1, 1]

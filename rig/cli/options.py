@@ -22,6 +22,9 @@ from rig.settings import Settings, name_without_unit, unit_of
 _QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
 
+_UNIT = re.compile(r"^[A-Za-zµμΩ°%][A-Za-zµμΩ°%0-9/*^ ]*$")
+
+
 def option_name(field: str) -> str:
     """The option of a settings field: ``settling_s`` is ``--settling``."""
     return "--" + name_without_unit(field).replace("_", "-")
@@ -99,11 +102,13 @@ def quantity(text: str, unit: str | None) -> float:
         return number
     if unit is None:
         raise ValueError(f"takes a bare number, not {written!r}")
+    if not _UNIT.match(written):
+        raise ValueError(f"{written!r} is no unit")
     import pint
 
     try:
         return float(pint.Quantity(number, written).to(unit).magnitude)
-    except (pint.PintError, TypeError, ValueError, AttributeError) as error:
+    except (pint.PintError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise ValueError(f"{written!r} does not convert to {unit}") from error
 
 

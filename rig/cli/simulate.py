@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rig.cli.outcome import reported, say
-from rig.errors import UnsafeError
+from rig.errors import ConfigurationError, UnsafeError
 
 
 def simulate(
@@ -31,9 +31,7 @@ def simulate(
             if write is None:
                 print(text, flush=True)  # noqa: T201 - stdout carries data
             else:
-                beside = write.with_name(write.name + ".tmp")
-                beside.write_text(text, encoding="utf-8")
-                beside.replace(write)
+                _write_bench_file(write, text)
             where = f"with --bench {write}" if write else "with this bench file"
             say(f"SIMULATED bench, seed {seed}, in real time; drive it {where}; Ctrl-C ends it")
 
@@ -41,6 +39,19 @@ def simulate(
         paths = {name: None if path is None else str(path) for name, path in options.items()}
         entry.load().serve({"seed": seed, **paths}, ready)
         say("the simulated bench has ended")
+
+
+def _write_bench_file(path: Path, text: str) -> None:
+    """Whole or not at all: somebody may be waiting for the file to appear."""
+    beside = path.with_name(path.name + ".tmp")
+    try:
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        raise ConfigurationError(
+            f"the bench file {path} cannot be written: {error.strerror}",
+            "name a file in an existing folder",
+        ) from error
 
 
 def make_safe(

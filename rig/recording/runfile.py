@@ -80,7 +80,7 @@ class RunFile:
 
         path = Path(path)
         if not path.is_file():
-            raise RunFileError(path, "no such file")
+            raise RunFileError(path, "a folder, no file" if path.is_dir() else "no such file")
         with _naming(path):
             file = h5py.File(path, "r")
         run = cls(path, file)

@@ -52,10 +52,14 @@ class Arming:
         self._armed = [armed for armed in self._armed if armed.name != name]
         self._armed.append(Armed(name, off, deadline_s))
 
-    def make_safe(self) -> list[OffFailure]:
-        """Run every off in reverse order; returns those that failed and forgets the others."""
+    def make_safe(self, before_each: Callable[[], None] = lambda: None) -> list[OffFailure]:
+        """Run every off in reverse order; returns those that failed and forgets the others.
+
+        `before_each` is called before every off: a clean-up is a sign of life too.
+        """
         failures = []
         for armed in reversed(self._armed):
+            before_each()
             reason = _run_off(armed)
             if reason is not None:
                 failures.append(OffFailure(armed.name, reason))

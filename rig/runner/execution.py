@@ -144,7 +144,7 @@ class _Loop:
         except TripError as trip:
             self.run.event("error", "trip", trip.one_line())
             self.reporter.event("warning", f"{trip.one_line()}; retaking point {point.id} once")
-            failures = self.run.arming.make_safe()
+            failures = self.run.arming.make_safe(self.guard.beat)
             if failures:
                 raise
         self.job.procedure.arm(self.run)
@@ -165,7 +165,7 @@ class _Loop:
     def _make_safe(self) -> None:
         self.outcome.duration_s = self.bench.clock.now() - self._begun_s
         armed = self.run.arming.names
-        self.outcome.off_failures = self.run.arming.make_safe()
+        self.outcome.off_failures = self.run.arming.make_safe(self.guard.beat)
         failed = {failure.name for failure in self.outcome.off_failures}
         self.outcome.switched_off = tuple(name for name in armed if name not in failed)
         if failed:

@@ -237,7 +237,9 @@ def points_per_second(plan, clock, results, count, monkeypatch):
 
         patch.setattr(Recorder, "close", noting_close)
         patch.setattr(os, "fdatasync", noting_sync)
-        outcome = execute(Job(NoOp(count), Settings(), 0, results), plan, clock, StopFlag(), reporter)
+        outcome = execute(
+            Job(NoOp(count), Settings(), 0, results), plan, clock, StopFlag(), reporter
+        )
     assert outcome.code == ExitCode.DONE, outcome.failures
     assert outcome.points_done == count
     assert verify(outcome.file) == []

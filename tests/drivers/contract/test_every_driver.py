@@ -21,7 +21,7 @@ PATIENCE_S = 20.0
 
 
 def role_of(case: Case) -> Role:
-    return ROLES[case.module().ROLE]
+    return ROLES[case.module().ROLES[0]]
 
 
 def connect(case: Case, service: Service) -> Any:
@@ -62,7 +62,7 @@ def test_every_installed_driver_has_a_case() -> None:
 @EVERY
 def test_the_module_has_what_an_entry_point_names(case: Case) -> None:
     module = case.module()
-    assert module.ROLE in ROLES, "write the role's script into roles.py"
+    assert set(module.ROLES) <= set(ROLES), "write the role's script into roles.py"
     assert {name for name in ("Settings", "connect", "make_safe") if hasattr(module, name)} == {
         "Settings",
         "connect",
@@ -179,12 +179,14 @@ def test_silence_is_told_with_device_command_time_and_remedy_and_charged(case: C
         with pytest.raises(InstrumentTimeoutError) as caught:
             connect(case, service)
         error = caught.value
-        assert error.device == case.module().ROLE
+        assert error.device == case.module().ROLES[0]
         assert error.command in error.message
         assert f"no answer within {TIMEOUT_S:g} s" in error.message
         assert error.hint is not None
         assert service.settings["resource"] in error.hint
-        assert service.now_s() - before == pytest.approx(TIMEOUT_S), "bench time went on meanwhile"
+        assert service.now_s() - before == pytest.approx(TIMEOUT_S, abs=1e-3), (
+            "bench time went on meanwhile"
+        )
 
 
 @EVERY
@@ -193,7 +195,7 @@ def test_an_instrument_that_is_not_there_is_told(case: Case) -> None:
         pass  # its port is closed again
     with pytest.raises(InstrumentError) as caught:
         connect(case, service)
-    assert caught.value.device == case.module().ROLE
+    assert caught.value.device == case.module().ROLES[0]
     assert service.settings["resource"] in str(caught.value.hint)
 
 

@@ -1,0 +1,663 @@
+"""Festo CMMT-AS / CMMT-ST servo drive with one linear axis as a LinearStage, over Modbus TCP.
+
+One drive, one connection, one communication time-out per axis: feeding one axis does not feed the
+other. The drive positions by PROFIdrive telegram 111 with values given directly (MDI).
+
+What keeps a lost, doubled or late line from becoming a motion:
+
+* only absolute positions are sent; writing the same image twice asks for nothing new;
+* a task begins with a rising bit, and every image carries the whole wish, so an image that arrives
+  twice or after a lost one means what it says;
+* at rest the reject bit stands: the image that a repetition would repeat is a stop;
+* after `make_safe` no image that could move the axis is sent until `stop` was called: a procedure
+  that is a few lines behind its watcher cannot set the axis going again;
+* keep-alives only read. A stop that somebody else commanded is not overwritten by them.
+
+Source of registers, words and sequences: the vendor's client festo-edcon 0.14.12. Not confirmed on
+a drive, each marked where it stands: the parameters that tell the units, the unit of the clamping
+torque, what feeds the communication time-out and how the drive reacts to its expiry.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from drivers.cmmt_link import (
+    COMMUNICATION_TIMEOUT,
+    INPUT_IMAGE,
+    OUTPUT_IMAGE,
+    CmmtLink,
+    ParameterRefusedError,
+)
+from drivers.telegram111 import (
+    FULL_SCALE,
+    IMAGE_REGISTERS,
+    Inputs,
+    Outputs,
+    PosStw1,
+    PosStw2,
+    PosZsw1,
+    PosZsw2,
+    Stw1,
+    Stw2,
+    Zsw1,
+)
+from rig.clock import Clock, WallClock
+from rig.errors import InstrumentError, LimitError
+from rig.instruments import Identity, Reach
+from rig.settings import Settings as BaseSettings
+
+ROLES = ("stage_z", "stage_x")
+"""The roles this driver can play; which one, its settings say."""
+
+# Parameters (PNU), from the vendor's pnu_map.csv.
+TELEGRAM_SELECTION = 3490
+SERIAL_NUMBER, SERIAL_LENGTH = 2021, 5
+POSITION_UNIT = 12698  # CiA 402 object 60A8h; unconfirmed that it describes telegram 111
+SPEED_UNIT = 12699  # CiA 402 object 60A9h; unconfirmed likewise
+CLAMPING_TORQUE = 12168  # REAL; percent of the rated torque is unconfirmed
+LOW_LIMIT, HIGH_LIMIT = 11584, 11585  # LINT; position units are unconfirmed
+
+TELEGRAM = 111
+POLL_S = 0.002
+ARRIVAL_POLL_S = 0.005
+KEEP_ALIVE_EVERY_S = 0.01
+ACKNOWLEDGE_TIMEOUT_S = 0.5
+"""How long the drive may take to show that it has taken a task."""
+FAULT_TIMEOUT_S = 5.0
+ENABLE_TIMEOUT_S = 10.0
+REJECT_HOLD_S = 0.02
+"""How long a stop is held before it may be lifted: many of the drive's cycles [unconfirmed]."""
+SETTLING_S = 1.0
+"""What a motion may take beyond its profile."""
+
+_POWER_OFF = (
+    Stw1.NO_COAST_STOP
+    | Stw1.NO_QUICK_STOP
+    | Stw1.ENABLE_OPERATION
+    | Stw1.CONTROL_BY_PLC
+    | Stw1.NO_INTERMEDIATE_STOP
+)
+_STOP = _POWER_OFF | Stw1.ON  # the reject bit is a zero
+_TASK = _STOP | Stw1.DO_NOT_REJECT_TASK | Stw1.ACTIVATE_TASK
+_HOME = _STOP | Stw1.DO_NOT_REJECT_TASK | Stw1.START_HOMING
+_LIMITS = PosStw2.SOFTWARE_LIMITS | PosStw2.HARDWARE_LIMITS
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What a fault number means and what to do about it."""
+
+    meaning: str
+    remedy: str
+
+
+_LIMIT_REMEDY = "correct the travel limits in the bench file, or the position asked for"
+_SWITCH_REMEDY = "look at the axis, move it off the switch with the vendor's software, home again"
+FAULTS: Mapping[int, Fault] = {
+    56: Fault("the homing method is not valid", "choose another in the drive's parameters"),
+    57: Fault("homing took too long", "check the homing switch and the drive's homing time-out"),
+    58: Fault("homing searched its whole path", "check the reference switch and the search path"),
+    109: Fault("negative software limit", _LIMIT_REMEDY),
+    110: Fault("positive software limit", _LIMIT_REMEDY),
+    113: Fault("software limits contradict each other", "correct low_limit_mm and high_limit_mm"),
+    114: Fault("negative limit switch reached", _SWITCH_REMEDY),
+    115: Fault("positive limit switch reached", _SWITCH_REMEDY),
+    116: Fault("held by the negative limit switch", _SWITCH_REMEDY),
+    117: Fault("held by the positive limit switch", _SWITCH_REMEDY),
+    118: Fault("both limit switches at once", "check the switches' wiring"),
+    126: Fault("following error: the axis did not follow", "look for what blocks the axis"),
+    279: Fault("no fixed stop was found", "make diagnosis 279 a warning in the drive's parameters"),
+    280: Fault("the fixed stop was lost", "look for what gave way under the axis"),
+    294: Fault("control by PLC is not set", "end the vendor's software: it has taken control"),
+    391: Fault(  # unconfirmed that this is the number of the Modbus time-out
+        "communication time-out: nobody talked to the drive",
+        "the program hung or the network failed; look at the bench and start again",
+    ),
+}
+"""Numbers from the vendor's icp_map.csv, in our words."""
+
+
+class Settings(BaseSettings):
+    """Where the drive is, what its numbers mean and what the axis may do."""
+
+    driver: Literal["festo-cmmt"] = "festo-cmmt"
+    axis: Literal["z", "x"]
+    """Which axis of the bench it moves."""
+    host: str = Field(min_length=1)
+    """Address or name of the drive."""
+    port: int = Field(default=502, ge=1, le=65535)
+    """Modbus TCP port."""
+    unit_id: int = Field(default=1, ge=0, le=255)
+    """Modbus unit identifier."""
+    timeout_s: float = Field(default=0.5, gt=0, le=10)
+    """Longest wait for an answer."""
+    position_unit_mm: float = Field(default=0.001, gt=0, le=1)
+    """What one count of position is in the drive's parametrisation."""
+    speed_unit_mm_s: float = Field(default=0.001, gt=0, le=1)
+    """What one count of speed is."""
+    trust_units: bool = False
+    """Move although the drive would not tell its units, because a person has checked them."""
+    low_limit_mm: float
+    """Lowest position allowed, set in the drive too."""
+    high_limit_mm: float
+    """Highest position allowed, set in the drive too."""
+    max_speed_mm_s: float = Field(gt=0, le=1000)
+    """Fastest motion allowed."""
+    acceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
+    """Acceleration of every motion."""
+    deceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
+    """Deceleration of every motion and of a controlled stop."""
+    full_acceleration_mm_s2: float = Field(default=1000, gt=0, le=50_000)
+    """What the drive's parameters call 100 % of acceleration and deceleration."""
+    communication_timeout_ms: int = Field(default=500, ge=100, le=10_000)
+    """The drive stops by itself when nobody has talked to it for so long."""
+    torque_limit_percent: float | None = Field(default=None, gt=0, le=100)
+    """Every motion travels to a fixed stop with this clamping torque: the barrier behind the force
+    limit. Left out, the drive pushes with all it has."""
+    position_tolerance_mm: float = Field(default=0.02, gt=0, le=1)
+    """How far from its target a motion may end."""
+    homing_timeout_s: float = Field(default=60, gt=0, le=600)
+    """How long homing may take."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if not self.low_limit_mm < self.high_limit_mm:
+            raise ValueError("low_limit_mm has to be below high_limit_mm")
+        if max(self.acceleration_mm_s2, self.deceleration_mm_s2) > self.full_acceleration_mm_s2:
+            raise ValueError("acceleration and deceleration cannot exceed full_acceleration_mm_s2")
+        if min(self.acceleration_mm_s2, self.deceleration_mm_s2) < (
+            self.full_acceleration_mm_s2 / FULL_SCALE
+        ):
+            raise ValueError("acceleration or deceleration is below the drive's resolution")
+        return self
+
+    @property
+    def role(self) -> str:
+        """The role it plays on the bench."""
+        return f"stage_{self.axis}"
+
+
+class Axis:
+    """One drive and its axis. `connect` has identified it and set its limits.
+
+    One thread commands motions; any thread may call `make_safe` at any time.
+    """
+
+    def __init__(self, settings: Settings, clock: Clock):
+        self._settings = settings
+        self._clock = clock
+        self._device = settings.role
+        self._link = CmmtLink(
+            self._device,
+            settings.host,
+            settings.port,
+            settings.unit_id,
+            settings.timeout_s,
+            clock,
+        )
+        self._identity: Identity | None = None
+        self._sending = threading.Lock()
+        self._made_safe = 0
+        """How often the axis was made safe, and how many of these a stop has answered."""
+        self._rearmed = 0
+        self._in_charge = False
+        """Whether this connection has taken the drive over: from then on, faults are ours."""
+        self._told_fault = 0
+        self._halting = False
+        self._seen = Inputs()
+        self._seen_at_s = -1.0
+        self._target: int | None = None
+        """Where the task under way ends, in counts."""
+        self._arrive_by_s = 0.0
+
+    # --- the role -----------------------------------------------------------------------------
+
+    @property
+    def identity(self) -> Identity:
+        """Who answered at connect."""
+        assert self._identity is not None, "connect() identifies before anything else"
+        return self._identity
+
+    def reach(self) -> Mapping[str, Reach]:
+        """Position and speed that the bench file allows."""
+        own, owner = self._settings, f"{self._device} {self.identity.model}"
+        return {
+            "position": Reach(own.low_limit_mm, own.high_limit_mm, "mm", owner),
+            "speed": Reach(own.speed_unit_mm_s, own.max_speed_mm_s, "mm/s", owner),
+        }
+
+    def homed(self) -> bool:
+        """Whether the drive knows where it is (ZSW1.11)."""
+        return Zsw1.HOMED in self._look().zsw1
+
+    def home(self) -> None:
+        """Find the reference by the method in the drive's parameters, and wait for it."""
+        self._take_charge()
+        self._halt()  # homing begins with a rising bit: it must have been low
+        self._tell(replace(_at_rest(self._settings), stw1=_HOME))
+        self._await(
+            "home",
+            lambda seen: PosZsw1.HOMING in seen.pos_zsw1,
+            ACKNOWLEDGE_TIMEOUT_S,
+            "did not begin to home",
+        )
+        # Unconfirmed that the drive drops "homing" by itself when it has found the reference.
+        self._await(
+            "home",
+            lambda seen: Zsw1.HOMED in seen.zsw1 and PosZsw1.HOMING not in seen.pos_zsw1,
+            self._settings.homing_timeout_s,
+            "did not find its reference",
+        )
+        self.stop()
+
+    def position_mm(self) -> float:
+        """The measured position."""
+        return self._look().position * self._settings.position_unit_mm
+
+    def start_move(self, position_mm: float, speed_mm_s: float) -> None:
+        """Begin to move there, or change the target of the motion under way.
+
+        A running task is changed by one write and one read. LimitError outside `reach`.
+        """
+        own = self._settings
+        reach = self.reach()
+        self._require("position", position_mm, reach["position"])
+        self._require("speed", speed_mm_s, reach["speed"])
+        if self._target is None:
+            self._prepare_task()
+        target = round(position_mm / own.position_unit_mm)
+        distance = abs(target - self._seen.position) * own.position_unit_mm
+        ramps = 4 * own.max_speed_mm_s / min(own.acceleration_mm_s2, own.deceleration_mm_s2)
+        wish = replace(
+            _at_rest(own),
+            stw1=_TASK,
+            pos_stw1=PosStw1.MDI | PosStw1.ABSOLUTE | PosStw1.CONTINUOUS_UPDATE,
+            target=target,
+            speed=round(speed_mm_s / own.speed_unit_mm_s),
+        )
+        self._target = target
+        self._tell(wish)
+        self._arrive_by_s = self._clock.now() + distance / speed_mm_s + ramps + SETTLING_S
+        if not _taken(self._look()):
+            self._await("move", _taken, ACKNOWLEDGE_TIMEOUT_S, "did not take the task")
+
+    def moving(self) -> bool:
+        """Whether a motion is under way; a fault, or a motion that ended elsewhere, raises."""
+        seen = self._look()
+        self._refuse_if_made_safe("move")
+        if self._target is None:
+            return Zsw1.STOPPED not in seen.zsw1
+        if self._arrived(seen):
+            return False
+        if PosZsw2.FIXED_STOP_REACHED in seen.pos_zsw2:
+            self._end_at_fixed_stop(seen)
+        if self._clock.now() > self._arrive_by_s:
+            raise self._error(
+                "move",
+                f"stands at {self._mm(seen.position):g} mm and has not arrived at "
+                f"{self._mm(self._target):g} mm",
+                "look for what holds the axis; the motion may still be under way",
+            )
+        return True
+
+    def move_to(self, position_mm: float, speed_mm_s: float) -> None:
+        """Move there, wait, verify by measured position, and end the task."""
+        self.start_move(position_mm, speed_mm_s)
+        while self.moving():
+            self._clock.sleep(ARRIVAL_POLL_S)
+        self.stop()
+
+    def stop(self) -> None:
+        """Stop in a controlled way and wait for rest; afterwards the axis may move again.
+
+        A fault does not keep it from being verified; it is raised by the next call.
+        """
+        answered = self._made_safe
+        self._halt()
+        self._rearmed = answered
+
+    def keep_alive(self) -> None:
+        """Read the drive's state, unless that has just been done: it feeds the communication
+        time-out (unconfirmed for reads) and raises a fault once when it appears."""
+        if self._link.charging or self._clock.now() - self._seen_at_s < KEEP_ALIVE_EVERY_S:
+            return
+        seen = self._read()
+        if not self._in_charge or Zsw1.FAULT not in seen.zsw1:
+            self._told_fault = 0
+        elif self._halting:
+            return
+        elif seen.fault != self._told_fault:
+            self._told_fault = seen.fault
+            raise self._fault(seen)
+
+    def make_safe(self) -> None:
+        """Command a controlled stop and verify that the drive has taken it.
+
+        It waits for answers, not for time, so that a watcher may call it while the bench's clock
+        stands: the axis is at rest after speed / deceleration at most. No motion is begun
+        afterwards until `stop` has been called, which waits for rest.
+        """
+        self._made_safe += 1
+        give_up = time.monotonic() + self._settings.timeout_s
+        self._tell(self._stopping(), stopping=True, charge=False)
+        while not _gives_way(self._read(charge=False)):
+            if time.monotonic() > give_up:
+                raise self._error("make safe", "did not take the stop", _LOOK)
+
+    def close(self) -> None:
+        """Let go of the connection; the drive meets its communication time-out and holds."""
+        self._link.close()
+
+    # --- connecting ---------------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """Identify; set time-out, limits and torque and read them back; stop what moves."""
+        self._identify()
+        self._set_communication_timeout()
+        self._check_telegram()
+        self._check_unit(POSITION_UNIT, self._settings.position_unit_mm, 0x00)
+        self._check_unit(SPEED_UNIT, self._settings.speed_unit_mm_s, 0x03)
+        if Zsw1.OPERATION_ENABLED in self._read().zsw1:
+            self._halt()
+        self._set_limits()
+
+    def stop_and_wait(self) -> None:
+        """A stop for somebody who only came to stop: a drive without power is only watched."""
+        if Zsw1.OPERATION_ENABLED in self._read().zsw1:
+            self._halt()
+        else:
+            self._await_rest()
+
+    def _identify(self) -> None:
+        objects = self._link.identification()
+        found = f"{objects[0]} {objects[5]}"
+        if not any("CMMT" in objects[number] for number in (1, 4, 5)):
+            raise self._error(
+                "identify",
+                f"{self._link.where} is a {found}",
+                "a Festo CMMT drive is expected; correct the host in the bench file",
+            )
+        try:
+            raw = self._link.parameter(SERIAL_NUMBER, SERIAL_LENGTH)
+            serial = raw.split(b"\0")[0].decode("ascii", "replace")
+        except ParameterRefusedError:
+            serial = "unknown"
+        self._identity = Identity(objects[0], objects[5], serial, objects[2])
+
+    def _set_communication_timeout(self) -> None:
+        wanted = self._settings.communication_timeout_ms
+        self._link.write(COMMUNICATION_TIMEOUT, [wanted, 0])
+        (kept,) = self._link.read(COMMUNICATION_TIMEOUT, 1)
+        if kept != wanted:
+            raise self._error(
+                "set the communication time-out",
+                f"set to {wanted} ms but reads back {kept} ms",
+                "choose a communication_timeout_ms that the drive accepts",
+            )
+
+    def _check_telegram(self) -> None:
+        selected = int.from_bytes(self._link.parameter(TELEGRAM_SELECTION), "little")
+        if selected != TELEGRAM:
+            raise self._error(
+                f"read parameter {TELEGRAM_SELECTION}",
+                f"the drive speaks telegram {selected}",
+                f"select telegram {TELEGRAM} in the drive's parameters and restart it",
+            )
+
+    def _check_unit(self, parameter: int, wanted_mm: float, per: int) -> None:
+        """The drive's unit as CiA 402 codes it: power of ten, metre (01h), per what."""
+        try:
+            code = int.from_bytes(self._link.parameter(parameter), "little")
+        except ParameterRefusedError as refused:
+            if self._settings.trust_units:
+                return
+            raise self._error(
+                refused.command,
+                "the drive does not tell its units",
+                "check them in the vendor's software, then set trust_units = true",
+            ) from refused
+        power = int.from_bytes(bytes([code >> 24]), "little", signed=True)
+        unit, divisor = code >> 16 & 0xFF, code >> 8 & 0xFF
+        millimetres = 1000.0 * 10.0**power
+        agrees = abs(millimetres / wanted_mm - 1) < 1e-9
+        if (unit, divisor) != (0x01, per) or not agrees:
+            raise self._error(
+                f"read parameter {parameter}",
+                f"the drive's unit is {code:#010x} ({millimetres:g} mm), not {wanted_mm:g} mm",
+                "correct position_unit_mm and speed_unit_mm_s in the bench file",
+            )
+
+    def _set_limits(self) -> None:
+        own = self._settings
+        for parameter, limit_mm in ((LOW_LIMIT, own.low_limit_mm), (HIGH_LIMIT, own.high_limit_mm)):
+            self._set(parameter, struct.pack("<q", round(limit_mm / own.position_unit_mm)))
+        if own.torque_limit_percent is not None:
+            self._set(CLAMPING_TORQUE, struct.pack("<f", own.torque_limit_percent))
+
+    def _set(self, parameter: int, raw: bytes) -> None:
+        """Write a parameter only where it differs: the drive's memory wears."""
+        if self._link.parameter(parameter) != raw:
+            self._link.set_parameter(parameter, raw)
+
+    # --- taking charge ------------------------------------------------------------------------
+
+    def _take_charge(self) -> None:
+        """Control by PLC, old faults acknowledged once, power on; nothing where that is so."""
+        self._refuse_if_made_safe("switch on")
+        seen = self._look()
+        if Zsw1.OPERATION_ENABLED in seen.zsw1:
+            self._in_charge = True
+            return
+        off = replace(_at_rest(self._settings), stw1=_POWER_OFF)
+        self._tell(off)
+        if Zsw1.FAULT in seen.zsw1:
+            self._acknowledge(off)
+        self._in_charge = True
+        self._await(
+            "switch on",
+            lambda seen: Zsw1.CONTROL_REQUESTED in seen.zsw1,
+            ACKNOWLEDGE_TIMEOUT_S,
+            "does not let itself be controlled",
+        )
+        self._tell(_at_rest(self._settings))
+        self._await(
+            "switch on",
+            lambda seen: Zsw1.OPERATION_ENABLED in seen.zsw1,
+            ENABLE_TIMEOUT_S,
+            "did not switch on",
+        )
+
+    def _acknowledge(self, off: Outputs) -> None:
+        """Pulse the acknowledge bit; a fault that stays is told."""
+        self._tell(replace(off, stw1=off.stw1 | Stw1.ACKNOWLEDGE_FAULT))
+        give_up = self._clock.now() + FAULT_TIMEOUT_S
+        while Zsw1.FAULT in (seen := self._read()).zsw1:
+            if self._clock.now() > give_up:
+                raise self._fault(seen)
+            self._clock.sleep(POLL_S)
+        self._tell(off)
+
+    def _prepare_task(self) -> None:
+        """Before the first write of a task: power on, homed, and no old task acknowledged."""
+        self._take_charge()
+        if Zsw1.HOMED not in self._look().zsw1:
+            raise self._error("move", "the axis has not been homed", "home it first")
+        if Zsw1.TASK_ACKNOWLEDGED in self._seen.zsw1:  # the rising bit would be none
+            self._tell(_at_rest(self._settings))
+            self._await(
+                "move",
+                lambda seen: Zsw1.TASK_ACKNOWLEDGED not in seen.zsw1,
+                ACKNOWLEDGE_TIMEOUT_S,
+                "still shows an earlier task",
+            )
+
+    # --- stopping -----------------------------------------------------------------------------
+
+    def _halt(self) -> None:
+        """Stop and wait for rest; faults are not news meanwhile."""
+        self._target = None
+        self._halting = True
+        try:
+            self._tell(self._stopping(), stopping=True)
+            self._clock.sleep(REJECT_HOLD_S)
+            self._await_rest()
+        finally:
+            self._halting = False
+
+    def _await_rest(self) -> None:
+        longest = self._settings.max_speed_mm_s / self._settings.deceleration_mm_s2 + SETTLING_S
+        give_up = self._clock.now() + longest
+        while Zsw1.STOPPED not in self._read().zsw1:
+            if self._clock.now() > give_up:
+                raise self._error("stop", f"is still moving after {longest:g} s", _LOOK)
+            self._clock.sleep(POLL_S)
+
+    def _stopping(self) -> Outputs:
+        """The image that stops. It neither takes power from an axis that has it, which may hang
+        by it, nor gives power to one that has none."""
+        powered = Zsw1.OPERATION_ENABLED in self._seen.zsw1
+        return replace(_at_rest(self._settings), stw1=_STOP if powered else _POWER_OFF)
+
+    # --- one exchange -------------------------------------------------------------------------
+
+    def _tell(self, wish: Outputs, stopping: bool = False, charge: bool = True) -> None:
+        """Send an image, unless it could move an axis that has been made safe."""
+        with self._sending:
+            if not stopping:
+                self._refuse_if_made_safe("move")
+            self._link.write(OUTPUT_IMAGE, wish.registers(), charge)
+
+    def _read(self, charge: bool = True) -> Inputs:
+        registers = self._link.read(INPUT_IMAGE, IMAGE_REGISTERS, charge)
+        self._seen = Inputs.from_registers(registers)
+        self._seen_at_s = self._clock.now()
+        return self._seen
+
+    def _look(self) -> Inputs:
+        """The drive's state; once we are in charge, a fault or lost power raises."""
+        seen = self._read()
+        if self._in_charge:
+            if Zsw1.FAULT in seen.zsw1:
+                self._told_fault = seen.fault
+                raise self._fault(seen)
+            if self._target is not None and Zsw1.OPERATION_ENABLED not in seen.zsw1:
+                self._target = None
+                raise self._error("move", "the drive has switched its power off", _LOOK)
+        return seen
+
+    def _await(
+        self,
+        command: str,
+        condition: Callable[[Inputs], bool],
+        timeout_s: float,
+        otherwise: str,
+    ) -> None:
+        """Poll until the drive's state meets the condition."""
+        give_up = self._clock.now() + timeout_s
+        while not condition(self._look()):
+            self._refuse_if_made_safe(command)
+            if self._clock.now() > give_up:
+                raise self._error(command, f"{otherwise} within {timeout_s:g} s", _LOOK)
+            self._clock.sleep(POLL_S)
+
+    # --- judging ------------------------------------------------------------------------------
+
+    def _arrived(self, seen: Inputs) -> bool:
+        """Target reached, and truly there: the bit alone may still be the last target's."""
+        assert self._target is not None
+        tolerance = self._settings.position_tolerance_mm / self._settings.position_unit_mm
+        return Zsw1.TARGET_REACHED in seen.zsw1 and abs(seen.position - self._target) <= tolerance
+
+    def _end_at_fixed_stop(self, seen: Inputs) -> None:
+        """The barrier behind the force limit has held: let the torque go, then say so."""
+        with contextlib.suppress(InstrumentError):  # the barrier is the news
+            self._tell(self._stopping(), stopping=True)
+        target, self._target = self._target, None
+        assert target is not None
+        raise self._error(
+            "move",
+            f"stopped by its torque limit at {self._mm(seen.position):g} mm on the way to "
+            f"{self._mm(target):g} mm",
+            "something is in the way; if it belongs there, raise torque_limit_percent",
+        )
+
+    def _refuse_if_made_safe(self, command: str) -> None:
+        if self._made_safe != self._rearmed:
+            raise self._error(
+                command, "the axis was made safe meanwhile", "stop it before the next motion"
+            )
+
+    def _require(self, what: str, value: float, reach: Reach) -> None:
+        if not reach.holds(value):
+            raise LimitError(
+                f"{self._device}: {what} {value:g} {reach.unit} is outside {reach.low:g} to "
+                f"{reach.high:g} {reach.unit} of the {reach.owner}",
+                "choose a value inside, or correct the bench file if the limit is wrong",
+            )
+
+    def _mm(self, counts: int) -> float:
+        return counts * self._settings.position_unit_mm
+
+    def _fault(self, seen: Inputs) -> InstrumentError:
+        self._target = None
+        known = FAULTS.get(seen.fault)
+        meaning = known.meaning if known else "see the drive's manual"
+        remedy = known.remedy if known else "look the number up in the vendor's software"
+        return self._error("drive fault", f"{seen.fault} ({meaning})", remedy)
+
+    def _error(self, command: str, cause: str, hint: str) -> InstrumentError:
+        return InstrumentError(self._device, command, cause, hint)
+
+
+_LOOK = "look at the drive's display and at the axis"
+
+
+def connect(settings: Settings, clock: Clock) -> Axis:
+    """Connect to the drive, leaving its axis at rest and its own limits set."""
+    axis = Axis(settings, clock)
+    try:
+        axis.prepare()
+    except BaseException:
+        axis.close()
+        raise
+    return axis
+
+
+def make_safe(settings: Settings) -> None:
+    """Stop the axis over a connection of its own and wait for rest; idempotent."""
+    with contextlib.closing(Axis(settings, WallClock())) as axis:
+        axis.stop_and_wait()
+
+
+def _at_rest(settings: Settings) -> Outputs:
+    """The image of an axis under power that has nothing to do: its task is rejected."""
+    full = settings.full_acceleration_mm_s2
+    fixed_stop = Stw2.NONE if settings.torque_limit_percent is None else Stw2.TRAVEL_TO_FIXED_STOP
+    return Outputs(
+        stw1=_STOP,
+        pos_stw2=_LIMITS,
+        stw2=fixed_stop,
+        override=FULL_SCALE,
+        acceleration=round(settings.acceleration_mm_s2 / full * FULL_SCALE),
+        deceleration=round(settings.deceleration_mm_s2 / full * FULL_SCALE),
+    )
+
+
+def _taken(seen: Inputs) -> bool:
+    """The drive has acknowledged the task."""
+    return Zsw1.TASK_ACKNOWLEDGED in seen.zsw1 and PosZsw1.MDI in seen.pos_zsw1
+
+
+def _gives_way(seen: Inputs) -> bool:
+    """No task and no homing is in force any more, or nothing is powered."""
+    idle = Zsw1.TASK_ACKNOWLEDGED not in seen.zsw1 and PosZsw1.HOMING not in seen.pos_zsw1
+    return idle or Zsw1.OPERATION_ENABLED not in seen.zsw1

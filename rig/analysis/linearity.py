@@ -1,0 +1,165 @@
+"""Is the film linear? Gain against load at each frequency, and distortion over the sweep.
+
+The paper's second kind of data has several loads at each frequency; "gain has a linear relation for
+the load" (3.2, data2 (i)) is read as: voltage is proportional to load, so the gain does not depend
+on it. The figure that would tell is the slope of the gain in dB over a decade of load: zero for a
+linear film, +20 for a quadratic one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rig.analysis.estimate import Estimate
+from rig.analysis.film_fit import MISFIT_PROBABILITY
+from rig.analysis.response import Reals
+from rig.analysis.response_curve import CurveError, ResponseCurve
+
+LEAST_LOAD_RATIO = 1.5
+"""Largest over smallest load at a frequency whose gain against load says anything."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoadLinearity:
+    """Gain against load, at every frequency with several loads and over all of them."""
+
+    frequencies: Reals
+    """Hz, (k,)."""
+    slopes: Reals
+    """Of the gain, dB per decade of load, (k,)."""
+    slope_errors: Reals
+    """Standard errors of the slopes, (k,)."""
+    worst_deviations: Reals
+    """Largest distance of a gain from the frequency's weighted mean, dB, (k,)."""
+    slope: Estimate
+    """Weighted mean of the slopes, dB per decade of load."""
+    worst_deviation_dB: float
+    worst_frequency_Hz: float
+    chi_square: float
+    """Of one gain for all loads at each frequency."""
+    degrees: int
+
+    @property
+    def probability(self) -> float:
+        """Of a chi-square this large where the film is linear and the stated errors hold."""
+        from scipy.stats import chi2
+
+        return float(chi2.sf(self.chi_square, self.degrees))
+
+    def sentence(self) -> str:
+        """The result in words."""
+        linear = self.probability >= MISFIT_PROBABILITY
+        verdict = "does not depend on the load" if linear else "depends on the load"
+        return (
+            f"Within its errors the gain {verdict} (chi-square {self.chi_square:.0f} of "
+            f"{self.degrees}): {self.slope} of load over {self.frequencies.size} frequencies, "
+            f"worst deviation {self.worst_deviation_dB:.3f} dB at {self.worst_frequency_Hz:g} Hz."
+        )
+
+
+@dataclass(frozen=True)
+class DistortionSummary:
+    """Harmonic distortion (fractions of the tone) over a sweep."""
+
+    median_load: float
+    worst_load: float
+    worst_load_Hz: float
+    median_film: float
+    worst_film: float
+    worst_film_Hz: float
+
+    def sentence(self) -> str:
+        """The result in words."""
+        return (
+            f"Harmonic distortion: load {self.median_load:.2%} (worst {self.worst_load:.2%} at "
+            f"{self.worst_load_Hz:g} Hz), film {self.median_film:.2%} (worst {self.worst_film:.2%} "
+            f"at {self.worst_film_Hz:g} Hz); noise is part of these figures."
+        )
+
+
+def load_linearity(
+    frequencies: ArrayLike, responses: ArrayLike, covariances: ArrayLike, loads: ArrayLike
+) -> LoadLinearity | None:
+    """Gain against load: arrays as in :meth:`ResponseCurve.of`, ``loads`` (n,) peak in N.
+
+    None where no frequency was measured at loads that differ by half or more.
+    """
+    load = np.asarray(loads, dtype=float)
+    frequency = np.asarray(frequencies, dtype=float)
+    if load.shape != frequency.shape:
+        raise CurveError(f"loads: {load.size} values for {frequency.size} frequencies")
+    if not (np.isfinite(load) & (load > 0)).all():
+        raise CurveError("loads: a value is not above 0 N")
+    curve = ResponseCurve.of(frequencies, responses, covariances)
+    response = np.asarray(responses, dtype=complex)
+    decades = np.log10(load)[np.lexsort((response.imag, response.real, frequency))]
+    rows = []
+    for at in np.unique(curve.frequencies):
+        chosen = curve.frequencies == at
+        if np.ptp(decades[chosen]) >= math.log10(LEAST_LOAD_RATIO):
+            rows.append(
+                (
+                    float(at),
+                    *_line(decades[chosen], curve.gains_dB[chosen], curve.gain_errors_dB[chosen]),
+                    int(chosen.sum()) - 1,
+                )
+            )
+    return _over_all(np.array(rows)) if rows else None
+
+
+def distortion_summary(
+    frequencies: ArrayLike, load_distortion: ArrayLike, film_distortion: ArrayLike
+) -> DistortionSummary | None:
+    """Median and worst of both; arrays (n,), NaN where not measured. None without any value."""
+    frequency = np.asarray(frequencies, dtype=float)
+    found: list[float] = []
+    for values in (load_distortion, film_distortion):
+        distortion = np.asarray(values, dtype=float)
+        measured = np.isfinite(distortion)
+        if not measured.any():
+            return None
+        worst = int(np.nanargmax(distortion))
+        found += [
+            float(np.median(distortion[measured])),
+            float(distortion[worst]),
+            float(frequency[worst]),
+        ]
+    return DistortionSummary(*found)
+
+
+def _line(decades: Reals, gains: Reals, errors: Reals) -> tuple[float, float, float, float]:
+    """Slope, its error, largest distance from the weighted mean, chi-square about that mean."""
+    weight = 1 / errors**2
+    mean = float(np.average(gains, weights=weight))
+    lever = decades - np.average(decades, weights=weight)
+    power = float(weight @ lever**2)
+    slope = float(weight @ (lever * gains)) / power
+    return (
+        slope,
+        1 / math.sqrt(power),
+        float(np.abs(gains - mean).max()),
+        float(weight @ np.square(gains - mean)),
+    )
+
+
+def _over_all(rows: Reals) -> LoadLinearity:
+    """Rows of frequency, slope, error, deviation, chi-square, degrees."""
+    frequency, slopes, errors, deviations, squares, degrees = rows.T
+    weight = 1 / errors**2
+    worst = int(np.argmax(deviations))
+    mean = float(np.average(slopes, weights=weight))
+    return LoadLinearity(
+        frequencies=frequency,
+        slopes=slopes,
+        slope_errors=errors,
+        worst_deviations=deviations,
+        slope=Estimate.normal(mean, float(1 / np.sqrt(weight.sum())), "dB/decade"),
+        worst_deviation_dB=float(deviations[worst]),
+        worst_frequency_Hz=float(frequency[worst]),
+        chi_square=float(squares.sum()),
+        degrees=int(degrees.sum()),
+    )

@@ -1,0 +1,197 @@
+"""The analysed sweep in pictures, in the manner of the paper's figures 5 and 7.
+
+Both functions draw arrays and an analysis; they open no file. Gains in dB re 1 V/N.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from rig.analysis.circuit_fit import READINGS
+from rig.analysis.film_model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ
+from rig.analysis.response import DB_PER_RELATIVE
+from rig.figures.style import STYLE
+from rig.model.pvdf import SKIN_STRIP, CircuitSettings
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from rig.analysis.gain_curve import ResponseCurve, SweepAnalysis
+    from rig.analysis.response import Reals
+
+ERROR_BARS = 2.0
+"""Standard errors on either side."""
+CURVE_POINTS = 2000
+_COLOURS = {"printed": "C3", "ohmic": "C2", "circuit": "C1"}
+
+
+def draw_gain(curve: ResponseCurve, analysis: SweepAnalysis, title: str = "") -> Figure:
+    """Figure 5: measured gain, fitted curve, drops by their frequency, eq. (2), residuals below."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 6.2))
+        gain, residual = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3.4, 1]})
+        _measured(gain, curve)
+        f = _fine(curve, analysis)
+        model = analysis.fit.model
+        gain.plot(f, _dB(model.response(f)), color="C1", linewidth=1, label=_fitted(analysis))
+        if analysis.plain is not None:
+            _plain_line(gain, curve, analysis.plain.level_dB)
+        _mark_drops(gain, analysis)
+        gain.set_ylabel("Gain (dB re 1 V/N)")
+        gain.legend(loc="upper left", frameon=False)
+        _residuals(residual, curve, analysis)
+        _frequency_axis(residual, curve)
+        if title:
+            figure.suptitle(title, fontsize=9)
+    return figure
+
+
+def draw_readings(
+    curve: ResponseCurve,
+    analysis: SweepAnalysis,
+    given: CircuitSettings = SKIN_STRIP,
+    title: str = "",
+) -> Figure:
+    """Figure 7: three readings of eq. (4) with the circuit ``given``, as they are and shifted."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 6.6))
+        plain, shifted = figure.subplots(2, 1, sharex=True)
+        f = _fine(curve, analysis)
+        for axes in (plain, shifted):
+            _measured(axes, curve)
+            axes.set_ylabel("Gain (dB re 1 V/N)")
+        for name, reading in READINGS.items():
+            offset = analysis.circuit.offsets[name].value
+            computed = _dB(reading(f, given))
+            line = {"color": _COLOURS[name], "linewidth": 1}
+            plain.plot(f, computed, label=name, **line)
+            label = f"{name}, {_signed(-offset, 1)} dB"
+            shifted.plot(f, computed - offset, label=label, **line)
+        _mark_corners(shifted, analysis)
+        plain.set_title("Readings of equation (4) as they are", fontsize=9)
+        shifted.set_title("The same, each shifted to the measured level", fontsize=9)
+        plain.legend(loc="lower right", frameon=False, ncols=2)
+        shifted.legend(loc="upper left", frameon=False)
+        _frequency_axis(shifted, curve)
+        if title:
+            figure.suptitle(title, fontsize=9)
+    return figure
+
+
+def _measured(axes: Axes, curve: ResponseCurve) -> None:
+    axes.errorbar(
+        curve.frequencies,
+        curve.gains_dB,
+        ERROR_BARS * curve.gain_errors_dB,
+        fmt=".",
+        markersize=3,
+        elinewidth=0.6,
+        color="C0",
+        label=f"measured, ± {ERROR_BARS:g} standard errors",
+        zorder=3,
+    )
+
+
+def _fitted(analysis: SweepAnalysis) -> str:
+    b, corner = analysis.level, analysis.corner.value
+    pole = f"corner {corner:.0f} Hz" if np.isfinite(corner) else "no corner"
+    return f"fit: b = {_signed(b.value, 2)} dB, {pole}, {len(analysis.drops)} drops"
+
+
+def _plain_line(axes: Axes, curve: ResponseCurve, level_dB: float) -> None:
+    ends = np.array([curve.frequencies[0], min(SLOPE_BAND_HZ[1], curve.frequencies[-1])])
+    axes.plot(
+        ends,
+        FIRST_ORDER_SLOPE * np.log10(ends) + level_dB,
+        "--",
+        color="0.3",
+        linewidth=0.9,
+        label=f"eq. (2), plain: 20 log f {_signed(level_dB, 2)} dB",
+        zorder=4,
+    )
+
+
+def _mark_drops(axes: Axes, analysis: SweepAnalysis) -> None:
+    """Frequency and depth under the bottom of each drop."""
+    for drop in analysis.drops:
+        at = drop.frequency.value
+        bottom = float(_dB(analysis.fit.model.response(np.array([at])))[0])
+        axes.annotate(
+            f"{_hertz(at)}\n{drop.depth.value:.1f} dB",
+            (at, bottom),
+            (0, -24),
+            textcoords="offset points",
+            ha="center",
+            va="top",
+            fontsize=8,
+            arrowprops={"arrowstyle": "-", "linewidth": 0.5, "color": "0.4"},
+        )
+
+
+def _residuals(axes: Axes, curve: ResponseCurve, analysis: SweepAnalysis) -> None:
+    expected = analysis.fit.model.response(curve.frequencies)
+    error = DB_PER_RELATIVE * np.sqrt(
+        np.square(curve.gain_errors_dB / DB_PER_RELATIVE) + analysis.fit.model_error**2
+    )
+    axes.plot(curve.frequencies, (curve.gains_dB - _dB(expected)) / error, ".", markersize=3)
+    axes.axhspan(-2, 2, color="0.5", alpha=0.12, linewidth=0)
+    largest = np.abs((curve.gains_dB - _dB(expected)) / error).max()
+    axes.set_ylim(-max(4.0, 1.1 * largest), max(4.0, 1.1 * largest))
+    axes.set_ylabel("Residual\n(standard errors)")
+
+
+def _mark_corners(axes: Axes, analysis: SweepAnalysis) -> None:
+    """Corner found, and the one R_PV C_PV predicts."""
+    bottom, top = axes.get_ylim()
+    for value, name, place in (
+        (analysis.corner.value, "found", "right"),
+        (analysis.circuit.film_corner_Hz, "$R_{PV}C_{PV}$", "left"),
+    ):
+        if not np.isfinite(value):
+            continue
+        axes.axvline(value, color="0.3", linestyle=":", linewidth=0.9)
+        axes.annotate(
+            f"{_hertz(value)}\n{name}",
+            (value, bottom),
+            (-3 if place == "right" else 3, 3),
+            textcoords="offset points",
+            ha=place,
+            va="bottom",
+            fontsize=8,
+        )
+    axes.set_ylim(bottom, top)
+
+
+def _frequency_axis(axes: Axes, curve: ResponseCurve) -> None:
+    axes.set_xscale("log")
+    axes.set_xlim(curve.frequencies[0] / 1.15, curve.frequencies[-1] * 1.15)
+    axes.set_xlabel("Frequency (Hz)")
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def _fine(curve: ResponseCurve, analysis: SweepAnalysis) -> Reals:
+    """Frequencies of a smooth line, the bottoms of the drops among them."""
+    grid = np.geomspace(curve.frequencies[0], curve.frequencies[-1], CURVE_POINTS)
+    bottoms = [drop.frequency.value for drop in analysis.drops]
+    return np.unique(np.concatenate([grid, bottoms]))
+
+
+def _hertz(frequency: float) -> str:
+    """Four figures, never an exponent."""
+    digits = max(0, 3 - int(np.floor(np.log10(frequency))))
+    return f"{frequency:.{digits}f} Hz"
+
+
+def _signed(number: float, digits: int) -> str:
+    """With a sign and a true minus."""
+    return f"{number:+.{digits}f}".replace("-", "−")
+
+
+def _dB(response: np.ndarray) -> Reals:  # noqa: N802
+    gains: Reals = 20 * np.log10(np.abs(response))
+    return gains
