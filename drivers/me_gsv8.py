@@ -41,7 +41,7 @@ from rig.settings import Settings as BaseSettings
 
 ROLES = ("force_sensor",)
 
-DEVICE = "force sensor"
+DEVICE = "force_sensor"
 MODEL = "GSV-8"
 MODEL_NUMBER = 0x08
 CHANNELS = (1, 2, 3)
@@ -449,13 +449,13 @@ class ForceAmplifier:
         self._check_interface(link.request(GET_INTERFACE, CRC16_ON if link.crc else b""), number)
         self._identity = Identity("ME-Messsysteme", MODEL, number, f"{major}.{minor}")
         self._layout = Layout(len(CHANNELS), gsv_frames.FLOAT32, link.crc)
+        self._set_rate(self._settings.rate_S_s)  # first: floats are refused at the fastest rates
         self._prepare_values()
         self._rates = self._read_rate_range()
-        self._set_rate(self._settings.rate_S_s)
 
     def reach(self) -> Mapping[str, Reach]:
         """Frame rates of the amplifier, and the force that the bench file allows on an axis."""
-        owner = f"force sensor {self.identity.model}"
+        owner = f"{DEVICE} {self.identity.model}"
         limit = self._settings.force_limit
         return {
             "rate": Reach(*self._rates, "1/s", owner),

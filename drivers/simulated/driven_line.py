@@ -2,7 +2,7 @@
 
 Between two changes of the excitation the drive is one sinusoid, for which the linear line has an
 exact solution. The history is therefore a short list of segments, each with its drive and the
-line's state at its start, and a sample taken late, in blocks or twice is the same number to rounding.
+line's state at its start; a sample taken late, in blocks or twice is the same number to rounding.
 """
 
 from __future__ import annotations

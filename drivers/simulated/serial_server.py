@@ -147,20 +147,25 @@ class PtyServer:
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         link = Path(self.path)
-        link.unlink(missing_ok=True)
-        link.symlink_to(os.ttyname(self._slave))
+        fresh = link.with_suffix(".new")
+        fresh.symlink_to(os.ttyname(self._slave))
+        fresh.replace(link)
         self._loop.add_reader(self._master, self._readable)
 
-    def _unplug(self) -> None:
+    def _unplug(self, plug_in: bool = False) -> None:
+        """Clients see the port vanish; `plug_in` has another ready before they do."""
         assert self._loop is not None
+        old = self._master, self._slave
         self._loop.remove_reader(self._master)
         if self._retry is not None:
             self._retry.cancel()
             self._retry = None
-        os.close(self._master)
-        os.close(self._slave)
-        self._master = self._slave = -1
         self._queue.clear()
+        self._master = self._slave = -1
+        if plug_in:
+            self._plug_in()
+        for descriptor in old:
+            os.close(descriptor)
 
     def _readable(self) -> None:
         try:
@@ -178,8 +183,7 @@ class PtyServer:
         for reply in delivery.replies:
             self._send(reply.data, may_be_lost)
         if delivery.close:
-            self._unplug()
-            self._plug_in()
+            self._unplug(plug_in=True)
 
     def _send(self, data: bytes, may_be_lost: bool) -> None:
         if may_be_lost and len(self._queue) + len(data) > LONGEST_BACKLOG:

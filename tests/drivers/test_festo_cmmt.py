@@ -1,0 +1,688 @@
+"""The CMMT driver against the simulated drive, through pymodbus and a real socket."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+from simulated.axis_bench import AxisBench
+from simulated.ideal import serving
+
+from drivers import festo_cmmt
+from drivers.festo_cmmt import Axis, Settings
+from drivers.simulated.faults import FaultPlan, WireFaults
+from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.modbus_tcp import ModbusError, ModbusTcpServer
+from rig.clock import Clock
+from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
+
+TIMEOUT_S = 0.15
+OWN: dict[str, Any] = {
+    "axis": "z",
+    "host": "127.0.0.1",
+    "timeout_s": TIMEOUT_S,
+    "low_limit_mm": 0.0,
+    "high_limit_mm": 80.0,
+    "max_speed_mm_s": 50.0,
+    "torque_limit_percent": 30.0,
+}
+
+
+class BenchClock(Clock):
+    """Time passes on the bench when somebody sleeps, and only then."""
+
+    def __init__(self, bench: AxisBench):
+        super().__init__()
+        self._bench = bench
+        self.slept: Callable[[], None] | None = None
+
+    def now(self) -> float:
+        return self._bench.now_us * 1e-6
+
+    def _pass(self, seconds: float) -> None:
+        self._bench.now_us += max(1, round(seconds * 1e6))
+        if self.slept is not None:
+            self.slept()
+
+
+class Wire:
+    """The drive's registers with a memory: every request in words, in order."""
+
+    def __init__(self, drive: CmmtDrive):
+        self.drive = drive
+        self.said: list[str] = []
+        self.refused: set[int] = set()
+        self.forged: dict[int, list[int]] = {}
+
+    def identification(self) -> Mapping[int, str]:
+        self.said.append("identify")
+        return self.drive.identification()
+
+    def read(self, address: int, count: int, by: str) -> Sequence[int]:
+        self.said.append(f"read {address} x{count}")
+        return self.forged.get(address) or self.drive.read(address, count, by)
+
+    def write(self, address: int, values: Sequence[int], by: str) -> None:
+        self.said.append(f"write {address}: {_shown(address, values)}")
+        if address == 500 and values[0] in self.refused:
+            self.drive.write(500, [1], by)  # a parameter that this firmware does not know
+            return
+        self.drive.write(address, values, by)
+
+    def heard(self) -> list[str]:
+        """What was said since last asked; polls of the input image only once in a row."""
+        said, self.said = self.said, []
+        return [line for line, _ in itertools.groupby(said)]
+
+
+def _shown(address: int, values: Sequence[int]) -> str:
+    if address != 0:
+        return " ".join(str(value) for value in values)
+    target = values[5] | values[6] << 16
+    speed = values[7] | values[8] << 16
+    return f"{values[0]:04x} {values[1]:04x} {values[2]:04x} {values[3]:04x} {target} at {speed}"
+
+
+class Service:
+    """A simulated drive on its wire, and clients as they are asked for."""
+
+    def __init__(self, fault: dict[str, Any] | None, drive: dict[str, Any], own: dict[str, Any]):
+        self.bench = AxisBench()
+        self.clock = BenchClock(self.bench)
+        self.drive = CmmtDrive(DriveSettings(**drive), self.bench)
+        self.wire = Wire(self.drive)
+        faults = [{"device": "it", **fault}] if fault else []
+        plan = FaultPlan.model_validate({"fault": faults})
+        self.server = ModbusTcpServer(self.wire, faults=WireFaults(plan, "it"))
+        self._own = {**OWN, **own}
+        self.axes: list[Axis] = []
+
+    @property
+    def settings(self) -> Settings:
+        return Settings(**{**self._own, "port": self.server.port})
+
+    def connect(self) -> Axis:
+        axis = festo_cmmt.connect(self.settings, self.clock)
+        self.axes.append(axis)
+        return axis
+
+    def homed(self) -> Axis:
+        axis = self.connect()
+        self.clock.each_slice(axis.keep_alive)
+        axis.home()
+        self.wire.heard()
+        return axis
+
+    @property
+    def truth_mm(self) -> float:
+        return self.drive.position_mm(self.bench.now_us)
+
+    @property
+    def speed(self) -> float:
+        return self.drive.velocity_mm_s(self.bench.now_us)
+
+
+@contextmanager
+def service(
+    fault: dict[str, Any] | None = None, drive: dict[str, Any] | None = None, **own: Any
+) -> Iterator[Service]:
+    running = Service(fault, drive or {}, own)
+    with serving(running.server):
+        try:
+            yield running
+        finally:
+            for axis in running.axes:
+                axis.close()
+
+
+# --- what goes over the wire -----------------------------------------------------------------
+
+
+def mailbox_read(number: int, words: int, elements: int = 1) -> list[str]:
+    return [
+        f"write 500: {number}", "write 501: 0", f"write 502: {elements}", "write 503: 1",
+        "read 503 x1", "read 504 x1", f"read 510 x{words}",
+    ]  # fmt: skip
+
+
+def mailbox_write(number: int, *words: int) -> list[str]:
+    return [
+        f"write 500: {number}", "write 501: 0", "write 502: 1", f"write 504: {2 * len(words)}",
+        "write 510: " + " ".join(str(word) for word in words), "write 503: 2", "read 503 x1",
+        *mailbox_read(number, len(words)),
+    ]  # fmt: skip
+
+
+def test_connecting_word_for_word() -> None:
+    with service() as it:
+        it.connect()
+        assert it.wire.heard() == [
+            "identify",  # codes 1 and 2
+            *mailbox_read(2021, 3, elements=5),
+            "write 400: 500 0",
+            "read 400 x1",
+            *mailbox_read(3490, 1),
+            *mailbox_read(12698, 2),
+            *mailbox_read(12699, 2),
+            "read 100 x28",
+            *mailbox_read(11584, 4),
+            *mailbox_write(11584, 0, 0, 0, 0),
+            *mailbox_read(11585, 4),
+            *mailbox_write(11585, 0x3880, 1, 0, 0),
+            *mailbox_read(12168, 2),
+            *mailbox_write(12168, 0, 0x41F0),
+        ]
+        assert not any(said.startswith("write 0:") for said in it.wire.said), "control is not taken"
+
+
+def test_connecting_again_writes_no_parameter() -> None:
+    with service() as it:
+        it.connect()
+        it.wire.heard()
+        it.connect()
+        assert not any(said.startswith("write 510") for said in it.wire.heard())
+
+
+def test_homing_word_for_word() -> None:
+    with service() as it:
+        axis = it.connect()
+        it.wire.heard()
+        axis.home()
+        assert it.wire.heard() == [
+            "read 100 x28",
+            "write 0: 042e 0000 c000 0100 0 at 0",  # control, no stops, ON low
+            "read 100 x28",
+            "write 0: 042f 0000 c000 0100 0 at 0",  # ON rises
+            "read 100 x28",
+            "write 0: 042f 0000 c000 0100 0 at 0",  # stop: the homing bit is low
+            "read 100 x28",
+            "write 0: 0c3f 0000 c000 0100 0 at 0",  # homing
+            "read 100 x28",
+            "write 0: 042f 0000 c000 0100 0 at 0",  # stop
+            "read 100 x28",
+        ]
+        assert axis.homed()
+        assert it.truth_mm == 0.0
+
+
+def test_a_move_word_for_word() -> None:
+    with service() as it:
+        axis = it.connect()
+        axis.home()
+        it.wire.heard()
+        axis.move_to(20.0, 25.0)
+        assert it.wire.heard() == [
+            "read 100 x28",
+            "write 0: 047f 9100 c000 0100 20000 at 25000",  # absolute, continuous, MDI
+            "read 100 x28",
+            "write 0: 042f 0000 c000 0100 0 at 0",
+            "read 100 x28",
+        ]
+        assert axis.position_mm() == it.truth_mm == 20.0
+
+
+def test_a_retarget_is_one_write_and_one_read() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(20.0, 25.0)
+        it.wire.heard()
+        for target in (21.0, 22.5, 5.0):
+            axis.start_move(target, 25.0)
+        image = "047f 9100 c000 0100"
+        assert it.wire.heard() == [
+            f"write 0: {image} 21000 at 25000",
+            "read 100 x28",
+            f"write 0: {image} 22500 at 25000",
+            "read 100 x28",
+            f"write 0: {image} 5000 at 25000",
+            "read 100 x28",
+        ]
+
+
+def test_an_old_fault_is_acknowledged_once_on_taking_charge() -> None:
+    with service() as it:
+        axis = it.connect()
+        it.drive.trip(126)
+        it.wire.heard()
+        axis.home()
+        assert it.wire.heard()[:6] == [
+            "read 100 x28",
+            "write 0: 042e 0000 c000 0100 0 at 0",
+            "write 0: 04ae 0000 c000 0100 0 at 0",  # acknowledge
+            "read 100 x28",
+            "write 0: 042e 0000 c000 0100 0 at 0",
+            "read 100 x28",
+        ]
+        it.drive.trip(126)
+        with pytest.raises(InstrumentError, match="126"):
+            axis.start_move(1.0, 1.0)
+        with pytest.raises(InstrumentError, match="126"):
+            axis.home()
+
+
+# --- the role --------------------------------------------------------------------------------
+
+
+def test_who_it_is_and_what_it_may() -> None:
+    with service() as it:
+        axis = it.connect()
+        assert axis.identity.simulated
+        assert axis.identity.serial_number == "SIMZ1"
+        reach = axis.reach()
+        assert (reach["position"].low, reach["position"].high) == (0.0, 80.0)
+        assert reach["speed"].high == 50.0
+
+
+def test_an_axis_that_is_not_homed_refuses_to_move() -> None:
+    with service() as it:
+        axis = it.connect()
+        assert not axis.homed()
+        before = it.truth_mm
+        with pytest.raises(InstrumentError, match="not been homed"):
+            axis.move_to(5.0, 5.0)
+        it.clock.sleep(1)
+        assert it.truth_mm == before
+
+
+@pytest.mark.parametrize(
+    ("position", "speed", "told"),
+    [
+        (80.1, 5, "80.1 mm"),
+        (-0.1, 5, "-0.1 mm"),
+        (float("nan"), 5, "nan"),
+        (5, 51, "51 mm/s"),
+        (5, 0, "0 mm/s"),
+        (5, -1, "-1 mm/s"),
+    ],
+)
+def test_a_move_outside_a_limit_sends_nothing(position: float, speed: float, told: str) -> None:
+    with service() as it:
+        axis = it.homed()
+        with pytest.raises(LimitError, match=told) as caught:
+            axis.start_move(position, speed)
+        assert "stage_z" in caught.value.message
+        assert it.wire.heard() == []
+
+
+def test_a_servo_follows_a_moving_target_without_ever_stopping() -> None:
+    with service() as it:
+        axis = it.homed()
+        speeds = []
+        for tick in range(300):
+            axis.start_move(5 + 0.05 * tick, 20.0)
+            it.clock.sleep(0.01)
+            speeds.append(it.speed)
+        assert it.bench.told("move") == [{"target_mm": 5.0, "speed_mm_s": 20.0}]
+        assert it.truth_mm == pytest.approx(5 + 0.05 * 299, abs=0.5)
+        assert max(speeds) <= 20.0 + 1e-9
+
+
+def test_stop_waits_for_rest() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(60.0, 40.0)
+        it.clock.sleep(0.5)
+        assert axis.moving()
+        before = it.truth_mm
+        axis.stop()
+        assert it.speed == 0
+        assert it.truth_mm - before == pytest.approx(40**2 / 2 / 200, abs=0.1)
+        assert not axis.moving()
+
+
+def test_a_stale_target_reached_bit_is_no_arrival() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(10.0, 50.0)
+        it.clock.sleep(2)
+        shown = list(it.drive.read(100, 28, "test"))
+        assert not axis.moving()
+        axis.start_move(40.0, 50.0)
+        it.wire.forged[100] = shown  # the drive's cycle has not come round yet
+        assert axis.moving()
+
+
+def test_a_motion_that_never_arrives_is_told() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(40.0, 50.0)
+        it.wire.forged[100] = list(it.drive.read(100, 28, "test"))
+        it.clock.sleep(3)
+        with pytest.raises(InstrumentError, match="has not arrived at 40 mm"):
+            axis.moving()
+
+
+# --- faults ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (109, "negative software limit"),
+        (110, "positive software limit"),
+        (113, "contradict"),
+        (114, "negative limit switch"),
+        (115, "positive limit switch"),
+        (118, "both limit switches"),
+        (126, "following error"),
+        (56, "homing method"),
+        (58, "whole path"),
+        (391, "nobody talked"),
+        (4711, "manual"),
+    ],
+)
+def test_a_fault_has_number_meaning_and_remedy(number: int, words: str) -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(40.0, 10.0)
+        it.drive.trip(number)
+        with pytest.raises(InstrumentError, match=f"{number} .*{words}") as caught:
+            axis.moving()
+        assert caught.value.hint
+        assert caught.value.device == "stage_z"
+
+
+def test_a_keep_alive_tells_a_fault_once() -> None:
+    with service() as it:
+        axis = it.homed()
+        it.drive.trip(126)
+        with pytest.raises(InstrumentError, match="126"):
+            it.clock.sleep(1)
+        it.clock.sleep(1)
+        axis.stop()
+
+
+def test_stopping_works_in_spite_of_a_fault_nobody_has_told_yet() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(60.0, 40.0)
+        it.clock.sleep(0.5)
+        it.drive.trip(126)
+        axis.stop()
+        assert it.speed == 0
+
+
+def test_the_torque_limit_ends_a_motion_into_something() -> None:
+    with service() as it:
+        axis = it.homed()
+        it.bench.wall_mm = 10.0
+        with pytest.raises(InstrumentError, match=r"torque limit at 10\.3") as caught:
+            axis.move_to(40.0, 5.0)
+        assert "torque_limit_percent" in str(caught.value.hint)
+        assert it.truth_mm == pytest.approx(10.3, abs=0.01), "30 N against 100 N/mm"
+        assert it.drive.enabled
+        axis.stop()
+        axis.move_to(5.0, 5.0)
+
+
+def test_without_a_torque_limit_the_drive_reports_a_following_error() -> None:
+    with service(torque_limit_percent=None) as it:
+        axis = it.homed()
+        it.bench.wall_mm = 10.0
+        with pytest.raises(InstrumentError, match="126"):
+            axis.move_to(40.0, 5.0)
+
+
+def test_keep_alives_feed_the_time_out_and_nothing_else_does() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(60.0, 1.0)
+        it.clock.sleep(5.0)
+        assert axis.moving()
+        begun = it.bench.now_us
+        it.bench.now_us += 2_000_000  # the procedure hangs
+        assert it.drive.velocity_mm_s(begun + 490_000) == pytest.approx(1.0)
+        assert it.drive.velocity_mm_s(begun + 510_000) == 0
+        with pytest.raises(InstrumentError, match="nobody talked to the drive"):
+            axis.moving()
+
+
+def test_keep_alives_only_read() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(60.0, 10.0)
+        it.wire.heard()
+        it.clock.sleep(1.0)
+        assert it.wire.heard() == ["read 100 x28"]
+
+
+def test_power_lost_in_motion_is_told() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(60.0, 10.0)
+        it.drive.write(0, [0] * 28, "somebody")
+        with pytest.raises(InstrumentError, match="switched its power off"):
+            axis.moving()
+
+
+# --- making safe -----------------------------------------------------------------------------
+
+
+def test_make_safe_needs_no_time_to_pass_and_stops_the_axis() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(60.0, 40.0)
+        it.clock.sleep(0.5)
+        now = it.bench.now_us
+        it.clock.slept = lambda: pytest.fail("the clock stands while a watcher acts")
+        axis.make_safe()
+        axis.make_safe()
+        it.clock.slept = None
+        assert it.bench.now_us == now
+        it.bench.now_us += 210_000
+        assert it.speed == 0
+        assert it.drive.enabled, "a vertical axis hangs by its power"
+
+
+def test_a_procedure_behind_its_watcher_cannot_set_the_axis_going_again() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(60.0, 10.0)
+        axis.make_safe()
+        it.wire.heard()
+        for late in (
+            lambda: axis.start_move(61.0, 10.0),
+            lambda: axis.move_to(61.0, 10.0),
+            axis.home,
+            axis.moving,
+        ):
+            with pytest.raises(InstrumentError, match="made safe meanwhile"):
+                late()
+        assert not any(said.startswith("write") for said in it.wire.heard())
+        axis.stop()
+        axis.move_to(10.0, 10.0)
+        assert it.truth_mm == 10.0
+
+
+def test_a_wait_for_arrival_ends_when_another_thread_makes_the_axis_safe() -> None:
+    with service() as it:
+        axis = it.homed()
+        it.clock.slept = lambda: axis.make_safe() if it.truth_mm > 5 else None
+        with pytest.raises(InstrumentError, match="made safe meanwhile"):
+            axis.move_to(60.0, 10.0)
+        it.clock.slept = None
+        it.clock.sleep(1)
+        assert it.truth_mm < 6
+
+
+def test_making_a_drive_without_power_safe_does_not_switch_it_on() -> None:
+    with service() as it:
+        axis = it.connect()
+        axis.make_safe()
+        axis.stop()
+        it.clock.sleep(1)
+        assert not it.drive.enabled
+
+
+class RealTime:
+    """A bench whose time goes on by itself from where another's stands."""
+
+    def __init__(self, bench: AxisBench):
+        self._shift = bench.now_us - time.monotonic_ns() // 1000
+        self.log, self.load_N = bench.log, bench.load_N
+
+    @property
+    def now_us(self) -> int:
+        return time.monotonic_ns() // 1000 + self._shift
+
+
+def test_the_modules_make_safe_waits_for_rest_beside_a_live_connection() -> None:
+    with service(communication_timeout_ms=5000, max_speed_mm_s=200.0) as it:
+        axis = it.homed()
+        axis.start_move(70.0, 10.0)
+        it.drive._port = port = RealTime(it.bench)
+        festo_cmmt.make_safe(it.settings)
+        festo_cmmt.make_safe(it.settings)
+        assert it.drive.velocity_mm_s(port.now_us) == 0
+        assert it.drive.enabled
+
+
+# --- what is refused at connect --------------------------------------------------------------
+
+
+def test_another_make_is_refused() -> None:
+    with service() as it:
+        it.drive.identity.update({0: "ACME", 1: "T-1000", 4: "toaster", 5: "T-1000"})
+        with pytest.raises(InstrumentError, match="ACME T-1000") as caught:
+            it.connect()
+        assert "expected" in str(caught.value.hint)
+
+
+def test_another_telegram_is_refused() -> None:
+    with service() as it:
+        assert it.drive._parameters[3490] == b"\x6f\x00"
+        it.drive._parameters[3490] = struct.pack("<H", 9)
+        with pytest.raises(InstrumentError, match="telegram 9"):
+            it.connect()
+
+
+@pytest.mark.parametrize(
+    "drive", [{"position_unit_mm": 0.01}, {"speed_unit_mm_s": 0.01}, {"position_unit_mm": 1.0}]
+)
+def test_another_unit_is_refused(drive: dict[str, float]) -> None:
+    with service(drive=drive) as it, pytest.raises(InstrumentError, match="the drive's unit is"):
+        it.connect()
+
+
+def test_a_unit_that_agrees_is_used() -> None:
+    units = {"position_unit_mm": 0.01, "speed_unit_mm_s": 0.1}
+    with service(drive=units, **units) as it:
+        axis = it.homed()
+        axis.move_to(12.34, 20.0)
+        assert it.truth_mm == pytest.approx(12.34)
+
+
+def test_a_drive_that_does_not_tell_its_unit_needs_a_persons_word() -> None:
+    with service() as it:
+        it.wire.refused = {12698}
+        with pytest.raises(InstrumentError, match="does not tell its units") as caught:
+            it.connect()
+        assert "trust_units" in str(caught.value.hint)
+    with service(trust_units=True) as it:
+        it.wire.refused = {12698, 12699}
+        it.connect()
+
+
+def test_a_communication_time_out_that_is_not_kept_is_told() -> None:
+    with service() as it:
+        it.wire.forged[400] = [1000]
+        with pytest.raises(InstrumentError, match="set to 500 ms but reads back 1000 ms"):
+            it.connect()
+
+
+def test_connecting_stops_what_an_earlier_run_left_moving() -> None:
+    with service() as it:
+        it.homed().start_move(70.0, 10.0)
+        it.connect()
+        assert it.speed == 0
+        assert it.drive.enabled
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"low_limit_mm": 90}, "below high_limit_mm"),
+        ({"acceleration_mm_s2": 2000}, "cannot exceed"),
+        ({"deceleration_mm_s2": 0.01}, "resolution"),
+        ({"communication_timeout_ms": 10}, "communication_timeout_ms"),
+        ({"torque_limit_percent": 0}, "torque_limit_percent"),
+        ({"axis": "y"}, "axis"),
+        ({"resource": "here"}, "resource"),
+    ],
+)
+def test_settings_that_are_refused(change: dict[str, Any], told: str) -> None:
+    with pytest.raises(ValidationError, match=told):
+        Settings(**{**OWN, **change})
+
+
+# --- the wire breaks -------------------------------------------------------------------------
+
+
+def test_silence_is_told_and_charged_to_the_clock() -> None:
+    with service({"kind": "silence", "count": 0}) as it:
+        with pytest.raises(InstrumentTimeoutError, match=r"no answer within 0\.15 s") as caught:
+            it.connect()
+        assert f"127.0.0.1:{it.server.port}" in str(caught.value.hint)
+        assert it.clock.now() == pytest.approx(TIMEOUT_S)
+
+
+def test_a_time_out_inside_a_keep_alive_ends_the_wait_once() -> None:
+    with service() as it:
+        axis = it.homed()
+        it.server.faults._faults = [
+            FaultPlan.model_validate(
+                {"fault": [{"device": "it", "kind": "silence", "count": 0}]}
+            ).fault[0]
+        ]
+        it.server.faults._matched = [0]
+        before = it.clock.now()
+        with pytest.raises(InstrumentTimeoutError):
+            it.clock.sleep(1)
+        assert it.clock.now() - before < 2 * TIMEOUT_S
+        axis.close()
+
+
+@pytest.mark.parametrize("kind", ["silence", "garbage", "close", "truncate", "stale"])
+@pytest.mark.parametrize("at", [1, 2, 3])
+def test_a_broken_exchange_of_a_servo_is_an_error_and_the_next_one_works(
+    kind: str, at: int
+) -> None:
+    with service({"kind": kind, "command": "FC16 0", "at": 5 + at}) as it:
+        axis = it.homed()
+        failures = 0
+        for target in (10.0, 11.0, 12.0, 13.0, 14.0):
+            try:
+                axis.start_move(target, 10.0)
+            except InstrumentError:
+                failures += 1
+            it.clock.sleep(0.05)
+        assert failures == 1
+        while axis.moving():
+            it.clock.sleep(0.05)
+        assert it.truth_mm == 14.0, "a late answer is nobody's answer"
+
+
+def test_a_modbus_exception_is_told() -> None:
+    with service() as it:
+        axis = it.homed()
+
+        def refuse(address: int, count: int, by: str) -> Sequence[int]:
+            raise ModbusError(4)
+
+        it.wire.read = refuse  # type: ignore[method-assign]
+        with pytest.raises(InstrumentError, match="Modbus exception 4"):
+            axis.position_mm()
+
+
+def test_a_drive_that_is_not_there_is_told() -> None:
+    with service() as it:
+        pass
+    with pytest.raises(InstrumentError, match="cannot be opened") as caught:
+        it.connect()
+    assert f"127.0.0.1:{it.server.port}" in str(caught.value.hint)
