@@ -11,8 +11,12 @@ than a tenth over that of the fit with tone and offset alone (for one line: abou
 |f1 - f2| * n / rate). Otherwise it is left out; if the record does not even hold one full beat
 between it and the tone it is named in ``unresolved_Hz``: its share of the phasor cannot be known.
 Beyond one beat a line left out leaks at most 0.22 of its amplitude, less in proportion to the
-beats. Harmonics are measured where the record holds a full beat between them and every other line.
-Saturation is not judged here: the caller knows the converter's range.
+beats. The mains is never quite at its nominal frequency, and within a few beats of the tone that
+matters (at 51 Hz, 1 s of mains off by 0.02 Hz leaks 2 % of the line into the tone): the frequency
+of the nearest line is then found in the record itself, together with everything else, if the
+record tells it better than the mains wanders. Harmonics are measured where the record holds a full
+beat between them and every other line. Saturation is not judged here: the caller knows the
+converter's range.
 """
 
 from __future__ import annotations
@@ -38,6 +42,12 @@ FULL_BEAT = 1.0
 
 LARGEST_INFLATION = 1.1
 """What further lines may do to the variance of the tone."""
+
+FEW_BEATS = 3.0
+"""Within so many beats of the tone a line's true frequency matters."""
+
+MAINS_WANDER_HZ = 0.02
+"""How far public mains commonly is from its nominal frequency."""
 
 SMALLEST_RECORD = 16
 N_BLOCKS = 8
@@ -72,7 +82,7 @@ class SineFit:
     block_phasors: Complexes
     """The tone in up to eight successive parts of whole cycles, same phase reference."""
     fitted_Hz: tuple[float, ...]
-    """Interfering lines fitted beside the tone."""
+    """Interfering lines fitted beside the tone, each at the frequency it was found at."""
     left_out_Hz: tuple[float, ...]
     """Interfering lines the record is too short for."""
 
@@ -133,17 +143,21 @@ def fit_sine(
     disturbing = tuple(float(line) for line in interference)
     fitted, orders = _lines_to_fit(disturbing, float(frequency), float(rate), y.size)
     left_out = [line for line in disturbing if line not in fitted]
-    lines = _Lines([frequency, *fitted, *(k * frequency for k in orders)], rate, y.size)
-    normal, moments = lines.normal_equations(), lines.moments(y)
-    degrees = y.size - len(moments)
-    if degrees < 1:
+    frequencies = [frequency, *fitted, *(k * frequency for k in orders)]
+    if y.size < 2 * len(frequencies) + 2:
         raise RecordError(
-            f"{y.size} samples cannot carry {len(moments)} unknowns", "take a longer record"
+            f"{y.size} samples cannot carry {2 * len(frequencies) + 1} unknowns",
+            "take a longer record",
         )
-    inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    solution = inverse @ moments
+    solved = _solve(y, rate, frequencies)
+    degrees = y.size - solved.solution.size
+    covariance = solved.inverse
+    if near := _nearest_line(frequencies[: 1 + len(fitted)], rate, y.size):
+        solved, added = _follow(y, rate, solved, near)
+        covariance = solved.inverse + added
+        degrees -= int(added.any())
+    lines, solution, residual = solved.lines, solved.solution, solved.residual
     phasors = solution[1::2] + 1j * solution[2::2]
-    residual = y - solution[0] - lines.synthesise(phasors)
     residual_rms = math.sqrt(float(np.square(residual).sum()) / degrees)
     turns = np.exp(-2j * np.pi * delay_s * lines.frequencies)
     harmonics = np.full(len(HARMONICS), complex(np.nan, np.nan))
@@ -153,46 +167,19 @@ def fit_sine(
         rate_Hz=float(rate),
         n=y.size,
         phasor=complex(phasors[0] * turns[0]),
-        covariance=scaled_covariance(residual_rms**2 * inverse[1:3, 1:3], complex(turns[0])),
+        covariance=scaled_covariance(residual_rms**2 * covariance[1:3, 1:3], complex(turns[0])),
         offset=float(solution[0]),
         residual_rms=residual_rms,
         harmonics=harmonics,
         block_phasors=(phasors[0] + lines.block_changes(residual)) * turns[0],
-        fitted_Hz=tuple(fitted),
+        fitted_Hz=tuple(float(line) for line in lines.frequencies[1 : 1 + len(fitted)]),
         left_out_Hz=tuple(left_out),
     )
 
 
 def mains_lines(fundamental: float = 50.0, count: int = 5) -> tuple[float, ...]:
-    """The mains frequency and its next harmonics in Hz.
-
-    A tone within a few beats of a line needs the line's true frequency (:func:`line_frequency`):
-    at 51 Hz, a record of 1 s and mains off nominal by 0.02 Hz leak 2 % of the line into the tone.
-    """
+    """The mains frequency and its next harmonics in Hz."""
     return tuple(fundamental * order for order in range(1, count + 1))
-
-
-def line_frequency(
-    samples: ArrayLike, rate: float, nominal: float, *, interference: Sequence[float] = ()
-) -> tuple[float, float]:
-    """Frequency of a line near ``nominal`` and its standard error, both in Hz.
-
-    For the mains, which is never at its nominal frequency: from how the line's phase moves through
-    the record's eight parts. Finds lines within 4 / (record length) of ``nominal``; the standard
-    error is the Cramer-Rao bound at the residual found (frequency, phase, amplitude unknown).
-    """
-    frequency = nominal
-    for _ in range(4):
-        fit = fit_sine(samples, rate, frequency, interference=interference)
-        m = fit.block_phasors.size
-        if m < 3:
-            raise RecordError(f"{fit.n} samples hold too few cycles of {nominal} Hz to follow it")
-        phase = np.unwrap(np.angle(fit.block_phasors))
-        part_s = math.floor(frequency * fit.n / rate + _ROUNDING) / m / frequency
-        frequency += float(np.polyfit(np.arange(m) * part_s, phase, 1)[0]) / (2 * np.pi)
-    duration = fit.n / rate
-    error = math.sqrt(6 / fit.n) * fit.residual_rms / (np.pi * duration * fit.amplitude)
-    return frequency, error
 
 
 def whole_cycles(frequency: float, rate: float, minimum_duration: float) -> int:
@@ -232,7 +219,7 @@ def record_length(
 class _Lines:
     """Spectral lines on the grid k / rate, k = 0..n-1; block tables in place of n sines each."""
 
-    def __init__(self, frequencies: Sequence[float], rate: float, n: int):
+    def __init__(self, frequencies: Sequence[float] | Reals, rate: float, n: int):
         self.frequencies = np.asarray(frequencies, dtype=float)
         self.n = n
         self._turns = self.frequencies / rate
@@ -292,6 +279,68 @@ class _Lines:
         size = np.where(flat, self.n, np.sin(np.pi * safe * self.n) / np.sin(np.pi * safe))
         value: Complexes = size * np.exp(1j * np.pi * turns * (self.n - 1))
         return value
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """A linear fit: lines, inverse of the normal matrix, solution (offset, re, im, ...), rest."""
+
+    lines: _Lines
+    inverse: Reals
+    solution: Reals
+    residual: Reals
+
+    def coefficients(self, y: Reals) -> Reals:
+        """What the same fit finds in ``y``."""
+        return np.asarray(self.inverse @ self.lines.moments(y), dtype=np.float64)
+
+    def rest(self, y: Reals, coefficients: Reals) -> Reals:
+        """What the fit leaves of ``y``."""
+        phasors = coefficients[1::2] + 1j * coefficients[2::2]
+        left: Reals = y - coefficients[0] - self.lines.synthesise(phasors)
+        return left
+
+
+def _solve(y: Reals, rate: float, frequencies: Sequence[float] | Reals) -> _Solved:
+    lines = _Lines(frequencies, rate, y.size)
+    inverse = np.asarray(np.linalg.inv(lines.normal_equations()), dtype=np.float64)
+    bare = _Solved(lines, inverse, np.empty(0), y)
+    solution = bare.coefficients(y)
+    return _Solved(lines, inverse, solution, bare.rest(y, solution))
+
+
+def _nearest_line(frequencies: Sequence[float], rate: float, n: int) -> int:
+    """Index of the line within a few beats of the first one; 0 if there is none."""
+    beats = [abs(line - frequencies[0]) * _duration(n, rate) for line in frequencies]
+    near = min(range(1, len(beats)), key=beats.__getitem__, default=0)
+    return near if beats[near] < FEW_BEATS else 0
+
+
+def _follow(y: Reals, rate: float, nominal: _Solved, line: int) -> tuple[_Solved, Reals]:
+    """The fit with one line at its own frequency, and what not knowing that adds to the inverse.
+
+    Gauss-Newton: the residual is regressed on the derivative of the line by its frequency, itself
+    cleared of what the other columns can explain. Where the record tells the frequency less well
+    than the mains wanders, or tells something that is no mains, the nominal fit stands.
+    """
+    solved = nominal
+    t = (np.arange(y.size) - (y.size - 1) / 2) / rate
+    for _ in range(3):
+        phasors = np.zeros(solved.lines.frequencies.size, complex)
+        phasors[line] = 2j * np.pi * complex(*solved.solution[2 * line + 1 : 2 * line + 3])
+        derivative = t * solved.lines.synthesise(phasors)
+        explained = solved.coefficients(derivative)
+        cleared = solved.rest(derivative, explained)
+        information = float(cleared @ cleared)
+        noise = float(np.square(solved.residual).sum()) / y.size
+        if noise >= MAINS_WANDER_HZ**2 * information:
+            return nominal, np.zeros_like(nominal.inverse)
+        frequencies = solved.lines.frequencies.copy()
+        frequencies[line] += float(cleared @ solved.residual) / information
+        if abs(frequencies[line] - nominal.lines.frequencies[line]) > 10 * MAINS_WANDER_HZ:
+            return nominal, np.zeros_like(nominal.inverse)
+        solved = _solve(y, rate, frequencies)
+    return solved, np.outer(explained, explained) / information
 
 
 def _check(y: Reals, rate: float, frequency: float) -> None:
