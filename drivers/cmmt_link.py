@@ -62,6 +62,8 @@ class CmmtLink:
         self._clock = clock
         self._lock = threading.RLock()
         self._client: Any = None
+        self._watchdog_ms = 0
+        """The communication time-out that every new connection sets; 0 leaves the drive's."""
 
     def identification(self) -> dict[int, str]:
         """Device identification objects 0 to 5: vendor, product code, revision, URL, product
@@ -109,6 +111,15 @@ class CmmtLink:
         )
         if (reply.address, list(reply.registers)) != (address, [value]):
             raise self.garbage(what, (reply.address, list(reply.registers)), (address, [value]))
+
+    def watch(self, timeout_ms: int) -> None:
+        """Have the drive stop by itself when nobody talks to it for so long, and read that back.
+
+        Every connection opened later does the same first: it is unconfirmed whether the drive
+        keeps the time-out beyond the connection that set it.
+        """
+        self._watchdog_ms = timeout_ms
+        self._ask("set the communication time-out", self._watch)
 
     def parameter(self, number: int, elements: int = 1) -> bytes:
         """The raw little-endian bytes of a drive parameter (PNU); InstrumentError if refused."""
@@ -216,7 +227,29 @@ class CmmtLink:
             if not client.connect():
                 raise self._broken(what, "it cannot be opened")
             self._client = client
+            if self._watchdog_ms and self._watch(client).isError():
+                raise self._broken(what, "the communication time-out cannot be set")
         return self._client
+
+    def _watch(self, client: Any) -> Any:
+        """The drive's last reply, which may be a refusal; InstrumentError where it reads back
+        another time-out."""
+        wanted = self._watchdog_ms
+        reply = client.write_registers(COMMUNICATION_TIMEOUT, [wanted, 0], device_id=self._unit_id)
+        if reply.isError():
+            return reply
+        reply = client.read_holding_registers(
+            COMMUNICATION_TIMEOUT, count=1, device_id=self._unit_id
+        )
+        if not reply.isError() and list(reply.registers) != [wanted]:
+            kept = ", ".join(f"{register} ms" for register in reply.registers)
+            raise InstrumentError(
+                self.device,
+                "set the communication time-out",
+                f"set to {wanted} ms but reads back {kept}",
+                "choose a communication_timeout_ms that the drive accepts",
+            )
+        return reply
 
     def _timed_out(self, what: str, charge: bool) -> InstrumentTimeoutError:
         """A time-out is wall time; the bench's clock has to hear of it, once."""

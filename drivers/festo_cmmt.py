@@ -14,8 +14,21 @@ What keeps a lost, doubled or late line from becoming a motion:
 * keep-alives only read. A stop that somebody else commanded is not overwritten by them.
 
 Source of registers, words and sequences: the vendor's client festo-edcon 0.14.12. Not confirmed on
-a drive, each marked where it stands: the parameters that tell the units, the unit of the clamping
-torque, what feeds the communication time-out and how the drive reacts to its expiry.
+a CMMT, and to be tried at the first bench; the code depends on each only where this list says:
+
+* any request feeds the communication time-out, reads too (`keep_alive`). So Festo's manuals say of
+  the EMCA and CMMO drives; the vendor's client writes and reads every 10 ms;
+* its expiry is fault 391 with a controlled stop (`FAULTS`), and a new connection may have to set it
+  again (`CmmtLink.watch`);
+* PNU 12698 and 12699 tell the units of telegram 111 (`trust_units` where they do not);
+* PNU 11584 and 11585 are in position units and PNU 12168 is percent of the rated torque: each is
+  read back, but its unit is taken on trust (`prepare`);
+* the task's acknowledgement, ZSW1.12, stands as long as the task is in force (`_require_task`);
+* "homing" falls by itself when the reference is found (`home`);
+* 20 ms of a standing reject bit are enough for the drive to see it (`REJECT_HOLD_S`).
+
+From memory alone: safe torque off is wired and cannot be asked for over Modbus. Nothing here relies
+on it; `make_safe` is a controlled stop under power.
 """
 
 from __future__ import annotations
@@ -30,13 +43,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from drivers.cmmt_link import (
-    COMMUNICATION_TIMEOUT,
-    INPUT_IMAGE,
-    OUTPUT_IMAGE,
-    CmmtLink,
-    ParameterRefusedError,
-)
+from drivers.cmmt_link import INPUT_IMAGE, OUTPUT_IMAGE, CmmtLink, ParameterRefusedError
 from drivers.telegram111 import (
     FULL_SCALE,
     IMAGE_REGISTERS,
@@ -51,7 +58,7 @@ from drivers.telegram111 import (
     Zsw1,
 )
 from rig.clock import Clock, WallClock
-from rig.errors import InstrumentError, LimitError
+from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
 from rig.instruments import Identity, Reach
 from rig.settings import Settings as BaseSettings
 
@@ -61,12 +68,14 @@ ROLES = ("stage_z", "stage_x")
 # Parameters (PNU), from the vendor's pnu_map.csv.
 TELEGRAM_SELECTION = 3490
 SERIAL_NUMBER, SERIAL_LENGTH = 2021, 5
-POSITION_UNIT = 12698  # CiA 402 object 60A8h; unconfirmed that it describes telegram 111
-SPEED_UNIT = 12699  # CiA 402 object 60A9h; unconfirmed likewise
-CLAMPING_TORQUE = 12168  # REAL; percent of the rated torque is unconfirmed
-LOW_LIMIT, HIGH_LIMIT = 11584, 11585  # LINT; position units are unconfirmed
+POSITION_UNIT = 12698  # CiA 402 object 60A8h
+SPEED_UNIT = 12699  # CiA 402 object 60A9h
+CLAMPING_TORQUE = 12168  # REAL, percent of the rated torque
+LOW_LIMIT, HIGH_LIMIT = 11584, 11585  # LINT, position units
 
 TELEGRAM = 111
+LARGEST_COUNT = 2**31 - 1
+"""Positions travel as signed 32-bit integers; speeds are held to the same."""
 POLL_S = 0.002
 ARRIVAL_POLL_S = 0.005
 KEEP_ALIVE_EVERY_S = 0.01
@@ -75,7 +84,7 @@ ACKNOWLEDGE_TIMEOUT_S = 0.5
 FAULT_TIMEOUT_S = 5.0
 ENABLE_TIMEOUT_S = 10.0
 REJECT_HOLD_S = 0.02
-"""How long a stop is held before it may be lifted: many of the drive's cycles [unconfirmed]."""
+"""How long a stop is held before it may be lifted: many of the drive's cycles."""
 SETTLING_S = 1.0
 """What a motion may take beyond its profile."""
 
@@ -118,7 +127,7 @@ FAULTS: Mapping[int, Fault] = {
     279: Fault("no fixed stop was found", "make diagnosis 279 a warning in the drive's parameters"),
     280: Fault("the fixed stop was lost", "look for what gave way under the axis"),
     294: Fault("control by PLC is not set", "end the vendor's software: it has taken control"),
-    391: Fault(  # unconfirmed that this is the number of the Modbus time-out
+    391: Fault(
         "communication time-out: nobody talked to the drive",
         "the program hung or the network failed; look at the bench and start again",
     ),
@@ -178,6 +187,11 @@ class Settings(BaseSettings):
             self.full_acceleration_mm_s2 / FULL_SCALE
         ):
             raise ValueError("acceleration or deceleration is below the drive's resolution")
+        farthest_mm = max(abs(self.low_limit_mm), abs(self.high_limit_mm))
+        if farthest_mm / self.position_unit_mm > LARGEST_COUNT:
+            raise ValueError("low_limit_mm and high_limit_mm do not fit the drive's counts")
+        if self.max_speed_mm_s / self.speed_unit_mm_s > LARGEST_COUNT:
+            raise ValueError("max_speed_mm_s does not fit the drive's counts")
         return self
 
     @property
@@ -217,6 +231,8 @@ class Axis:
         self._seen_at_s = -1.0
         self._target: int | None = None
         """Where the task under way ends, in counts."""
+        self._acknowledged = False
+        """Whether the drive has shown that it has taken that task."""
         self._arrive_by_s = 0.0
 
     # --- the role -----------------------------------------------------------------------------
@@ -250,7 +266,6 @@ class Axis:
             ACKNOWLEDGE_TIMEOUT_S,
             "did not begin to home",
         )
-        # Unconfirmed that the drive drops "homing" by itself when it has found the reference.
         self._await(
             "home",
             lambda seen: Zsw1.HOMED in seen.zsw1 and PosZsw1.HOMING not in seen.pos_zsw1,
@@ -266,14 +281,19 @@ class Axis:
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
         """Begin to move there, or change the target of the motion under way.
 
-        A running task is changed by one write and one read. LimitError outside `reach`.
+        A running task is changed by one read, which ends a motion that met a fault, the torque
+        limit or somebody else's stop, and one write. LimitError outside `reach`.
         """
         own = self._settings
         reach = self.reach()
         self._require("position", position_mm, reach["position"])
         self._require("speed", speed_mm_s, reach["speed"])
-        if self._target is None:
+        fresh = self._target is None or not self._acknowledged
+        if fresh:
             self._prepare_task()
+        else:
+            self._refuse_if_made_safe("move")
+            self._require_task(self._look())
         target = round(position_mm / own.position_unit_mm)
         distance = abs(target - self._seen.position) * own.position_unit_mm
         ramps = 4 * own.max_speed_mm_s / min(own.acceleration_mm_s2, own.deceleration_mm_s2)
@@ -284,11 +304,12 @@ class Axis:
             target=target,
             speed=round(speed_mm_s / own.speed_unit_mm_s),
         )
-        self._target = target
+        self._target, self._acknowledged = target, not fresh
         self._tell(wish)
         self._arrive_by_s = self._clock.now() + distance / speed_mm_s + ramps + SETTLING_S
-        if not _taken(self._look()):
+        if fresh:
             self._await("move", _taken, ACKNOWLEDGE_TIMEOUT_S, "did not take the task")
+            self._acknowledged = True
 
     def moving(self) -> bool:
         """Whether a motion is under way; a fault, or a motion that ended elsewhere, raises."""
@@ -298,8 +319,8 @@ class Axis:
             return Zsw1.STOPPED not in seen.zsw1
         if self._arrived(seen):
             return False
-        if PosZsw2.FIXED_STOP_REACHED in seen.pos_zsw2:
-            self._end_at_fixed_stop(seen)
+        if self._acknowledged:
+            self._require_task(seen)
         if self._clock.now() > self._arrive_by_s:
             raise self._error(
                 "move",
@@ -327,26 +348,33 @@ class Axis:
 
     def keep_alive(self) -> None:
         """Read the drive's state, unless that has just been done: it feeds the communication
-        time-out (unconfirmed for reads) and raises a fault once when it appears."""
+        time-out. What ended a motion raises, and so does a fault, once when it appears."""
         if self._link.charging or self._clock.now() - self._seen_at_s < KEEP_ALIVE_EVERY_S:
             return
         seen = self._read()
         if not self._in_charge or Zsw1.FAULT not in seen.zsw1:
             self._told_fault = 0
-        elif self._halting:
+        elif self._halting or seen.fault == self._told_fault:
             return
-        elif seen.fault != self._told_fault:
-            self._told_fault = seen.fault
-            raise self._fault(seen)
+        self._require_sound(seen)
 
     def make_safe(self) -> None:
         """Command a controlled stop and verify that the drive has taken it.
 
         It waits for answers, not for time, so that a watcher may call it while the bench's clock
         stands: the axis is at rest after speed / deceleration at most. No motion is begun
-        afterwards until `stop` has been called, which waits for rest.
+        afterwards until `stop` has been called, which waits for rest. A connection that turns out
+        to be broken is opened anew, once: a stop may arrive twice.
         """
         self._made_safe += 1
+        try:
+            self._command_stop()
+        except InstrumentTimeoutError:
+            raise
+        except InstrumentError:
+            self._command_stop()
+
+    def _command_stop(self) -> None:
         give_up = time.monotonic() + self._settings.timeout_s
         self._tell(self._stopping(), stopping=True, charge=False)
         while not _gives_way(self._read(charge=False)):
@@ -362,7 +390,7 @@ class Axis:
     def prepare(self) -> None:
         """Identify; set time-out, limits and torque and read them back; stop what moves."""
         self._identify()
-        self._set_communication_timeout()
+        self._link.watch(self._settings.communication_timeout_ms)
         self._check_telegram()
         self._check_unit(POSITION_UNIT, self._settings.position_unit_mm, 0x00)
         self._check_unit(SPEED_UNIT, self._settings.speed_unit_mm_s, 0x03)
@@ -392,17 +420,6 @@ class Axis:
         except ParameterRefusedError:
             serial = "unknown"
         self._identity = Identity(objects[0], objects[5], serial, objects[2])
-
-    def _set_communication_timeout(self) -> None:
-        wanted = self._settings.communication_timeout_ms
-        self._link.write(COMMUNICATION_TIMEOUT, [wanted, 0])
-        (kept,) = self._link.read(COMMUNICATION_TIMEOUT, 1)
-        if kept != wanted:
-            raise self._error(
-                "set the communication time-out",
-                f"set to {wanted} ms but reads back {kept} ms",
-                "choose a communication_timeout_ms that the drive accepts",
-            )
 
     def _check_telegram(self) -> None:
         selected = int.from_bytes(self._link.parameter(TELEGRAM_SELECTION), "little")
@@ -543,15 +560,9 @@ class Axis:
         return self._seen
 
     def _look(self) -> Inputs:
-        """The drive's state; once we are in charge, a fault or lost power raises."""
+        """The drive's state; what `_require_sound` finds raises."""
         seen = self._read()
-        if self._in_charge:
-            if Zsw1.FAULT in seen.zsw1:
-                self._told_fault = seen.fault
-                raise self._fault(seen)
-            if self._target is not None and Zsw1.OPERATION_ENABLED not in seen.zsw1:
-                self._target = None
-                raise self._error("move", "the drive has switched its power off", _LOOK)
+        self._require_sound(seen)
         return seen
 
     def _await(
@@ -570,6 +581,30 @@ class Axis:
             self._clock.sleep(POLL_S)
 
     # --- judging ------------------------------------------------------------------------------
+
+    def _require_sound(self, seen: Inputs) -> None:
+        """Once we are in charge: no fault, and nothing that has ended the task under way."""
+        if not self._in_charge:
+            return
+        if Zsw1.FAULT in seen.zsw1:
+            self._told_fault = seen.fault
+            raise self._fault(seen)
+        if self._target is None:
+            return
+        if Zsw1.OPERATION_ENABLED not in seen.zsw1:
+            self._target = None
+            raise self._error("move", "the drive has switched its power off", _LOOK)
+        if Zsw1.HOMED not in seen.zsw1:
+            self._target = None
+            raise self._error("move", "the axis has lost its reference", "home it again")
+        if _taken(seen) and PosZsw2.FIXED_STOP_REACHED in seen.pos_zsw2:
+            self._end_at_fixed_stop(seen)
+
+    def _require_task(self, seen: Inputs) -> None:
+        """The task under way is still in force: an update must not set another's stop aside."""
+        if not _taken(seen):
+            self._target = None
+            raise self._error("move", "the motion was ended by somebody else", _LOOK)
 
     def _arrived(self, seen: Inputs) -> bool:
         """Target reached, and truly there: the bit alone may still be the last target's."""

@@ -251,6 +251,11 @@ class Axis:
 
     # --- what can be seen of it ---------------------------------------------------------------
 
+    @property
+    def settling(self) -> bool:
+        """Whether its history is being brought up to date just now."""
+        return self._settling
+
     def position(self, t_us: int) -> float:
         """Where the carriage is or was, in mm."""
         self.settle(t_us)

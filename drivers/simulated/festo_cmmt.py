@@ -12,22 +12,19 @@ carriage's, which equal the drive's own after homing, and must be asked from `po
 Sources: register map, words and sequences from the vendor's client festo-edcon 0.14.12. UNCONFIRMED
 on a drive, each marked in its place: what the time-out does and which number it gives, what feeds
 it, the units' parameters, the meaning of the clamping torque, what an unhomed or out-of-range task
-is answered with, the identification's texts.
+is answered with, which jog bit is which way, the identification's texts.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol
 
 from drivers.simulated.axis import Axis, Command, Event, Mechanics
-from drivers.simulated.modbus_tcp import (
-    ILLEGAL_ADDRESS,
-    ModbusError,
-)
+from drivers.simulated.modbus_tcp import ILLEGAL_ADDRESS, ModbusError
 from drivers.simulated.ports import Timeline
 
 IMAGE_WORDS = 28
@@ -47,6 +44,7 @@ ARRIVED_mm = 0.01
 """Window of "target reached"."""
 NOMINAL_SPEED_mm_s = 1000.0
 """What NIST_B calls 100 %."""
+FARTHER_THAN_ANY_SWITCH_mm = 1e5
 
 # Parameter numbers (PNU), from the vendor's pnu_map.csv.
 _TELEGRAM, _SERIAL, _FIRMWARE, _TIMEOUT_ms = 3490, 2021, 2266, 4854
@@ -69,8 +67,22 @@ class AxisPort(Timeline, Protocol):
 
 
 @dataclass(frozen=True)
+class Trouble:
+    """What befalls a drive while it works, so that a run can be tried against it."""
+
+    kind: Literal["fault", "reference-lost", "jam"]
+    """The drive reports a fault; it forgets where it is; its carriage cannot be moved any more."""
+    move: int = 1
+    """During which task since the World began; homing and changes under way do not count."""
+    after_s: float = 0.0
+    """How long after that task began."""
+    code: int = FOLLOWING_FAULT
+    """The fault's number."""
+
+
+@dataclass(frozen=True)
 class DriveSettings:
-    """How one simulated drive is parametrised."""
+    """How one simulated drive is parametrised, and what is to befall it."""
 
     name: str = "stage_z"
     """Its name in the World, its log and fault plans."""
@@ -83,10 +95,12 @@ class DriveSettings:
     force_at_full_torque_N: float = 100.0
     home_mm: float = 0.0
     homing_speed_mm_s: float = 20.0
+    jog_speed_mm_s: float = 10.0
     unhomed_offset_mm: float = 37.5
     """What the drive is wrong by before it has been homed."""
     enable_delay_us: int = 20_000
     mechanics: Mechanics = field(default_factory=Mechanics)
+    troubles: tuple[Trouble, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -145,6 +159,10 @@ class CmmtDrive:
         self._paused = False
         self._fixed_stop = False
         self._moving = False
+        self._jogging = 0
+        """Which way: 1, -1, or 0 for not at all."""
+        self._tasks = 0
+        self._coming: list[tuple[int, Trouble]] = []
         self._timeout_ms = 0
         self._fed_us = port.now_us
         self._mailbox = [0] * MAILBOX_WORDS
@@ -170,13 +188,16 @@ class CmmtDrive:
         self._fail(code, now)
 
     def settle(self, now_us: int) -> None:
-        """Let everything happen that was due by now, in its order and at its time."""
-        if self._controlled and self._timeout_ms and not self.fault:
-            deadline = self._fed_us + 1000 * self._timeout_ms
-            if deadline < now_us:
-                self._catch_up(deadline)
-                if not self.fault:
-                    self._fail(TIMEOUT_FAULT, deadline)
+        """Let everything happen that was due by now, in its order and at its time.
+
+        A load that asks for the position meanwhile gets the history as it is.
+        """
+        if self.axis.settling:
+            return
+        while (due := self._next_due(now_us)) is not None:
+            t_us, happen = due
+            self._catch_up(t_us)
+            happen(t_us)
         self._catch_up(now_us)
 
     # --- the registers' side ------------------------------------------------------------------
@@ -230,6 +251,32 @@ class CmmtDrive:
 
     # --- what happens by itself ---------------------------------------------------------------
 
+    def _next_due(self, now_us: int) -> tuple[int, Callable[[int], None]] | None:
+        """The first of the coming troubles and the time-out, where it lies in the past."""
+        due: list[tuple[int, Callable[[int], None]]] = []
+        if self._controlled and self._timeout_ms and not self.fault:
+            deadline = self._fed_us + 1000 * self._timeout_ms
+            if deadline < now_us:
+                due.append((deadline, self._miss_everybody))
+        if self._coming and self._coming[0][0] <= now_us:
+            due.append((self._coming[0][0], self._befall))
+        return min(due, key=lambda one: one[0], default=None)
+
+    def _miss_everybody(self, t_us: int) -> None:
+        if not self.fault:
+            self._fail(TIMEOUT_FAULT, t_us)
+
+    def _befall(self, t_us: int) -> None:
+        _, trouble = self._coming.pop(0)
+        if trouble.kind == "fault":
+            self._fail(trouble.code, t_us)
+        elif trouble.kind == "jam":
+            self.axis.jammed = True
+            self._log("jammed", True, "drive")
+        else:
+            self.homed = False
+            self._log("homed", False, "drive")
+
     def _catch_up(self, t_us: int) -> None:
         if self._enable_at_us is not None and t_us >= self._enable_at_us:
             self._enable_at_us, self.enabled = None, True
@@ -277,7 +324,7 @@ class CmmtDrive:
             self._log("enabled", False, by)
         self.enabled, self._enable_at_us = False, None
         self.homing = self._acknowledged = self._paused = False
-        self._target_mm = None
+        self._target_mm, self._jogging = None, 0
 
     # --- what an output image asks for --------------------------------------------------------
 
@@ -307,14 +354,14 @@ class CmmtDrive:
             self._enable_at_us = self._port.now_us + self.settings.enable_delay_us
 
     def _move(self, before: _Image, image: _Image, by: str) -> None:
-        """Stop, pause, home, start or change a task, in this order of precedence."""
+        """Stop, pause, home, jog, start or change a task, in this order of precedence."""
         now = self._port.now_us
         if not image.bit(0, 4):
             if self._moving:
                 self._log("stop", None, by)
-            if self._target_mm is not None or self.homing:
+            if self._target_mm is not None or self.homing or self._jogging:
                 self.axis.stop(now, self._deceleration())
-            self._target_mm = None
+            self._target_mm, self._jogging = None, 0
             self.homing = self._acknowledged = self._paused = False
             return
         self._limit_force(image)
@@ -330,6 +377,7 @@ class CmmtDrive:
         elif self.homing and not image.bit(0, 11):
             self.axis.stop(now, self._deceleration())
             self.homing = False
+        self._jog(image.bit(0, 8) - image.bit(0, 9), by)
         if not image.bit(0, 6):
             self._acknowledged = False
         elif not before.bit(0, 6):
@@ -346,7 +394,7 @@ class CmmtDrive:
         self.axis.force_limit_N = clamping if seeking else self.settings.mechanics.peak_force_N
 
     def _home(self, by: str) -> None:
-        self._target_mm, self.homed, self.homing = None, False, True
+        self._target_mm, self.homed, self.homing, self._jogging = None, False, True, 0
         self._log("homing", self.settings.home_mm, by)
         self._start(Command(
             self.settings.home_mm,
@@ -354,6 +402,21 @@ class CmmtDrive:
             self.settings.full_acceleration_mm_s2,
             self.settings.full_acceleration_mm_s2,
         ))  # fmt: skip
+
+    def _jog(self, way: int, by: str) -> None:
+        """Move as long as one of the two bits is set, as far as the software limits let it."""
+        at_work = self._target_mm is not None and self._moving
+        if way == self._jogging or self.homing or at_work:
+            return
+        self._target_mm, self._paused, self._jogging = None, False, way
+        self._log("jog", way, by)
+        if way == 0:
+            self.axis.stop(self._port.now_us, self._deceleration())
+            return
+        limited = self._image.bit(2, 14) and self.homed
+        end = self._limits()[way > 0] if limited else way * FARTHER_THAN_ANY_SWITCH_mm
+        rate = self.settings.full_acceleration_mm_s2
+        self._start(Command(end, self.settings.jog_speed_mm_s, rate, rate))
 
     def _begin(self, by: str, again: bool = False) -> None:
         """Take the task in the image; what cannot be done is not acknowledged."""
@@ -373,15 +436,31 @@ class CmmtDrive:
         if image.bit(2, 14) and self.homed and (code := self._limit_fault(target)):
             self._fail(code, self._port.now_us)  # UNCONFIRMED: it may move as far as it can
             return
-        self._target_mm, self._acknowledged = target, True
+        self._target_mm, self._acknowledged, self._jogging = target, True, 0
+        if not again:
+            self._expect_trouble()
         self._go(by, quiet=again)
 
-    def _limit_fault(self, target_mm: float) -> int:
+    def _expect_trouble(self) -> None:
+        self._tasks += 1
+        self._coming += [
+            (self._port.now_us + round(trouble.after_s * 1e6), trouble)
+            for trouble in self.settings.troubles
+            if trouble.move == self._tasks
+        ]
+        self._coming.sort(key=lambda one: one[0])
+
+    def _limits(self) -> tuple[float, float]:
+        """The software limits as World positions."""
         low, high = (
             self._zero_mm
             + struct.unpack("<q", self._parameters[number])[0] * self.settings.position_unit_mm
             for number in (_LOW_LIMIT, _HIGH_LIMIT)
         )
+        return low, high
+
+    def _limit_fault(self, target_mm: float) -> int:
+        low, high = self._limits()
         if low >= high:
             return LIMIT_PARAMETERS_FAULT
         if target_mm < low - 1e-9:
@@ -466,6 +545,7 @@ class CmmtDrive:
         return (
             (position <= mechanics.low_switch_mm) << 8
             | (position >= mechanics.high_switch_mm) << 9
+            | (self._jogging != 0) << 10
             | self.homing << 11
             | (self._target_mm is not None) << 15
         )
@@ -479,7 +559,7 @@ class CmmtDrive:
             | self._fixed_stop << 12
             | self._fixed_stop << 13
             | (busy and self.axis.seeks_fixed_stop) << 14
-            | ((busy or self.homing) and not self.axis.finished(now)) << 15
+            | ((busy or self.homing or bool(self._jogging)) and not self.axis.finished(now)) << 15
         )
 
     # --- parameters ---------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from simulated.ideal import serving
 from drivers import festo_cmmt
 from drivers.festo_cmmt import Axis, Settings
 from drivers.simulated.faults import FaultPlan, WireFaults
-from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings, Trouble
 from drivers.simulated.modbus_tcp import ModbusError, ModbusTcpServer
 from rig.clock import Clock
 from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
@@ -227,7 +227,7 @@ def test_a_move_word_for_word() -> None:
         assert axis.position_mm() == it.truth_mm == 20.0
 
 
-def test_a_retarget_is_one_write_and_one_read() -> None:
+def test_a_retarget_is_one_read_and_one_write() -> None:
     with service() as it:
         axis = it.homed()
         axis.start_move(20.0, 25.0)
@@ -236,12 +236,12 @@ def test_a_retarget_is_one_write_and_one_read() -> None:
             axis.start_move(target, 25.0)
         image = "047f 9100 c000 0100"
         assert it.wire.heard() == [
+            "read 100 x28",
             f"write 0: {image} 21000 at 25000",
             "read 100 x28",
             f"write 0: {image} 22500 at 25000",
             "read 100 x28",
             f"write 0: {image} 5000 at 25000",
-            "read 100 x28",
         ]
 
 
@@ -358,6 +358,24 @@ def test_a_motion_that_never_arrives_is_told() -> None:
             axis.moving()
 
 
+@pytest.mark.parametrize("next_act", ["update", "look"])
+def test_a_motion_that_somebody_else_stopped_is_not_set_going_again(next_act: str) -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(60.0, 10.0)
+        it.clock.sleep(0.5)
+        it.connect()  # another program, which stops what moves
+        it.clock.sleep(0.5)
+        stands = it.truth_mm
+        act = axis.moving if next_act == "look" else lambda: axis.start_move(61.0, 10.0)
+        with pytest.raises(InstrumentError, match="ended by somebody else"):
+            act()
+        it.clock.sleep(1)
+        assert it.truth_mm == stands
+        axis.move_to(10.0, 10.0)
+        assert it.truth_mm == 10.0
+
+
 # --- faults ----------------------------------------------------------------------------------
 
 
@@ -419,6 +437,79 @@ def test_the_torque_limit_ends_a_motion_into_something() -> None:
         assert it.drive.enabled
         axis.stop()
         axis.move_to(5.0, 5.0)
+
+
+def creep(axis: Axis, clock: Clock, from_mm: float) -> None:
+    """A servo that only ever tells the next target."""
+    for tick in range(1000):
+        axis.start_move(from_mm + 0.01 * tick, 10.0)
+        clock.sleep(0.02)
+
+
+def move_and_sleep(axis: Axis, clock: Clock) -> None:
+    axis.start_move(60.0, 10.0)
+    clock.sleep(30.0)
+
+
+WAYS: dict[str, Callable[[Axis, Clock], None]] = {
+    "move": lambda axis, clock: axis.move_to(60.0, 10.0),
+    "servo": lambda axis, clock: creep(axis, clock, 60.0),
+    "wait": move_and_sleep,
+}
+
+
+def test_the_torque_limit_ends_a_servo_and_a_wait() -> None:
+    with service() as it:
+        axis = it.homed()
+        it.bench.wall_mm = 10.0
+        with pytest.raises(InstrumentError, match=r"torque limit at 10\.3"):
+            creep(axis, it.clock, 9.0)
+        axis.stop()
+        axis.move_to(5.0, 5.0)
+        axis.start_move(40.0, 5.0)
+        with pytest.raises(InstrumentError, match=r"torque limit at 10\.3"):
+            it.clock.sleep(30.0)
+        assert it.truth_mm == pytest.approx(10.3, abs=0.01)
+        it.clock.sleep(1.0)
+
+
+def test_a_new_motion_is_not_ended_by_the_last_ones_fixed_stop() -> None:
+    with service() as it:
+        axis = it.homed()
+        it.bench.wall_mm = 10.0
+        with pytest.raises(InstrumentError, match="torque limit"):
+            axis.move_to(40.0, 5.0)
+        assert it.drive.read(100, 28, "test")[2] >> 12 & 1, "the bit still stands"
+        axis.move_to(2.0, 5.0)
+        assert it.truth_mm == 2.0
+
+
+@pytest.mark.parametrize(
+    ("trouble", "own", "told"),
+    [
+        (Trouble("fault", 2, 0.5, 114), {}, "114 .*negative limit switch"),
+        (Trouble("reference-lost", 2, 0.5), {}, "lost its reference"),
+        (Trouble("jam", 2, 0.5), {"torque_limit_percent": None}, "126 .*following error"),
+        (Trouble("jam", 2, 0.5), {}, "torque limit"),
+    ],
+)
+@pytest.mark.parametrize("way", ["move", "servo", "wait"])
+def test_what_befalls_a_motion_is_one_error_however_it_is_watched(
+    trouble: Trouble, own: dict[str, Any], told: str, way: str
+) -> None:
+    with service(drive={"troubles": (trouble,)}, **own) as it:
+        axis = it.homed()
+        axis.move_to(5.0, 20.0)
+        begun = it.clock.now()
+        with pytest.raises(InstrumentError, match=told) as caught:
+            WAYS[way](axis, it.clock)
+        assert caught.value.device == "stage_z"
+        assert caught.value.hint
+        assert it.clock.now() - begun < 1.0, "at once"
+        it.clock.sleep(0.5)  # told once
+        axis.make_safe()
+        axis.stop()
+        assert it.speed == 0
 
 
 def test_without_a_torque_limit_the_drive_reports_a_following_error() -> None:
@@ -520,6 +611,30 @@ def test_making_a_drive_without_power_safe_does_not_switch_it_on() -> None:
         assert not it.drive.enabled
 
 
+def test_make_safe_gets_through_on_a_second_connection() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(60.0, 40.0)
+        it.clock.sleep(0.5)
+        break_wire(it, kind="close")
+        axis.make_safe()
+        it.bench.now_us += 210_000
+        assert it.speed == 0
+        assert it.drive.fault == 0
+
+
+def test_make_safe_that_does_not_get_through_says_so_after_one_time_out() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(60.0, 40.0)
+        break_wire(it, kind="silence", count=0)
+        begun = time.monotonic()
+        with pytest.raises(InstrumentTimeoutError, match="no answer"):
+            axis.make_safe()
+        assert time.monotonic() - begun < 10 * TIMEOUT_S
+        assert it.wire.said[-1].startswith("write 0: 042f"), "it was said all the same"
+
+
 class RealTime:
     """A bench whose time goes on by itself from where another's stands."""
 
@@ -612,6 +727,8 @@ def test_connecting_stops_what_an_earlier_run_left_moving() -> None:
         ({"deceleration_mm_s2": 0.01}, "resolution"),
         ({"communication_timeout_ms": 10}, "communication_timeout_ms"),
         ({"torque_limit_percent": 0}, "torque_limit_percent"),
+        ({"high_limit_mm": 3e6}, "do not fit"),
+        ({"speed_unit_mm_s": 1e-9}, "max_speed_mm_s does not fit"),
         ({"axis": "y"}, "axis"),
         ({"resource": "here"}, "resource"),
     ],
@@ -622,6 +739,41 @@ def test_settings_that_are_refused(change: dict[str, Any], told: str) -> None:
 
 
 # --- the wire breaks -------------------------------------------------------------------------
+
+
+def break_wire(it: Service, **fault: Any) -> None:
+    """A fault on the wire from now on."""
+    plan = FaultPlan.model_validate({"fault": [{"device": "it", **fault}]})
+    it.server.faults._faults = list(plan.fault)
+    it.server.faults._matched = [0]
+
+
+def test_a_new_connection_sets_the_communication_time_out_again() -> None:
+    with service({"kind": "close", "command": "FC3 100", "at": 2}) as it:
+        axis = it.connect()
+        it.wire.heard()
+        with pytest.raises(InstrumentError, match="connection failed"):
+            axis.position_mm()
+        axis.position_mm()
+        assert it.wire.heard() == [
+            "read 100 x28",
+            "write 400: 500 0",
+            "read 400 x1",
+            "read 100 x28",
+        ]
+
+
+def test_a_new_connection_whose_time_out_cannot_be_set_is_none() -> None:
+    with service() as it:
+        axis = it.homed()
+        it.wire.forged[400] = [1000]
+        break_wire(it, kind="close")
+        with pytest.raises(InstrumentError, match="connection failed"):
+            axis.position_mm()
+        with pytest.raises(InstrumentError, match="set to 500 ms but reads back 1000 ms"):
+            axis.position_mm()
+        del it.wire.forged[400]
+        assert axis.position_mm() == 0.0
 
 
 def test_silence_is_told_and_charged_to_the_clock() -> None:
@@ -635,12 +787,7 @@ def test_silence_is_told_and_charged_to_the_clock() -> None:
 def test_a_time_out_inside_a_keep_alive_ends_the_wait_once() -> None:
     with service() as it:
         axis = it.homed()
-        it.server.faults._faults = [
-            FaultPlan.model_validate(
-                {"fault": [{"device": "it", "kind": "silence", "count": 0}]}
-            ).fault[0]
-        ]
-        it.server.faults._matched = [0]
+        break_wire(it, kind="silence", count=0)
         before = it.clock.now()
         with pytest.raises(InstrumentTimeoutError):
             it.clock.sleep(1)

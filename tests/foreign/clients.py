@@ -12,12 +12,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import pytest
 
 from drivers.simulated.ports import Excitation
-from drivers.simulated.servers import ScpiSocketServer
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -56,8 +55,20 @@ def seen_by(python: str, script: str, *arguments: str) -> Any:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+class Server(Protocol):
+    """What is in front of a simulated instrument, whatever its transport."""
+
+    async def start(self) -> None:
+        """Begin to listen."""
+        ...
+
+    async def close(self) -> None:
+        """Stop listening."""
+        ...
+
+
 @contextmanager
-def serving(server: ScpiSocketServer) -> Iterator[None]:
+def serving(server: Server) -> Iterator[None]:
     """The server's event loop in a thread."""
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever)

@@ -6,6 +6,7 @@ import struct
 
 import pytest
 
+from drivers.simulated.festo_cmmt import Trouble
 from drivers.simulated.modbus_tcp import ModbusError
 
 from .axis_bench import ACK, HOME, ON, RUN, TASK, Controller
@@ -176,6 +177,44 @@ def test_override_and_acceleration_are_shares(homed: Controller) -> None:
     assert homed.drive.velocity_mm_s(homed.bench.now_us) == pytest.approx(100 * 0.2, rel=0.01)
 
 
+# --- jogging ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("bit", "way"), [(8, 1), (9, -1)])
+def test_jogging_lasts_as_long_as_its_bit(homed: Controller, bit: int, way: int) -> None:
+    homed.write(*RUN, ON, TASK, target=40_000)
+    homed.wait(4)
+    homed.write(*RUN, ON)
+    homed.write(*RUN, ON, bit)
+    homed.wait(1)
+    assert homed.words[1] >> 10 & 1
+    assert homed.drive.velocity_mm_s(homed.bench.now_us) == pytest.approx(10 * way)
+    homed.write(*RUN, ON, 8, 9)
+    homed.wait(0.5)
+    assert not homed.words[1] >> 10 & 1
+    assert homed.zsw1(13)
+    assert homed.position == pytest.approx(40_000 + way * 10_000, abs=100)
+
+
+def test_jogging_ends_at_a_software_limit_and_without_a_reference_at_the_switch() -> None:
+    homed, unhomed = Controller.of_a_drive(), Controller.of_a_drive()
+    homed.home()
+    unhomed.enable()
+    for axis in (homed, unhomed):
+        axis.write(*RUN, ON, 9)
+        axis.wait(5)
+    assert (homed.position, homed.fault) == (-5_000, 0)
+    assert unhomed.fault == 114
+
+
+def test_a_rejected_task_ends_jogging_too(homed: Controller) -> None:
+    homed.write(*RUN, ON, 8)
+    homed.wait(0.5)
+    homed.write(*(bit for bit in RUN if bit != 4), ON, 8)
+    homed.wait(0.5)
+    assert homed.zsw1(13)
+
+
 # --- limits and faults -----------------------------------------------------------------------
 
 
@@ -245,6 +284,72 @@ def test_a_fault_needs_a_rising_acknowledge_and_then_a_rising_on(homed: Controll
     homed.wait(0.1)
     assert homed.zsw1(2)
     assert homed.zsw1(11), "a fault does not cost the reference"
+
+
+# --- troubles --------------------------------------------------------------------------------
+
+
+def troubled(*troubles: Trouble) -> Controller:
+    at = Controller.of_a_drive(troubles=troubles)
+    at.home()
+    return at
+
+
+def test_a_trouble_comes_at_its_time_though_nobody_looks() -> None:
+    at = troubled(Trouble("fault", 1, 0.5, 115), Trouble("reference-lost", 1, 0.2))
+    at.write(*RUN, ON, TASK, target=50_000)
+    begun = at.bench.now_us
+    at.bench.now_us += 2_000_000
+    assert at.drive.velocity_mm_s(begun + 499_000) == pytest.approx(20)
+    assert at.drive.velocity_mm_s(begun + 530_000) == 0
+    assert (at.fault, at.zsw1(11)) == (115, False)
+
+
+def test_a_trouble_waits_for_its_task_and_a_changed_task_is_the_same() -> None:
+    at = troubled(Trouble("fault", 2, 0.1))
+    for target in (10_000, 12_000, 14_000):
+        at.write(*RUN, ON, TASK, target=target, pos_stw1=0x9100)
+        at.wait(1)
+    assert at.fault == 0
+    at.write(*RUN, ON)
+    at.write(*RUN, ON, TASK, target=20_000)
+    at.wait(0.2)
+    assert at.fault == 126
+
+
+def test_a_jam_is_a_following_error_for_ever() -> None:
+    at = troubled(Trouble("jam", 1, 0.5))
+    at.write(*RUN, ON, TASK, target=50_000)
+    at.wait(2)
+    stands = at.position
+    assert at.fault == 126
+    at.write(*RUN, ACK)
+    at.write(*RUN, ON)
+    at.wait(0.1)
+    at.write(*RUN, ON, TASK, target=50_000)
+    at.wait(2)
+    assert at.fault == 126
+    assert at.position == pytest.approx(stands, abs=20)
+
+
+def test_a_load_may_ask_the_drive_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A film that creeps wants to know where it was pressed a moment ago."""
+    plain, curious = Controller.of_a_drive(), Controller.of_a_drive()
+    asked: list[float] = []
+
+    def load(axis: str, position_mm: float, t_us: int) -> float:
+        asked.append(curious.drive.position_mm(t_us - 500))
+        return -100.0 * max(0.0, position_mm - 10.0)
+
+    monkeypatch.setattr(curious.bench, "load_N", load)
+    plain.bench.wall_mm = 10.0
+    for at in (plain, curious):
+        at.home()
+        at.write(*RUN, ON, TASK, target=50_000)
+        at.bench.now_us += 3_000_000
+        assert at.fault == 126
+    assert curious.position == plain.position
+    assert len(asked) > 500
 
 
 # --- the communication time-out --------------------------------------------------------------
