@@ -1,0 +1,122 @@
+"""The skin as contact sees it: compliance of the contact nodes and stress rows of the strips.
+
+Built once for a settings object and kept in a cache under its hash. A cache entry that does not
+hold what this module stores is rebuilt, never trusted.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.cache import Cache, NoCache
+from rig.model.skin.settings import SkinSettings
+from rig.settings import fingerprint
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_FORMAT = 1
+_ARRAYS = ("contact_x_mm", "ridge", "gap_mm", "compliance_mm_N", "stress_rows_MPa_N")
+
+
+@dataclass(frozen=True)
+class CondensedSkin:
+    """One skin reduced to its m contact nodes, from left to right.
+
+    A contact force vector f of shape (2 m,) holds pressing forces first (positive pushes the skin
+    down), then tangential forces on the skin (positive towards +x), all in N.
+    """
+
+    settings: SkinSettings
+    contact_x_mm: Floats
+    """Where the nodes are, shape (m,)."""
+    ridge: Ints
+    """Each node's ridge, 0 for the leftmost, shape (m,)."""
+    gap_mm: Floats
+    """Distance of each node to a flat plate that touches the highest point, shape (m,)."""
+    compliance_mm_N: Floats
+    """W of u = W f, shape (2 m, 2 m): downward, then tangential displacement; symmetric."""
+    stress_rows_MPa_N: Floats
+    """Mean stress of f, shape (ridges, 2 strips, 3 components xx yy xy, 2 m)."""
+
+    @property
+    def nodes(self) -> int:
+        """Number m of contact nodes."""
+        return int(self.contact_x_mm.size)
+
+    def tributary_mm(self) -> Floats:
+        """The length of ridge top that each node stands for, shape (m,)."""
+        length = np.zeros(self.nodes)
+        for ridge in range(self.settings.ridges):
+            at = np.flatnonzero(self.ridge == ridge)
+            edges = np.diff(self.contact_x_mm[at])
+            length[at[:-1]] += edges / 2
+            length[at[1:]] += edges / 2
+        return length
+
+
+def build_skin(settings: SkinSettings, cache: Cache | None = None) -> CondensedSkin:
+    """The condensed skin of `settings`, from the cache when it holds one."""
+    cache = NoCache() if cache is None else cache
+    key = f"skin-{_FORMAT}-{fingerprint(settings)}"
+    stored = cache.get(key)
+    skin = None if stored is None else _unpack(settings, stored)
+    if skin is None:
+        skin = condense(settings)
+        cache.put(key, _pack(skin))
+    return skin
+
+
+def condense(settings: SkinSettings) -> CondensedSkin:
+    """Assemble, factor and condense, without any cache."""
+    from rig.model.skin.elasticity import ElasticSkin, strip_areas
+
+    elastic = ElasticSkin(settings)
+    x_dofs, _ = elastic.contact_dofs
+    x = elastic.locations_mm[0][x_dofs]
+    influence = elastic.influence_mm_N
+    compliance = elastic.contact_loads().T @ influence
+    areas = [area for ridge in range(settings.ridges) for area in strip_areas(settings, ridge)]
+    rows = elastic.mean_stress_rows(areas) @ influence
+    axes = np.asarray(settings.ridge_axes_mm())
+    ridge = np.abs(x[:, None] - axes[None, :]).argmin(axis=1)
+    return CondensedSkin(
+        settings=settings,
+        contact_x_mm=x,
+        ridge=ridge.astype(np.int64),
+        gap_mm=_gap_mm(settings, x, axes[ridge]),
+        compliance_mm_N=np.ascontiguousarray((compliance + compliance.T) / 2),
+        stress_rows_MPa_N=np.ascontiguousarray(rows.reshape(settings.ridges, 2, 3, 2 * x.size)),
+    )
+
+
+def _gap_mm(settings: SkinSettings, x_mm: Floats, axis_mm: Floats) -> Floats:
+    over_all = (x_mm - settings.axis_x_mm) ** 2 / (2 * settings.finger_radius_mm)
+    crown = (x_mm - axis_mm) ** 2 / (2 * settings.crown_radius_mm)
+    gap: Floats = over_all + crown
+    return gap - gap.min()
+
+
+def _pack(skin: CondensedSkin) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **{name: getattr(skin, name) for name in _ARRAYS})
+    return buffer.getvalue()
+
+
+def _unpack(settings: SkinSettings, content: bytes) -> CondensedSkin | None:
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in _ARRAYS}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+    m = settings.ridges * (2 * settings.elements_per_ridge + 1)
+    shapes = ((m,), (m,), (m,), (2 * m, 2 * m), (settings.ridges, 2, 3, 2 * m))
+    for name, shape in zip(_ARRAYS, shapes, strict=True):
+        if arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
+            return None
+    return CondensedSkin(settings=settings, **arrays)

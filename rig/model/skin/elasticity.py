@@ -1,0 +1,178 @@
+"""The skin's finite elements: stiffness, mass, factorisation and strip-mean stress.
+
+Quadratic (Q2) elements of scikit-fem, plane strain, linear elastic, bottom fixed. Units are N, mm
+and MPa; the out-of-plane width is included, so that forces are those of the whole skin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.model.skin.mesh import skin_mesh
+from rig.model.skin.settings import SkinSettings
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+STRESSES = ("xx", "yy", "xy")
+"""Order of the stress components in every array."""
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A rectangle in the skin's section over which stress is averaged, mm."""
+
+    left_mm: float
+    right_mm: float
+    bottom_mm: float
+    top_mm: float
+
+
+class ElasticSkin:
+    """Finite elements of one skin; what is expensive is computed on first use and kept."""
+
+    def __init__(self, settings: SkinSettings):
+        from skfem import Basis, ElementQuad2, ElementVector
+
+        self.settings = settings
+        self.mesh = skin_mesh(settings)
+        self.basis: Any = Basis(self.mesh, ElementVector(ElementQuad2()), intorder=4)
+        self.locations_mm: Floats = self.basis.doflocs
+
+    @cached_property
+    def lame_MPa(self) -> tuple[float, float]:
+        """Lamé's constants λ and μ."""
+        E, nu = self.settings.youngs_modulus_MPa, self.settings.poissons_ratio
+        return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
+
+    @cached_property
+    def stiffness(self) -> Any:
+        """Stiffness of all degrees of freedom as a CSC matrix, N/mm."""
+        from skfem.models.elasticity import linear_elasticity
+
+        matrix = linear_elasticity(*self.lame_MPa).assemble(self.basis)
+        return (matrix * self.settings.width_mm).tocsc()
+
+    @cached_property
+    def free(self) -> Ints:
+        """Degrees of freedom above the fixed bottom."""
+        lowest = self.locations_mm[1] < -self.settings.body_mm + 1e-9
+        return np.flatnonzero(~lowest).astype(np.int64)
+
+    @cached_property
+    def contact_dofs(self) -> tuple[Ints, Ints]:
+        """The x and the y degrees of freedom of the ridge tops, each from left to right."""
+        on_top = self.basis.get_dofs(lambda p: p[1] > self.settings.height_mm - 1e-9)
+        by_component = (on_top.all(["u^1"]), on_top.all(["u^2"]))
+        ordered = [d[np.argsort(self.locations_mm[0][d], kind="stable")] for d in by_component]
+        return ordered[0].astype(np.int64), ordered[1].astype(np.int64)
+
+    @cached_property
+    def _factor(self) -> Any:
+        from scipy.sparse.linalg import splu
+
+        free = self.free
+        return splu(
+            self.stiffness[free][:, free].tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            options={"SymmetricMode": True},
+            diag_pivot_thresh=0.0,
+        )
+
+    def solve(self, forces_N: Floats) -> Floats:
+        """Displacements (dofs, ...) in mm of nodal forces of the same shape; the bottom stays."""
+        displacement = np.zeros_like(forces_N)
+        displacement[self.free] = self._factor.solve(np.ascontiguousarray(forces_N[self.free]))
+        return displacement
+
+    def contact_loads(self) -> Any:
+        """Maps (pressing, tangential) contact forces, shape (2 m,), to nodal forces; sparse."""
+        from scipy.sparse import csc_matrix
+
+        x_dofs, y_dofs = self.contact_dofs
+        m = x_dofs.size
+        sign = np.concatenate([-np.ones(m), np.ones(m)])
+        rows = np.concatenate([y_dofs, x_dofs])
+        return csc_matrix((sign, (rows, np.arange(2 * m))), shape=(self.basis.N, 2 * m))
+
+    @cached_property
+    def influence_mm_N(self) -> Floats:
+        """Displacements (dofs, 2 m) of unit contact forces, pressing first, then tangential."""
+        return self.solve(self.contact_loads().toarray())
+
+    def mean_stress_rows(self, areas: Sequence[Rectangle]) -> Any:
+        """Sparse map (3 areas, dofs) from displacements to mean σ_xx, σ_yy, σ_xy in MPa."""
+        from scipy.sparse import csr_matrix
+
+        cells, local, weights, owner = self._quadrature(areas)
+        lam, mu = self.lame_MPa
+        element, mapping = self.basis.elem, self.mesh.mapping()
+        area = np.zeros(len(areas))
+        np.add.at(area, owner, weights.sum(axis=1))
+        rows, columns, values = [], [], []
+        for j in range(self.basis.Nbfun):
+            gradient = element.gbasis(mapping, local, j, tind=cells)[0].grad
+            g = np.einsum("abcq,cq->abc", gradient, weights) / area[owner]
+            stress = np.stack(
+                [
+                    (lam + 2 * mu) * g[0, 0] + lam * g[1, 1],
+                    lam * g[0, 0] + (lam + 2 * mu) * g[1, 1],
+                    mu * (g[0, 1] + g[1, 0]),
+                ]
+            )
+            for component in range(3):
+                rows.append(3 * owner + component)
+                columns.append(self.basis.element_dofs[j, cells])
+                values.append(stress[component])
+        entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+        return csr_matrix(entries, shape=(3 * len(areas), self.basis.N))
+
+    def _quadrature(self, areas: Sequence[Rectangle]) -> tuple[Ints, Floats, Floats, Ints]:
+        """Gauss points of each part of a cell inside an area: cells, local points, weights, area.
+
+        The mesh need not follow the areas' edges: each cell is cut, so the mean is exact.
+        """
+        corners = self.mesh.p[:, self.mesh.t]
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        point, weight = np.polynomial.legendre.leggauss(3)
+        px, py = (a.ravel() for a in np.meshgrid(point, point))
+        w = np.outer(weight, weight).ravel() / 4
+        cells, local, weights, owner = [], [], [], []
+        for number, area in enumerate(areas):
+            start = np.maximum(low, [[area.left_mm], [area.bottom_mm]])
+            stop = np.minimum(high, [[area.right_mm], [area.top_mm]])
+            cut = np.flatnonzero(((stop - start) > 1e-12).all(axis=0))
+            a, b = start[:, cut], stop[:, cut]
+            points = np.stack(
+                [
+                    (a[0] + b[0])[:, None] / 2 + (b[0] - a[0])[:, None] / 2 * px,
+                    (a[1] + b[1])[:, None] / 2 + (b[1] - a[1])[:, None] / 2 * py,
+                ]
+            )
+            cells.append(cut)
+            local.append(self.mesh.mapping().invF(points, tind=cut))
+            weights.append(np.prod(b - a, axis=0)[:, None] * w)
+            owner.append(np.full(cut.size, number))
+        return (
+            np.concatenate(cells).astype(np.int64),
+            np.concatenate(local, axis=1),
+            np.concatenate(weights),
+            np.concatenate(owner).astype(np.int64),
+        )
+
+
+def strip_areas(settings: SkinSettings, ridge: int) -> tuple[Rectangle, Rectangle]:
+    """S1 and S2 of ridge number `ridge` (0 is the leftmost)."""
+    axis, strip = settings.ridge_axes_mm()[ridge], settings.strips
+    half = strip.width_mm / 2
+
+    def at(x: float) -> Rectangle:
+        return Rectangle(x - half, x + half, strip.bottom_mm, strip.top_mm)
+
+    return at(axis - strip.offset_mm), at(axis + strip.offset_mm)
