@@ -34,7 +34,7 @@ class CondensedSkin:
 
     settings: SkinSettings
     contact_x_mm: Floats
-    """Where the nodes are, shape (m,)."""
+    """Where the nodes are in bench coordinates, shape (m,)."""
     ridge: Ints
     """Each node's ridge, 0 for the leftmost, shape (m,)."""
     gap_mm: Floats
@@ -79,7 +79,7 @@ def condense(settings: SkinSettings) -> CondensedSkin:
     elastic = ElasticSkin(settings)
     x_dofs, _ = elastic.contact_dofs
     x = elastic.locations_mm[0][x_dofs]
-    influence = elastic.influence_mm_N
+    influence = elastic.influence
     compliance = elastic.contact_loads().T @ influence
     areas = [area for ridge in range(settings.ridges) for area in strip_areas(settings, ridge)]
     rows = elastic.mean_stress_rows(areas) @ influence
@@ -98,8 +98,9 @@ def condense(settings: SkinSettings) -> CondensedSkin:
 def _gap_mm(settings: SkinSettings, x_mm: Floats, axis_mm: Floats) -> Floats:
     over_all = (x_mm - settings.axis_x_mm) ** 2 / (2 * settings.finger_radius_mm)
     crown = (x_mm - axis_mm) ** 2 / (2 * settings.crown_radius_mm)
-    gap: Floats = over_all + crown
-    return gap - gap.min()
+    together = over_all + crown
+    gap: Floats = together - together.min()
+    return gap
 
 
 def _pack(skin: CondensedSkin) -> bytes:

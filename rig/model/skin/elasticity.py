@@ -46,8 +46,8 @@ class ElasticSkin:
         self.locations_mm: Floats = self.basis.doflocs
 
     @cached_property
-    def lame_MPa(self) -> tuple[float, float]:
-        """Lamé's constants λ and μ."""
+    def lame(self) -> tuple[float, float]:
+        """Lamé's constants λ and μ, MPa."""
         E, nu = self.settings.youngs_modulus_MPa, self.settings.poissons_ratio
         return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
 
@@ -56,7 +56,7 @@ class ElasticSkin:
         """Stiffness of all degrees of freedom as a CSC matrix, N/mm."""
         from skfem.models.elasticity import linear_elasticity
 
-        matrix = linear_elasticity(*self.lame_MPa).assemble(self.basis)
+        matrix = linear_elasticity(*self.lame).assemble(self.basis)
         return (matrix * self.settings.width_mm).tocsc()
 
     @cached_property
@@ -102,8 +102,8 @@ class ElasticSkin:
         return csc_matrix((sign, (rows, np.arange(2 * m))), shape=(self.basis.N, 2 * m))
 
     @cached_property
-    def influence_mm_N(self) -> Floats:
-        """Displacements (dofs, 2 m) of unit contact forces, pressing first, then tangential."""
+    def influence(self) -> Floats:
+        """Displacements (dofs, 2 m), mm/N, of unit contact forces, pressing first, then tangential."""
         return self.solve(self.contact_loads().toarray())
 
     def mean_stress_rows(self, areas: Sequence[Rectangle]) -> Any:
@@ -111,7 +111,7 @@ class ElasticSkin:
         from scipy.sparse import csr_matrix
 
         cells, local, weights, owner = self._quadrature(areas)
-        lam, mu = self.lame_MPa
+        lam, mu = self.lame
         element, mapping = self.basis.elem, self.mesh.mapping()
         area = np.zeros(len(areas))
         np.add.at(area, owner, weights.sum(axis=1))

@@ -95,7 +95,7 @@ class SkinSettings(Settings):
         if inside < 0 or outside > self.top_mm / 2:
             raise ValueError(
                 f"strips from {inside:g} to {outside:g} mm of the ridge's axis must lie between 0 "
-                f"and {self.top_mm / 2:g} mm (half of top_mm): they would overlap or leave the ridge"
+                f"and {self.top_mm / 2:g} mm (half of top_mm): they would overlap or leave it"
             )
         if self.strips.top_mm > self.height_mm or self.strips.bottom_mm < -self.body_mm:
             raise ValueError(

@@ -1,0 +1,724 @@
+"""The compiled contact step: one implicit time step of unilateral contact with Coulomb friction.
+
+Unknowns of a step are the object's approach d, its tangential increment Δx, and for every node in
+contact its pressing force p and tangential force t. The rows of the system are the force balance
+(or the commanded position) of the object, closed gap, and stick (no relative motion) or slip
+(t = ±μ p). Which rows apply is the active set. The inverse of the system is kept from step to
+step and *updated* when a node changes: a replaced row or a bordered slot costs n², a new inverse
+n³. A step whose active set does not settle is reported, never accepted.
+
+The time rule is backward Euler: u' = α W f + β u, with α = 1/(1 + τ/Δt) and β = 1 - α. Friction
+uses each node's coefficient at the start of the step, so that a step is a Coulomb problem with
+constant coefficients.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+OPEN, STICK, SLIP_PLUS, SLIP_MINUS = 0, 1, 2, 3
+
+# integers of a state
+N, VALID, NORMAL_BY_FORCE, TANGENT_BY_FORCE, UPDATES, REBUILDS, RESCUES = range(7)
+INTEGERS = 7
+# scalars of a state
+D, X, V = range(3)
+SCALARS = 3
+# columns of a step's summary
+(
+    OUT_D,
+    OUT_FN,
+    OUT_X,
+    OUT_FT,
+    OUT_DISSIPATED,
+    OUT_AREA,
+    OUT_ITERATIONS,
+) = range(7)
+SUMMARY = 7
+# constants of a stepper
+ALPHA, MU_S, MU_K, D_C, HEAL, MASS_DT2, DT, CURVATURE = range(8)
+CONSTANTS = 8
+
+SET_TOLERANCE_N = 1e-11
+SET_TOLERANCE_MM = 1e-11
+SLIP_TOLERANCE_MM = 1e-12
+RESIDUAL_MM = 1e-10
+PATIENCE = 12
+ITERATIONS = 60
+RESCUES_A_STEP = 30
+FRICTION_REFRESH = 0.004
+REFRESH_UPDATES = 4000
+
+_FAST = {"reassoc", "contract", "nsz"}
+
+
+@njit(cache=True, fastmath=_FAST)
+def _multiply(A: Any, b: Any, n: int, out: Any) -> None:
+    """out[:n] = A[:n, :n] b[:n]"""
+    for r in range(n):
+        total = 0.0
+        for c in range(n):
+            total += A[r, c] * b[c]
+        out[r] = total
+
+
+@njit(cache=True, fastmath=_FAST)
+def _multiply_left(b: Any, A: Any, n: int, out: Any) -> None:
+    """out[:n] = b[:n] A[:n, :n]"""
+    for c in range(n):
+        out[c] = 0.0
+    for r in range(n):
+        s = b[r]
+        if s != 0.0:
+            for c in range(n):
+                out[c] += s * A[r, c]
+
+
+@njit(cache=True, fastmath=_FAST)
+def _rank_one(A: Any, x: Any, y: Any, scale: float, n: int) -> None:
+    """A[:n, :n] += scale x y"""
+    for r in range(n):
+        s = scale * x[r]
+        if s != 0.0:
+            for c in range(n):
+                A[r, c] += s * y[c]
+
+
+@njit(cache=True, fastmath=_FAST)
+def _displacements(C: Any, force: Any, loaded: Any, count: int, out: Any) -> None:
+    """out = C force, where only `loaded[:count]` entries of the force differ from zero."""
+    size = out.size
+    out[:] = 0.0
+    k = 0
+    while k + 4 <= count:
+        a, b, c, d = loaded[k], loaded[k + 1], loaded[k + 2], loaded[k + 3]
+        fa, fb, fc, fd = force[a], force[b], force[c], force[d]
+        for j in range(size):
+            out[j] += C[a, j] * fa + C[b, j] * fb + C[c, j] * fc + C[d, j] * fd
+        k += 4
+    while k < count:
+        a = loaded[k]
+        fa = force[a]
+        for j in range(size):
+            out[j] += C[a, j] * fa
+        k += 1
+
+
+@njit(cache=True, fastmath=_FAST)
+def _dot(a: Any, b: Any) -> float:
+    total = 0.0
+    for k in range(a.size):
+        total += a[k] * b[k]
+    return total
+
+
+@njit(cache=True)
+def _row(
+    i: int, tangent: bool, stick: bool, slope: float, C: Any, inv_alpha: float, slots: Any, row: Any
+) -> None:
+    """The row of node `i`: closed gap, or stick, or slip, over the slots in use."""
+    m = slots[0].size
+    for k in range(row.size):
+        row[k] = 0.0
+    if tangent and not stick:
+        row[slots[1][i]] = 1.0
+        row[slots[0][i]] = -slope
+        return
+    source = C[m + i] if tangent else C[i]
+    for j in range(m):
+        p_slot = slots[0][j]
+        if p_slot >= 0:
+            row[p_slot] = source[j]
+        t_slot = slots[1][j]
+        if t_slot >= 0:
+            row[t_slot] = source[m + j]
+    row[1 if tangent else 0] = -inv_alpha
+
+
+@njit(cache=True)
+def _column(i: int, tangent: bool, C: Any, status: Any, slots: Any, ints: Any, column: Any) -> None:
+    """How the unknown p (or t) of node `i` enters the rows in use."""
+    m = status.size
+    for k in range(column.size):
+        column[k] = 0.0
+    source = C[m + i] if tangent else C[i]
+    for j in range(m):
+        if slots[0][j] >= 0:
+            column[slots[0][j]] = source[j]
+        if slots[1][j] >= 0 and status[j] == STICK:
+            column[slots[1][j]] = source[m + j]
+    if tangent and ints[TANGENT_BY_FORCE] == 1:
+        column[1] = 1.0
+    if not tangent and ints[NORMAL_BY_FORCE] == 1:
+        column[0] = 1.0
+
+
+@njit(cache=True)
+def _border(inverse: Any, n: int, row: Any, column: Any, diagonal: float, work: Any) -> bool:
+    """Add one slot to the inverse; False where that would be singular."""
+    x, y = work[0], work[1]
+    _multiply(inverse, column, n, x)
+    _multiply_left(row, inverse, n, y)
+    schur = diagonal - _dot(row[:n], x[:n])
+    if abs(schur) < 1e-13:
+        return False
+    _rank_one(inverse, x, y, 1.0 / schur, n)
+    for k in range(n):
+        inverse[k, n] = -x[k] / schur
+        inverse[n, k] = -y[k] / schur
+    inverse[n, n] = 1.0 / schur
+    return True
+
+
+@njit(cache=True)
+def _delete(inverse: Any, n: int, k: int, work: Any) -> bool:
+    """Remove slot `k`, moving the last slot into its place; False where that is singular."""
+    pivot = inverse[k, k]
+    if abs(pivot) < 1e-13:
+        return False
+    x, y = work[0], work[1]
+    for r in range(n):
+        x[r] = inverse[r, k]
+        y[r] = inverse[k, r]
+    _rank_one(inverse, x, y, -1.0 / pivot, n)
+    last = n - 1
+    if k != last:
+        for r in range(n):
+            inverse[r, k] = inverse[r, last]
+        for c in range(n):
+            inverse[k, c] = inverse[last, c]
+    return True
+
+
+@njit(cache=True)
+def _replace_row(inverse: Any, n: int, k: int, product: Any, work: Any) -> bool:
+    """Replace row `k`; `product` is the new row times the inverse. False where singular."""
+    pivot = product[k]
+    if abs(pivot) < 1e-13:
+        return False
+    x = work[0]
+    for r in range(n):
+        x[r] = inverse[r, k]
+    product[k] -= 1.0
+    _rank_one(inverse, x, product, -1.0 / pivot, n)
+    return True
+
+
+@njit(cache=True)
+def _take_slot(owner: Any, slots: Any, ints: Any, i: int, kind: int) -> None:
+    n = ints[N]
+    slots[kind][i] = n
+    owner[n, 0], owner[n, 1] = kind, i
+    ints[N] = n + 1
+
+
+@njit(cache=True)
+def _release_slot(owner: Any, slots: Any, ints: Any, i: int, kind: int) -> None:
+    k, last = slots[kind][i], ints[N] - 1
+    slots[kind][i] = -1
+    if k != last:
+        owner[k, 0], owner[k, 1] = owner[last, 0], owner[last, 1]
+        slots[owner[k, 0]][owner[k, 1]] = k
+    ints[N] = last
+
+
+@njit(cache=True)
+def _slope(status: int, mu: float) -> float:
+    """t / p of a slipping node."""
+    return mu if status == SLIP_PLUS else -mu
+
+
+@njit(cache=True)
+def _friction_rows(
+    i: int, C: Any, inv_alpha: float, status: Any, slopes: Any, mu: Any, slots: Any, ints: Any,
+    inverse: Any, work: Any,
+) -> bool:  # fmt: skip
+    """Bring the tangential row of node `i` in line with its status."""
+    n, row, product = ints[N], work[2], work[3]
+    k = slots[1][i]
+    if status[i] == STICK:
+        _row(i, True, True, 0.0, C, inv_alpha, slots, row)
+        _multiply_left(row, inverse, n, product)
+    else:
+        slopes[i] = _slope(status[i], mu[i])
+        p_slot = slots[0][i]
+        for c in range(n):
+            product[c] = inverse[k, c] - slopes[i] * inverse[p_slot, c]
+    return _replace_row(inverse, n, k, product, work)
+
+
+@njit(cache=True)
+def _close(
+    i: int, C: Any, inv_alpha: float, status: Any, slopes: Any, mu: Any, slots: Any, owner: Any,
+    ints: Any, inverse: Any, work: Any,
+) -> bool:  # fmt: skip
+    """Add both slots of node `i`, whose status is already that of contact."""
+    row, column = work[2], work[3]
+    for kind in range(2):
+        tangent = kind == 1
+        stick = status[i] == STICK
+        if tangent and not stick:
+            slopes[i] = _slope(status[i], mu[i])
+        _column(i, tangent, C, status, slots, ints, column)
+        if tangent and not stick:
+            for k in range(row.size):
+                row[k] = 0.0
+            row[slots[0][i]] = -slopes[i]
+            diagonal = 1.0
+        else:
+            _row(i, tangent, stick, 0.0, C, inv_alpha, slots, row)
+            diagonal = C[C.shape[0] // 2 + i, C.shape[0] // 2 + i] if tangent else C[i, i]
+        if not _border(inverse, ints[N], row, column, diagonal, work):
+            return False
+        _take_slot(owner, slots, ints, i, kind)
+    return True
+
+
+@njit(cache=True)
+def _open(i: int, slots: Any, owner: Any, ints: Any, inverse: Any, work: Any) -> bool:
+    """Remove both slots of node `i`."""
+    for kind in (1, 0):
+        if not _delete(inverse, ints[N], slots[kind][i], work):
+            return False
+        _release_slot(owner, slots, ints, i, kind)
+    return True
+
+
+@njit(cache=True)
+def _rebuild(
+    C: Any, constants: Any, status: Any, slopes: Any, mu: Any, slots: Any, owner: Any, ints: Any,
+    inverse: Any, work: Any,
+) -> None:  # fmt: skip
+    """Invert the system of the present statuses from nothing."""
+    m = status.size
+    inv_alpha = 1.0 / constants[ALPHA]
+    ints[N] = 2
+    for i in range(m):
+        slots[0][i] = -1
+        slots[1][i] = -1
+    for i in range(m):
+        if status[i] != OPEN:
+            _take_slot(owner, slots, ints, i, 0)
+            _take_slot(owner, slots, ints, i, 1)
+    n = ints[N]
+    system = np.zeros((n, n))
+    row = work[2]
+    for i in range(m):
+        if status[i] == OPEN:
+            continue
+        _row(i, False, True, 0.0, C, inv_alpha, slots, row)
+        system[slots[0][i], :] = row[:n]
+        if status[i] != STICK:
+            slopes[i] = _slope(status[i], mu[i])
+        _row(i, True, status[i] == STICK, slopes[i], C, inv_alpha, slots, row)
+        system[slots[1][i], :] = row[:n]
+        if ints[NORMAL_BY_FORCE] == 1:
+            system[0, slots[0][i]] = 1.0
+        if ints[TANGENT_BY_FORCE] == 1:
+            system[1, slots[1][i]] = 1.0
+    if ints[NORMAL_BY_FORCE] == 0:
+        system[0, 0] = 1.0
+    system[1, 1] = constants[MASS_DT2] if ints[TANGENT_BY_FORCE] == 1 else 1.0
+    inverse[:n, :n] = np.linalg.inv(system)
+    ints[VALID] = 1
+    ints[UPDATES] = 0
+    ints[REBUILDS] += 1
+
+
+@njit(cache=True)
+def _right_side(
+    constants: Any, w: Any, u: Any, height: Any, spin: Any, status: Any, slots: Any, ints: Any,
+    normal: float, tangent: float, b: Any,
+) -> None:  # fmt: skip
+    """What the rows must equal in this step."""
+    alpha = constants[ALPHA]
+    beta = 1.0 - alpha
+    b[0] = normal
+    b[1] = tangent
+    for i in range(status.size):
+        if status[i] == OPEN:
+            continue
+        b[slots[0][i]] = (-height[i] - beta * w[i]) / alpha
+        b[slots[1][i]] = (spin[i] + alpha * u[i]) / alpha if status[i] == STICK else 0.0
+
+
+@njit(cache=True)
+def _solve(
+    status: Any, slopes: Any, mu: Any, slots: Any, owner: Any, ints: Any, inverse: Any,
+    force: Any, b: Any, solution: Any,
+) -> bool:  # fmt: skip
+    """Solve with the kept inverse; coefficients that moved since are corrected by iteration."""
+    n, m = ints[N], status.size
+    for _ in range(60):
+        worst = 0.0
+        for i in range(m):
+            if status[i] >= SLIP_PLUS:
+                b[slots[1][i]] = (_slope(status[i], mu[i]) - slopes[i]) * force[i]
+        _multiply(inverse, b, n, solution)
+        for k in range(2, n):
+            i = owner[k, 1]
+            if owner[k, 0] == 0:
+                if status[i] >= SLIP_PLUS:
+                    moved = (_slope(status[i], mu[i]) - slopes[i]) * (solution[k] - force[i])
+                    worst = max(worst, abs(moved))
+                force[i] = solution[k]
+            else:
+                force[m + i] = solution[k]
+        if worst < 1e-14:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _closing_status(gap: float, slide: float, c_n: float, c_t: float, mu: float) -> int:
+    """Stick or slip of a node that comes into contact, from the projection of its trial force."""
+    press, pull = -gap / c_n, -slide / c_t
+    if pull > mu * press:
+        return SLIP_PLUS
+    if pull < -mu * press:
+        return SLIP_MINUS
+    return STICK
+
+
+@njit(cache=True)
+def _wanted(
+    i: int, now: int, C: Any, alpha: float, mu: float, gap: float, slide: float, p: float, t: float
+) -> int:
+    """The status that node `i` should have by its forces and motion."""
+    m = C.shape[0] // 2
+    if now == OPEN:
+        if gap < -SET_TOLERANCE_MM:
+            return _closing_status(gap, slide, alpha * C[i, i], alpha * C[m + i, m + i], mu)
+        return OPEN
+    if p < -SET_TOLERANCE_N:
+        return OPEN
+    if now == STICK:
+        if t > mu * p + SET_TOLERANCE_N:
+            return SLIP_PLUS
+        if t < -mu * p - SET_TOLERANCE_N:
+            return SLIP_MINUS
+        return STICK
+    backwards = slide > SLIP_TOLERANCE_MM if now == SLIP_PLUS else slide < -SLIP_TOLERANCE_MM
+    return STICK if backwards and mu > 0.0 else now
+
+
+@njit(cache=True)
+def _apply(
+    i: int, new: int, C: Any, inv_alpha: float, status: Any, slopes: Any, mu: Any, slots: Any,
+    owner: Any, ints: Any, inverse: Any, force: Any, work: Any,
+) -> None:  # fmt: skip
+    """Give node `i` its new status and update the inverse; an update that fails invalidates it."""
+    old = status[i]
+    status[i] = new
+    if new == OPEN:
+        force[i] = 0.0
+        force[status.size + i] = 0.0
+    if ints[VALID] == 0:
+        return
+    if old == OPEN:
+        good = _close(i, C, inv_alpha, status, slopes, mu, slots, owner, ints, inverse, work)
+    elif new == OPEN:
+        good = _open(i, slots, owner, ints, inverse, work)
+    else:
+        good = _friction_rows(
+            i, C, inv_alpha, status, slopes, mu, slots, ints, inverse, work
+        )  # fmt: skip
+    ints[UPDATES] += 1
+    if not good:
+        ints[VALID] = 0
+
+
+@njit(cache=True)
+def _rescue(
+    C: Any, constants: Any, status: Any, mu: Any, w: Any, u: Any, height: Any, spin: Any,
+    ints: Any, normal: float, tangent: float, force: Any, trial: Any, start: Any,
+) -> None:  # fmt: skip
+    """Non-smooth Gauss-Seidel sweeps over the nodes: a new guess of the active set.
+
+    Converges slowly and without pivots; used only where the active set runs in a circle. `start`
+    holds d and Δx and is changed with them when they are not commanded.
+    """
+    m = status.size
+    alpha = constants[ALPHA]
+    beta = 1.0 - alpha
+    trial[:] = 0.0
+    for j in range(2 * m):
+        if force[j] != 0.0:
+            for k in range(2 * m):
+                trial[k] += C[j, k] * force[j]
+    d, dx = start[0], start[1]
+    for _ in range(200):
+        pressing, dragging = 0.0, 0.0
+        stiffness_n, stiffness_t = 0.0, 0.0
+        for i in range(m):
+            gap = height[i] + alpha * trial[i] + beta * w[i] - d
+            p = max(0.0, force[i] - gap / (alpha * C[i, i]))
+            change = p - force[i]
+            if change != 0.0:
+                force[i] = p
+                for k in range(2 * m):
+                    trial[k] += C[i, k] * change
+            slide = alpha * trial[m + i] + beta * u[i] - u[i] - spin[i] - dx
+            free = force[m + i] - slide / (alpha * C[m + i, m + i])
+            t = min(max(free, -mu[i] * p), mu[i] * p)
+            change = t - force[m + i]
+            if change != 0.0:
+                force[m + i] = t
+                for k in range(2 * m):
+                    trial[k] += C[m + i, k] * change
+            pressing += p
+            dragging += t
+            if p <= 0.0:
+                status[i] = OPEN
+            else:
+                stiffness_n += 1.0 / (alpha * C[i, i])
+                if t != free:
+                    status[i] = SLIP_PLUS if free > 0.0 else SLIP_MINUS
+                else:
+                    status[i] = STICK
+                    stiffness_t += 1.0 / (alpha * C[m + i, m + i])
+        if ints[NORMAL_BY_FORCE] == 1:
+            d += (normal - pressing) / max(stiffness_n, 1.0 / (alpha * C[0, 0]))
+        if ints[TANGENT_BY_FORCE] == 1:
+            lack = tangent - dragging - constants[MASS_DT2] * dx
+            dx += lack / (stiffness_t + constants[MASS_DT2])
+    start[0], start[1] = d, dx
+    ints[RESCUES] += 1
+
+
+@njit(cache=True)
+def _set_modes(ints: Any, normal_by_force: int, tangent_by_force: int) -> None:
+    if ints[NORMAL_BY_FORCE] != normal_by_force or ints[TANGENT_BY_FORCE] != tangent_by_force:
+        ints[NORMAL_BY_FORCE], ints[TANGENT_BY_FORCE] = normal_by_force, tangent_by_force
+        ints[VALID] = 0
+
+
+@njit(cache=True)
+def _separated(
+    constants: Any, height: Any, w: Any, u: Any, status: Any, force: Any, scalars: Any, ints: Any,
+    tangent: float,
+) -> float:  # fmt: skip
+    """A step without normal force: nothing touches, the skin relaxes, the object moves freely."""
+    beta = 1.0 - constants[ALPHA]
+    nearest = np.inf
+    for i in range(status.size):
+        status[i] = OPEN
+        w[i] *= beta
+        u[i] *= beta
+        nearest = min(nearest, height[i] + w[i])
+    force[:] = 0.0
+    ints[VALID] = 0
+    scalars[D] = nearest
+    return tangent / constants[MASS_DT2] if ints[TANGENT_BY_FORCE] == 1 else tangent
+
+
+@njit(cache=True)
+def _step(
+    C: Any, constants: Any, height: Any, spin: Any, normal: float, tangent: float, w: Any, u: Any,
+    mu: Any, slopes: Any, status: Any, force: Any, slots: Any, owner: Any, ints: Any,
+    inverse: Any, work: Any, new_w: Any, new_u: Any, motion: Any, loaded: Any, wanted: Any,
+) -> int:  # fmt: skip
+    """Solve one step; the number of active sets tried, or -1 where none is consistent."""
+    m = status.size
+    alpha = constants[ALPHA]
+    beta = 1.0 - alpha
+    inv_alpha = 1.0 / alpha
+    b, solution, trial = work[4], work[5], work[6]
+    tried = 0
+    for rescue in range(RESCUES_A_STEP + 1):
+        if rescue > 0:
+            _rescue(
+                C, constants, status, mu, w, u, height, spin, ints, normal, tangent, force,
+                trial[: 2 * m], motion,
+            )  # fmt: skip
+            ints[VALID] = 0
+        for iteration in range(ITERATIONS):
+            tried += 1
+            any_contact = False
+            for i in range(m):
+                if status[i] != OPEN:
+                    any_contact = True
+                    break
+            if not any_contact and ints[NORMAL_BY_FORCE] == 1:
+                lowest = 0
+                for i in range(m):
+                    if height[i] + beta * w[i] < height[lowest] + beta * w[lowest]:
+                        lowest = i
+                status[lowest] = STICK
+                ints[VALID] = 0
+            if ints[VALID] == 0 or ints[UPDATES] > REFRESH_UPDATES:
+                _rebuild(C, constants, status, slopes, mu, slots, owner, ints, inverse, work)
+            for i in range(m):
+                if status[i] >= SLIP_PLUS and ints[VALID] == 1:
+                    moved = abs(_slope(status[i], mu[i]) - slopes[i])
+                    if moved > FRICTION_REFRESH:
+                        if not _friction_rows(
+                            i, C, inv_alpha, status, slopes, mu, slots, ints, inverse, work
+                        ):  # fmt: skip
+                            ints[VALID] = 0
+                        ints[UPDATES] += 1
+            if ints[VALID] == 0:
+                continue
+            _right_side(
+                constants, w, u, height, spin, status, slots, ints, normal, tangent, b
+            )  # fmt: skip
+            settled = _solve(
+                status, slopes, mu, slots, owner, ints, inverse, force, b, solution
+            )  # fmt: skip
+            count = 0
+            for k in range(2, ints[N]):
+                loaded[count] = owner[k, 1] + m * owner[k, 0]
+                count += 1
+            _displacements(C, force, loaded, count, trial[: 2 * m])
+            d, dx = solution[0], solution[1]
+            changes, residual = 0, 0.0
+            for i in range(m):
+                new_w[i] = alpha * trial[i] + beta * w[i]
+                new_u[i] = alpha * trial[m + i] + beta * u[i]
+                gap = height[i] + new_w[i] - d
+                slide = new_u[i] - u[i] - spin[i] - dx
+                if status[i] != OPEN:
+                    residual = max(residual, abs(gap))
+                    if status[i] == STICK:
+                        residual = max(residual, abs(slide))
+                wanted[i] = _wanted(
+                    i, status[i], C, alpha, mu[i], gap, slide, force[i], force[m + i]
+                )
+                if wanted[i] != status[i]:
+                    changes += 1
+            if not settled or residual > RESIDUAL_MM or not np.isfinite(residual):
+                if ints[UPDATES] == 0:
+                    break
+                ints[VALID] = 0
+                continue
+            motion[0], motion[1] = d, dx
+            if changes == 0:
+                return tried
+            if iteration < PATIENCE:
+                if 3 * changes > ints[N]:
+                    ints[VALID] = 0
+                for i in range(m):
+                    if wanted[i] != status[i]:
+                        _apply(
+                            i, wanted[i], C, inv_alpha, status, slopes, mu, slots, owner, ints,
+                            inverse, force, work,
+                        )  # fmt: skip
+            else:
+                pick, seen = iteration % changes, 0
+                for i in range(m):
+                    if wanted[i] != status[i]:
+                        if seen == pick:
+                            _apply(
+                                i, wanted[i], C, inv_alpha, status, slopes, mu, slots, owner,
+                                ints, inverse, force, work,
+                            )  # fmt: skip
+                            break
+                        seen += 1
+    return -1
+
+
+@njit(cache=True)
+def advance(
+    C: Any, x: Any, gap: Any, tributary: Any, ridge: Any, constants: Any, modes: Any,
+    normal: Any, tangent: Any, rotation: Any,
+    w: Any, u: Any, slip: Any, mu: Any, slopes: Any, status: Any, force: Any, slots: Any,
+    owner: Any, ints: Any, scalars: Any, inverse: Any, work: Any,
+    rows: Any, summary: Any, ridge_forces: Any, statuses: Any, stresses: Any, forces: Any,
+) -> int:  # fmt: skip
+    """Advance the state by ``normal.size`` steps; the number done (fewer: the next one failed).
+
+    `normal` holds F_n or d, `tangent` F_t or the object's position x, `rotation` the increments
+    of its angle in rad, one value a step. A failed step leaves the state as it was before it.
+    """
+    m = status.size
+    new_w, new_u, height, spin = work[7][:m], work[8][:m], work[9][:m], work[10][:m]
+    motion = np.zeros(2)
+    loaded = np.empty(2 * m, np.int64)
+    wanted = np.empty(m, np.int8)
+    radius_inverse = constants[CURVATURE]
+    dt = constants[DT]
+    before_status, before_force = status.copy(), force.copy()
+    _set_modes(ints, modes[0], modes[1])
+    for step in range(normal.size):
+        before_status[:] = status
+        before_force[:] = force
+        centre = scalars[X] if modes[1] == 1 else tangent[step]
+        drive = tangent[step] - scalars[X]
+        if modes[1] == 1:
+            drive = tangent[step] + constants[MASS_DT2] * dt * scalars[V]
+        for i in range(m):
+            off = x[i] - centre
+            height[i] = gap[i] + 0.5 * radius_inverse * off * off
+            spin[i] = 0.0
+            if rotation[step] != 0.0:
+                spin[i] = -rotation[step] * (1.0 / radius_inverse - 0.5 * radius_inverse * off**2)
+        motion[0], motion[1] = scalars[D], 0.0 if modes[1] == 1 else drive
+        if modes[0] == 0:
+            motion[0] = normal[step]
+        if modes[0] == 1 and normal[step] <= 0.0:
+            new_x = _separated(
+                constants, height, w, u, status, force, scalars, ints, drive
+            )  # fmt: skip
+            motion[0], motion[1] = scalars[D], new_x
+            iterations, dissipated, area = 0, 0.0, 0.0
+            slip[:] = 0.0
+            mu[:] = constants[MU_S]
+        else:
+            iterations = _step(
+                C, constants, height, spin, normal[step], drive, w, u, mu, slopes, status, force,
+                slots, owner, ints, inverse, work, new_w, new_u, motion, loaded, wanted,
+            )  # fmt: skip
+            if iterations < 0:
+                status[:] = before_status
+                force[:] = before_force
+                ints[VALID] = 0
+                return step
+            dissipated, area = 0.0, 0.0
+            for i in range(m):
+                slide = new_u[i] - u[i] - spin[i] - motion[1]
+                if status[i] == OPEN:
+                    slip[i] = 0.0
+                elif status[i] == STICK:
+                    slip[i] *= constants[HEAL]
+                    area += tributary[i]
+                else:
+                    slip[i] += abs(slide)
+                    dissipated -= force[m + i] * slide
+                    area += tributary[i]
+                if slip[i] < 1e-9 * constants[D_C]:
+                    slip[i] = 0.0
+                    mu[i] = constants[MU_S]
+                else:
+                    fresh = np.exp(-slip[i] / constants[D_C])
+                    mu[i] = constants[MU_K] + (constants[MU_S] - constants[MU_K]) * fresh
+                w[i] = new_w[i]
+                u[i] = new_u[i]
+        scalars[D] = motion[0]
+        scalars[V] = motion[1] / dt
+        scalars[X] = scalars[X] + motion[1] if modes[1] == 1 else tangent[step]
+        total_n, total_t = 0.0, 0.0
+        count = ridge_forces.shape[2]
+        for r in range(count):
+            ridge_forces[step, 0, r] = 0.0
+            ridge_forces[step, 1, r] = 0.0
+        for i in range(m):
+            ridge_forces[step, 0, ridge[i]] += force[i]
+            ridge_forces[step, 1, ridge[i]] += force[m + i]
+            total_n += force[i]
+            total_t += force[m + i]
+            statuses[step, i] = status[i]
+        summary[step, OUT_D] = scalars[D]
+        summary[step, OUT_FN] = total_n
+        summary[step, OUT_X] = scalars[X]
+        summary[step, OUT_FT] = total_t
+        summary[step, OUT_DISSIPATED] = dissipated
+        summary[step, OUT_AREA] = area
+        summary[step, OUT_ITERATIONS] = iterations
+        for r in range(rows.shape[0]):
+            stresses[step, r] = _dot(rows[r], force)
+        if forces.shape[0] > 0:
+            forces[step, :] = force
+    return int(normal.size)

@@ -1,0 +1,79 @@
+"""Objects, friction and relaxation as settings; the defaults are the reference case (assumed)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from rig.settings import Settings
+
+
+class FrictionSettings(Settings):
+    """Coulomb friction at every node, with slip weakening and healing.
+
+    μ = μ_k + (μ_s - μ_k) exp(-D/D_c), where D is the distance slipped since the node last stuck;
+    a sticking node heals, D falling with the healing time; a node that lifts off forgets.
+    """
+
+    static_coefficient: float = 0.8
+    """μ_s, no unit."""
+    kinetic_coefficient: float = 0.65
+    """μ_k, no unit; at most μ_s."""
+    weakening_distance_um: float = Field(5.0, gt=0)
+    """D_c; without it the drop would depend on the mesh."""
+    healing_time_ms: float = Field(20.0, gt=0)
+    """Time constant of healing while a node sticks."""
+
+    @model_validator(mode="after")
+    def _weakens(self) -> Self:
+        for name in ("static_coefficient", "kinetic_coefficient"):
+            value = getattr(self, name)
+            if value < 0:
+                raise ValueError(
+                    f"{name} {value} (no unit) must be at least 0: "
+                    "friction below zero would drive the motion"
+                )
+        if self.kinetic_coefficient > self.static_coefficient:
+            raise ValueError(
+                f"kinetic_coefficient {self.kinetic_coefficient} (no unit) must be at most "
+                f"static_coefficient {self.static_coefficient}: friction weakens with slip"
+            )
+        return self
+
+
+class ContactSettings(Settings):
+    """How the contact of skin and object moves in time."""
+
+    friction: FrictionSettings = FrictionSettings()
+    relaxation_time_ms: float = Field(0.5, ge=0)
+    """τ of the Kelvin-Voigt rubber, K (u + τ du/dt) = f; 0 is purely elastic."""
+    step_us: float = Field(100.0, gt=0)
+    """Time step; above 250 µs the impulse of a slip is no longer resolved."""
+    object_mass_kg: float = Field(0.1, gt=0)
+    """Mass of the object (assumed); it counts only where the tangential force is given."""
+
+
+class Plate(Settings):
+    """A rigid flat plate."""
+
+    shape: Literal["plate"] = "plate"
+
+
+class Cylinder(Settings):
+    """A rigid cylinder whose axis runs along the width: a roller."""
+
+    shape: Literal["cylinder"] = "cylinder"
+    radius_mm: float = Field(30.0, gt=0)
+
+
+class Sphere(Settings):
+    """A rigid semi-spherical head, as plane slices across the width (decision 0023)."""
+
+    shape: Literal["sphere"] = "sphere"
+    radius_mm: float = Field(30.0, gt=0)
+    slices: int = Field(5, ge=1, le=50)
+    """Slices over half of the contact's extent along the width; the other half mirrors them."""
+
+
+Object = Annotated[Plate | Cylinder | Sphere, Field(discriminator="shape")]

@@ -1,0 +1,263 @@
+"""A contact that is advanced in time, step by step or in blocks.
+
+``ContactStepper`` holds one plane contact (plate or cylinder) and its whole state: the same inputs
+from the same state give the same bytes, whatever the block lengths. It knows nothing of volts,
+clocks or instruments. A step that finds no consistent set of sticking, slipping and open nodes
+raises ``ConvergenceError`` and leaves the state as it was.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.model.contact.settings import ContactSettings, Cylinder, Plate
+from rig.model.skin.condensed import CondensedSkin
+
+Floats = NDArray[np.float64]
+Statuses = NDArray[np.int8]
+
+OPEN, STICK, SLIP_PLUS, SLIP_MINUS = 0, 1, 2, 3
+"""Status of a node: apart; no relative motion; friction on the skin towards +x; towards -x."""
+
+Control = Literal["force", "position"]
+
+
+class ConvergenceError(RuntimeError):
+    """No consistent active set was found for a step; says when, and what was commanded."""
+
+
+@dataclass(frozen=True)
+class ContactBlock:
+    """What a contact did in k steps; arrays have one row a step."""
+
+    approach_mm: Floats
+    """How far the object is below the height at which it touches the undeformed skin, (k,)."""
+    normal_force_N: Floats
+    """F_n, (k,)."""
+    position_mm: Floats
+    """The object's x, (k,)."""
+    tangential_force_N: Floats
+    """F_t that the object exerts on the skin, positive towards +x, (k,)."""
+    dissipated_mJ: Floats
+    """Work of friction in each step, (k,); never negative."""
+    contact_area_mm2: Floats
+    """Area of the nodes in contact, (k,)."""
+    iterations: Floats
+    """Active sets tried in each step, (k,)."""
+    ridge_normal_N: Floats
+    """Pressing force of each ridge, (k, ridges)."""
+    ridge_tangential_N: Floats
+    """Tangential force on each ridge, (k, ridges)."""
+    status: Statuses
+    """Status of each node, (k, m)."""
+    stress_MPa: Floats
+    """σ_xx, σ_yy, σ_xy of S1 and S2 in the ridge watched, (k, 2, 3)."""
+    forces_N: Floats
+    """Contact forces, pressing then tangential, (k, 2 m); (0, 2 m) unless asked for."""
+
+
+def concatenate(blocks: list[ContactBlock]) -> ContactBlock:
+    """Blocks that follow one another as one."""
+    parts = {f.name: np.concatenate([getattr(b, f.name) for b in blocks]) for f in _FIELDS}
+    return ContactBlock(**parts)
+
+
+_FIELDS = fields(ContactBlock)
+
+
+@dataclass
+class ContactState:
+    """Everything a contact remembers between two steps."""
+
+    downward_mm: Floats
+    sideways_mm: Floats
+    slip_mm: Floats
+    friction: Floats
+    slopes: Floats
+    status: Statuses
+    force_N: Floats
+    slots: NDArray[np.int64]
+    owner: NDArray[np.int64]
+    integers: NDArray[np.int64]
+    scalars: Floats
+    inverse: Floats
+
+    def copy(self) -> ContactState:
+        """An independent copy."""
+        return replace(self, **{f.name: getattr(self, f.name).copy() for f in fields(self)})
+
+
+class ContactStepper:
+    """One plane contact between a skin and a plate or a cylinder.
+
+    The object starts at `position_mm`, touching nothing, the skin at rest. `watched_ridge` (0 is
+    the leftmost) is the ridge whose strips are read; the paper's is the third, 2.
+    """
+
+    def __init__(
+        self,
+        skin: CondensedSkin,
+        settings: ContactSettings,
+        body: Plate | Cylinder,
+        *,
+        position_mm: float = 0.0,
+        watched_ridge: int = 2,
+        keep_forces: bool = False,
+    ):
+        if not 0 <= watched_ridge < skin.settings.ridges:
+            raise ValueError(
+                f"watched_ridge {watched_ridge} must lie between 0 and {skin.settings.ridges - 1}: "
+                f"the skin has {skin.settings.ridges} ridges"
+            )
+        self.skin = skin
+        self.settings = settings
+        self.body = body
+        self.watched_ridge = watched_ridge
+        self.keep_forces = keep_forces
+        self._rows = np.ascontiguousarray(
+            skin.stress_rows_MPa_N[watched_ridge].reshape(6, 2 * skin.nodes)
+        )
+        self._tributary = skin.tributary_mm() * skin.settings.width_mm
+        self._constants = self._make_constants()
+        self._work = np.zeros((11, 2 * skin.nodes + 2))
+        self._state = self._initial_state(position_mm)
+
+    @property
+    def step_s(self) -> float:
+        """The time step."""
+        return self.settings.step_us * 1e-6
+
+    @property
+    def state(self) -> ContactState:
+        """A copy of the present state; assign one to go back to it."""
+        return self._state.copy()
+
+    @state.setter
+    def state(self, state: ContactState) -> None:
+        self._state = state.copy()
+
+    @property
+    def position_mm(self) -> float:
+        """The object's x."""
+        return float(self._state.scalars[1])
+
+    def displacement_mm(self) -> tuple[Floats, Floats]:
+        """Downward and tangential displacement of the contact nodes, two arrays (m,)."""
+        return self._state.downward_mm.copy(), self._state.sideways_mm.copy()
+
+    def advance(
+        self,
+        normal: ArrayLike,
+        tangential: ArrayLike,
+        *,
+        rotation_rad: ArrayLike | None = None,
+        normal_control: Control = "force",
+        tangential_control: Control = "position",
+    ) -> ContactBlock:
+        """Advance by as many steps as `normal` and `tangential` have values, shape (k,) or ().
+
+        `normal` is F_n in N (at least 0) or the approach in mm; `tangential` is the object's x in
+        mm or F_t in N; `rotation_rad` the rotation during each step, positive where it rolls
+        towards +x (x is then that of the cylinder's axis). Raises ValueError for inputs out of
+        range and ConvergenceError where a step has no consistent solution; the steps before it
+        stay done.
+        """
+        from rig.model.contact import kernel
+
+        normals, tangents = _paired(normal, tangential)
+        rotations = self._rotations(rotation_rad, normals.size)
+        if normal_control == "force" and normals.size and normals.min() < 0:
+            raise ValueError(
+                f"normal force {normals.min():g} N must be at least 0 N: the object cannot pull"
+            )
+        k, m = normals.size, self.skin.nodes
+        summary = np.empty((k, kernel.SUMMARY))
+        ridge_forces = np.empty((k, 2, self.skin.settings.ridges))
+        statuses = np.empty((k, m), np.int8)
+        stresses = np.empty((k, 6))
+        forces = np.empty((k if self.keep_forces else 0, 2 * m))
+        modes = np.array([normal_control == "force", tangential_control == "force"], np.int64)
+        s = self._state
+        done = kernel.advance(
+            self.skin.compliance_mm_N, self.skin.contact_x_mm, self.skin.gap_mm, self._tributary,
+            self.skin.ridge, self._constants, modes, normals, tangents, rotations,
+            s.downward_mm, s.sideways_mm, s.slip_mm, s.friction, s.slopes, s.status, s.force_N,
+            s.slots, s.owner, s.integers, s.scalars, s.inverse, self._work,
+            self._rows, summary, ridge_forces, statuses, stresses, forces,
+        )  # fmt: skip
+        if done < k:
+            raise ConvergenceError(
+                f"contact step {done + 1} of {k} found no consistent set of sticking, slipping and "
+                f"open nodes (normal {normal_control} {normals[done]:g}, tangential "
+                f"{tangential_control} {tangents[done]:g}); a smaller step_us than "
+                f"{self.settings.step_us:g} may help"
+            )
+        return ContactBlock(
+            approach_mm=summary[:, kernel.OUT_D],
+            normal_force_N=summary[:, kernel.OUT_FN],
+            position_mm=summary[:, kernel.OUT_X],
+            tangential_force_N=summary[:, kernel.OUT_FT],
+            dissipated_mJ=summary[:, kernel.OUT_DISSIPATED],
+            contact_area_mm2=summary[:, kernel.OUT_AREA],
+            iterations=summary[:, kernel.OUT_ITERATIONS],
+            ridge_normal_N=ridge_forces[:, 0],
+            ridge_tangential_N=ridge_forces[:, 1],
+            status=statuses,
+            stress_MPa=stresses.reshape(k, 2, 3),
+            forces_N=forces,
+        )
+
+    def _rotations(self, rotation_rad: ArrayLike | None, size: int) -> Floats:
+        if rotation_rad is None:
+            return np.zeros(size)
+        rotations = np.array(np.broadcast_to(np.asarray(rotation_rad, float), (size,)))
+        if isinstance(self.body, Plate) and rotations.any():
+            raise ValueError("a plate does not rotate: rotation_rad must be 0 rad for a plate")
+        return rotations
+
+    def _make_constants(self) -> Floats:
+        dt, friction = self.step_s, self.settings.friction
+        return np.array(
+            [
+                1.0 / (1.0 + self.settings.relaxation_time_ms * 1e-3 / dt),
+                friction.static_coefficient,
+                friction.kinetic_coefficient,
+                friction.weakening_distance_um * 1e-3,
+                np.exp(-dt / (friction.healing_time_ms * 1e-3)),
+                self.settings.object_mass_kg * 1e-3 / dt**2,
+                dt,
+                1.0 / self.body.radius_mm if isinstance(self.body, Cylinder) else 0.0,
+            ]
+        )
+
+    def _initial_state(self, position_mm: float) -> ContactState:
+        m = self.skin.nodes
+        n = 2 * m + 2
+        return ContactState(
+            downward_mm=np.zeros(m),
+            sideways_mm=np.zeros(m),
+            slip_mm=np.zeros(m),
+            friction=np.full(m, self.settings.friction.static_coefficient),
+            slopes=np.zeros(m),
+            status=np.zeros(m, np.int8),
+            force_N=np.zeros(2 * m),
+            slots=np.full((2, m), -1, np.int64),
+            owner=np.zeros((n, 2), np.int64),
+            integers=np.zeros(7, np.int64),
+            scalars=np.array([0.0, position_mm, 0.0]),
+            inverse=np.zeros((n, n)),
+        )
+
+
+def _paired(normal: ArrayLike, tangential: ArrayLike) -> tuple[Floats, Floats]:
+    """Both inputs as contiguous arrays of the same length, finite."""
+    a, b = np.broadcast_arrays(
+        np.atleast_1d(np.asarray(normal, float)), np.atleast_1d(np.asarray(tangential, float))
+    )
+    if a.ndim != 1 or not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise ValueError("normal and tangential must be finite numbers of shape (k,) or ()")
+    return np.ascontiguousarray(a), np.ascontiguousarray(b)
