@@ -55,7 +55,20 @@ REFRESH_UPDATES = 4000
 _FAST = {"reassoc", "contract", "nsz"}
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, error_model="numpy")
+def _copy(source: Any, target: Any) -> None:
+    """target = source; written out, because numba compiles array assignments slowly."""
+    for k in range(source.size):
+        target[k] = source[k]
+
+
+@njit(cache=True, error_model="numpy")
+def _fill(target: Any, value: float) -> None:
+    for k in range(target.size):
+        target[k] = value
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _multiply(A: Any, b: Any, n: int, out: Any) -> None:
     """out[:n] = A[:n, :n] b[:n]"""
     for r in range(n):
@@ -65,7 +78,7 @@ def _multiply(A: Any, b: Any, n: int, out: Any) -> None:
         out[r] = total
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _multiply_left(b: Any, A: Any, n: int, out: Any) -> None:
     """out[:n] = b[:n] A[:n, :n]"""
     for c in range(n):
@@ -77,7 +90,7 @@ def _multiply_left(b: Any, A: Any, n: int, out: Any) -> None:
                 out[c] += s * A[r, c]
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _rank_one(A: Any, x: Any, y: Any, scale: float, n: int) -> None:
     """A[:n, :n] += scale x y"""
     for r in range(n):
@@ -87,11 +100,11 @@ def _rank_one(A: Any, x: Any, y: Any, scale: float, n: int) -> None:
                 A[r, c] += s * y[c]
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _displacements(C: Any, force: Any, loaded: Any, count: int, out: Any) -> None:
     """out = C force, where only `loaded[:count]` entries of the force differ from zero."""
     size = out.size
-    out[:] = 0.0
+    _fill(out, 0.0)
     k = 0
     while k + 4 <= count:
         a, b, c, d = loaded[k], loaded[k + 1], loaded[k + 2], loaded[k + 3]
@@ -107,7 +120,7 @@ def _displacements(C: Any, force: Any, loaded: Any, count: int, out: Any) -> Non
         k += 1
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _dot(a: Any, b: Any) -> float:
     total = 0.0
     for k in range(a.size):
@@ -115,7 +128,7 @@ def _dot(a: Any, b: Any) -> float:
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _row(
     i: int, tangent: bool, stick: bool, slope: float, C: Any, inv_alpha: float, slots: Any, row: Any
 ) -> None:
@@ -138,17 +151,17 @@ def _row(
     row[1 if tangent else 0] = -inv_alpha
 
 
-@njit(cache=True)
-def _column(i: int, tangent: bool, C: Any, status: Any, slots: Any, ints: Any, column: Any) -> None:
+@njit(cache=True, error_model="numpy")
+def _column(i: int, tangent: bool, C: Any, held: Any, slots: Any, ints: Any, column: Any) -> None:
     """How the unknown p (or t) of node `i` enters the rows in use."""
-    m = status.size
+    m = held.size
     for k in range(column.size):
         column[k] = 0.0
     source = C[m + i] if tangent else C[i]
     for j in range(m):
         if slots[0][j] >= 0:
             column[slots[0][j]] = source[j]
-        if slots[1][j] >= 0 and status[j] == STICK:
+        if slots[1][j] >= 0 and held[j] == STICK:
             column[slots[1][j]] = source[m + j]
     if tangent and ints[TANGENT_BY_FORCE] == 1:
         column[1] = 1.0
@@ -156,7 +169,7 @@ def _column(i: int, tangent: bool, C: Any, status: Any, slots: Any, ints: Any, c
         column[0] = 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _border(inverse: Any, n: int, row: Any, column: Any, diagonal: float, work: Any) -> bool:
     """Add one slot to the inverse; False where that would be singular."""
     x, y = work[0], work[1]
@@ -173,7 +186,7 @@ def _border(inverse: Any, n: int, row: Any, column: Any, diagonal: float, work: 
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _delete(inverse: Any, n: int, k: int, work: Any) -> bool:
     """Remove slot `k`, moving the last slot into its place; False where that is singular."""
     pivot = inverse[k, k]
@@ -193,7 +206,7 @@ def _delete(inverse: Any, n: int, k: int, work: Any) -> bool:
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _replace_row(inverse: Any, n: int, k: int, product: Any, work: Any) -> bool:
     """Replace row `k`; `product` is the new row times the inverse. False where singular."""
     pivot = product[k]
@@ -207,7 +220,7 @@ def _replace_row(inverse: Any, n: int, k: int, product: Any, work: Any) -> bool:
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _take_slot(owner: Any, slots: Any, ints: Any, i: int, kind: int) -> None:
     n = ints[N]
     slots[kind][i] = n
@@ -215,7 +228,7 @@ def _take_slot(owner: Any, slots: Any, ints: Any, i: int, kind: int) -> None:
     ints[N] = n + 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _release_slot(owner: Any, slots: Any, ints: Any, i: int, kind: int) -> None:
     k, last = slots[kind][i], ints[N] - 1
     slots[kind][i] = -1
@@ -225,14 +238,14 @@ def _release_slot(owner: Any, slots: Any, ints: Any, i: int, kind: int) -> None:
     ints[N] = last
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _slope(status: int, mu: float) -> float:
     """t / p of a slipping node."""
     return mu if status == SLIP_PLUS else -mu
 
 
-@njit(cache=True)
-def _friction_rows(
+@njit(cache=True, error_model="numpy")
+def _friction_row(
     i: int, C: Any, inv_alpha: float, status: Any, slopes: Any, mu: Any, slots: Any, ints: Any,
     inverse: Any, work: Any,
 ) -> bool:  # fmt: skip
@@ -250,10 +263,10 @@ def _friction_rows(
     return _replace_row(inverse, n, k, product, work)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _close(
-    i: int, C: Any, inv_alpha: float, status: Any, slopes: Any, mu: Any, slots: Any, owner: Any,
-    ints: Any, inverse: Any, work: Any,
+    i: int, C: Any, inv_alpha: float, status: Any, held: Any, slopes: Any, mu: Any, slots: Any,
+    owner: Any, ints: Any, inverse: Any, work: Any,
 ) -> bool:  # fmt: skip
     """Add both slots of node `i`, whose status is already that of contact."""
     row, column = work[2], work[3]
@@ -262,7 +275,7 @@ def _close(
         stick = status[i] == STICK
         if tangent and not stick:
             slopes[i] = _slope(status[i], mu[i])
-        _column(i, tangent, C, status, slots, ints, column)
+        _column(i, tangent, C, held, slots, ints, column)
         if tangent and not stick:
             for k in range(row.size):
                 row[k] = 0.0
@@ -277,7 +290,7 @@ def _close(
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _open(i: int, slots: Any, owner: Any, ints: Any, inverse: Any, work: Any) -> bool:
     """Remove both slots of node `i`."""
     for kind in (1, 0):
@@ -287,7 +300,7 @@ def _open(i: int, slots: Any, owner: Any, ints: Any, inverse: Any, work: Any) ->
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _rebuild(
     C: Any, constants: Any, status: Any, slopes: Any, mu: Any, slots: Any, owner: Any, ints: Any,
     inverse: Any, work: Any,
@@ -310,11 +323,13 @@ def _rebuild(
         if status[i] == OPEN:
             continue
         _row(i, False, True, 0.0, C, inv_alpha, slots, row)
-        system[slots[0][i], :] = row[:n]
+        for c in range(n):
+            system[slots[0][i], c] = row[c]
         if status[i] != STICK:
             slopes[i] = _slope(status[i], mu[i])
         _row(i, True, status[i] == STICK, slopes[i], C, inv_alpha, slots, row)
-        system[slots[1][i], :] = row[:n]
+        for c in range(n):
+            system[slots[1][i], c] = row[c]
         if ints[NORMAL_BY_FORCE] == 1:
             system[0, slots[0][i]] = 1.0
         if ints[TANGENT_BY_FORCE] == 1:
@@ -322,13 +337,16 @@ def _rebuild(
     if ints[NORMAL_BY_FORCE] == 0:
         system[0, 0] = 1.0
     system[1, 1] = constants[MASS_DT2] if ints[TANGENT_BY_FORCE] == 1 else 1.0
-    inverse[:n, :n] = np.linalg.inv(system)
+    found = np.linalg.inv(system)
+    for r in range(n):
+        for c in range(n):
+            inverse[r, c] = found[r, c]
     ints[VALID] = 1
     ints[UPDATES] = 0
     ints[REBUILDS] += 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _right_side(
     constants: Any, w: Any, u: Any, height: Any, spin: Any, status: Any, slots: Any, ints: Any,
     normal: float, tangent: float, b: Any,
@@ -345,7 +363,7 @@ def _right_side(
         b[slots[1][i]] = (spin[i] + alpha * u[i]) / alpha if status[i] == STICK else 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _solve(
     status: Any, slopes: Any, mu: Any, slots: Any, owner: Any, ints: Any, inverse: Any,
     force: Any, b: Any, solution: Any,
@@ -372,7 +390,7 @@ def _solve(
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _closing_status(gap: float, slide: float, c_n: float, c_t: float, mu: float) -> int:
     """Stick or slip of a node that comes into contact, from the projection of its trial force."""
     press, pull = -gap / c_n, -slide / c_t
@@ -383,7 +401,7 @@ def _closing_status(gap: float, slide: float, c_n: float, c_t: float, mu: float)
     return STICK
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _wanted(
     i: int, now: int, C: Any, alpha: float, mu: float, gap: float, slide: float, p: float, t: float
 ) -> int:
@@ -405,33 +423,42 @@ def _wanted(
     return STICK if backwards and mu > 0.0 else now
 
 
-@njit(cache=True)
-def _apply(
-    i: int, new: int, C: Any, inv_alpha: float, status: Any, slopes: Any, mu: Any, slots: Any,
-    owner: Any, ints: Any, inverse: Any, force: Any, work: Any,
+@njit(cache=True, error_model="numpy")
+def _follow(
+    C: Any, constants: Any, status: Any, held: Any, slopes: Any, mu: Any, slots: Any, owner: Any,
+    ints: Any, inverse: Any, work: Any,
 ) -> None:  # fmt: skip
-    """Give node `i` its new status and update the inverse; an update that fails invalidates it."""
-    old = status[i]
-    status[i] = new
-    if new == OPEN:
-        force[i] = 0.0
-        force[status.size + i] = 0.0
-    if ints[VALID] == 0:
-        return
-    if old == OPEN:
-        good = _close(i, C, inv_alpha, status, slopes, mu, slots, owner, ints, inverse, work)
-    elif new == OPEN:
-        good = _open(i, slots, owner, ints, inverse, work)
-    else:
-        good = _friction_rows(
-            i, C, inv_alpha, status, slopes, mu, slots, ints, inverse, work
-        )  # fmt: skip
-    ints[UPDATES] += 1
-    if not good:
-        ints[VALID] = 0
+    """Make the inverse that of `status`: update where little changed, else build it anew."""
+    inv_alpha = 1.0 / constants[ALPHA]
+    changed = 0
+    for i in range(status.size):
+        if status[i] != held[i]:
+            changed += 1
+    valid = ints[VALID] == 1 and ints[UPDATES] < REFRESH_UPDATES and 3 * changed <= ints[N]
+    for i in range(status.size):
+        if not valid:
+            break
+        now, old = status[i], held[i]
+        if now != old and now == OPEN:
+            valid = _open(i, slots, owner, ints, inverse, work)
+        elif now != old and old == OPEN:
+            valid = _close(
+                i, C, inv_alpha, status, held, slopes, mu, slots, owner, ints, inverse, work
+            )
+        elif now != old or (
+            now >= SLIP_PLUS and abs(_slope(now, mu[i]) - slopes[i]) > FRICTION_REFRESH
+        ):
+            valid = _friction_row(i, C, inv_alpha, status, slopes, mu, slots, ints, inverse, work)
+        else:
+            continue
+        held[i] = now
+        ints[UPDATES] += 1
+    if not valid:
+        _rebuild(C, constants, status, slopes, mu, slots, owner, ints, inverse, work)
+    _copy(status, held)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _rescue(
     C: Any, constants: Any, status: Any, mu: Any, w: Any, u: Any, height: Any, spin: Any,
     ints: Any, normal: float, tangent: float, force: Any, trial: Any, start: Any,
@@ -444,7 +471,7 @@ def _rescue(
     m = status.size
     alpha = constants[ALPHA]
     beta = 1.0 - alpha
-    trial[:] = 0.0
+    _fill(trial, 0.0)
     for j in range(2 * m):
         if force[j] != 0.0:
             for k in range(2 * m):
@@ -489,17 +516,17 @@ def _rescue(
     ints[RESCUES] += 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _set_modes(ints: Any, normal_by_force: int, tangent_by_force: int) -> None:
     if ints[NORMAL_BY_FORCE] != normal_by_force or ints[TANGENT_BY_FORCE] != tangent_by_force:
         ints[NORMAL_BY_FORCE], ints[TANGENT_BY_FORCE] = normal_by_force, tangent_by_force
         ints[VALID] = 0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _separated(
-    constants: Any, height: Any, w: Any, u: Any, status: Any, force: Any, scalars: Any, ints: Any,
-    tangent: float,
+    constants: Any, height: Any, w: Any, u: Any, status: Any, force: Any, scalars: Any,
+    ints: Any, tangent: float,
 ) -> float:  # fmt: skip
     """A step without normal force: nothing touches, the skin relaxes, the object moves freely."""
     beta = 1.0 - constants[ALPHA]
@@ -509,23 +536,22 @@ def _separated(
         w[i] *= beta
         u[i] *= beta
         nearest = min(nearest, height[i] + w[i])
-    force[:] = 0.0
+    _fill(force, 0.0)
     ints[VALID] = 0
     scalars[D] = nearest
     return tangent / constants[MASS_DT2] if ints[TANGENT_BY_FORCE] == 1 else tangent
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _step(
     C: Any, constants: Any, height: Any, spin: Any, normal: float, tangent: float, w: Any, u: Any,
-    mu: Any, slopes: Any, status: Any, force: Any, slots: Any, owner: Any, ints: Any,
+    mu: Any, slopes: Any, status: Any, held: Any, force: Any, slots: Any, owner: Any, ints: Any,
     inverse: Any, work: Any, new_w: Any, new_u: Any, motion: Any, loaded: Any, wanted: Any,
 ) -> int:  # fmt: skip
     """Solve one step; the number of active sets tried, or -1 where none is consistent."""
     m = status.size
     alpha = constants[ALPHA]
     beta = 1.0 - alpha
-    inv_alpha = 1.0 / alpha
     b, solution, trial = work[4], work[5], work[6]
     tried = 0
     for rescue in range(RESCUES_A_STEP + 1):
@@ -534,98 +560,74 @@ def _step(
                 C, constants, status, mu, w, u, height, spin, ints, normal, tangent, force,
                 trial[: 2 * m], motion,
             )  # fmt: skip
-            ints[VALID] = 0
         for iteration in range(ITERATIONS):
             tried += 1
-            any_contact = False
-            for i in range(m):
-                if status[i] != OPEN:
-                    any_contact = True
-                    break
-            if not any_contact and ints[NORMAL_BY_FORCE] == 1:
-                lowest = 0
-                for i in range(m):
-                    if height[i] + beta * w[i] < height[lowest] + beta * w[lowest]:
-                        lowest = i
-                status[lowest] = STICK
-                ints[VALID] = 0
-            if ints[VALID] == 0 or ints[UPDATES] > REFRESH_UPDATES:
-                _rebuild(C, constants, status, slopes, mu, slots, owner, ints, inverse, work)
-            for i in range(m):
-                if status[i] >= SLIP_PLUS and ints[VALID] == 1:
-                    moved = abs(_slope(status[i], mu[i]) - slopes[i])
-                    if moved > FRICTION_REFRESH:
-                        if not _friction_rows(
-                            i, C, inv_alpha, status, slopes, mu, slots, ints, inverse, work
-                        ):  # fmt: skip
-                            ints[VALID] = 0
-                        ints[UPDATES] += 1
-            if ints[VALID] == 0:
-                continue
+            if ints[NORMAL_BY_FORCE] == 1:
+                _touch_somewhere(height, w, beta, status)
+            _follow(C, constants, status, held, slopes, mu, slots, owner, ints, inverse, work)
             _right_side(
                 constants, w, u, height, spin, status, slots, ints, normal, tangent, b
             )  # fmt: skip
             settled = _solve(
                 status, slopes, mu, slots, owner, ints, inverse, force, b, solution
             )  # fmt: skip
-            count = 0
-            for k in range(2, ints[N]):
-                loaded[count] = owner[k, 1] + m * owner[k, 0]
-                count += 1
+            count = ints[N] - 2
+            for k in range(count):
+                loaded[k] = owner[k + 2, 1] + m * owner[k + 2, 0]
             _displacements(C, force, loaded, count, trial[: 2 * m])
-            d, dx = solution[0], solution[1]
+            motion[0], motion[1] = solution[0], solution[1]
             changes, residual = 0, 0.0
             for i in range(m):
                 new_w[i] = alpha * trial[i] + beta * w[i]
                 new_u[i] = alpha * trial[m + i] + beta * u[i]
-                gap = height[i] + new_w[i] - d
-                slide = new_u[i] - u[i] - spin[i] - dx
+                gap = height[i] + new_w[i] - motion[0]
+                slide = new_u[i] - u[i] - spin[i] - motion[1]
                 if status[i] != OPEN:
                     residual = max(residual, abs(gap))
-                    if status[i] == STICK:
-                        residual = max(residual, abs(slide))
+                if status[i] == STICK:
+                    residual = max(residual, abs(slide))
                 wanted[i] = _wanted(
                     i, status[i], C, alpha, mu[i], gap, slide, force[i], force[m + i]
                 )
                 if wanted[i] != status[i]:
                     changes += 1
-            if not settled or residual > RESIDUAL_MM or not np.isfinite(residual):
+            if not settled or not residual <= RESIDUAL_MM:
                 if ints[UPDATES] == 0:
                     break
                 ints[VALID] = 0
                 continue
-            motion[0], motion[1] = d, dx
             if changes == 0:
                 return tried
-            if iteration < PATIENCE:
-                if 3 * changes > ints[N]:
-                    ints[VALID] = 0
-                for i in range(m):
-                    if wanted[i] != status[i]:
-                        _apply(
-                            i, wanted[i], C, inv_alpha, status, slopes, mu, slots, owner, ints,
-                            inverse, force, work,
-                        )  # fmt: skip
-            else:
-                pick, seen = iteration % changes, 0
-                for i in range(m):
-                    if wanted[i] != status[i]:
-                        if seen == pick:
-                            _apply(
-                                i, wanted[i], C, inv_alpha, status, slopes, mu, slots, owner,
-                                ints, inverse, force, work,
-                            )  # fmt: skip
-                            break
-                        seen += 1
+            pick, seen = iteration % changes, 0
+            for i in range(m):
+                if wanted[i] != status[i]:
+                    if iteration < PATIENCE or seen == pick:
+                        status[i] = wanted[i]
+                        if wanted[i] == OPEN:
+                            force[i] = 0.0
+                            force[m + i] = 0.0
+                    seen += 1
     return -1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def _touch_somewhere(height: Any, w: Any, beta: float, status: Any) -> None:
+    """A pressed object touches at least the highest node."""
+    highest = 0
+    for i in range(status.size):
+        if status[i] != OPEN:
+            return
+        if height[i] + beta * w[i] < height[highest] + beta * w[highest]:
+            highest = i
+    status[highest] = STICK
+
+
+@njit(cache=True, error_model="numpy")
 def advance(
     C: Any, x: Any, gap: Any, tributary: Any, ridge: Any, constants: Any, modes: Any,
     normal: Any, tangent: Any, rotation: Any,
-    w: Any, u: Any, slip: Any, mu: Any, slopes: Any, status: Any, force: Any, slots: Any,
-    owner: Any, ints: Any, scalars: Any, inverse: Any, work: Any,
+    w: Any, u: Any, slip: Any, mu: Any, slopes: Any, status: Any, held: Any, force: Any,
+    slots: Any, owner: Any, ints: Any, scalars: Any, inverse: Any, work: Any,
     rows: Any, summary: Any, ridge_forces: Any, statuses: Any, stresses: Any, forces: Any,
 ) -> int:  # fmt: skip
     """Advance the state by ``normal.size`` steps; the number done (fewer: the next one failed).
@@ -643,8 +645,8 @@ def advance(
     before_status, before_force = status.copy(), force.copy()
     _set_modes(ints, modes[0], modes[1])
     for step in range(normal.size):
-        before_status[:] = status
-        before_force[:] = force
+        _copy(status, before_status)
+        _copy(force, before_force)
         centre = scalars[X] if modes[1] == 1 else tangent[step]
         drive = tangent[step] - scalars[X]
         if modes[1] == 1:
@@ -664,16 +666,16 @@ def advance(
             )  # fmt: skip
             motion[0], motion[1] = scalars[D], new_x
             iterations, dissipated, area = 0, 0.0, 0.0
-            slip[:] = 0.0
-            mu[:] = constants[MU_S]
+            _fill(slip, 0.0)
+            _fill(mu, constants[MU_S])
         else:
             iterations = _step(
-                C, constants, height, spin, normal[step], drive, w, u, mu, slopes, status, force,
-                slots, owner, ints, inverse, work, new_w, new_u, motion, loaded, wanted,
+                C, constants, height, spin, normal[step], drive, w, u, mu, slopes, status, held,
+                force, slots, owner, ints, inverse, work, new_w, new_u, motion, loaded, wanted,
             )  # fmt: skip
             if iterations < 0:
-                status[:] = before_status
-                force[:] = before_force
+                _copy(before_status, status)
+                _copy(before_force, force)
                 ints[VALID] = 0
                 return step
             dissipated, area = 0.0, 0.0
@@ -720,5 +722,5 @@ def advance(
         for r in range(rows.shape[0]):
             stresses[step, r] = _dot(rows[r], force)
         if forces.shape[0] > 0:
-            forces[step, :] = force
+            _copy(force, forces[step])
     return int(normal.size)

@@ -79,6 +79,7 @@ class ContactState:
     friction: Floats
     slopes: Floats
     status: Statuses
+    held_status: Statuses
     force_N: Floats
     slots: NDArray[np.int64]
     owner: NDArray[np.int64]
@@ -185,8 +186,8 @@ class ContactStepper:
         done = kernel.advance(
             self.skin.compliance_mm_N, self.skin.contact_x_mm, self.skin.gap_mm, self._tributary,
             self.skin.ridge, self._constants, modes, normals, tangents, rotations,
-            s.downward_mm, s.sideways_mm, s.slip_mm, s.friction, s.slopes, s.status, s.force_N,
-            s.slots, s.owner, s.integers, s.scalars, s.inverse, self._work,
+            s.downward_mm, s.sideways_mm, s.slip_mm, s.friction, s.slopes, s.status, s.held_status,
+            s.force_N, s.slots, s.owner, s.integers, s.scalars, s.inverse, self._work,
             self._rows, summary, ridge_forces, statuses, stresses, forces,
         )  # fmt: skip
         if done < k:
@@ -244,6 +245,7 @@ class ContactStepper:
             friction=np.full(m, self.settings.friction.static_coefficient),
             slopes=np.zeros(m),
             status=np.zeros(m, np.int8),
+            held_status=np.zeros(m, np.int8),
             force_N=np.zeros(2 * m),
             slots=np.full((2, m), -1, np.int64),
             owner=np.zeros((n, 2), np.int64),

@@ -103,7 +103,7 @@ class ElasticSkin:
 
     @cached_property
     def influence(self) -> Floats:
-        """Displacements (dofs, 2 m), mm/N, of unit contact forces, pressing first, then tangential."""
+        """Displacements (dofs, 2 m) in mm/N of unit contact forces, pressing first."""
         return self.solve(self.contact_loads().toarray())
 
     def mean_stress_rows(self, areas: Sequence[Rectangle]) -> Any:
