@@ -1,0 +1,231 @@
+"""Scripted trials on the skin: the paper's slide (4.1) and roll (5), from settings to arrays.
+
+A trial presses an object onto the skin along a raised cosine, lets it rest, and then slides or
+rolls it. The result holds forces, statuses, volts at the step rate and what a data acquisition at
+1 kHz behind its analogue filter would have sampled. Everything here is simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rig.model.contact.settings import ContactSettings, Cylinder, Object, Plate
+from rig.model.contact.slices import make_stepper
+from rig.model.contact.stepper import ContactBlock
+from rig.model.contact.truth import SlipTruth, SlipWatch
+from rig.model.skin.condensed import CondensedSkin
+from rig.model.transducer import TransducerChain, TransducerSettings
+from rig.settings import Settings
+
+Floats = NDArray[np.float64]
+
+
+class PressSettings(Settings):
+    """How the object is pressed on (assumed)."""
+
+    normal_force_N: float = Field(4.0, gt=0)
+    """F_n (paper 2.2: 4 N brings nine ridges into contact)."""
+    loading_s: float = Field(0.3, gt=0)
+    """Duration of the raised cosine from 0 to F_n."""
+    rest_s: float = Field(0.15, ge=0)
+    """Rest before the motion."""
+
+
+class SampleSettings(Settings):
+    """The skin's data acquisition: an analogue Butterworth filter, then a slow clock."""
+
+    rate_Hz: float = Field(1000.0, gt=0)
+    """Sampling rate (paper 4.1)."""
+    filter_Hz: float = Field(400.0, gt=0)
+    """-3 dB frequency of the filter (assumed)."""
+    filter_order: int = Field(4, ge=1, le=8)
+
+
+class SlideSettings(Settings):
+    """A slide of the plate or another object at constant normal force."""
+
+    press: PressSettings = PressSettings()
+    contact: ContactSettings = ContactSettings()
+    transducer: TransducerSettings = TransducerSettings()
+    sample: SampleSettings = SampleSettings()
+    body: Object = Plate()
+    start_x_mm: float = 0.0
+    """The object's x at first touch."""
+    speed_mm_s: float = Field(0.5, ge=0)
+    """Speed after the ramp, towards +x."""
+    ramp_s: float = Field(0.05, ge=0)
+    """Duration of the linear ramp of the speed."""
+    slide_s: float = Field(0.4, gt=0)
+    """Duration of the motion."""
+    ridge: int = Field(3, ge=1)
+    """The ridge whose strips are read, 1 is the leftmost."""
+
+
+class RollSettings(Settings):
+    """A roll of a cylinder or a head at constant normal force."""
+
+    press: PressSettings = PressSettings()
+    contact: ContactSettings = ContactSettings()
+    transducer: TransducerSettings = TransducerSettings()
+    sample: SampleSettings = SampleSettings()
+    body: Object = Cylinder()
+    start_x_mm: float = -5.0
+    """x of the contact's middle before the roll; -5.0 ends centred near ridge 3, -6.5 before it."""
+    angle_deg: float = 3.5
+    """Angle rolled (paper 5), along a raised cosine; positive moves the contact towards +x."""
+    roll_s: float = Field(0.4, gt=0)
+    """Duration of the roll."""
+    settle_s: float = Field(0.1, ge=0)
+    """Rest after it."""
+    axis_offset_mm: float = 0.0
+    """How far the rotary axis lies from where pure rolling wants it; shears by offset times
+    angle."""
+    ridge: int = Field(3, ge=1)
+    """The ridge whose strips are read, 1 is the leftmost."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A simulated trial: rows at the step rate, samples at the data acquisition's rate."""
+
+    time_s: Floats
+    """End of each step, (k,)."""
+    motion_s: float
+    """When the slide or roll begins."""
+    block: ContactBlock
+    """Forces, statuses and stresses, (k, ...)."""
+    truth: SlipTruth
+    """Who slipped when, judged from the start of the motion on."""
+    volts: Floats
+    """S1 and S2 at the step rate, unfiltered, (k, 2)."""
+    filtered: Floats
+    """The same behind the analogue filter, (k, 2)."""
+    sample_time_s: Floats
+    """Sampling instants, (n,)."""
+    sampled: Floats
+    """v_1 and v_2 as sampled, (n, 2)."""
+
+    @property
+    def v_d(self) -> Floats:
+        """The paper's differential signal v_1 - v_2 as sampled, V, (n,)."""
+        difference: Floats = self.sampled[:, 0] - self.sampled[:, 1]
+        return difference
+
+    @property
+    def filtered_v_d(self) -> Floats:
+        """v_1 - v_2 behind the filter at the step rate, V, (k,)."""
+        difference: Floats = self.filtered[:, 0] - self.filtered[:, 1]
+        return difference
+
+
+def slide(skin: CondensedSkin, settings: SlideSettings, *, keep_forces: bool = False) -> Trial:
+    """Press, rest, slide. Raises ConvergenceError where a step has no solution."""
+
+    def travel(t: Floats) -> tuple[Floats, Floats]:
+        ramp = settings.ramp_s
+        inside = np.clip(t, 0.0, ramp)
+        ramped = inside**2 / (2 * ramp) if ramp > 0 else np.zeros_like(t)
+        x = settings.start_x_mm + settings.speed_mm_s * (ramped + np.clip(t - ramp, 0.0, None))
+        return x, np.zeros_like(t)
+
+    return _run(skin, settings, travel, settings.slide_s, settings.start_x_mm, keep_forces)
+
+
+def roll(skin: CondensedSkin, settings: RollSettings, *, keep_forces: bool = False) -> Trial:
+    """Press, rest, roll, rest. Raises ValueError for a plate, which cannot roll."""
+    if isinstance(settings.body, Plate):
+        raise ValueError("body plate cannot roll: give a cylinder or a sphere with its radius")
+    radius = settings.body.radius_mm
+
+    def travel(t: Floats) -> tuple[Floats, Floats]:
+        part = np.clip(t / settings.roll_s, 0.0, 1.0)
+        angle = np.deg2rad(settings.angle_deg) * (1 - np.cos(np.pi * part)) / 2
+        return settings.start_x_mm + (radius + settings.axis_offset_mm) * angle, angle
+
+    duration = settings.roll_s + settings.settle_s
+    return _run(skin, settings, travel, duration, settings.start_x_mm, keep_forces)
+
+
+def _run(
+    skin: CondensedSkin,
+    settings: SlideSettings | RollSettings,
+    travel: Callable[[Floats], tuple[Floats, Floats]],
+    motion_s: float,
+    start_mm: float,
+    keep_forces: bool,
+) -> Trial:
+    press, dt = settings.press, settings.contact.step_us * 1e-6
+    begin = press.loading_s + press.rest_s
+    time = dt * np.arange(1, round((begin + motion_s) / dt) + 1)
+    force = press.normal_force_N * (1 - np.cos(np.pi * np.clip(time / press.loading_s, 0, 1))) / 2
+    x, angle = travel(time - begin)
+    stepper = make_stepper(
+        skin,
+        settings.contact,
+        settings.body,
+        position_mm=start_mm,
+        watched_ridge=settings.ridge - 1,
+        keep_forces=keep_forces,
+    )
+    block = stepper.advance(force, x, rotation_rad=np.diff(angle, prepend=0.0))
+    watch = SlipWatch(skin.ridge, dt, since_s=begin)
+    watch.add(block.status)
+    chain = TransducerChain(settings.transducer, dt)
+    volts = chain.advance(block.stress_MPa[:, :, 1])
+    filtered, picked = sample(volts, dt, settings.sample)
+    return Trial(
+        time_s=time,
+        motion_s=begin,
+        block=block,
+        truth=watch.truth(),
+        volts=volts,
+        filtered=filtered,
+        sample_time_s=time[picked],
+        sampled=filtered[picked],
+    )
+
+
+def sample(
+    volts: Floats, step_s: float, settings: SampleSettings
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Volts (k, channels) behind the analogue filter, and the rows that the slow clock takes."""
+    from scipy.signal import butter, sosfilt
+
+    rate = 1.0 / step_s
+    every = round(rate / settings.rate_Hz)
+    if every < 1 or abs(every * settings.rate_Hz - rate) > 1e-6 * rate:
+        raise ValueError(
+            f"rate_Hz {settings.rate_Hz:g} Hz must divide the step rate of {rate:g} Hz: "
+            "samples fall on steps"
+        )
+    if 2 * settings.filter_Hz >= rate:
+        raise ValueError(
+            f"filter_Hz {settings.filter_Hz:g} Hz must be below half the step rate, "
+            f"{rate / 2:g} Hz: take smaller steps"
+        )
+    sections = butter(settings.filter_order, settings.filter_Hz, fs=rate, output="sos")
+    filtered: Floats = np.asarray(sosfilt(sections, volts, axis=0))
+    return filtered, np.arange(every - 1, volts.shape[0], every)
+
+
+def high_frequency(signal: Floats, rate_Hz: float, corner_Hz: float = 100.0) -> Floats:
+    """The part of a signal above `corner_Hz`: a causal Butterworth filter of order 3."""
+    from scipy.signal import butter, sosfilt
+
+    sections = butter(3, corner_Hz, "highpass", fs=rate_Hz, output="sos")
+    filtered: Floats = np.asarray(sosfilt(sections, signal))
+    return filtered
+
+
+def share_above(signal: Floats, rate_Hz: float, corner_Hz: float = 100.0) -> float:
+    """Share of a stretch of signal's energy above `corner_Hz`, mean included, between 0 and 1."""
+    power = np.abs(np.fft.rfft(signal)) ** 2
+    power[1 : (signal.size + 1) // 2] *= 2
+    above = np.fft.rfftfreq(signal.size, 1 / rate_Hz) > corner_Hz
+    total = float(power.sum())
+    return float(power[above].sum()) / total if total > 0 else 0.0
