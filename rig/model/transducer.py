@@ -40,7 +40,7 @@ class TransducerSettings(Settings):
     output_limit_V: float = Field(10.0, gt=0)
     """The output clips at plus and minus this."""
 
-    def response_V_N(self, frequency_Hz: Floats) -> NDArray[np.complex128]:
+    def response(self, frequency_Hz: Floats) -> NDArray[np.complex128]:
         """H at the given frequencies, complex V per N, without the clip."""
         s = 2j * math.pi * np.asarray(frequency_Hz, float)
         numerator, denominator = self.polynomials()

@@ -203,7 +203,7 @@ def sample(
             f"rate_Hz {settings.rate_Hz:g} Hz must divide the step rate of {rate:g} Hz: "
             "samples fall on steps"
         )
-    if 2 * settings.filter_Hz >= rate:
+    if settings.filter_Hz >= rate / 2:
         raise ValueError(
             f"filter_Hz {settings.filter_Hz:g} Hz must be below half the step rate, "
             f"{rate / 2:g} Hz: take smaller steps"

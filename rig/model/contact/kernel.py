@@ -300,6 +300,37 @@ def _open(i: int, slots: Any, owner: Any, ints: Any, inverse: Any, work: Any) ->
     return True
 
 
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _invert(A: Any, inverse: Any) -> bool:
+    """Gauss-Jordan with row pivots; False where A, which is destroyed, is singular or not finite."""
+    n = A.shape[0]
+    for r in range(n):
+        for c in range(n):
+            inverse[r, c] = 1.0 if r == c else 0.0
+    for k in range(n):
+        best = k
+        for r in range(k + 1, n):
+            if abs(A[r, k]) > abs(A[best, k]):
+                best = r
+        if not abs(A[best, k]) > 1e-14:
+            return False
+        if best != k:
+            for c in range(n):
+                A[k, c], A[best, c] = A[best, c], A[k, c]
+                inverse[k, c], inverse[best, c] = inverse[best, c], inverse[k, c]
+        scale = 1.0 / A[k, k]
+        for c in range(n):
+            A[k, c] *= scale
+            inverse[k, c] *= scale
+        for r in range(n):
+            factor = A[r, k]
+            if r != k and factor != 0.0:
+                for c in range(n):
+                    A[r, c] -= factor * A[k, c]
+                    inverse[r, c] -= factor * inverse[k, c]
+    return True
+
+
 @njit(cache=True, error_model="numpy")
 def _rebuild(
     C: Any, constants: Any, status: Any, slopes: Any, mu: Any, slots: Any, owner: Any, ints: Any,
@@ -337,11 +368,7 @@ def _rebuild(
     if ints[NORMAL_BY_FORCE] == 0:
         system[0, 0] = 1.0
     system[1, 1] = constants[MASS_DT2] if ints[TANGENT_BY_FORCE] == 1 else 1.0
-    found = np.linalg.inv(system)
-    for r in range(n):
-        for c in range(n):
-            inverse[r, c] = found[r, c]
-    ints[VALID] = 1
+    ints[VALID] = 1 if _invert(system, inverse) else 0
     ints[UPDATES] = 0
     ints[REBUILDS] += 1
 
@@ -565,6 +592,8 @@ def _step(
             if ints[NORMAL_BY_FORCE] == 1:
                 _touch_somewhere(height, w, beta, status)
             _follow(C, constants, status, held, slopes, mu, slots, owner, ints, inverse, work)
+            if ints[VALID] == 0:
+                break
             _right_side(
                 constants, w, u, height, spin, status, slots, ints, normal, tangent, b
             )  # fmt: skip

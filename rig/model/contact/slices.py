@@ -25,7 +25,7 @@ from rig.model.skin.settings import SkinSettings
 Floats = NDArray[np.float64]
 
 
-def hertz_radius_mm(skin: SkinSettings, radius_mm: float, force_N: ArrayLike) -> Floats:
+def hertz_radius(skin: SkinSettings, radius_mm: float, force_N: ArrayLike) -> Floats:
     """Contact radius of a rigid sphere on a half-space of the skin's rubber, mm."""
     stiffness = skin.youngs_modulus_MPa / (1 - skin.poissons_ratio**2)
     force = np.asarray(force_N, float)
@@ -33,7 +33,7 @@ def hertz_radius_mm(skin: SkinSettings, radius_mm: float, force_N: ArrayLike) ->
     return radius
 
 
-def hertz_force_N(skin: SkinSettings, radius_mm: float, approach_mm: ArrayLike) -> Floats:
+def hertz_force(skin: SkinSettings, radius_mm: float, approach_mm: ArrayLike) -> Floats:
     """Force of a rigid sphere at an approach on the same half-space, N."""
     stiffness = skin.youngs_modulus_MPa / (1 - skin.poissons_ratio**2)
     depth = np.clip(np.asarray(approach_mm, float), 0.0, None)
@@ -63,7 +63,7 @@ class SlicedStepper:
         self.skin = skin
         self.settings = settings
         self.body = body
-        extent = float(hertz_radius_mm(skin.settings, body.radius_mm, largest_force_N))
+        extent = float(hertz_radius(skin.settings, body.radius_mm, largest_force_N))
         if 2 * extent > skin.settings.width_mm:
             raise ValueError(
                 f"sphere radius_mm {body.radius_mm} mm would touch {2 * extent:.1f} mm at "
@@ -109,7 +109,7 @@ class SlicedStepper:
     def shares(self, force_N: ArrayLike) -> Floats:
         """Each slice's share of the load, (k, slices); two mirrored slices a column, sum 1/2."""
         force = np.atleast_1d(np.asarray(force_N, float))
-        radius = hertz_radius_mm(self.skin.settings, self.body.radius_mm, force)[:, None]
+        radius = hertz_radius(self.skin.settings, self.body.radius_mm, force)[:, None]
         edges = np.arange(self.body.slices + 1) * self.slice_mm
         inside = np.clip(edges[None, :] / np.where(radius > 0, radius, np.inf), 0.0, 1.0)
         carried = 0.75 * (inside - inside**3 / 3)
@@ -138,16 +138,14 @@ class SlicedStepper:
             )
         skin, radius = self.skin.settings, self.body.radius_mm
         values = np.atleast_1d(np.asarray(normal, float))
-        if normal_control == "position":
-            force = hertz_force_N(skin, radius, values)
-        else:
-            force = values
+        by_force = normal_control == "force"
+        force = values if by_force else hertz_force(skin, radius, values)
         if force.size and force.max() > self._largest_N * (1 + 1e-9):
             raise ValueError(
                 f"normal force {force.max():g} N must be at most {self._largest_N:g} N: "
                 "the slices cover the contact of that force; give a larger largest_force_N"
             )
-        per_slice = self.shares(force) * skin.width_mm / self.slice_mm
+        per_slice = self.shares(force) * force[:, None] * skin.width_mm / self.slice_mm
         blocks = [
             stepper.advance(per_slice[:, k], tangential, rotation_rad=rotation_rad)
             for k, stepper in enumerate(self._slices)
@@ -163,7 +161,7 @@ class SlicedStepper:
 
         skin, radius = self.skin.settings, self.body.radius_mm
         return ContactBlock(
-            approach_mm=hertz_radius_mm(skin, radius, force) ** 2 / radius,
+            approach_mm=hertz_radius(skin, radius, force) ** 2 / radius,
             normal_force_N=total("normal_force_N"),
             position_mm=blocks[0].position_mm,
             tangential_force_N=total("tangential_force_N"),

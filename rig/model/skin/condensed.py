@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import zipfile
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from numpy.typing import NDArray
 from rig.cache import Cache, NoCache
 from rig.model.skin.settings import SkinSettings
 from rig.settings import fingerprint
+
+if TYPE_CHECKING:
+    from rig.model.skin.elasticity import ElasticSkin
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -73,10 +77,17 @@ def build_skin(settings: SkinSettings, cache: Cache | None = None) -> CondensedS
 
 
 def condense(settings: SkinSettings) -> CondensedSkin:
-    """Assemble, factor and condense, without any cache."""
-    from rig.model.skin.elasticity import ElasticSkin, strip_areas
+    """Assemble, factor and condense the skin's own mesh, without any cache."""
+    from rig.model.skin.elasticity import ElasticSkin
 
-    elastic = ElasticSkin(settings)
+    return condense_elements(ElasticSkin(settings))
+
+
+def condense_elements(elastic: ElasticSkin) -> CondensedSkin:
+    """Condense given elements."""
+    from rig.model.skin.elasticity import strip_areas
+
+    settings = elastic.settings
     x_dofs, _ = elastic.contact_dofs
     x = elastic.locations_mm[0][x_dofs]
     influence = elastic.influence
@@ -89,18 +100,10 @@ def condense(settings: SkinSettings) -> CondensedSkin:
         settings=settings,
         contact_x_mm=x,
         ridge=ridge.astype(np.int64),
-        gap_mm=_gap_mm(settings, x, axes[ridge]),
+        gap_mm=settings.gap_at(x),
         compliance_mm_N=np.ascontiguousarray((compliance + compliance.T) / 2),
         stress_rows_MPa_N=np.ascontiguousarray(rows.reshape(settings.ridges, 2, 3, 2 * x.size)),
     )
-
-
-def _gap_mm(settings: SkinSettings, x_mm: Floats, axis_mm: Floats) -> Floats:
-    over_all = (x_mm - settings.axis_x_mm) ** 2 / (2 * settings.finger_radius_mm)
-    crown = (x_mm - axis_mm) ** 2 / (2 * settings.crown_radius_mm)
-    together = over_all + crown
-    gap: Floats = together - together.min()
-    return gap
 
 
 def _pack(skin: CondensedSkin) -> bytes:

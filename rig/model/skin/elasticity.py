@@ -9,13 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.model.skin.mesh import skin_mesh
 from rig.model.skin.settings import SkinSettings
+
+if TYPE_CHECKING:
+    from skfem import MeshQuad
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -37,11 +40,12 @@ class Rectangle:
 class ElasticSkin:
     """Finite elements of one skin; what is expensive is computed on first use and kept."""
 
-    def __init__(self, settings: SkinSettings):
+    def __init__(self, settings: SkinSettings, mesh: MeshQuad | None = None):
+        """Elements on the skin's own mesh, or on another of the same outline."""
         from skfem import Basis, ElementQuad2, ElementVector
 
         self.settings = settings
-        self.mesh = skin_mesh(settings)
+        self.mesh = skin_mesh(settings) if mesh is None else mesh
         self.basis: Any = Basis(self.mesh, ElementVector(ElementQuad2()), intorder=4)
         self.locations_mm: Floats = self.basis.doflocs
 
@@ -59,6 +63,17 @@ class ElasticSkin:
         matrix = linear_elasticity(*self.lame).assemble(self.basis)
         return (matrix * self.settings.width_mm).tocsc()
 
+    def lumped_mass_t(self) -> Floats:
+        """Diagonal mass of all degrees of freedom in tonnes: Lobatto's rule on the elements."""
+        corners = self.mesh.p[:, self.mesh.t]
+        low, size = corners.min(axis=1), np.ptp(corners, axis=1)
+        dofs = self.basis.element_dofs
+        local = np.rint(2 * (self.locations_mm[:, dofs] - low[:, None]) / size[:, None])
+        weight = np.where(local == 1, 4 / 6, 1 / 6).prod(axis=0) * size.prod(axis=0)
+        mass = np.zeros(self.basis.N)
+        np.add.at(mass, dofs, weight)
+        return mass * self.settings.density_kg_m3 * 1e-12 * self.settings.width_mm
+
     @cached_property
     def free(self) -> Ints:
         """Degrees of freedom above the fixed bottom."""
@@ -68,7 +83,14 @@ class ElasticSkin:
     @cached_property
     def contact_dofs(self) -> tuple[Ints, Ints]:
         """The x and the y degrees of freedom of the ridge tops, each from left to right."""
-        on_top = self.basis.get_dofs(lambda p: p[1] > self.settings.height_mm - 1e-9)
+        axes = np.asarray(self.settings.ridge_axes_mm())
+
+        def on_ridge_top(p: Any) -> Any:
+            off_axis = np.abs(p[0][..., None] - axes).min(axis=-1)
+            inside = off_axis < self.settings.top_mm / 2 + 1e-9
+            return inside & (p[1] > self.settings.height_mm - 1e-9)
+
+        on_top = self.basis.get_dofs(on_ridge_top)
         by_component = (on_top.all(["u^1"]), on_top.all(["u^2"]))
         ordered = [d[np.argsort(self.locations_mm[0][d], kind="stable")] for d in by_component]
         return ordered[0].astype(np.int64), ordered[1].astype(np.int64)

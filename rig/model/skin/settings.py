@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from rig.settings import Settings
@@ -108,3 +110,12 @@ class SkinSettings(Settings):
         """The x of each ridge's axis, from left to right, in bench coordinates."""
         middle = (self.ridges - 1) / 2
         return tuple(self.axis_x_mm + (i - middle) * self.pitch_mm for i in range(self.ridges))
+
+    def gap_at(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance of ridge-top points to a flat plate that touches the highest of them, mm."""
+        axes = np.asarray(self.ridge_axes_mm())
+        to_axis = np.abs(x_mm[:, None] - axes[None, :]).min(axis=1)
+        over_all = (x_mm - self.axis_x_mm) ** 2 / (2 * self.finger_radius_mm)
+        together = over_all + to_axis**2 / (2 * self.crown_radius_mm)
+        gap: NDArray[np.float64] = together - together.min()
+        return gap

@@ -1,0 +1,337 @@
+"""The paper's simulation 4.2: 550 steps of 1e-6 s of a skin with inertia under given forces.
+
+A rigid plate passes F_n and F_t (Figure 12, as editable data) to the skin; the result is the
+stress difference between the strips of a ridge and its rate (Figure 13). Explicit central
+differences on the skin's own quadratic elements with a lumped mass; every node's contact is
+unilateral with Coulomb friction and slip weakening. A step above the stable limit is refused.
+
+Over 0.55 ms a wave crosses the skin a few times and its slowest surface mode (0.8 kHz) does half a
+cycle: the answer is inertial, not a slide in slow motion. The rubber's relaxation of 0.5 ms cannot
+be taken explicitly; a short material damping keeps the grid's own vibration down instead.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from rig.model.contact.settings import FrictionSettings
+from rig.model.contact.stepper import OPEN, SLIP_MINUS, SLIP_PLUS, STICK, Statuses
+from rig.model.contact.truth import SlipTruth, SlipWatch
+from rig.model.skin.elasticity import ElasticSkin, strip_areas
+from rig.model.skin.settings import SkinSettings
+from rig.settings import Settings
+
+Floats = NDArray[np.float64]
+
+
+class LoadPoint(Settings):
+    """A corner of the loading history; forces are linear between corners."""
+
+    step: int = Field(ge=0)
+    normal_force_N: float = Field(ge=0)
+    tangential_force_N: float
+
+
+_UNTIL_RELIEF = (
+    LoadPoint(step=0, normal_force_N=0.0, tangential_force_N=0.0),
+    LoadPoint(step=140, normal_force_N=4.0, tangential_force_N=0.0),
+    LoadPoint(step=200, normal_force_N=4.0, tangential_force_N=1.2),
+    LoadPoint(step=300, normal_force_N=4.0, tangential_force_N=1.2),
+)
+
+NORMAL_RAISED = (
+    *_UNTIL_RELIEF,
+    LoadPoint(step=340, normal_force_N=6.0, tangential_force_N=1.2),
+    LoadPoint(step=380, normal_force_N=6.0, tangential_force_N=1.2),
+    LoadPoint(step=460, normal_force_N=6.0, tangential_force_N=4.6),
+    LoadPoint(step=550, normal_force_N=6.0, tangential_force_N=4.9),
+)
+"""Relief at 300 by a raised normal force (levels assumed; decision 0024)."""
+
+TANGENTIAL_LOWERED = (
+    *_UNTIL_RELIEF,
+    LoadPoint(step=340, normal_force_N=4.0, tangential_force_N=0.6),
+    LoadPoint(step=380, normal_force_N=4.0, tangential_force_N=0.6),
+    LoadPoint(step=460, normal_force_N=4.0, tangential_force_N=3.0),
+    LoadPoint(step=550, normal_force_N=4.0, tangential_force_N=3.3),
+)
+"""Relief at 300 by a lowered tangential force."""
+
+RELIEFS: dict[str, tuple[LoadPoint, ...]] = {
+    "normal_raised": NORMAL_RAISED,
+    "tangential_lowered": TANGENTIAL_LOWERED,
+}
+
+
+class HistorySettings(Settings):
+    """The simulation of the paper's 4.2."""
+
+    skin: SkinSettings = SkinSettings(elements_per_ridge=6, refinement="uniform")
+    """Uniform elements: the smallest one sets the stable step."""
+    friction: FrictionSettings = FrictionSettings()
+    loads: tuple[LoadPoint, ...] = NORMAL_RAISED
+    """Figure 12."""
+    steps: int = Field(550, ge=1)
+    """Number of steps (paper 4.2)."""
+    step_us: float = Field(1.0, gt=0)
+    """Step (paper 4.2: 1e-6 s)."""
+    substeps: int = Field(2, ge=1)
+    """Explicit steps in each step: quadratic elements want shorter ones."""
+    damping_us: float = Field(0.2, ge=0)
+    """Stiffness-proportional damping time (assumed)."""
+    object_mass_g: float = Field(0.02, gt=0)
+    """Mass of the plate along x (assumed light: a heavy one would keep F_t to itself)."""
+    ridge: int = Field(3, ge=1)
+    """The ridge whose stress is followed, 1 is the leftmost."""
+    component: Literal["xx", "yy", "xy"] = "yy"
+    """The stress that is subtracted (paper Figure 11)."""
+
+    @model_validator(mode="after")
+    def _is_in_order(self) -> Self:
+        steps = [point.step for point in self.loads]
+        if len(steps) < 2 or any(b <= a for a, b in zip(steps, steps[1:], strict=False)):
+            raise ValueError(f"loads at steps {steps} must be at least two, in rising order")
+        if steps[0] != 0 or steps[-1] < self.steps:
+            raise ValueError(
+                f"loads must cover steps 0 to {self.steps}, they cover {steps[0]} to {steps[-1]}"
+            )
+        if self.ridge > self.skin.ridges:
+            raise ValueError(
+                f"ridge {self.ridge} must be at most {self.skin.ridges}, the number of ridges"
+            )
+        return self
+
+    def forces_N(self) -> tuple[Floats, Floats]:
+        """F_n and F_t at the end of every substep, two arrays (steps * substeps,)."""
+        at = np.arange(1, self.steps * self.substeps + 1) / self.substeps
+        corners = [p.step for p in self.loads]
+        normal = np.interp(at, corners, [p.normal_force_N for p in self.loads])
+        tangential = np.interp(at, corners, [p.tangential_force_N for p in self.loads])
+        return normal, tangential
+
+
+@dataclass(frozen=True)
+class History:
+    """What the skin did; one row a step."""
+
+    step: NDArray[np.int64]
+    """Step number, 1 to n, (n,)."""
+    normal_force_N: Floats
+    tangential_force_N: Floats
+    """The given forces, (n,)."""
+    friction_force_N: Floats
+    """What friction passed on of F_t, (n,)."""
+    stress_MPa: Floats
+    """Mean stress of S1 and S2, (n, 2)."""
+    status: Statuses
+    """Status of every contact node, (n, m)."""
+    ridge_of_node: NDArray[np.int64]
+    truth: SlipTruth
+    """Times in s; one step is `step_us`."""
+    stable_step_us: float
+    """The largest explicit step this mesh allows."""
+
+    @property
+    def difference_MPa(self) -> Floats:
+        """Stress of S1 less that of S2, (n,)."""
+        difference: Floats = self.stress_MPa[:, 0] - self.stress_MPa[:, 1]
+        return difference
+
+
+def run_history(settings: HistorySettings) -> History:
+    """Run the history. Raises ValueError, naming the limit, where the step is unstable."""
+    body = _Body(settings)
+    stable_us = body.stable_step_us()
+    substep_us = settings.step_us / settings.substeps
+    if substep_us > stable_us:
+        raise ValueError(
+            f"step of {settings.step_us:g} us in {settings.substeps} substeps is "
+            f"{substep_us:g} us, above the stable limit of {stable_us:.4g} us for this mesh and "
+            f"damping: take at least {math.ceil(settings.step_us / stable_us)} substeps or larger "
+            "elements"
+        )
+    return _march(settings, body, stable_us)
+
+
+class _Body:
+    """The skin's matrices, reduced to its free degrees of freedom, in N, mm, s and tonnes."""
+
+    def __init__(self, settings: HistorySettings):
+        self.settings = settings
+        skin = ElasticSkin(settings.skin)
+        free = skin.free
+        place = np.full(skin.basis.N, -1)
+        place[free] = np.arange(free.size)
+        self.stiffness = skin.stiffness.tocsr()[free][:, free].tocsr()
+        self.mass = skin.lumped_mass_t()[free]
+        x_dofs, y_dofs = skin.contact_dofs
+        self.tangential, self.vertical = place[x_dofs], place[y_dofs]
+        rows = skin.mean_stress_rows(strip_areas(settings.skin, settings.ridge - 1))
+        which = {"xx": 0, "yy": 1, "xy": 2}[settings.component]
+        self.stress_rows: Any = rows[[which, 3 + which]][:, free].tocsr()
+        x = skin.locations_mm[0][x_dofs]
+        axes = np.asarray(settings.skin.ridge_axes_mm())
+        self.ridge = np.abs(x[:, None] - axes[None, :]).argmin(axis=1).astype(np.int64)
+        self.gap = settings.skin.gap_at(x)
+
+    def stable_step_us(self) -> float:
+        """Limit of central differences with lagged damping, from the largest frequency."""
+        from scipy.sparse import diags
+        from scipy.sparse.linalg import eigsh
+
+        scale = diags(1.0 / np.sqrt(self.mass))
+        start = np.ones(self.mass.size)
+        largest = eigsh(
+            scale @ self.stiffness @ scale,
+            k=1, which="LA", tol=1e-3, v0=start, return_eigenvectors=False,
+        )[0]  # fmt: skip
+        omega = math.sqrt(float(largest))
+        half = omega * self.settings.damping_us * 1e-6 / 2
+        return 2 / omega * (math.sqrt(1 + half**2) - half) * 1e6
+
+
+def _march(settings: HistorySettings, body: _Body, stable_us: float) -> History:
+    dt = settings.step_us * 1e-6 / settings.substeps
+    normal, tangential = settings.forces_N()
+    u = np.zeros(body.mass.size)
+    v = np.zeros_like(u)
+    plate = _Plate(settings, body, dt)
+    stress = np.empty((settings.steps, 2))
+    status = np.empty((settings.steps, body.ridge.size), np.int8)
+    passed = np.empty(settings.steps)
+    for k in range(normal.size):
+        v -= dt / body.mass * (body.stiffness @ (u + settings.damping_us * 1e-6 * v))
+        plate.touch(u, v, normal[k], tangential[k])
+        u += dt * v
+        if (k + 1) % settings.substeps == 0:
+            row = k // settings.substeps
+            stress[row] = body.stress_rows @ u
+            status[row] = plate.status
+            passed[row] = plate.friction_N
+    watch = SlipWatch(body.ridge, settings.step_us * 1e-6, since_s=_shear_begins_s(settings))
+    watch.add(status)
+    last = slice(settings.substeps - 1, None, settings.substeps)
+    return History(
+        step=np.arange(1, settings.steps + 1),
+        normal_force_N=normal[last],
+        tangential_force_N=tangential[last],
+        friction_force_N=passed,
+        stress_MPa=stress,
+        status=status,
+        ridge_of_node=body.ridge,
+        truth=watch.truth(),
+        stable_step_us=stable_us,
+    )
+
+
+def _shear_begins_s(settings: HistorySettings) -> float:
+    before = [p.step for p in settings.loads if p.tangential_force_N == 0.0]
+    return max(before, default=0) * settings.step_us * 1e-6
+
+
+class _Plate:
+    """A rigid plate on the skin's nodes: gives each node the impulse that contact demands.
+
+    Normally it has no inertia: its height is such that the pressing forces add up to F_n. Along x
+    it has a small mass, so that it has an answer when every node slips.
+    """
+
+    def __init__(self, settings: HistorySettings, body: _Body, dt: float):
+        self._friction = settings.friction
+        self._gap = body.gap
+        self._x, self._y = body.tangential, body.vertical
+        self._per_N = dt / body.mass[self._x]
+        self._dt = dt
+        self._mass = settings.object_mass_g * 1e-6
+        self._speed = 0.0
+        self._slip = np.zeros(body.ridge.size)
+        self.status: Statuses = np.zeros(body.ridge.size, np.int8)
+        self.friction_N = 0.0
+
+    def touch(self, u: Floats, v: Floats, normal_N: float, tangential_N: float) -> None:
+        """Correct the velocities `v` so that the step's end respects contact and friction."""
+        stiffness = 1.0 / (self._per_N * self._dt)
+        height = self._gap - u[self._y] - self._dt * v[self._y]
+        pressing = _pressing(height, stiffness, normal_N)
+        f = self._friction
+        weakened = np.exp(-self._slip / (f.weakening_distance_um * 1e-3))
+        mu = f.kinetic_coefficient + (f.static_coefficient - f.kinetic_coefficient) * weakened
+        limit = mu * pressing
+        drag = _drag(v[self._x], 1.0 / self._per_N, limit)
+        self._speed = drag.plate_speed(self._speed, tangential_N, self._mass / self._dt)
+        force = drag.forces(self._speed)
+        v[self._y] -= self._per_N * pressing
+        v[self._x] += self._per_N * force
+        self._judge(v[self._x] - self._speed, pressing, force, limit)
+        self.friction_N = float(force.sum())
+
+    def _judge(self, slide: Floats, pressing: Floats, force: Floats, limit: Floats) -> None:
+        slips = (np.abs(force) >= limit * (1 - 1e-12)) & (pressing > 0)
+        healing = math.exp(-self._dt / (self._friction.healing_time_ms * 1e-3))
+        self._slip = np.where(slips, self._slip + np.abs(slide) * self._dt, self._slip * healing)
+        self._slip[pressing <= 0] = 0.0
+        direction = np.where(force > 0, SLIP_PLUS, SLIP_MINUS)
+        self.status = np.where(pressing <= 0, OPEN, np.where(slips, direction, STICK)).astype(
+            np.int8
+        )
+
+
+def _pressing(height: Floats, stiffness: Floats, total_N: float) -> Floats:
+    """Forces p = max(0, k (d - height)) with the approach d that makes them add up to the total."""
+    if total_N <= 0:
+        return np.zeros_like(height)
+    order = np.argsort(height, kind="stable")
+    h, k = height[order], stiffness[order]
+    summed_k, summed_kh = np.cumsum(k), np.cumsum(k * h)
+    approach = (total_N + summed_kh) / summed_k
+    touching = int(np.flatnonzero(approach >= h)[-1])
+    forces: Floats = np.maximum(0.0, stiffness * (approach[touching] - height))
+    return forces
+
+
+@dataclass(frozen=True)
+class _Drag:
+    """Friction of all nodes as a function of the plate's speed: each is linear until it slips."""
+
+    velocity: Floats
+    stiffness: Floats
+    limit: Floats
+
+    def forces(self, speed: float) -> Floats:
+        """Force on each node when the plate moves at `speed`."""
+        forces: Floats = np.clip(self.stiffness * (speed - self.velocity), -self.limit, self.limit)
+        return forces
+
+    def plate_speed(self, before: float, given_N: float, inertia: float) -> float:
+        """The speed at which friction and inertia balance the given force; found exactly."""
+        width = self.limit / self.stiffness
+        corners = np.sort(np.concatenate([self.velocity - width, self.velocity + width]))
+        low, high = 0, corners.size - 1
+
+        def lack(speed: float) -> float:
+            return given_N - float(self.forces(speed).sum()) - inertia * (speed - before)
+
+        if lack(corners[low]) <= 0:
+            return self._linear(corners[low] - 1.0, corners[low], lack)
+        if lack(corners[high]) >= 0:
+            return self._linear(corners[high], corners[high] + 1.0, lack)
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (middle, high) if lack(corners[middle]) > 0 else (low, middle)
+        return self._linear(corners[low], corners[high], lack)
+
+    @staticmethod
+    def _linear(a: float, b: float, lack: Any) -> float:
+        at_a, at_b = lack(a), lack(b)
+        return float(a) if at_a == at_b else float(a + (b - a) * at_a / (at_a - at_b))
+
+
+def _drag(velocity: Floats, stiffness: Floats, limit: Floats) -> _Drag:
+    touching = limit > 0
+    return _Drag(velocity, stiffness, np.where(touching, limit, 0.0))
