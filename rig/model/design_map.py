@@ -82,9 +82,11 @@ def design_map(settings: MapSettings) -> DesignMap:
 def _pair(
     settings: MapSettings, axis: float, offset: float, bottom: float
 ) -> tuple[Rectangle, Rectangle]:
-    half, top = settings.strip_width_mm / 2, bottom + settings.strip_height_mm
     skin = settings.skin
-    if offset + half > skin.top_mm / 2 or top > skin.height_mm or bottom < -skin.body_mm:
+    half, top = settings.strip_width_mm / 2, bottom + settings.strip_height_mm
+    slack = 1e-9
+    beside = offset + half > skin.top_mm / 2 + slack
+    if beside or top > skin.height_mm + slack or bottom < -skin.body_mm - slack:
         raise ValueError(
             f"strip at offset {offset:g} mm from {bottom:g} to {top:g} mm leaves the rubber: its "
             f"ridge reaches {skin.top_mm / 2:g} mm to each side and from {-skin.body_mm:g} to "

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -95,7 +96,7 @@ class HistorySettings(Settings):
     @model_validator(mode="after")
     def _is_in_order(self) -> Self:
         steps = [point.step for point in self.loads]
-        if len(steps) < 2 or any(b <= a for a, b in zip(steps, steps[1:], strict=False)):
+        if len(steps) < 2 or any(b <= a for a, b in pairwise(steps)):
             raise ValueError(f"loads at steps {steps} must be at least two, in rising order")
         if steps[0] != 0 or steps[-1] < self.steps:
             raise ValueError(
@@ -107,8 +108,8 @@ class HistorySettings(Settings):
             )
         return self
 
-    def forces_N(self) -> tuple[Floats, Floats]:
-        """F_n and F_t at the end of every substep, two arrays (steps * substeps,)."""
+    def forces(self) -> tuple[Floats, Floats]:
+        """F_n and F_t in N at the end of every substep, two arrays (steps * substeps,)."""
         at = np.arange(1, self.steps * self.substeps + 1) / self.substeps
         corners = [p.step for p in self.loads]
         normal = np.interp(at, corners, [p.normal_force_N for p in self.loads])
@@ -138,8 +139,8 @@ class History:
     """The largest explicit step this mesh allows."""
 
     @property
-    def difference_MPa(self) -> Floats:
-        """Stress of S1 less that of S2, (n,)."""
+    def difference(self) -> Floats:
+        """Stress of S1 less that of S2, MPa, (n,)."""
         difference: Floats = self.stress_MPa[:, 0] - self.stress_MPa[:, 1]
         return difference
 
@@ -198,7 +199,7 @@ class _Body:
 
 def _march(settings: HistorySettings, body: _Body, stable_us: float) -> History:
     dt = settings.step_us * 1e-6 / settings.substeps
-    normal, tangential = settings.forces_N()
+    normal, tangential = settings.forces()
     u = np.zeros(body.mass.size)
     v = np.zeros_like(u)
     plate = _Plate(settings, body, dt)

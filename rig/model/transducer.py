@@ -53,9 +53,9 @@ class TransducerSettings(Settings):
         Cp, Ci = self.film_capacitance_pF * 1e-12, self.input_capacitance_pF * 1e-12
         numerator = np.array([self.gain * self.d33_C_N * Rp * Ri, 0.0])
         film, amplifier = np.array([Rp * Cp, 1.0]), np.array([Ri * Ci, 1.0])
-        denominator = np.polyadd(Rp * amplifier, Ri * film)
+        denominator: Floats = Rp * amplifier + Ri * film
         if Rs > 0:
-            denominator = np.polyadd(denominator, Rs * np.polymul(film, amplifier))
+            denominator = np.concatenate([[0.0], denominator]) + Rs * np.convolve(film, amplifier)
         return numerator, denominator
 
 

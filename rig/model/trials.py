@@ -161,7 +161,7 @@ def _run(
 ) -> Trial:
     press, dt = settings.press, settings.contact.step_us * 1e-6
     begin = press.loading_s + press.rest_s
-    time = dt * np.arange(1, round((begin + motion_s) / dt) + 1)
+    time: Floats = dt * np.arange(1.0, 1 + round((begin + motion_s) / dt) + 1)
     force = press.normal_force_N * (1 - np.cos(np.pi * np.clip(time / press.loading_s, 0, 1))) / 2
     x, angle = travel(time - begin)
     stepper = make_stepper(

@@ -302,7 +302,7 @@ def _open(i: int, slots: Any, owner: Any, ints: Any, inverse: Any, work: Any) ->
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _invert(A: Any, inverse: Any) -> bool:
-    """Gauss-Jordan with row pivots; False where A, which is destroyed, is singular or not finite."""
+    """Gauss-Jordan with row pivots; destroys A; False where it is singular or not finite."""
     n = A.shape[0]
     for r in range(n):
         for c in range(n):

@@ -56,7 +56,7 @@ class SlipWatch:
 
     def add(self, status: Statuses) -> None:
         """Take the statuses (k, m) of the next k steps."""
-        time = (self._steps + 1 + np.arange(status.shape[0])) * self._step_s
+        time = np.arange(self._steps + 1.0, self._steps + status.shape[0] + 1.0) * self._step_s
         self._steps += status.shape[0]
         judged = time >= self._since_s - self._step_s / 2
         slips, touches = status > STICK, status != OPEN

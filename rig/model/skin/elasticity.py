@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_LOADS_AT_ONCE = 8
+
 STRESSES = ("xx", "yy", "xy")
 """Order of the stress components in every array."""
 
@@ -108,9 +110,16 @@ class ElasticSkin:
         )
 
     def solve(self, forces_N: Floats) -> Floats:
-        """Displacements (dofs, ...) in mm of nodal forces of the same shape; the bottom stays."""
+        """Displacements (dofs, loads) in mm of nodal forces of the same shape; the bottom stays.
+
+        A few loads at a time: with many, the solver's inner products become large enough for
+        threads of the linear algebra library, which cost ten times what they gain here.
+        """
         displacement = np.zeros_like(forces_N)
-        displacement[self.free] = self._factor.solve(np.ascontiguousarray(forces_N[self.free]))
+        for start in range(0, forces_N.shape[1], _LOADS_AT_ONCE):
+            part = slice(start, start + _LOADS_AT_ONCE)
+            loads = np.asfortranarray(forces_N[self.free, part])
+            displacement[self.free, part] = self._factor.solve(loads)
         return displacement
 
     def contact_loads(self) -> Any:

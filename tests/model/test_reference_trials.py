@@ -1,0 +1,180 @@
+"""The reference slide and rolls: what a user of the simulated skin sees in v_1, v_2 and v_d."""
+
+import numpy as np
+import pytest
+
+from rig.model.contact.settings import ContactSettings, Cylinder, FrictionSettings, Plate, Sphere
+from rig.model.skin.condensed import CondensedSkin
+from rig.model.trials import (
+    PressSettings,
+    RollSettings,
+    SampleSettings,
+    SlideSettings,
+    Trial,
+    high_frequency,
+    roll,
+    share_above,
+    slide,
+)
+
+
+def hf_peak(trial: Trial, ridge: int = 3) -> float:
+    """Largest |v_d| in mV above 100 Hz from the shear's beginning until the ridge has slipped."""
+    rate = 1 / (trial.time_s[1] - trial.time_s[0])
+    fast = np.abs(high_frequency(trial.filtered_v_d, rate))
+    end = trial.truth.whole_slip_s[ridge - 1] + 0.02
+    window = (trial.time_s > trial.motion_s + 0.01) & (trial.time_s < end)
+    return float(fast[window].max() * 1e3)
+
+
+def v_d_between(trial: Trial, start: float, end: float) -> np.ndarray:
+    """Sampled v_d in mV."""
+    inside = (trial.sample_time_s > start) & (trial.sample_time_s <= end)
+    return trial.v_d[inside] * 1e3
+
+
+def test_ridges_slip_in_the_order_of_the_reference_case(reference_slide: Trial):
+    assert reference_slide.truth.slip_order() == [1, 9, 2, 3, 8, 4, 7, 5, 6]
+
+
+def test_every_ridge_slips_partly_before_it_slips_whole(reference_slide: Trial):
+    truth = reference_slide.truth
+    assert (truth.first_slip_s[1:8] < truth.whole_slip_s[1:8] - 0.01).all()
+    assert truth.gross_slip_s == pytest.approx(np.max(truth.whole_slip_s))
+
+
+def test_shear_raises_a_hump_of_3_to_4_millivolts(reference_slide: Trial):
+    """Seen between the end of the speed's ramp and the neighbour's slip."""
+    hump = v_d_between(reference_slide, 0.52, reference_slide.truth.whole_slip_s[1] - 0.02)
+    assert 3.0 <= np.median(hump) <= 4.0
+    assert hump.min() > 0
+
+
+def test_the_neighbours_slip_is_a_small_pulse_with_the_humps_sign_then_a_small_drop(
+    reference_slide: Trial,
+):
+    """+1..+2 mV over the level that follows, and that level is lower (decision 0022)."""
+    at = reference_slide.truth.whole_slip_s[1]
+    time, v_d = reference_slide.time_s, reference_slide.filtered_v_d * 1e3
+
+    def level(start: float, end: float) -> float:
+        return float(np.median(v_d[(time > at + start) & (time < at + end)]))
+
+    pulse = v_d[np.abs(time - at) < 0.01].max() - level(0.01, 0.02)
+    assert 1.0 <= pulse <= 2.0
+    assert level(-0.02, -0.005) - 0.8 < level(0.01, 0.02) < level(-0.02, -0.005) - 0.2
+
+
+def test_the_slip_of_ridge_3_is_a_short_impulse_against_the_hump(reference_slide: Trial):
+    at = reference_slide.truth.whole_slip_s[2]
+    impulse = v_d_between(reference_slide, at - 0.01, at + 0.02).min()
+    assert -32 <= impulse <= -28
+    fine = reference_slide.filtered_v_d * 1e3
+    near = np.abs(reference_slide.time_s - at) < 0.01
+    width_ms = (fine[near] < fine[near].min() / 2).sum() * 0.1
+    assert 1.5 <= width_ms <= 2.5
+
+
+def test_the_impulse_has_a_high_frequency_part_and_the_hump_has_none(reference_slide: Trial):
+    """Reference: 37 % above 100 Hz around the slip, 2 % before; windows of 64 ms and 95 ms."""
+    at = reference_slide.truth.whole_slip_s[2]
+    around = share_above(v_d_between(reference_slide, at - 0.032, at + 0.032), 1000.0)
+    before = share_above(v_d_between(reference_slide, at - 0.1, at - 0.005), 1000.0)
+    assert 0.32 <= around <= 0.42
+    assert before <= 0.02
+
+
+def test_the_hf_peak_is_that_of_the_converged_mesh(reference_slide: Trial):
+    """16.3 mV here; the reference's 18.7 mV is one sampling phase on a mesh that is not converged
+    (decision 0021)."""
+    assert hf_peak(reference_slide) == pytest.approx(16.3, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("speed_mm_s", "slide_s", "lead_ms"), [(0.3, 0.6, 166.0), (0.5, 0.4, 100.0), (6.0, 0.12, 9.0)]
+)
+def test_ridge_3_leads_gross_slip(skin6: CondensedSkin, speed_mm_s, slide_s, lead_ms):
+    trial = slide(skin6, SlideSettings(speed_mm_s=speed_mm_s, slide_s=slide_s))
+    lead = trial.truth.gross_slip_s - trial.truth.whole_slip_s[2]
+    assert lead * 1e3 == pytest.approx(lead_ms, rel=0.03)
+
+
+def test_without_a_drop_or_with_a_long_one_there_is_no_impulse(skin6: CondensedSkin):
+    """The reference's table: an impulse needs μ_k/μ_s below 0.95 and D_c below 30 µm."""
+    peaks = {}
+    for ratio in (0.7, 0.85, 0.95):
+        for distance in (3.0, 30.0):
+            friction = FrictionSettings(
+                kinetic_coefficient=0.8 * ratio, weakening_distance_um=distance
+            )
+            settings = SlideSettings(contact=ContactSettings(friction=friction))
+            peaks[ratio, distance] = hf_peak(slide(skin6, settings))
+    assert peaks[0.7, 3.0] == pytest.approx(46, rel=0.15)
+    assert peaks[0.7, 30.0] == pytest.approx(2.0, rel=0.15)
+    assert peaks[0.7, 3.0] > 4 * peaks[0.85, 3.0] > 16 * peaks[0.95, 3.0]
+    assert max(peaks[0.85, 30.0], peaks[0.95, 30.0], peaks[0.95, 3.0]) < 1.0
+
+
+@pytest.mark.parametrize(("start_x_mm", "peaks_mV"), [(-6.5, (-11.7, -14.3)), (-5.0, (5.7, -3.8))])
+def test_a_roll_shows_both_patterns_of_figure_19_without_an_impulse(
+    skin8: CondensedSkin, start_x_mm, peaks_mV
+):
+    trial = roll(skin8, RollSettings(start_x_mm=start_x_mm))
+    rolling = trial.sample_time_s > trial.motion_s
+    volts = trial.sampled[rolling] * 1e3
+    seen = [volts[np.abs(volts[:, c]).argmax(), c] for c in (0, 1)]
+    assert seen == pytest.approx(peaks_mV, rel=0.05)
+    assert share_above(trial.v_d[rolling], 1000.0) <= 0.004
+    assert np.isnan(trial.truth.whole_slip_s[2])
+
+
+def test_an_axis_that_is_off_shears_the_skin_and_may_slip_ridge_3(skin6: CondensedSkin):
+    force, slips = [], []
+    for offset in (0.0, 2.0, 5.0):
+        trial = roll(skin6, RollSettings(axis_offset_mm=offset))
+        force.append(np.abs(trial.block.tangential_force_N[-1]))
+        slips.append(bool(np.isfinite(trial.truth.whole_slip_s[2])))
+    assert force[0] < 0.1
+    assert force[1] == pytest.approx(1.4, abs=0.15)
+    assert slips == [False, False, True]
+
+
+def test_a_sphere_rolls_with_the_signs_of_a_cylinder(skin6: CondensedSkin):
+    sphere = roll(skin6, RollSettings(body=Sphere()))
+    cylinder = roll(skin6, RollSettings())
+    for trial in (sphere, cylinder):
+        rolling = trial.sample_time_s > trial.motion_s
+        volts = trial.sampled[rolling]
+        peaks = [volts[np.abs(volts[:, c]).argmax(), c] for c in (0, 1)]
+        assert peaks[0] > 0 > peaks[1]
+    assert sphere.block.normal_force_N[-1] == pytest.approx(4.0, rel=1e-9)
+
+
+def test_a_slide_the_other_way_slips_the_mirrored_ridges(skin6: CondensedSkin):
+    """With the roles of left and right exchanged, ridge 7 does what ridge 3 did."""
+    forth = slide(skin6, SlideSettings(ridge=3))
+    back = slide(skin6, SlideSettings(ridge=7, press=PressSettings()))
+    assert back.truth.whole_slip_s == pytest.approx(forth.truth.whole_slip_s)
+    assert not np.allclose(back.volts, forth.volts)
+
+
+def test_trials_that_cannot_be_are_refused():
+    from rig.model.skin.settings import SkinSettings
+
+    small = CondensedSkinOf(SkinSettings(ridges=1, elements_per_ridge=2))
+    with pytest.raises(ValueError, match="plate cannot roll"):
+        roll(small, RollSettings(body=Plate()))
+    with pytest.raises(ValueError, match="rate_Hz 3000 Hz must divide"):
+        slide(small, SlideSettings(ridge=1, sample=SampleSettings(rate_Hz=3000.0)))
+    with pytest.raises(ValueError, match="filter_Hz 6000 Hz must be below half"):
+        slide(small, SlideSettings(ridge=1, sample=SampleSettings(filter_Hz=6000.0)))
+    with pytest.raises(ValueError, match="watched_ridge 4 must lie between"):
+        slide(small, SlideSettings(ridge=5))
+    with pytest.raises(ValueError, match="greater than 0"):
+        Cylinder(radius_mm=0.0)
+
+
+def CondensedSkinOf(settings) -> CondensedSkin:  # noqa: N802
+    from rig.model.skin.condensed import build_skin
+
+    return build_skin(settings)
