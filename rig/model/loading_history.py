@@ -137,6 +137,8 @@ class History:
     """Times in s; one step is `step_us`."""
     stable_step_us: float
     """The largest explicit step this mesh allows."""
+    shots: dict[int, Floats]
+    """Displacements (dofs,) of the whole section at the steps asked for, mm."""
 
     @property
     def difference(self) -> Floats:
@@ -145,8 +147,11 @@ class History:
         return difference
 
 
-def run_history(settings: HistorySettings) -> History:
-    """Run the history. Raises ValueError, naming the limit, where the step is unstable."""
+def run_history(settings: HistorySettings, shots: tuple[int, ...] = ()) -> History:
+    """Run the history, keeping the whole section at the steps `shots`.
+
+    Raises ValueError, naming the limit, where the step is unstable.
+    """
     body = _Body(settings)
     stable_us = body.stable_step_us()
     substep_us = settings.step_us / settings.substeps
@@ -157,7 +162,7 @@ def run_history(settings: HistorySettings) -> History:
             f"damping: take at least {math.ceil(settings.step_us / stable_us)} substeps or larger "
             "elements"
         )
-    return _march(settings, body, stable_us)
+    return _march(settings, body, stable_us, shots)
 
 
 class _Body:
@@ -166,7 +171,8 @@ class _Body:
     def __init__(self, settings: HistorySettings):
         self.settings = settings
         skin = ElasticSkin(settings.skin)
-        free = skin.free
+        free = self._free = skin.free
+        self._dofs = skin.basis.N
         place = np.full(skin.basis.N, -1)
         place[free] = np.arange(free.size)
         self.stiffness = skin.stiffness.tocsr()[free][:, free].tocsr()
@@ -180,6 +186,12 @@ class _Body:
         axes = np.asarray(settings.skin.ridge_axes_mm())
         self.ridge = np.abs(x[:, None] - axes[None, :]).argmin(axis=1).astype(np.int64)
         self.gap = settings.skin.gap_at(x)
+
+    def whole(self, u: Floats) -> Floats:
+        """Displacements of all degrees of freedom, the fixed ones too."""
+        displacement = np.zeros(self._dofs)
+        displacement[self._free] = u
+        return displacement
 
     def stable_step_us(self) -> float:
         """Limit of central differences with lagged damping, from the largest frequency."""
@@ -197,7 +209,9 @@ class _Body:
         return 2 / omega * (math.sqrt(1 + half**2) - half) * 1e6
 
 
-def _march(settings: HistorySettings, body: _Body, stable_us: float) -> History:
+def _march(
+    settings: HistorySettings, body: _Body, stable_us: float, shots: tuple[int, ...] = ()
+) -> History:
     dt = settings.step_us * 1e-6 / settings.substeps
     normal, tangential = settings.forces()
     u = np.zeros(body.mass.size)
@@ -206,6 +220,7 @@ def _march(settings: HistorySettings, body: _Body, stable_us: float) -> History:
     stress = np.empty((settings.steps, 2))
     status = np.empty((settings.steps, body.ridge.size), np.int8)
     passed = np.empty(settings.steps)
+    kept: dict[int, Floats] = {}
     for k in range(normal.size):
         v -= dt / body.mass * (body.stiffness @ (u + settings.damping_us * 1e-6 * v))
         plate.touch(u, v, normal[k], tangential[k])
@@ -215,6 +230,8 @@ def _march(settings: HistorySettings, body: _Body, stable_us: float) -> History:
             stress[row] = body.stress_rows @ u
             status[row] = plate.status
             passed[row] = plate.friction_N
+            if row + 1 in shots:
+                kept[row + 1] = body.whole(u)
     watch = SlipWatch(body.ridge, settings.step_us * 1e-6, since_s=_shear_begins_s(settings))
     watch.add(status)
     last = slice(settings.substeps - 1, None, settings.substeps)
@@ -228,6 +245,7 @@ def _march(settings: HistorySettings, body: _Body, stable_us: float) -> History:
         ridge_of_node=body.ridge,
         truth=watch.truth(),
         stable_step_us=stable_us,
+        shots=kept,
     )
 
 
