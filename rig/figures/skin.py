@@ -122,7 +122,7 @@ def draw_deformed(
             quads = skin.corners_mm + magnified * skin.displacement_mm
             patches = PolyCollection(
                 list(quads), array=skin.stress_MPa[:, component] * 1e3, cmap="RdBu_r",
-                clim=(-limit, limit), edgecolors="face", linewidths=0.1,
+                clim=(-limit, limit), edgecolors="none", antialiaseds=False,
             )  # fmt: skip
             axis.add_collection(patches)
             for ridge in range(settings.ridges):
@@ -131,6 +131,7 @@ def draw_deformed(
                     axis.add_patch(
                         Patch((area.left_mm, area.bottom_mm), *size, fill=False, lw=0.5, ec="0.3")
                     )
+            axis.set_facecolor("0.82")
             axis.set_aspect("equal")
             axis.autoscale_view()
             axis.grid(False)
@@ -179,7 +180,8 @@ def draw_map(found: DesignMap, ridge: int) -> Figure:
             axis.set_title(f"best place of ridge {ridge} in {name} (mV)", fontsize=9)
             axis.set_xlabel("ridge")
             axis.set_xticks(ridges)
-            axis.legend(frameon=False, fontsize=7.5)
+            axis.set_ylim(top=1.35 * axis.get_ylim()[1])
+            axis.legend(frameon=False, fontsize=7.5, loc="upper left")
         figure.suptitle(f"Where strips belong: $v_d$ of a slide, {SIMULATED}")
     return figure
 

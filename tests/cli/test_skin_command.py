@@ -1,0 +1,121 @@
+"""``rig skin``: figures that say they are simulated, data on stdout, refusals as one error."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from rig.cli.skin import app
+from rig.errors import ConfigurationError
+
+SHORT = {
+    "press": {"normal_force_N": 1.0, "loading_s": 0.05, "rest_s": 0.02},
+    "slide_s": 0.1,
+}
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RIG_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+
+
+def run(*arguments: str) -> str:
+    result = CliRunner().invoke(app, list(arguments), catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def text_of(figure: Path) -> str:
+    return figure.read_text(encoding="utf-8")
+
+
+def test_a_slide_from_edited_settings_is_drawn_and_summed_up(tmp_path: Path):
+    settings = tmp_path / "slide.json"
+    settings.write_text(json.dumps(SHORT))
+    said = run(
+        "slide", "--settings", str(settings), "--elements", "4", "--output", str(tmp_path), "--json"
+    )
+    summary = json.loads(said)
+    assert summary["simulated"] is True
+    assert [Path(f).name for f in summary["files"]] == ["skin-slide.png", "skin-slide-deformed.png"]
+    for file in summary["files"]:
+        assert Path(file).read_bytes().startswith(b"\x89PNG")
+    assert len(summary["ridge_whole_slip_s"]) == 9
+
+
+def test_a_roll_is_drawn(tmp_path: Path):
+    settings = tmp_path / "roll.json"
+    settings.write_text(json.dumps({"press": SHORT["press"], "roll_s": 0.1, "settle_s": 0.02}))
+    said = run("roll", "--settings", str(settings), "--elements", "4", "--output", str(tmp_path))
+    assert said.startswith("simulated (model)\n")
+    assert (tmp_path / "skin-roll.png").exists()
+
+
+def test_shown_settings_can_be_given_back(tmp_path: Path):
+    shown = run("history", "--show-settings", "--relief", "tangential_lowered")
+    edited = json.loads(shown)
+    assert [p["step"] for p in edited["loads"]] == [0, 140, 200, 300, 340, 380, 460, 550]
+    edited["skin"].update(ridges=3, elements_per_ridge=3)
+    file = tmp_path / "history.json"
+    file.write_text(json.dumps(edited))
+    said = json.loads(run("history", "--settings", str(file), "--output", str(tmp_path), "--json"))
+    assert said["stable_step_us"] > 0.5
+    assert all(Path(f).exists() for f in said["files"])
+
+
+def test_every_figure_says_that_it_is_simulated(tmp_path: Path, monkeypatch):
+    from rig.figures import skin as figures
+
+    kept = []
+
+    def keep(figure, path):
+        kept.append(figure)
+        return path
+
+    monkeypatch.setattr(figures, "save", keep)
+    settings = tmp_path / "slide.json"
+    settings.write_text(json.dumps(SHORT))
+    run("slide", "--settings", str(settings), "--elements", "4", "--output", str(tmp_path))
+    small = {
+        "skin": {"ridges": 3, "elements_per_ridge": 4},
+        "slide": {**SHORT, "ridge": 2},
+        "offsets_mm": [0.35],
+        "bottoms_mm": [0.0],
+    }
+    settings.write_text(json.dumps(small))
+    run("map", "--settings", str(settings), "--output", str(tmp_path))
+    file = tmp_path / "history.json"
+    file.write_text(
+        json.dumps({"skin": {"ridges": 3, "elements_per_ridge": 3, "refinement": "uniform"}})
+    )
+    run("history", "--settings", str(file), "--output", str(tmp_path))
+    assert len(kept) == 5
+    for figure in kept:
+        assert "simulated (model)" in figure._suptitle.get_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (
+            ["slide", "--normal-force", "-1"],
+            "normal_force_N = -1.0: Input should be greater than 0",
+        ),
+        (["roll", "--shape", "cone"], "cone"),
+        (["history", "--relief", "none"], "--relief none: must be one of normal_raised"),
+        (["slide", "--settings", "nowhere.json"], "nowhere.json: No such file"),
+    ],
+)
+def test_what_cannot_be_is_one_error_that_says_why(arguments, words):
+    with pytest.raises(ConfigurationError) as caught:
+        CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert words in caught.value.one_line()
+
+
+def test_an_unstable_history_is_refused_with_its_limit(tmp_path: Path):
+    file = tmp_path / "history.json"
+    file.write_text(json.dumps({"substeps": 1}))
+    with pytest.raises(ConfigurationError, match=r"above the stable limit of 0\.513"):
+        CliRunner().invoke(app, ["history", "--settings", str(file)], catch_exceptions=False)

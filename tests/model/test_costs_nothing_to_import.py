@@ -1,0 +1,25 @@
+"""Importing the model or the command line must not import what is expensive."""
+
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    ("module", "absent"),
+    [
+        ("rig.model", {"numpy", "numba", "scipy", "skfem"}),
+        ("rig.model.skin", {"numpy", "numba", "scipy", "skfem"}),
+        ("rig.model.trials", {"numba", "scipy", "skfem", "matplotlib"}),
+        ("rig.model.loading_history", {"numba", "scipy", "skfem", "matplotlib"}),
+        ("rig.cli.skin", {"numpy", "numba", "scipy", "skfem", "matplotlib"}),
+        ("rig.figures.skin", {"numba", "scipy", "skfem", "matplotlib"}),
+    ],
+)
+def test_an_import_brings_nothing_expensive(module: str, absent: set[str]):
+    script = f"import {module}, sys; print(*sorted(set(sys.modules) & {absent!r}))"
+    found = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert found.stdout.split() == []
