@@ -328,27 +328,26 @@ class _Drag:
         return forces
 
     def plate_speed(self, before: float, given_N: float, inertia: float) -> float:
-        """The speed at which friction and inertia balance the given force; found exactly."""
-        width = self.limit / self.stiffness
-        corners = np.sort(np.concatenate([self.velocity - width, self.velocity + width]))
-        low, high = 0, corners.size - 1
+        """The speed at which friction and inertia balance the given force; found exactly.
 
-        def lack(speed: float) -> float:
-            return given_N - float(self.forces(speed).sum()) - inertia * (speed - before)
-
-        if lack(corners[low]) <= 0:
-            return self._linear(corners[low] - 1.0, corners[low], lack)
-        if lack(corners[high]) >= 0:
-            return self._linear(corners[high], corners[high] + 1.0, lack)
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (middle, high) if lack(corners[middle]) > 0 else (low, middle)
-        return self._linear(corners[low], corners[high], lack)
-
-    @staticmethod
-    def _linear(a: float, b: float, lack: Any) -> float:
-        at_a, at_b = lack(a), lack(b)
-        return float(a) if at_a == at_b else float(a + (b - a) * at_a / (at_a - at_b))
+        Friction against speed is a broken line that rises; its corners are where a node starts
+        and stops sticking.
+        """
+        sticks = self.limit > 0
+        k, width = self.stiffness[sticks], self.limit[sticks] / self.stiffness[sticks]
+        corners = np.concatenate([self.velocity[sticks] - width, self.velocity[sticks] + width])
+        order = np.argsort(corners, kind="stable")
+        corners = corners[order]
+        slope = np.cumsum(np.concatenate([k, -k])[order]) + inertia
+        asked = given_N + inertia * before
+        if not corners.size:
+            return asked / inertia
+        first = -float(self.limit.sum()) + inertia * float(corners[0])
+        reached = first + np.concatenate([[0.0], np.cumsum(slope[:-1] * np.diff(corners))])
+        at = int(np.searchsorted(reached, asked)) - 1
+        if at < 0:
+            return float(corners[0] + (asked - first) / inertia)
+        return float(corners[at] + (asked - reached[at]) / slope[at])
 
 
 def _drag(velocity: Floats, stiffness: Floats, limit: Floats) -> _Drag:

@@ -77,13 +77,18 @@ class TransducerChain:
         if not force_N.shape[0]:
             return np.zeros_like(force_N)
         last = force_N[0] if self._last is None else self._last
+        before = np.vstack([last[None, :], force_N[:-1]])
+        drive = (
+            self._b_now[None, :, None] * before[:, None, :]
+            + self._b_next[None, :, None] * force_N[:, None, :]
+        )
         volts = np.empty_like(force_N)
-        x, A = self._x, self._A
-        for k, force in enumerate(force_N):
-            x = A @ x + np.outer(self._b_now, last) + np.outer(self._b_next, force)
-            volts[k] = self._c @ x + self._d * force
-            last = force
-        self._x, self._last = x, last
+        x, A, c = self._x, self._A, self._c
+        for k, pushed in enumerate(drive):
+            x = A @ x + pushed
+            volts[k] = c @ x
+        self._x, self._last = x, force_N[-1].copy()
+        volts += self._d * force_N
         return np.clip(volts, -self.settings.output_limit_V, self.settings.output_limit_V)
 
 
