@@ -53,7 +53,7 @@ NORMAL_RAISED = (
     LoadPoint(step=460, normal_force_N=6.0, tangential_force_N=4.6),
     LoadPoint(step=550, normal_force_N=6.0, tangential_force_N=4.9),
 )
-"""Relief at 300 by a raised normal force (levels assumed; decision 0024)."""
+"""Relief at 300 by a raised normal force (levels assumed; decision 0020)."""
 
 TANGENTIAL_LOWERED = (
     *_UNTIL_RELIEF,

@@ -1,62 +1,37 @@
 """From a strip's stress to volts: stress → charge → circuit → amplifier, at the step rate.
 
-The rational two-node circuit of the paper's Figure 6 with its Table 1 (nodal analysis; the printed
-equation 4 is not used here):
-
-    H(s) = G d33 R_PV R_i s / [R_PV (1 + s R_i C_i) + R_i (1 + s R_PV C_PV)
-                               + R_s (1 + s R_PV C_PV) (1 + s R_i C_i)],   R_s = R1 + R2
-
-Discretised exactly for a stress that is linear between steps. Sampling belongs to the DAQ.
+The circuit is the rational reading of ``rig.model.pvdf`` with the paper's Table 1 (its equation 4
+is not used here), discretised exactly for a stress that is linear between steps. Sampling belongs
+to the data acquisition.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
+from rig.model import pvdf
+from rig.model.pvdf import SKIN_STRIP, CircuitSettings
 from rig.settings import Settings
 
 Floats = NDArray[np.float64]
 
 
 class TransducerSettings(Settings):
-    """A film strip with its amplifier (paper Table 1; gain, area, d33 and R1 + R2 assumed)."""
+    """A film strip in a ridge with its amplifier."""
 
-    film_capacitance_pF: float = Field(30.0, gt=0)
-    film_resistance_ohm: float = Field(8.0e5, gt=0)
-    input_capacitance_pF: float = Field(1.5, gt=0)
-    input_resistance_ohm: float = Field(3.0e5, gt=0)
-    series_resistance_ohm: float = Field(0.0, ge=0)
-    """R1 + R2; the paper does not give them."""
-    d33_C_N: float = Field(2.5e-11, gt=0)
-    """Piezoelectric constant (assumed; the literature has 2.0e-11 to 3.3e-11)."""
-    area_mm2: float = Field(8.0, gt=0)
-    """Area on which the stress acts."""
-    gain: float = Field(1000.0, gt=0)
-    """Amplifier gain of the skin's channels."""
-    output_limit_V: float = Field(10.0, gt=0)
-    """The output clips at plus and minus this."""
+    circuit: CircuitSettings = SKIN_STRIP.model_copy(update={"gain": 1000.0})
+    """Table 1; the gain is that of the skin's channels (assumed)."""
+    area_mm2: float = Field(default=8.0, gt=0)
+    """Area on which the stress acts (paper 3.1 gives it for the sweep's indentor)."""
+    output_limit_V: float = Field(default=10.0, gt=0)
+    """The output clips at plus and minus this (assumed)."""
 
-    def response(self, frequency_Hz: Floats) -> NDArray[np.complex128]:
-        """H at the given frequencies, complex V per N, without the clip."""
-        s = 2j * math.pi * np.asarray(frequency_Hz, float)
-        numerator, denominator = self.polynomials()
-        response: NDArray[np.complex128] = np.polyval(numerator, s) / np.polyval(denominator, s)
+    def response(self, frequency_Hz: ArrayLike) -> NDArray[np.complex128]:
+        """Volts per MPa of stress at the given frequencies, complex, without the clip."""
+        response: NDArray[np.complex128] = self.area_mm2 * pvdf.circuit(frequency_Hz, self.circuit)
         return response
-
-    def polynomials(self) -> tuple[Floats, Floats]:
-        """Numerator and denominator of H(s), highest power first, V per N."""
-        Rp, Ri, Rs = self.film_resistance_ohm, self.input_resistance_ohm, self.series_resistance_ohm
-        Cp, Ci = self.film_capacitance_pF * 1e-12, self.input_capacitance_pF * 1e-12
-        numerator = np.array([self.gain * self.d33_C_N * Rp * Ri, 0.0])
-        film, amplifier = np.array([Rp * Cp, 1.0]), np.array([Ri * Ci, 1.0])
-        denominator: Floats = Rp * amplifier + Ri * film
-        if Rs > 0:
-            denominator = np.concatenate([[0.0], denominator]) + Rs * np.convolve(film, amplifier)
-        return numerator, denominator
 
 
 class TransducerChain:
@@ -66,7 +41,7 @@ class TransducerChain:
         if step_s <= 0:
             raise ValueError(f"step_s {step_s} s must be above 0 s: time runs forward")
         self.settings = settings
-        A, b, self._c, self._d = _state_space(*settings.polynomials())
+        A, b, self._c, self._d = _state_space(*map(np.array, pvdf.polynomials(settings.circuit)))
         self._A, self._b_now, self._b_next = _ramp_invariant(A, b, step_s)
         self._x = np.zeros((b.size, channels))
         self._last: Floats | None = None

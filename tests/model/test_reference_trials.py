@@ -53,7 +53,7 @@ def test_shear_raises_a_hump_of_3_to_4_millivolts(reference_slide: Trial):
 def test_the_neighbours_slip_is_a_small_pulse_with_the_humps_sign_then_a_small_drop(
     reference_slide: Trial,
 ):
-    """+1..+2 mV over the level that follows, and that level is lower (decision 0022)."""
+    """+1..+2 mV over the level that follows, and that level is lower (decision 0020)."""
     at = reference_slide.truth.whole_slip_s[1]
     time, v_d = reference_slide.time_s, reference_slide.filtered_v_d * 1e3
 
@@ -86,7 +86,7 @@ def test_the_impulse_has_a_high_frequency_part_and_the_hump_has_none(reference_s
 
 def test_the_hf_peak_is_that_of_the_converged_mesh(reference_slide: Trial):
     """16.3 mV here; the reference's 18.7 mV is one sampling phase on a mesh that is not converged
-    (decision 0021)."""
+    (decision 0020)."""
     assert hf_peak(reference_slide) == pytest.approx(16.3, rel=0.03)
 
 

@@ -3,18 +3,21 @@
 import numpy as np
 import pytest
 
+from rig.model.pvdf import CircuitSettings
 from rig.model.transducer import TransducerChain, TransducerSettings
 
 
-def test_the_circuit_has_the_level_of_table_1():
-    response = TransducerSettings(gain=1.0).response(np.array([2.0, 20, 200, 2000, 20000]))
-    level = 20 * np.log10(np.abs(response))
+def test_the_strips_are_those_of_table_1_behind_a_gain_of_1000():
+    """20 log10(1000 · 8 mm²) = 78.062 dB above the level of the bare circuit in V/N."""
+    response = TransducerSettings().response(np.array([2.0, 20, 200, 2000, 20000]))
+    level = 20 * np.log10(np.abs(response)) - 78.062
     assert level == pytest.approx([-83.281, -63.281, -43.281, -23.313, -5.701], abs=2e-3)
 
 
 @pytest.mark.parametrize("series_ohm", [0.0, 1.0e5, 1.0e6])
 def test_a_step_is_exact_for_stress_that_is_linear_between_steps(series_ohm: float):
-    settings = TransducerSettings(series_resistance_ohm=series_ohm, output_limit_V=1e6)
+    circuit = CircuitSettings(series_resistance_ohm=series_ohm)
+    settings = TransducerSettings(circuit=circuit, output_limit_V=1e6)
     rng = np.random.default_rng(4)
     corners = np.concatenate([[0.0], rng.normal(0, 1e-3, 30)])
     fine = np.interp(np.arange(0, 30.0001, 0.01), np.arange(31), corners)
@@ -29,7 +32,7 @@ def test_a_slow_sine_has_the_response_of_the_formula():
     time = np.arange(20000) * step
     stress = 1e-3 * np.sin(2 * np.pi * frequency * time)
     volts = TransducerChain(settings, step, 1).advance(stress[:, None])[:, 0]
-    expected = np.abs(settings.response(np.array([frequency])))[0] * 1e-3 * settings.area_mm2
+    expected = np.abs(settings.response(np.array([frequency])))[0] * 1e-3
     assert np.abs(volts[5000:]).max() == pytest.approx(expected, rel=1e-4)
 
 

@@ -68,7 +68,7 @@ class Cylinder(Settings):
 
 
 class Sphere(Settings):
-    """A rigid semi-spherical head, as plane slices across the width (decision 0023)."""
+    """A rigid semi-spherical head, as plane slices across the width (decision 0020)."""
 
     shape: Literal["sphere"] = "sphere"
     radius_mm: float = Field(30.0, gt=0)

@@ -2,7 +2,7 @@
 
 Graded, the elements crowd at the corners of the ridges: at the foot the stress is singular, and
 under shear the last nodes to stick are those of a top corner, so that the impulse of a ridge's
-slip depends on how well these places are resolved (decision 0021).
+slip depends on how well these places are resolved (decision 0020).
 """
 
 from __future__ import annotations
