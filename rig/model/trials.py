@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rig.model.contact.settings import ContactSettings, Cylinder, Object, Plate
-from rig.model.contact.slices import make_stepper
+from rig.model.contact.slices import LARGEST_FORCE_N, make_stepper
 from rig.model.contact.stepper import ContactBlock
 from rig.model.contact.truth import SlipTruth, SlipWatch
 from rig.model.skin.condensed import CondensedSkin
@@ -171,6 +171,7 @@ def _run(
         position_mm=start_mm,
         watched_ridge=settings.ridge - 1,
         keep_forces=keep_forces,
+        largest_force_N=max(LARGEST_FORCE_N, press.normal_force_N),
     )
     block = stepper.advance(force, x, rotation_rad=np.diff(angle, prepend=0.0))
     watch = SlipWatch(skin.ridge, dt, since_s=begin)

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from scipy.sparse import diags
+from scipy.sparse.linalg import eigsh
 
 from rig.model import loading_history
 from rig.model.contact.stepper import OPEN
@@ -15,6 +17,7 @@ from rig.model.loading_history import (
     LoadPoint,
     run_history,
 )
+from rig.model.skin.elasticity import ElasticSkin
 from rig.model.skin.settings import SkinSettings
 
 
@@ -38,7 +41,7 @@ def test_the_history_has_the_papers_550_steps(history: History):
 def test_both_reliefs_lower_the_ratio_of_the_forces_at_300(history: History):
     ratio = history.tangential_force_N / history.normal_force_N
     assert ratio[370] < 0.7 * ratio[290]
-    assert ratio[460] > 2 * ratio[290]
+    assert ratio[480] > 0.9 * 0.8, "near the static coefficient again"
 
 
 def test_slip_is_partial_before_300_and_gross_after_450(history: History):
@@ -47,12 +50,12 @@ def test_slip_is_partial_before_300_and_gross_after_450(history: History):
     early = slice(200, 300)
     assert slips[early].any(axis=1).all()
     assert not (slips[early].sum(axis=1) == touches[early].sum(axis=1)).any()
-    assert 450e-6 < history.truth.gross_slip_s <= 510e-6
+    assert 450e-6 < history.truth.gross_slip_s <= 530e-6
 
 
 def test_the_stress_difference_rises_until_ridge_3_slips_whole_and_then_falls(history: History):
     whole = round(history.truth.whole_slip_s[2] * 1e6)
-    assert 440 <= whole <= 460
+    assert 435 <= whole <= 465
     before, after = (
         mean_rate(history, whole - 60, whole - 10),
         mean_rate(history, whole, whole + 20),
@@ -64,9 +67,39 @@ def test_the_stress_difference_rises_until_ridge_3_slips_whole_and_then_falls(hi
 
 def test_every_force_is_passed_on_while_friction_holds(history: History):
     held = slice(220, 300)
-    assert history.friction_force_N[held] == pytest.approx(1.2, rel=0.1)
+    assert history.friction_force_N[held] == pytest.approx(1.6, rel=0.1)
     limit = 0.8 * history.normal_force_N
     assert (history.friction_force_N <= limit + 1e-9).all()
+
+
+@pytest.mark.parametrize(("ratio", "gross"), [(0.6, False), (0.75, True)])
+def test_nearer_to_the_static_coefficient_ridge_3_would_slip_before_the_relief(ratio, gross):
+    """The paper wants F_t/F_n "close to the static friction coefficient" (0.8 here) from 200 to
+    300 and ridge 3 whole at 450: this skin cannot do both (decision 0020)."""
+    loads = tuple(
+        p.model_copy(update={"tangential_force_N": 4.0 * ratio}) if 200 <= p.step <= 300 else p
+        for p in NORMAL_RAISED
+    )
+    truth = run_history(HistorySettings(loads=loads)).truth
+    assert truth.whole_slip_s[2] < 300e-6
+    assert (truth.gross_slip_s < 300e-6) == gross
+
+
+def test_waves_and_first_modes_are_those_of_the_reference_rubber():
+    """Shear wave 22.8 m/s, pressure wave 116 m/s; 827, 1169, 1633 Hz."""
+    settings = HistorySettings()
+    lam, mu = ElasticSkin(settings.skin).lame
+    density = settings.skin.density_kg_m3
+    assert np.sqrt(mu * 1e6 / density) == pytest.approx(22.8, abs=0.1)
+    assert np.sqrt((lam + 2 * mu) * 1e6 / density) == pytest.approx(116, abs=1)
+    body = loading_history._Body(settings)
+    scale = diags(1 / np.sqrt(body.mass))
+    squares = eigsh(
+        (scale @ body.stiffness @ scale).tocsc(), k=3, sigma=0, which="LM",
+        return_eigenvectors=False,
+    )  # fmt: skip
+    modes = np.sort(np.sqrt(squares)) / (2 * np.pi)
+    assert modes == pytest.approx([827, 1169, 1633], rel=0.01)
 
 
 def test_a_step_above_the_stable_limit_is_refused_with_the_limit():

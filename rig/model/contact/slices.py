@@ -18,11 +18,15 @@ from rig.model.contact.stepper import (
     ContactState,
     ContactStepper,
     Control,
+    ConvergenceError,
 )
 from rig.model.skin.condensed import CondensedSkin
 from rig.model.skin.settings import SkinSettings
 
 Floats = NDArray[np.float64]
+
+LARGEST_FORCE_N = 8.0
+"""Force whose Hertz contact the slices of a sphere cover, unless a trial presses harder."""
 
 
 def hertz_radius(skin: SkinSettings, radius_mm: float, force_N: ArrayLike) -> Floats:
@@ -58,7 +62,7 @@ class SlicedStepper:
         position_mm: float = 0.0,
         watched_ridge: int = 2,
         keep_forces: bool = False,
-        largest_force_N: float = 8.0,
+        largest_force_N: float = LARGEST_FORCE_N,
     ):
         self.skin = skin
         self.settings = settings
@@ -129,7 +133,8 @@ class SlicedStepper:
         """Like ``ContactStepper.advance``; an approach is turned into F_n by Hertz's law.
 
         The block's statuses are those of the middle slice; forces and dissipation are sums,
-        stresses means over the width.
+        stresses means over the width. Where one slice finds no solution, all stay where they were
+        before the call.
         """
         if tangential_control == "force":
             raise ValueError(
@@ -146,10 +151,15 @@ class SlicedStepper:
                 "the slices cover the contact of that force; give a larger largest_force_N"
             )
         per_slice = self.shares(force) * force[:, None] * skin.width_mm / self.slice_mm
-        blocks = [
-            stepper.advance(per_slice[:, k], tangential, rotation_rad=rotation_rad)
-            for k, stepper in enumerate(self._slices)
-        ]
+        before = self.state
+        try:
+            blocks = [
+                stepper.advance(per_slice[:, k], tangential, rotation_rad=rotation_rad)
+                for k, stepper in enumerate(self._slices)
+            ]
+        except (ConvergenceError, ValueError):
+            self.state = before
+            raise
         return self._joined(blocks, force)
 
     def _joined(self, blocks: list[ContactBlock], force: Floats) -> ContactBlock:
@@ -184,8 +194,9 @@ def make_stepper(
     position_mm: float = 0.0,
     watched_ridge: int = 2,
     keep_forces: bool = False,
+    largest_force_N: float = LARGEST_FORCE_N,
 ) -> ContactStepper | SlicedStepper:
-    """The stepper of an object."""
+    """The stepper of an object; `largest_force_N` matters to a sphere only."""
     if isinstance(body, Sphere):
         return SlicedStepper(
             skin,
@@ -194,6 +205,7 @@ def make_stepper(
             position_mm=position_mm,
             watched_ridge=watched_ridge,
             keep_forces=keep_forces,
+            largest_force_N=largest_force_N,
         )
     return ContactStepper(
         skin,
