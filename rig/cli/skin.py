@@ -1,7 +1,7 @@
 """``rig skin``: run the skin model and draw it. Parses, calls, prints; no physics of its own.
 
-What is expensive to import is imported inside the commands. stdout carries data, stderr nothing
-but errors; every figure and every summary says that it is simulated.
+What is expensive to import is imported inside the commands. stdout carries the summary, stderr
+nothing but errors; every figure and every summary says that it is simulated.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from rig.cli.outcome import reported
 from rig.errors import ConfigurationError, RigError
 
 if TYPE_CHECKING:
     import numpy as np
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from rig.model.skin.condensed import CondensedSkin
@@ -30,15 +32,25 @@ if TYPE_CHECKING:
 else:
     Model = TypeVar("Model")
 
+HELP = "Simulate the finger skin: slides, rolls, the paper's 4.2, where strips belong."
+
 app = typer.Typer(
     name="skin",
-    help="Simulate the finger skin: slides, rolls, the paper's 4.2, where strips belong.",
+    help=HELP,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
+    pretty_exceptions_enable=False,
 )
 
-Output = Annotated[Path, typer.Option(help="Folder for the figures.", file_okay=False)]
+Results = Annotated[Path, typer.Option(help="Folder for the figures.", file_okay=False)]
+SkinFile = Annotated[
+    Path | None,
+    typer.Option("--skin", help="The skin's settings as JSON, in place of --elements."),
+]
+ShowSkin = Annotated[
+    bool, typer.Option("--show-skin", help="Print the skin's settings as JSON and stop.")
+]
 SettingsFile = Annotated[
     Path | None,
     typer.Option("--settings", help="Settings as JSON; --show-settings prints them to edit."),
@@ -50,17 +62,25 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as one J
 Elements = Annotated[
     int, typer.Option("--elements", help="Elements along a ridge; at least 6.", min=2, max=40)
 ]
+Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 At = Annotated[
     list[float] | None, typer.Option("--at", help="Instants of the deformed skin; repeatable.")
 ]
+RELIEF_TITLES = {
+    "normal_raised": "relief by a raised $F_n$",
+    "tangential_lowered": "relief by a lowered $F_t$",
+}
 
 
 @app.command()
 def slide(
-    output: Output = Path("results"),
+    results: Results = Path("results"),
     settings: SettingsFile = None,
     show_settings: ShowSettings = False,
     as_json: AsJson = False,
+    debug: Debug = False,
+    skin_file: SkinFile = None,
+    show_skin: ShowSkin = False,
     elements: Elements = 8,
     normal_force: Annotated[float, typer.Option(help="F_n in N.")] = 4.0,
     speed: Annotated[float, typer.Option(help="Speed in mm/s.")] = 0.5,
@@ -71,24 +91,30 @@ def slide(
     from rig.model.trials import PressSettings, SlideSettings
     from rig.model.trials import slide as run
 
-    with _errors(settings):
+    with reported(debug, as_json), _errors():
         default = SlideSettings(press=PressSettings(normal_force_N=normal_force), speed_mm_s=speed)
         chosen = _settings(SlideSettings, settings, default)
-        if show_settings:
-            _show(chosen)
+        shape_of_skin = _settings(
+            SkinSettings, skin_file, SkinSettings(elements_per_ridge=elements)
+        )
+        if show_settings or show_skin:
+            _show(chosen if show_settings else shape_of_skin)
             return
-        elastic, skin = _skin(SkinSettings(elements_per_ridge=elements))
+        elastic, skin = _skin(shape_of_skin)
         trial = run(skin, chosen, keep_forces=True)
         name = f"Slide at {chosen.speed_mm_s:g} mm/s under {chosen.press.normal_force_N:g} N"
-        _report(trial, chosen, elastic, skin, at, output, "skin-slide", name, as_json)
+        _report(trial, chosen, elastic, skin, at, results, "skin-slide", name, as_json)
 
 
 @app.command()
 def roll(
-    output: Output = Path("results"),
+    results: Results = Path("results"),
     settings: SettingsFile = None,
     show_settings: ShowSettings = False,
     as_json: AsJson = False,
+    debug: Debug = False,
+    skin_file: SkinFile = None,
+    show_skin: ShowSkin = False,
     elements: Elements = 8,
     normal_force: Annotated[float, typer.Option(help="F_n in N.")] = 4.0,
     start: Annotated[float, typer.Option(help="x of the contact before the roll, mm.")] = -5.0,
@@ -100,7 +126,7 @@ def roll(
     from rig.model.trials import RollSettings
     from rig.model.trials import roll as run
 
-    with _errors(settings):
+    with reported(debug, as_json), _errors():
         default = RollSettings.model_validate(
             {
                 "body": {"shape": shape},
@@ -109,22 +135,26 @@ def roll(
             }
         )
         chosen = _settings(RollSettings, settings, default)
-        if show_settings:
-            _show(chosen)
+        shape_of_skin = _settings(
+            SkinSettings, skin_file, SkinSettings(elements_per_ridge=elements)
+        )
+        if show_settings or show_skin:
+            _show(chosen if show_settings else shape_of_skin)
             return
-        elastic, skin = _skin(SkinSettings(elements_per_ridge=elements))
+        elastic, skin = _skin(shape_of_skin)
         trial = run(skin, chosen, keep_forces=True)
         what = f"Roll of a {chosen.body.shape} by {chosen.angle_deg:g}°"
         name = f"{what} from x = {chosen.start_x_mm:g} mm"
-        _report(trial, chosen, elastic, skin, at, output, "skin-roll", name, as_json)
+        _report(trial, chosen, elastic, skin, at, results, "skin-roll", name, as_json)
 
 
 @app.command()
 def history(
-    output: Output = Path("results"),
+    results: Results = Path("results"),
     settings: SettingsFile = None,
     show_settings: ShowSettings = False,
     as_json: AsJson = False,
+    debug: Debug = False,
     relief: Annotated[
         str, typer.Option(help="How step 300 relieves: normal_raised or tangential_lowered.")
     ] = "normal_raised",
@@ -135,14 +165,14 @@ def history(
     from rig.model.skin.elasticity import STRESSES, ElasticSkin
     from rig.model.skin.field import deformed
 
-    with _errors(settings):
+    with reported(debug, as_json), _errors():
         if relief not in RELIEFS:
             raise ConfigurationError(f"--relief {relief}: must be one of {', '.join(RELIEFS)}")
         chosen = _settings(HistorySettings, settings, HistorySettings(loads=RELIEFS[relief]))
         if show_settings:
             _show(chosen)
             return
-        steps = sorted({int(step) for step in at or (140, 290, chosen.steps)})
+        steps = _steps(at, chosen.steps)
         found = run_history(chosen, shots=tuple(steps))
         from rig.figures import skin as figures
 
@@ -150,19 +180,17 @@ def history(
         instants = [
             (f"step {step}", deformed(elastic, found.shots[step], found.shots[step]))
             for step in steps
-            if step in found.shots
         ]
-        title = "Loading history of the paper's 4.2"
-        stem = f"skin-history-{relief}" if settings is None else "skin-history"
-        files = [
-            figures.save(figures.draw_history(found, chosen.ridge, title), output / f"{stem}.png"),
-            figures.save(
-                figures.draw_deformed(
-                    instants, chosen.skin, STRESSES.index(chosen.component), title
-                ),
-                output / f"{stem}-deformed.png",
+        name = next((known for known, loads in RELIEFS.items() if loads == chosen.loads), "edited")
+        title = f"The paper's 4.2, {RELIEF_TITLES.get(name, 'edited loads')}"
+        component = STRESSES.index(chosen.component)
+        drawn = {
+            f"skin-history-{name}": figures.draw_history(found, chosen.ridge, title),
+            f"skin-history-{name}-deformed": figures.draw_deformed(
+                instants, chosen.skin, component, title
             ),
-        ]
+        }
+        files = _save(drawn, results)
         _print_summary(
             {
                 "stable_step_us": found.stable_step_us,
@@ -176,15 +204,16 @@ def history(
 
 @app.command(name="map")
 def map_(
-    output: Output = Path("results"),
+    results: Results = Path("results"),
     settings: SettingsFile = None,
     show_settings: ShowSettings = False,
     as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """Where strips belong: hump and HF peak over ridge, place and stress component."""
     from rig.model.design_map import MapSettings, design_map
 
-    with _errors(settings):
+    with reported(debug, as_json), _errors():
         chosen = _settings(MapSettings, settings, MapSettings())
         if show_settings:
             _show(chosen)
@@ -193,7 +222,7 @@ def map_(
         from rig.figures import skin as figures
 
         ridge = chosen.slide.ridge
-        file = figures.save(figures.draw_map(found, ridge), output / "skin-map.png")
+        files = _save({"skin-map": figures.draw_map(found, ridge)}, results)
         tables = {
             f"{quantity}_mV": {
                 component: _plain(values[ridge - 1, :, :, k] * 1e3)
@@ -202,7 +231,7 @@ def map_(
             for quantity, values in (("hump", found.hump_V), ("hf_peak", found.peak_V))
         }
         places = {"bottoms_mm": chosen.bottoms_mm, "offsets_mm": chosen.offsets_mm}
-        _print_summary({"ridge": ridge, **places, **tables}, [file], as_json)
+        _print_summary({"ridge": ridge, **places, **tables}, files, as_json)
 
 
 def _report(
@@ -211,7 +240,7 @@ def _report(
     elastic: ElasticSkin,
     skin: CondensedSkin,
     at: list[float] | None,
-    output: Path,
+    results: Path,
     stem: str,
     title: str,
     as_json: bool,
@@ -219,12 +248,11 @@ def _report(
     """Draw a trial and print what happened."""
     from rig.figures import skin as figures
 
-    drawn = figures.draw_trial(trial, skin.ridge, settings.ridge, title)
-    files = [figures.save(drawn, output / f"{stem}.png")]
-    if settings.body.shape != "sphere":
+    drawn = {stem: figures.draw_trial(trial, skin.ridge, settings.ridge, title)}
+    if settings.body.shape != "sphere":  # its slices have no common section to draw
         instants = _instants(trial, settings, elastic, at)
-        shown = figures.draw_deformed(instants, skin.settings, 1, title)
-        files.append(figures.save(shown, output / f"{stem}-deformed.png"))
+        drawn[f"{stem}-deformed"] = figures.draw_deformed(instants, skin.settings, 1, title)
+    files = _save(drawn, results)
     truth = trial.truth
     moving = trial.v_d[trial.sample_time_s > trial.motion_s] * 1e3
     summary = {
@@ -249,6 +277,7 @@ def _instants(
     whole = trial.truth.whole_slip_s[settings.ridge - 1]
     middle = whole if np.isfinite(whole) else (trial.motion_s + trial.time_s[-1]) / 2
     times = sorted(at) if at else [trial.motion_s, float(middle), float(trial.time_s[-1])]
+    _within(times, 0.0, float(trial.time_s[-1]), "s")
     contact = settings.contact
     forces = trial.block.forces_N
     felt = relaxed_forces(forces, contact.relaxation_time_ms, contact.step_us)
@@ -261,6 +290,40 @@ def _instants(
     return shown
 
 
+def _steps(at: list[float] | None, last: int) -> list[int]:
+    """The steps of the deformed skin: those asked for, or one of each part of the history."""
+    if at:
+        _within(at, 1, last, "(a step)")
+        return sorted({round(step) for step in at})
+    return sorted({min(step, last) for step in (140, 290, 440, last)})
+
+
+def _within(at: list[float], first: float, last: float, unit: str) -> None:
+    for value in at:
+        if not first <= value <= last:
+            raise ConfigurationError(
+                f"--at {value:g} {unit} must lie between {first:g} and {last:g}: "
+                "there is nothing to draw outside the run"
+            )
+
+
+def _save(drawn: dict[str, Figure], results: Path) -> list[Path]:
+    """Each figure as PNG and SVG below `results`."""
+    from rig.figures.style import save
+
+    try:
+        results.mkdir(parents=True, exist_ok=True)
+        return [
+            file
+            for stem, figure in drawn.items()
+            for file in save(figure, results / f"{stem}.png", simulated=True)
+        ]
+    except OSError as error:
+        raise ConfigurationError(
+            f"figures cannot be written to {results}: {error.strerror}", "name another --results"
+        ) from error
+
+
 def _skin(settings: SkinSettings) -> tuple[ElasticSkin, CondensedSkin]:
     from rig.cache import user_cache
     from rig.model.skin.condensed import build_skin
@@ -270,13 +333,18 @@ def _skin(settings: SkinSettings) -> tuple[ElasticSkin, CondensedSkin]:
 
 
 def _settings(kind: type[Model], file: Path | None, default: Model) -> Model:
+    from pydantic import ValidationError
+
     if file is None:
         return default
     try:
-        text = file.read_text(encoding="utf-8")
+        return kind.model_validate_json(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigurationError(f"{file}: {error.strerror}") from error
-    return kind.model_validate_json(text)
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(f"{file}: no text in UTF-8") from error
+    except ValidationError as error:
+        raise ConfigurationError.from_validation(error, str(file)) from error
 
 
 def _show(settings: Any) -> None:
@@ -304,7 +372,7 @@ def _print_summary(summary: dict[str, Any], files: list[Path], as_json: bool) ->
 
 
 @contextmanager
-def _errors(source: Path | None) -> Iterator[None]:
+def _errors() -> Iterator[None]:
     """Refused values and steps without a solution as one-line errors."""
     from pydantic import ValidationError
 
@@ -313,12 +381,8 @@ def _errors(source: Path | None) -> Iterator[None]:
     try:
         yield
     except ValidationError as error:
-        raise ConfigurationError.from_validation(error, str(source or "options")) from error
+        raise ConfigurationError.from_validation(error, "options") from error
     except ConvergenceError as error:
         raise RigError(str(error)) from error
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
-
-
-if __name__ == "__main__":
-    app()

@@ -1,49 +1,40 @@
 """Figures of the skin model: a trial, the 4.2 history, the deformed skin, the design map.
 
-Everything drawn here is simulated and says so. matplotlib is imported when a figure is drawn.
+Everything drawn here is simulated and says so in its title. Functions draw arrays; they open no
+file.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
+from rig.figures.style import STYLE
 from rig.model.contact.stepper import SLIP_MINUS, STICK, Statuses
 from rig.model.design_map import DesignMap
 from rig.model.loading_history import History
+from rig.model.skin.elasticity import STRESSES, strip_areas
 from rig.model.skin.field import DeformedSkin
 from rig.model.skin.settings import SkinSettings
 from rig.model.trials import Trial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 
 SIMULATED = "simulated (model)"
 STATUS_COLOURS = ("#f2f2f2", "#4477aa", "#ee6677")
 STATUS_NAMES = ("apart", "stick", "slip")
-STYLE: Any = {
-    "font.size": 9,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "grid.linewidth": 0.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "figure.constrained_layout.use": True,
-    "savefig.dpi": 150,
-}
-
-
-def save(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG, PDF or SVG, as the path's suffix says."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
-    return path
+LARGEST_SHOWN_MM = 0.8
+"""Displacement on paper that a magnified section may reach; grooves are 0.6 mm wide."""
 
 
 def draw_trial(trial: Trial, ridge_of_node: NDArray[np.int64], watched: int, title: str) -> Figure:
@@ -76,8 +67,8 @@ def draw_history(history: History, watched: int, title: str) -> Figure:
     )
     step = history.step
     _forces(forces, step, history.normal_force_N, history.tangential_force_N)
-    forces.plot(step, history.friction_force_N, lw=0.9, ls="--", label="passed on by friction")
-    forces.legend(loc="upper left", frameon=False)
+    forces.plot(step, history.friction_force_N, lw=0.9, ls="--", label="$F_t$ passed on")
+    _legend_above(forces)
     difference.plot(step, history.difference * 1e3, lw=0.9, color="k")
     difference.set_ylabel(f"$σ(S_1) - σ(S_2)$\nridge {watched} (kPa)")
     fast = np.gradient(history.difference * 1e3)
@@ -104,32 +95,29 @@ def draw_deformed(
     instants: list[tuple[str, DeformedSkin]], settings: SkinSettings, component: int, title: str
 ) -> Figure:
     """The deformed section with one stress (0, 1, 2 for σ_xx, σ_yy, σ_xy) at some instants."""
-    import matplotlib.pyplot as plt
-    from matplotlib.collections import PolyCollection
-    from matplotlib.patches import Rectangle as Patch
-
-    from rig.model.skin.elasticity import STRESSES, strip_areas
-
     largest = max(np.abs(skin.displacement_mm).max() for _, skin in instants)
-    magnified = float(np.floor(0.35 / largest)) if 0 < largest < 0.35 else 1.0
+    magnified = (
+        float(np.floor(LARGEST_SHOWN_MM / largest)) if 0 < largest < LARGEST_SHOWN_MM else 1.0
+    )
     values = np.concatenate([skin.stress_MPa[:, component] for _, skin in instants]) * 1e3
     limit = float(np.percentile(np.abs(values), 99.0)) or 1.0
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(
-            len(instants), 1, figsize=(9, 0.6 + 2.5 * len(instants)), sharex=True, squeeze=False
-        )
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(9, 0.6 + 2.5 * len(instants)))
+        axes = figure.subplots(len(instants), 1, sharex=True, squeeze=False)
         for axis, (name, skin) in zip(axes[:, 0], instants, strict=True):
             quads = skin.corners_mm + magnified * skin.displacement_mm
             patches = PolyCollection(
                 list(quads), array=skin.stress_MPa[:, component] * 1e3, cmap="RdBu_r",
-                clim=(-limit, limit), edgecolors="none", antialiaseds=False,
+                clim=(-limit, limit), edgecolors="none", antialiaseds=False, rasterized=True,
             )  # fmt: skip
             axis.add_collection(patches)
             for ridge in range(settings.ridges):
                 for area in strip_areas(settings, ridge):
                     size = (area.right_mm - area.left_mm, area.top_mm - area.bottom_mm)
                     axis.add_patch(
-                        Patch((area.left_mm, area.bottom_mm), *size, fill=False, lw=0.5, ec="0.3")
+                        Rectangle(
+                            (area.left_mm, area.bottom_mm), *size, fill=False, lw=0.5, ec="0.3"
+                        )
                     )
             axis.set_facecolor("0.82")
             axis.set_aspect("equal")
@@ -150,12 +138,10 @@ def draw_deformed(
 
 def draw_map(found: DesignMap, ridge: int) -> Figure:
     """Hump and HF peak of one ridge over the strips' place, and over all ridges at the best."""
-    import matplotlib.pyplot as plt
-
     settings, names = found.settings, [f"$σ_{{{c}}}$" for c in found.components]
     quantities = (("hump", found.hump_V, "RdBu_r"), ("HF peak", found.peak_V, "viridis"))
-    with plt.rc_context(STYLE):
-        figure = plt.figure(figsize=(10, 8.5))
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(10, 8.5))
         grid = figure.add_gridspec(3, 3, height_ratios=(1, 1, 0.9))
         for row, (quantity, values, colours) in enumerate(quantities):
             shown = values[ridge - 1] * 1e3
@@ -207,12 +193,9 @@ def _table(
 def _panels(
     size: tuple[float, float], rows: int, title: str, heights: tuple[float, ...]
 ) -> tuple[Figure, Any]:
-    import matplotlib.pyplot as plt
-
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(
-            rows, 1, figsize=size, sharex=True, gridspec_kw={"height_ratios": heights}
-        )
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=size)
+        axes = figure.subplots(rows, 1, sharex=True, gridspec_kw={"height_ratios": heights})
         figure.suptitle(title)
     return figure, axes
 
@@ -221,16 +204,13 @@ def _forces(axis: Axes, time: Floats | NDArray[np.int64], normal: Floats, along:
     axis.plot(time, normal, lw=1.1, label="$F_n$")
     axis.plot(time, along, lw=1.1, label="$F_t$")
     axis.set_ylabel("force (N)")
-    axis.legend(loc="upper left", ncols=2, frameon=False)
+    _legend_above(axis)
 
 
 def _stick_slip(
     axis: Axes, time: Floats, status: Statuses, ridge_of_node: NDArray[np.int64]
 ) -> None:
     """One band a ridge, one line a node: apart, stick or slip."""
-    from matplotlib.colors import ListedColormap
-    from matplotlib.patches import Patch
-
     every = max(1, status.shape[0] // 2000)
     seen = np.minimum(status[::every], STICK + 1).astype(np.int8)
     seen[status[::every] == SLIP_MINUS] = STICK + 1
@@ -249,9 +229,16 @@ def _stick_slip(
         Patch(fc=colour, ec="0.5", lw=0.5, label=name)
         for colour, name in zip(STATUS_COLOURS, STATUS_NAMES, strict=True)
     ]
+    _legend_above(axis, handles)
+
+
+def _legend_above(axis: Axes, handles: list[Patch] | None = None) -> None:
+    """A legend above the axes' right corner, where it hides nothing."""
     axis.legend(
-        handles=handles, loc="upper left", ncols=3, fontsize=8, framealpha=0.9, handlelength=1.2
-    )
+        **({} if handles is None else {"handles": handles}),
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=8, frameon=False,
+        handlelength=1.2, borderaxespad=0.2,
+    )  # fmt: skip
 
 
 def _mark_events(axis: Axes, trial: Trial, watched: int) -> None:

@@ -39,7 +39,7 @@ def test_help_lists_every_procedure_with_its_summary_and_every_command() -> None
         first_line = (entry.load().__doc__ or "").split("\n", 1)[0]
         assert first_line.rstrip(".")[:40] in shown
         assert f" {entry.name} " in shown
-    for command in ("resume", "show", "verify", "recover", "simulate", "make-safe"):
+    for command in ("resume", "show", "verify", "recover", "simulate", "make-safe", "skin"):
         assert f" {command} " in shown
     assert "simulated bench" in shown
 
@@ -49,6 +49,15 @@ def test_a_procedures_help_shows_its_settings_with_units_and_defaults() -> None:
     for words in ("--amplitude V", "[0.7 V]", "--settling s", "--dry-run", "--json"):
         assert words in shown
     assert "2 to 20000 Hz" in shown
+
+
+def test_help_of_the_skin_imports_nothing_expensive() -> None:
+    """But pydantic, which typer itself needs for options with types."""
+    for arguments in (("skin", "--help"), ("skin", "slide", "--help")):
+        shown = rig(*arguments)
+        imported = shown.stderr.splitlines()[-1].split()[1:]
+        assert set(imported) <= {"pydantic"}, shown.stderr
+        assert "slide" in shown.stdout
 
 
 def test_a_command_that_does_not_exist_is_a_usage_error() -> None:
