@@ -1,4 +1,5 @@
-"""Running the program as its users do: the real command line in a process of its own."""
+"""Running the program as its users do, the real command line in a process of its own; and skins of
+the reference case, built once for all workers."""
 
 from __future__ import annotations
 
@@ -16,6 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from rig.cache import DiskCache
+from rig.model.skin.condensed import CondensedSkin, build_skin
+from rig.model.skin.settings import SkinSettings
+from rig.model.trials import SlideSettings, Trial, slide
 
 RIG = [sys.executable, "-c", "from rig.cli import main; main()"]
 PATIENCE_S = 120.0
@@ -175,3 +181,28 @@ def rig(tmp_path: Path) -> Iterator[Rig]:
     made = Rig(tmp_path)
     yield made
     made.close()
+
+
+@pytest.fixture(scope="session")
+def skin_cache(tmp_path_factory: pytest.TempPathFactory) -> DiskCache:
+    """One cache of skins for all workers; it lives as long as the test run."""
+    base = tmp_path_factory.getbasetemp()
+    return DiskCache((base.parent if base.name.startswith("popen-") else base) / "skin-cache")
+
+
+@pytest.fixture(scope="session")
+def skin6(skin_cache: DiskCache) -> CondensedSkin:
+    """The reference skin at 6 elements a ridge."""
+    return build_skin(SkinSettings(elements_per_ridge=6), skin_cache)
+
+
+@pytest.fixture(scope="session")
+def skin8(skin_cache: DiskCache) -> CondensedSkin:
+    """The reference skin at 8 elements a ridge."""
+    return build_skin(SkinSettings(), skin_cache)
+
+
+@pytest.fixture(scope="session")
+def reference_slide(skin8: CondensedSkin) -> Trial:
+    """The reference slide with its contact forces."""
+    return slide(skin8, SlideSettings(), keep_forces=True)
