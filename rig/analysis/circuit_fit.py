@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rig.analysis.estimate import Estimate
+from rig.analysis.estimate import COVERAGE_95, Estimate
 from rig.analysis.response import DB_PER_RELATIVE, Complexes, Reals
 from rig.analysis.response_curve import ResponseCurve
 from rig.model import pvdf
@@ -69,12 +69,14 @@ class Separability:
         lines = [f"|H| fixes {self.fixed} combinations of circuit values; it cannot separate:"]
         lines += [f"  {' from '.join(names)} (they act as one)" for names in self.act_as_one]
         for direction in self.trade:
-            powers = ", ".join(f"{name}^{power:+.3g}" for name, power in direction.items())
-            lines.append(f"  changes in proportion {powers} (they leave |H| as it is)")
+            largest_first = sorted(direction.items(), key=lambda change: -abs(change[1]))
+            changes = ", ".join(f"{name} by {power:+.2f} %" for name, power in largest_first)
+            lines.append(f"  {changes} together from no change")
         if self.without_effect:
             lines.append(f"  {', '.join(self.without_effect)} from anything (no effect on |H|)")
         for name, size in self.seen_above.items():
-            below = f" below {size / 1e3:.2g} kohm" if math.isfinite(size) else ""
+            finite = math.isfinite(size)
+            below = f" while below {size / 1e3:.2g} kohm" if finite else ", however large"
             lines.append(f"  {name} from zero{below}")
         return lines
 
@@ -85,6 +87,10 @@ class CircuitComparison:
 
     level: Estimate
     corner: Estimate
+    rate_sensitivity: Estimate
+    """The level as a value of the circuit: volts per N/s of load rate, in uV s/N."""
+    time_constant: Estimate
+    """The pole as a value of the circuit, us."""
     offsets: Mapping[str, Estimate]
     """Reading less measured level at 1 Hz, dB: what to subtract from that reading."""
     film_corner_Hz: float
@@ -102,6 +108,7 @@ class CircuitComparison:
         )
         return [
             self._corner_sentence(),
+            f"As values of the circuit: level {self.rate_sensitivity}, pole {self.time_constant}.",
             f"Offset of each reading of equation (4) to the measured level (+- "
             f"{self.level.high - self.level.value:.2g} dB): {offsets}; the paper subtracted "
             f"{PAPER_OFFSET_DB:g} dB from its own.",
@@ -113,14 +120,18 @@ class CircuitComparison:
             f"the circuit's values predict {self.film_corner_Hz:.0f} Hz for the film alone "
             f"(R_PV C_PV) and {self.circuit_corner_Hz:.0f} Hz with the amplifier's input"
         )
-        if self.corner.low > self.highest_Hz or not math.isfinite(self.corner.value):
+        if not math.isfinite(self.corner.high):
             return f"No corner is seen up to {self.highest_Hz:g} Hz; {predicted}."
+        beyond = ", beyond the measured range and seen by its bend" * (
+            self.corner.low > self.highest_Hz
+        )
+        found = f"The gain saturates at {self.corner}{beyond}"
         if self.corner.covers(self.film_corner_Hz) or self.corner.covers(self.circuit_corner_Hz):
-            return f"The gain saturates at {self.corner}, as expected: {predicted}."
+            return f"{found}, as expected: {predicted}."
         ratio = self.film_corner_Hz / self.corner.value
         return (
-            f"The gain saturates at {self.corner}; {predicted}: these values do not explain the "
-            f"measured saturation, which needs a time constant {ratio:.2f} times R_PV C_PV."
+            f"{found}; {predicted}: these values do not explain the measured saturation, which "
+            f"needs a time constant {ratio:.2f} times R_PV C_PV."
         )
 
 
@@ -138,12 +149,26 @@ def compare_circuit(
     return CircuitComparison(
         level=level,
         corner=corner,
+        rate_sensitivity=Estimate.of_logarithm(
+            math.log(1e6 / (2 * math.pi)) + level.value / DB_PER_RELATIVE,
+            level.standard_error / DB_PER_RELATIVE,
+            "uV s/N",
+        ),
+        time_constant=_time_constant(corner),
         offsets=offsets,
         film_corner_Hz=1 / (2 * math.pi * film_time),
         circuit_corner_Hz=pvdf.corner_frequency(given),
         highest_Hz=float(curve.frequencies[-1]),
         separability=separability(curve, matched(given, level.value, corner.value)),
     )
+
+
+def _time_constant(corner: Estimate) -> Estimate:
+    """1 / (2 pi corner) in us; the interval of a corner is that of its inverse, turned over."""
+    low, value, high = (
+        1e6 / (2 * math.pi * frequency) for frequency in (corner.high, corner.value, corner.low)
+    )
+    return Estimate(value, (high - low) / (2 * COVERAGE_95), low, high, "us")
 
 
 def asymptote_dB(reading: Reading, circuit: CircuitSettings) -> float:  # noqa: N802

@@ -1,4 +1,4 @@
-"""Drops in a film's response: found against a first-order trend, and where to measure them again.
+"""Drops in a film's response, found against a first-order trend and fitted together with it.
 
 A notch is linear in what it takes away: N = 1 - a B with a = 1 - 10^(-depth/20) and the band-pass
 B = (j x / Q) / (1 - x^2 + j x / Q). For a given frequency and Q the best ``a`` and the chi-square
@@ -16,13 +16,13 @@ frequency is fitted too where its flank shows, for the corner's sake.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rig.analysis.film_fit import FilmFit, chi_square, fit_film, minimised
 from rig.analysis.film_model import FilmModel, Notch, in_order, without
-from rig.analysis.response import Complexes, Reals
+from rig.analysis.response import Reals
 from rig.analysis.response_curve import CurveError, ResponseCurve
 
 SMALLEST_DEPTH_DB = 1.0
@@ -42,9 +42,6 @@ CLEAR_DEPTH = 5.0
 """Standard errors of the fitted depth."""
 KNOWN_FREQUENCY = 0.02
 """Relative standard error of a drop's frequency, at most."""
-POINTS_PER_HALF_WIDTH = 6
-LARGEST_MODEL_ERROR = 0.5
-"""Relative; a model that is off by half has not been fitted."""
 LEAST_POINTS = 8
 LEAST_SPAN = 10.0
 """Highest over lowest frequency of a response that has a trend."""
@@ -53,52 +50,23 @@ _TRIED_Q = (2.0, 3.2, 5.0, 8.0, 12.5, 20.0, 32.0)
 _TRIED_CORNERS = 120
 
 
-def fit_with_drops(curve: ResponseCurve, break_Hz: float | None = None) -> FilmFit:
+def fit_with_drops(
+    curve: ResponseCurve, break_Hz: float | None = None, most_drops: int = MOST_DROPS
+) -> FilmFit:
     """Circuit and all drops of a measured response, fitted together.
 
     With ``break_Hz`` the trend is that of a film with a break, which is looked for from there on.
-    Raises CurveError for fewer than 8 different frequencies, less than a decade of them, or points
-    that no such model comes near.
+    Raises CurveError for fewer than 8 different frequencies or less than a decade of them. How near
+    the model comes to the points is for the caller to look at.
     """
     _check_span(curve)
-    fit = fit_film(curve, _searched(curve, break_Hz))
+    fit = fit_film(curve, _searched(curve, break_Hz, most_drops))
     while fit.model.notches:
         unlikely = _least_likely(curve, fit)
         if unlikely is None:
             break
         fit = fit_film(curve, without(fit.model, unlikely))
-    if fit.model_error > LARGEST_MODEL_ERROR:
-        raise CurveError(
-            "no first-order circuit with drops comes near these points: they scatter about the "
-            f"best one by {fit.model_error:.0%}",
-            "look at the measured gain and phase before anything else",
-        )
     return fit
-
-
-def refinement(curve: ResponseCurve, per_half_width: int = POINTS_PER_HALF_WIDTH) -> Reals:
-    """Frequencies in Hz to measure after a scan: so many within each half-width of each drop.
-
-    For every drop the scan shows: its centre and ``per_half_width`` frequencies on either side, out
-    to where half of its poles' power is left (about f / (2 Q)). Evenly spaced in the detuning
-    Q (x - 1/x); within the scanned range; less those within a quarter of a step of one scanned or
-    already chosen. Ascending, rounded to five figures, so that it is the same on every machine.
-    """
-    if per_half_width < 1:
-        raise CurveError(f"{per_half_width} points in a half-width: at least one is needed")
-    chosen: list[float] = []
-    taken = list(np.log(curve.frequencies))
-    for notch in fit_with_drops(curve).model.notches:
-        detuning = np.arange(-per_half_width, per_half_width + 1) / per_half_width
-        steps = np.arcsinh(detuning / (2 * notch.pole_Q))
-        near = 0.25 * float(steps[-1] - steps[-2])
-        for step in steps:
-            frequency = float(f"{notch.frequency_Hz * np.exp(step):.5g}")
-            inside = curve.frequencies[0] <= frequency <= curve.frequencies[-1]
-            if inside and np.abs(np.log(frequency) - taken).min() > near:
-                chosen.append(frequency)
-                taken.append(float(np.log(frequency)))
-    return np.array(sorted(chosen))
 
 
 def _check_span(curve: ResponseCurve) -> None:
@@ -116,12 +84,13 @@ def _check_span(curve: ResponseCurve) -> None:
         )
 
 
-def _searched(curve: ResponseCurve, break_Hz: float | None) -> FilmModel:
+def _searched(curve: ResponseCurve, break_Hz: float | None, most_drops: int) -> FilmModel:
     """The circuit with every drop that stands out."""
-    tolerant = curve.with_relative_error(SEARCH_ERROR)
+    tolerant = curve.with_relative_error(SEARCH_ERROR, SEARCH_ERROR)
     model = _first_trend(tolerant, break_Hz)
-    for _ in range(MOST_DROPS):
-        candidate = _best_candidate(tolerant, model)
+    candidates = _Candidates.over(tolerant)
+    for _ in range(most_drops):
+        candidate = _best_candidate(tolerant, model, candidates)
         if candidate is None:
             break
         model = minimised(tolerant, replace(model, notches=(*model.notches, candidate)))
@@ -148,42 +117,50 @@ def _first_trend(curve: ResponseCurve, break_Hz: float | None) -> FilmModel:
     return best
 
 
-def _best_candidate(curve: ResponseCurve, model: FilmModel) -> Notch | None:
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """Notches to try: centres (m,) in Hz, Qs (m,), and -B of each in standard errors (m, 2 n)."""
+
+    centres: Reals
+    qualities: Reals
+    filters: Reals
+
+    @classmethod
+    def over(cls, curve: ResponseCurve) -> _Candidates:
+        """Centres half a half-width apart for each Q, up to somewhat beyond the curve."""
+        f = curve.frequencies
+        lowest, highest = float(f[0]), BEYOND_RANGE * float(f[-1])
+        counts = [1 + int(np.ceil(np.log(highest / lowest) * 4 * q)) for q in _TRIED_Q]
+        centres = np.concatenate([np.geomspace(lowest, highest, count) for count in counts])
+        qualities = np.repeat(_TRIED_Q, counts)
+        x = f / centres[:, None]
+        width = 1j * x / qualities[:, None]
+        return cls(centres, qualities, curve.whitened(-width / (1 - x**2 + width)))
+
+
+def _best_candidate(
+    curve: ResponseCurve, model: FilmModel, candidates: _Candidates
+) -> Notch | None:
     """The notch that saves most chi-square, if it is a clear one."""
     f = curve.frequencies
-    centres, qualities = _candidates(float(f[0]), BEYOND_RANGE * float(f[-1]))
-    expected = model.response(f)
-    filters = curve.whitened(-expected * _band_pass(f, centres, qualities))
-    residual = curve.whitened(curve.responses - expected)
-    basis = np.linalg.qr(curve.whitened(model.jacobian(f)).T)[0]
-    filters -= (filters @ basis) @ basis.T
+    taken = curve.responses / model.response(f) - 1
+    basis = np.linalg.qr(curve.whitened(model.log_jacobian(f)).T)[0]
+    residual = curve.whitened(taken)
     residual -= basis @ (basis.T @ residual)
-    power = np.square(filters).sum(axis=1)
-    amount = (filters @ residual) / np.maximum(power, 1e-300)
+    filters = candidates.filters
+    whole = np.square(filters).sum(axis=1)
+    power = np.maximum(whole - np.square(filters @ basis).sum(axis=1), 1e-9 * whole + 1e-300)
+    amount = (filters @ residual) / power
     saved = np.where(amount > 0, amount**2 * power, 0.0)
     best = int(np.argmax(saved))
     if saved[best] < CLEAR_DROP:
         return None
     remaining = 1 - min(float(amount[best]), 0.9)
-    return Notch(float(centres[best]), float(qualities[best]), -20 * float(np.log10(remaining)))
-
-
-def _candidates(lowest: float, highest: float) -> tuple[Reals, Reals]:
-    """Centres (Hz) half a half-width apart, for each Q."""
-    centres, qualities = [], []
-    for quality in _TRIED_Q:
-        count = 1 + int(np.ceil(np.log(highest / lowest) * 4 * quality))
-        centres.append(np.geomspace(lowest, highest, count))
-        qualities.append(np.full(count, quality))
-    return np.concatenate(centres), np.concatenate(qualities)
-
-
-def _band_pass(f: Reals, centres: Reals, qualities: Reals) -> Complexes:
-    """B for each candidate (m,) at each frequency (n,): (m, n)."""
-    x = f / centres[:, None]
-    width = 1j * x / qualities[:, None]
-    passed: Complexes = width / (1 - x**2 + width)
-    return passed
+    return Notch(
+        float(candidates.centres[best]),
+        float(candidates.qualities[best]),
+        -20 * float(np.log10(remaining)),
+    )
 
 
 def _least_likely(curve: ResponseCurve, fit: FilmFit) -> int | None:
@@ -213,7 +190,7 @@ def _stands_without_nearest(curve: ResponseCurve, fit: FilmFit, index: int) -> b
     """Whether the notch is needed by more than the one frequency nearest to it."""
     f = curve.frequencies
     nearest = f[np.argmin(np.abs(np.log(f / fit.model.notches[index].frequency_Hz)))]
-    rest = curve.with_relative_error(fit.model_error).at(f != nearest)
+    rest = curve.with_relative_error(fit.gain_error, fit.phase_error).at(f != nearest)
     if len(rest) * 2 <= len(fit.model.vector):
         return False
     with_it = chi_square(rest, minimised(rest, fit.model))

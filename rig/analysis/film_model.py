@@ -124,8 +124,8 @@ class FilmModel:
         loss: Reals = 20 * np.log10(ratio)
         return loss
 
-    def jacobian(self, frequencies: Reals) -> Complexes:
-        """Derivatives of :meth:`response` by :attr:`vector`: (m, n)."""
+    def log_jacobian(self, frequencies: Reals) -> Complexes:
+        """Derivatives of ln :meth:`response` by :attr:`vector`: (m, n), gain + j phase."""
         jf = 1j * frequencies
         rows = [
             np.full(frequencies.shape, _NEPER_PER_DB, dtype=complex),
@@ -138,8 +138,7 @@ class FilmModel:
             rows.append(-jf / self.break_Hz / (1 + jf / self.break_Hz))
         for notch in self.notches:
             rows += _notch_derivatives(frequencies, notch)
-        logarithmic = np.stack(rows)
-        return logarithmic * self.response(frequencies)
+        return np.stack(rows)
 
 
 def without(model: FilmModel, index: int) -> FilmModel:

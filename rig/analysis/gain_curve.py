@@ -5,11 +5,9 @@ out: :class:`SweepAnalysis`. What each means:
 
 - ``level`` is ``b`` of the paper's equation (2): the low-frequency asymptote at 1 Hz of a circuit
   of 20 dB/decade and one pole, fitted together with all drops (`rig.analysis.film_model`);
-- ``slope`` is the exponent of that rise, set free up to 2 kHz in the same model: pole and drops are
-  divided out, so that a first-order film has 20 dB/decade whatever the grid;
-- ``plain`` is the paper's own fit, gain = 20 log10 f + b by unweighted least squares over the
-  points from 2 to 2000 Hz outside the drops. Pole and drops' tails pull it, the more the more
-  points there are near 2 kHz; the straight line of free slope beside it likewise.
+- ``corner`` is the frequency of that pole;
+- ``slopes`` and ``plain`` are the slopes and the paper's own fit (`rig.analysis.slope`);
+- a drop's frequency is where it is deepest, its depth and Q those of a second-order notch.
 
 Intervals hold noise and, where there is one, the model error. The load cell's calibration error
 adds to ``b`` and is not in them.
@@ -18,25 +16,24 @@ adds to ``b`` and is not in them.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rig.analysis.circuit_fit import CircuitComparison, compare_circuit
-from rig.analysis.drops import fit_with_drops, refinement
+from rig.analysis.drops import fit_with_drops
 from rig.analysis.estimate import Estimate
-from rig.analysis.film_fit import DropEstimate, FilmFit, fit_film
-from rig.analysis.film_model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ, FilmModel
+from rig.analysis.film_fit import MISFIT_PROBABILITY, DropEstimate, FilmFit
+from rig.analysis.film_model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ
 from rig.analysis.linearity import (
     DistortionSummary,
     LoadLinearity,
     distortion_summary,
     load_linearity,
 )
-from rig.analysis.response import Reals
 from rig.analysis.response_curve import CurveError, ResponseCurve
+from rig.analysis.slope import PlainFit, Slopes, plain_fit, slopes
 from rig.analysis.stress_jerk import StressJerkTest, stress_jerk_test
 from rig.model.pvdf import SKIN_STRIP, CircuitSettings
 
@@ -44,28 +41,13 @@ __all__ = [
     "CurveError",
     "PlainFit",
     "ResponseCurve",
+    "Slopes",
     "SweepAnalysis",
     "analyse",
-    "outside_drops",
-    "plain_fit",
-    "refinement",
 ]
 
-OUTSIDE_DROPS_DB = 0.5
-"""A point is outside the drops where the fitted drops together take less than this from it."""
-
-
-@dataclass(frozen=True)
-class PlainFit:
-    """Equation (2) as the paper fits it; depends on the grid."""
-
-    level_dB: float
-    """b of gain = 20 log10 f + b, dB re 1 V/N."""
-    rms_dB: float
-    """Of the gains about that line."""
-    slope_dB_decade: float
-    """Of the straight line of free slope through the same points."""
-    points: int
+LARGEST_MODEL_ERROR = 0.5
+"""Relative; a model that is off by half has not been fitted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +57,8 @@ class SweepAnalysis:
     points: int
     fit: FilmFit
     """The joint fit: level, corner, drops, misfit."""
-    slope: Estimate
-    """dB/decade."""
+    slopes: Slopes | None
+    """None where less than an octave of 2 to 2000 Hz was measured."""
     plain: PlainFit | None
     """None with fewer than two points outside the drops from 2 to 2000 Hz."""
     stress_jerk: StressJerkTest
@@ -120,7 +102,8 @@ class SweepAnalysis:
             "points": self.points,
             "level": self.level.as_dict(),
             "corner": self.corner.as_dict(),
-            "slope": self.slope.as_dict(),
+            "slope": self.slopes.slope.as_dict() if self.slopes else None,
+            "asymptotic_slope": self.slopes.asymptotic.as_dict() if self.slopes else None,
             "delay": self.fit.delay.as_dict(),
             "plain": asdict(self.plain) if self.plain else None,
             "drops": [
@@ -134,9 +117,11 @@ class SweepAnalysis:
             "polarity": self.fit.model.polarity,
             "chi_square": self.fit.chi_square,
             "degrees": self.fit.degrees,
-            "model_error_dB": self.fit.model_error_dB,
+            "model_error_dB": self.fit.gain_error_dB,
             "stress_jerk": {**asdict(self.stress_jerk), "verdict": self.stress_jerk.verdict},
             "circuit": {
+                "rate_sensitivity": self.circuit.rate_sensitivity.as_dict(),
+                "time_constant": self.circuit.time_constant.as_dict(),
                 "film_corner_Hz": self.circuit.film_corner_Hz,
                 "circuit_corner_Hz": self.circuit.circuit_corner_Hz,
                 "offsets": {n: e.as_dict() for n, e in self.circuit.offsets.items()},
@@ -153,11 +138,17 @@ class SweepAnalysis:
         return ", beyond the measured range and seen by its flank" if beyond else ""
 
     def _slope_sentence(self) -> str:
-        low, high = SLOPE_BAND_HZ
-        first = "holds" if self.slope.covers(FIRST_ORDER_SLOPE) else "does not hold"
+        if self.slopes is None:
+            low, high = SLOPE_BAND_HZ
+            return f"No slope: less than an octave was measured from {low:g} to {high:g} Hz."
+        low, high = self.slopes.band_Hz
+        asymptotic = self.slopes.asymptotic
+        first = "holds" if asymptotic.covers(FIRST_ORDER_SLOPE) else "does not hold"
         return (
-            f"The gain rises by {self.slope} from {low:g} to {high:g} Hz, pole and drops divided "
-            f"out: {FIRST_ORDER_SLOPE:g} dB/decade (stress rate) {first} within the interval."
+            f"The straight line through the gain from {low:g} to {high:g} Hz rises by "
+            f"{self.slopes.slope}, drops divided out. With the pole divided out as well the rise "
+            f"is {asymptotic}: {FIRST_ORDER_SLOPE:g} dB/decade (stress rate) {first} within the "
+            "interval."
         )
 
     def _level_sentence(self) -> str:
@@ -171,14 +162,15 @@ class SweepAnalysis:
         )
 
     def _misfit_sentence(self) -> str:
-        delay = f"Delay of film after load: {self.fit.delay}."
-        text = f"Chi-square of the joint fit {self.fit.chi_square:.0f} of {self.fit.degrees}"
-        if not self.fit.model_error:
+        fit = self.fit
+        text = f"Chi-square of the joint fit {fit.chi_square:.0f} of {fit.degrees}"
+        delay = f"Delay of film after load: {fit.delay}."
+        if fit.probability >= MISFIT_PROBABILITY:
             return f"{text}: noise explains the residuals. {delay}"
         return (
             f"{text}: more than noise explains. The intervals contain a model error of "
-            f"{self.fit.model_error_dB:.2g} dB at every point and hold if it is scatter: look at "
-            f"the residuals. {delay}"
+            f"{fit.gain_error_dB:.2g} dB and {fit.phase_error_deg:.2g} deg at every point and hold "
+            f"if it is scatter: look at the residuals. {delay}"
         )
 
 
@@ -187,6 +179,7 @@ def analyse(
     responses: ArrayLike,
     covariances: ArrayLike,
     *,
+    degrees: ArrayLike | None = None,
     loads: ArrayLike | None = None,
     load_distortion: ArrayLike | None = None,
     film_distortion: ArrayLike | None = None,
@@ -194,46 +187,34 @@ def analyse(
 ) -> SweepAnalysis:
     """Analyse a sweep's points, in any order: Hz, V/N, (n, 2, 2) of real and imaginary part.
 
-    ``loads`` (n,) in N, peak; distortions (n,) as fractions; ``given`` is the circuit to compare
-    with, Table 1 by default. Raises CurveError for what cannot be analysed.
+    ``degrees`` (n,) of freedom behind each covariance (see :meth:`ResponseCurve.of`); ``loads``
+    (n,) in N, peak; distortions (n,) as fractions; ``given`` is the circuit to compare with, Table
+    1 by default. Raises CurveError for what cannot be analysed: what :meth:`ResponseCurve.of` and
+    :func:`fit_with_drops` refuse, and points that neither first order nor the withdrawn claim comes
+    near.
     """
-    curve = ResponseCurve.of(frequencies, responses, covariances)
+    curve = ResponseCurve.of(frequencies, responses, covariances, degrees)
     fit = fit_with_drops(curve)
+    stress_jerk = stress_jerk_test(curve, fit)
+    if fit.gain_error > LARGEST_MODEL_ERROR and stress_jerk.verdict != "supported":
+        raise CurveError(
+            "no first-order circuit with drops comes near these points: they scatter about the "
+            f"best one by {fit.gain_error:.0%}",
+            "look at the measured gain and phase before anything else",
+        )
     return SweepAnalysis(
         points=len(curve),
         fit=fit,
-        slope=fit_film(curve, replace(fit.model, slope_dB_decade=FIRST_ORDER_SLOPE)).slope,
+        slopes=slopes(curve, fit),
         plain=plain_fit(curve, fit.model),
-        stress_jerk=stress_jerk_test(curve, fit),
+        stress_jerk=stress_jerk,
         circuit=compare_circuit(curve, fit.level, fit.corner, given),
         linearity=None
         if loads is None
-        else load_linearity(frequencies, responses, covariances, loads),
+        else load_linearity(frequencies, responses, covariances, loads, degrees),
         distortion=None
         if load_distortion is None or film_distortion is None
         else distortion_summary(frequencies, load_distortion, film_distortion),
-    )
-
-
-def outside_drops(frequencies: Reals, model: FilmModel) -> NDArray[np.bool_]:
-    """True for the frequencies (n,) at which the drops take less than 0.5 dB."""
-    outside: NDArray[np.bool_] = np.abs(model.loss_dB(frequencies)) < OUTSIDE_DROPS_DB
-    return outside
-
-
-def plain_fit(curve: ResponseCurve, model: FilmModel) -> PlainFit | None:
-    """Equation (2) over 2 to 2000 Hz, drops left out, every point counting the same."""
-    f = curve.frequencies
-    chosen = (f >= SLOPE_BAND_HZ[0]) & (f <= SLOPE_BAND_HZ[1]) & outside_drops(f, model)
-    decades, gains = np.log10(f[chosen]), curve.gains_dB[chosen]
-    if np.unique(decades).size < 2:
-        return None
-    offsets = gains - FIRST_ORDER_SLOPE * decades
-    return PlainFit(
-        level_dB=float(offsets.mean()),
-        rms_dB=float(offsets.std()),
-        slope_dB_decade=float(np.polyfit(decades, gains, 1)[0]),
-        points=int(chosen.sum()),
     )
 
 

@@ -82,7 +82,11 @@ class DistortionSummary:
 
 
 def load_linearity(
-    frequencies: ArrayLike, responses: ArrayLike, covariances: ArrayLike, loads: ArrayLike
+    frequencies: ArrayLike,
+    responses: ArrayLike,
+    covariances: ArrayLike,
+    loads: ArrayLike,
+    degrees: ArrayLike | None = None,
 ) -> LoadLinearity | None:
     """Gain against load: arrays as in :meth:`ResponseCurve.of`, ``loads`` (n,) peak in N.
 
@@ -94,7 +98,7 @@ def load_linearity(
         raise CurveError(f"loads: {load.size} values for {frequency.size} frequencies")
     if not (np.isfinite(load) & (load > 0)).all():
         raise CurveError("loads: a value is not above 0 N")
-    curve = ResponseCurve.of(frequencies, responses, covariances)
+    curve = ResponseCurve.of(frequencies, responses, covariances, degrees)
     response = np.asarray(responses, dtype=complex)
     decades = np.log10(load)[np.lexsort((response.imag, response.real, frequency))]
     rows = []

@@ -7,6 +7,7 @@ result depends on the order of measurement.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,17 +35,29 @@ class ResponseCurve:
 
     @classmethod
     def of(
-        cls, frequencies: ArrayLike, responses: ArrayLike, covariances: ArrayLike
+        cls,
+        frequencies: ArrayLike,
+        responses: ArrayLike,
+        covariances: ArrayLike,
+        degrees: ArrayLike | None = None,
     ) -> ResponseCurve:
         """Check and sort: frequencies (n,) Hz, responses (n,) V/N, covariances (n, 2, 2).
 
+        ``degrees`` (n,) are the degrees of freedom that each covariance was estimated from (samples
+        less fitted parameters of a record); without them covariances count as known. A mean whose
+        weights were estimated is worse than these weights say: its variance is larger by 1 + 4 /
+        degrees (P. Meier, Biometrics 9 (1953) 59, for many points), and so the covariances become.
+
         Raises CurveError, naming the argument and the value, for unequal lengths, anything not
-        finite, frequencies not above 0, and covariances that are not positive definite.
+        finite, frequencies not above 0, covariances that are not positive definite and degrees
+        below 1.
         """
         frequency = np.asarray(frequencies, dtype=float)
         response = np.asarray(responses, dtype=complex)
         covariance = np.asarray(covariances, dtype=float)
         _check(frequency, response, covariance)
+        if degrees is not None:
+            covariance = covariance * _estimated_weights(frequency, degrees)[:, None, None]
         order = np.lexsort((response.imag, response.real, frequency))
         return cls(frequency[order], response[order], covariance[order])
 
@@ -58,18 +71,26 @@ class ResponseCurve:
         gains: Reals = 20 * np.log10(np.abs(self.responses))
         return gains
 
+    @cached_property
+    def relative_covariances(self) -> Reals:
+        """Of (gain as a fraction, phase in rad), first order, (n, 2, 2)."""
+        unit = self.responses / np.abs(self.responses) ** 2
+        turn = np.stack([unit.real, unit.imag, -unit.imag, unit.real], axis=1).reshape(-1, 2, 2)
+        turned: Reals = turn @ self.covariances @ turn.transpose(0, 2, 1)
+        return turned
+
     @property
     def gain_errors_dB(self) -> Reals:  # noqa: N802
         """Standard errors of the gains, first order."""
-        unit = self.responses / np.abs(self.responses)
-        along = np.stack([unit.real, unit.imag], axis=1)
-        variance = np.einsum("ni,nij,nj->n", along, self.covariances, along)
-        errors: Reals = DB_PER_RELATIVE * np.sqrt(variance) / np.abs(self.responses)
+        errors: Reals = DB_PER_RELATIVE * np.sqrt(self.relative_covariances[:, 0, 0])
         return errors
 
-    def with_relative_error(self, relative: float) -> ResponseCurve:
-        """The same points, a further error of that fraction of |H| added to both parts."""
-        extra = np.square(relative * np.abs(self.responses))[:, None, None] * np.eye(2)
+    def with_relative_error(self, gain: float, phase: float) -> ResponseCurve:
+        """The same points with further errors: of the gain (a fraction), of the phase (rad)."""
+        along = np.stack([self.responses.real, self.responses.imag], axis=1)
+        across = np.stack([-self.responses.imag, self.responses.real], axis=1)
+        extra = gain**2 * along[:, :, None] * along[:, None, :]
+        extra += phase**2 * across[:, :, None] * across[:, None, :]
         return ResponseCurve(self.frequencies, self.responses, self.covariances + extra)
 
     def at(self, chosen: NDArray[np.bool_]) -> ResponseCurve:
@@ -78,12 +99,35 @@ class ResponseCurve:
             self.frequencies[chosen], self.responses[chosen], self.covariances[chosen]
         )
 
-    def whitened(self, values: Complexes) -> Reals:
-        """Complex ``values`` (..., n) as (..., 2 n) reals, of unit variance if errors are right."""
-        lower = np.linalg.cholesky(self.covariances)
-        first = values.real / lower[:, 0, 0]
-        second = (values.imag - lower[:, 1, 0] * first) / lower[:, 1, 1]
-        return np.concatenate([first, second], axis=-1)
+    def log_ratio(self, expected: Complexes) -> Complexes:
+        """ln(measured / expected), (n,): difference of the gains (neper) + j that of the phases."""
+        ratio = self.responses / expected
+        result: Complexes = np.log(np.abs(ratio)) + 1j * np.angle(ratio)
+        return result
+
+    def whitened(self, relative: Complexes) -> Reals:
+        """Gain + j phase (..., n) as (..., 2 n) reals, of unit variance if errors are right."""
+        gain, mixed, phase = self._factor
+        first = relative.real / gain
+        return np.concatenate([first, (relative.imag - mixed * first) / phase], axis=-1)
+
+    @cached_property
+    def _factor(self) -> tuple[Reals, Reals, Reals]:
+        """Cholesky factor of each relative covariance: (0, 0), (1, 0) and (1, 1), (n,) each."""
+        gain = np.sqrt(self.relative_covariances[:, 0, 0])
+        mixed = self.relative_covariances[:, 1, 0] / gain
+        return gain, mixed, np.sqrt(self.relative_covariances[:, 1, 1] - mixed**2)
+
+
+def _estimated_weights(frequency: Reals, degrees: ArrayLike) -> Reals:
+    freedom = np.asarray(degrees, dtype=float)
+    if freedom.shape != frequency.shape:
+        raise CurveError(f"degrees: {freedom.size} values for {frequency.size} frequencies")
+    if not (freedom >= 1).all():
+        where = frequency[int(np.argmin(freedom >= 1))]
+        raise CurveError(f"degrees: the value at {where:g} Hz is below 1")
+    factor: Reals = 1 + 4 / freedom
+    return factor
 
 
 def _check(frequency: Reals, response: Complexes, covariance: Reals) -> None:

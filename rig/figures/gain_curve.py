@@ -1,6 +1,7 @@
-"""The analysed sweep in pictures, in the manner of the paper's figures 5 and 7.
+"""The analysed sweep in pictures, in the manner of the paper's figures 5 and 7, and its linearity.
 
-Both functions draw arrays and an analysis; they open no file. Gains in dB re 1 V/N.
+The functions draw arrays and an analysis; they open no file and do not say whether the data are
+simulated: ``rig.figures.style.save`` does. Gains in dB re 1 V/N.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from rig.analysis.gain_curve import ResponseCurve, SweepAnalysis
+    from rig.analysis.linearity import LoadLinearity
     from rig.analysis.response import Reals
 
 ERROR_BARS = 2.0
@@ -45,7 +47,7 @@ def draw_gain(curve: ResponseCurve, analysis: SweepAnalysis, title: str = "") ->
         gain.set_ylabel("Gain (dB re 1 V/N)")
         gain.legend(loc="upper left", frameon=False)
         _residuals(residual, curve, analysis)
-        _frequency_axis(residual, curve)
+        _frequency_axis(residual, curve.frequencies)
         if title:
             figure.suptitle(title, fontsize=9)
     return figure
@@ -77,7 +79,34 @@ def draw_readings(
         shifted.set_title("The same, each shifted to the measured level", fontsize=9)
         plain.legend(loc="lower right", frameon=False, ncols=2)
         shifted.legend(loc="upper left", frameon=False)
-        _frequency_axis(shifted, curve)
+        _frequency_axis(shifted, curve.frequencies)
+        if title:
+            figure.suptitle(title, fontsize=9)
+    return figure
+
+
+def draw_linearity(linearity: LoadLinearity, title: str = "") -> Figure:
+    """Slope of the gain over load at each frequency: zero where the film is linear (data2)."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 3.4))
+        axes = figure.subplots()
+        axes.errorbar(
+            linearity.frequencies,
+            linearity.slopes,
+            ERROR_BARS * linearity.slope_errors,
+            fmt=".",
+            markersize=3,
+            elinewidth=0.6,
+            color="C0",
+            label=f"each frequency, ± {ERROR_BARS:g} standard errors",
+        )
+        mean = linearity.slope
+        axes.axhline(mean.value, color="C1", linewidth=1, label=f"mean: {mean} of load")
+        axes.axhspan(mean.low, mean.high, color="C1", alpha=0.25, linewidth=0)
+        axes.axhline(0, color="0.3", linestyle="--", linewidth=0.9, label="linear film")
+        axes.set_ylabel("Gain over load (dB/decade)")
+        figure.legend(loc="outside lower center", ncols=2, frameon=False)
+        _frequency_axis(axes, linearity.frequencies)
         if title:
             figure.suptitle(title, fontsize=9)
     return figure
@@ -100,7 +129,12 @@ def _measured(axes: Axes, curve: ResponseCurve) -> None:
 def _fitted(analysis: SweepAnalysis) -> str:
     b, corner = analysis.level, analysis.corner.value
     pole = f"corner {corner:.0f} Hz" if np.isfinite(corner) else "no corner"
-    return f"fit: b = {_signed(b.value, 2)} dB, {pole}, {len(analysis.drops)} drops"
+    drops = f"{len(analysis.drops)} drop{'s' * (len(analysis.drops) != 1)}"
+    if analysis.slopes is None:
+        return f"fit: b = {_signed(b.value, 2)} dB, {pole}, {drops}"
+    low, high = analysis.slopes.band_Hz
+    slope = f"slope {low:g} to {high:g} Hz {analysis.slopes.slope.value:.2f} dB/decade"
+    return f"fit: b = {_signed(b.value, 2)} dB, {pole}, {drops},\n{slope}"
 
 
 def _plain_line(axes: Axes, curve: ResponseCurve, level_dB: float) -> None:
@@ -136,7 +170,7 @@ def _mark_drops(axes: Axes, analysis: SweepAnalysis) -> None:
 def _residuals(axes: Axes, curve: ResponseCurve, analysis: SweepAnalysis) -> None:
     expected = analysis.fit.model.response(curve.frequencies)
     error = DB_PER_RELATIVE * np.sqrt(
-        np.square(curve.gain_errors_dB / DB_PER_RELATIVE) + analysis.fit.model_error**2
+        np.square(curve.gain_errors_dB / DB_PER_RELATIVE) + analysis.fit.gain_error**2
     )
     axes.plot(curve.frequencies, (curve.gains_dB - _dB(expected)) / error, ".", markersize=3)
     axes.axhspan(-2, 2, color="0.5", alpha=0.12, linewidth=0)
@@ -167,9 +201,9 @@ def _mark_corners(axes: Axes, analysis: SweepAnalysis) -> None:
     axes.set_ylim(bottom, top)
 
 
-def _frequency_axis(axes: Axes, curve: ResponseCurve) -> None:
+def _frequency_axis(axes: Axes, frequencies: Reals) -> None:
     axes.set_xscale("log")
-    axes.set_xlim(curve.frequencies[0] / 1.15, curve.frequencies[-1] * 1.15)
+    axes.set_xlim(frequencies[0] / 1.15, frequencies[-1] * 1.15)
     axes.set_xlabel("Frequency (Hz)")
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 

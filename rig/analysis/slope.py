@@ -1,0 +1,107 @@
+"""The slopes of a gain curve: what "20 dB/decade from 2 to 2000 Hz" can mean, with errors.
+
+- The *asymptotic slope* is the exponent of the rise, set free up to 2 kHz in the joint model of
+  circuit and drops: pole and drops are divided out. A first-order film has 20 dB/decade, whatever
+  its corner and whatever the grid. It tests the paper's statement (i).
+- The *slope* over 2 to 2000 Hz is that of the least-squares line through the trend, over log f,
+  every frequency of the band counting the same and the drops divided out, the pole not: what a
+  ruler finds on the paper's figure 5, freed of drops and grid. With the corner at 2 kHz it is
+  19.57 dB/decade; the circuit's table of readings is made of this slope.
+- The *plain fit* is the paper's equation (2), gain = 20 log10 f + b by unweighted least squares
+  over the measured points of the band outside the drops, with the line of free slope through the
+  same points. Pole and drops' tails pull it, the more the more points there are near 2 kHz.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.analysis.estimate import Estimate
+from rig.analysis.film_fit import FilmFit, fit_film
+from rig.analysis.film_model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ, FilmModel
+from rig.analysis.response import DB_PER_RELATIVE, Reals
+from rig.analysis.response_curve import ResponseCurve
+
+OUTSIDE_DROPS_DB = 0.5
+"""A point is outside the drops where the fitted drops together take less than this from it."""
+NARROWEST_BAND = 2.0
+"""Highest over lowest frequency of a band that has a slope."""
+
+_LINE_POINTS = 2000
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Both slopes, dB/decade, over the measured part of 2 to 2000 Hz."""
+
+    band_Hz: tuple[float, float]
+    slope: Estimate
+    """Of the straight line through the trend."""
+    asymptotic: Estimate
+    """Exponent of the rise, the pole divided out."""
+
+
+@dataclass(frozen=True)
+class PlainFit:
+    """Equation (2) as the paper fits it; depends on the grid."""
+
+    level_dB: float
+    """b of gain = 20 log10 f + b, dB re 1 V/N."""
+    rms_dB: float
+    """Of the gains about that line."""
+    slope_dB_decade: float
+    """Of the straight line of free slope through the same points."""
+    points: int
+
+
+def slopes(curve: ResponseCurve, fit: FilmFit) -> Slopes | None:
+    """Both slopes with their errors; None where less than an octave of the band was measured."""
+    low = max(SLOPE_BAND_HZ[0], float(curve.frequencies[0]))
+    high = min(SLOPE_BAND_HZ[1], float(curve.frequencies[-1]))
+    if high < NARROWEST_BAND * low:
+        return None
+    free = fit_film(curve, replace(fit.model, slope_dB_decade=FIRST_ORDER_SLOPE))
+    bare = replace(free.model, notches=())
+    frequencies, weights = _line_weights(low, high)
+    value = float(weights @ (20 * np.log10(np.abs(bare.trend(frequencies)))))
+    gradient = DB_PER_RELATIVE * bare.log_jacobian(frequencies).real @ weights
+    m = bare.first_notch
+    error = math.sqrt(max(float(gradient @ free.covariance[:m, :m] @ gradient), 0.0))
+    return Slopes((low, high), Estimate.normal(value, error, "dB/decade"), free.slope)
+
+
+def _line_weights(low: float, high: float) -> tuple[Reals, Reals]:
+    """Frequencies (n,) even over log f, and w (n,) such that w @ gains is the line's slope."""
+    decades = np.log10(high / low)
+    position = (np.arange(_LINE_POINTS) + 0.5) / _LINE_POINTS - 0.5
+    weights = position / (decades * float(position @ position))
+    return low * 10 ** (decades * (position + 0.5)), weights
+
+
+def outside_drops(frequencies: Reals, model: FilmModel) -> NDArray[np.bool_]:
+    """True for the frequencies (n,) at which the drops take less than 0.5 dB."""
+    outside: NDArray[np.bool_] = np.abs(model.loss_dB(frequencies)) < OUTSIDE_DROPS_DB
+    return outside
+
+
+def plain_fit(curve: ResponseCurve, model: FilmModel) -> PlainFit | None:
+    """Equation (2) over 2 to 2000 Hz, drops left out, every point counting the same.
+
+    None with fewer than two frequencies there.
+    """
+    f = curve.frequencies
+    chosen = (f >= SLOPE_BAND_HZ[0]) & (f <= SLOPE_BAND_HZ[1]) & outside_drops(f, model)
+    decades, gains = np.log10(f[chosen]), curve.gains_dB[chosen]
+    if np.unique(decades).size < 2:
+        return None
+    offsets = gains - FIRST_ORDER_SLOPE * decades
+    return PlainFit(
+        level_dB=float(offsets.mean()),
+        rms_dB=float(offsets.std()),
+        slope_dB_decade=float(np.polyfit(decades, gains, 1)[0]),
+        points=int(chosen.sum()),
+    )

@@ -1,0 +1,221 @@
+"""What a user reads in the analysis of a sweep: right numbers, honest intervals, no invention."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from recorded_film import PLAN, judge, line_slope, record, recorded_sweep
+
+from rig.analysis.film_model import FilmModel, Notch
+from rig.analysis.frequency_plan import refine_Hz, scan_frequencies_Hz
+from rig.analysis.gain_curve import CurveError, ResponseCurve, analyse
+from rig.model import pvdf
+from rig.model.pvdf import SWEEP_FILM
+from rig.model.vibrator import VibratorSettings, drawn_film, true_response
+
+SEEDS = range(301, 313)
+DEFAULT_FILM = (VibratorSettings(), SWEEP_FILM)
+SCAN = np.array(scan_frequencies_Hz(PLAN))
+
+
+@pytest.fixture(scope="module")
+def judged():
+    return [judge(seed) for seed in SEEDS]
+
+
+def default_sweep():
+    """Frequencies, responses and covariances of the default film."""
+    return recorded_sweep(DEFAULT_FILM, np.random.default_rng(1))[:3]
+
+
+@pytest.fixture(scope="module")
+def default_film():
+    return analyse(*default_sweep())
+
+
+def curve_of(response, frequencies=SCAN, error_dB=0.05, seed=0, scatter=0.0):
+    """Any response (a function of Hz) with equal relative errors; scatter of the gain beside."""
+    random = np.random.default_rng(seed)
+    frequencies = np.asarray(frequencies)
+    relative = error_dB * math.log(10) / 20
+    truth = response(frequencies)
+    noise = random.standard_normal((2, truth.size))
+    moved = truth * np.exp(relative * (noise[0] + 1j * noise[1]))
+    moved *= 1 + scatter * random.standard_normal(truth.size)
+    variances = np.square(relative * np.abs(truth))
+    return frequencies, moved, variances[:, None, None] * np.eye(2)
+
+
+def test_every_quantity_of_drawn_films_is_near_the_truth(judged):
+    for film in judged:
+        errors = {name: e.value - truth for name, (e, truth) in film.estimates.items()}
+        corner, truth = film.estimates["corner"]
+        assert abs(errors["b"]) < 0.1
+        assert abs(errors["slope 2-2000 Hz"]) < 0.1
+        assert abs(errors["asymptotic slope"]) < 0.1
+        assert corner.value == pytest.approx(truth, rel=0.05)
+
+
+def test_intervals_of_drawn_films_cover_the_truth(judged):
+    """Fewer than 8 of 12 has a chance below 1e-4 where 95 % is right."""
+    for quantity in judged[0].estimates:
+        covered = sum(
+            film.estimates[quantity][0].covers(film.estimates[quantity][1]) for film in judged
+        )
+        assert covered >= 8, quantity
+    every = [e.covers(truth) for film in judged for e, truth in film.estimates.values()]
+    assert 0.90 <= np.mean(every) <= 0.99
+
+
+def test_every_drop_is_found_and_none_invented(judged):
+    assert [(film.seed, film.missed, film.invented) for film in judged] == [
+        (seed, (), ()) for seed in SEEDS
+    ]
+
+
+def test_the_withdrawn_claim_is_refuted_on_first_order_films(judged):
+    assert {film.analysis.stress_jerk.verdict for film in judged} == {"refuted"}
+
+
+@pytest.mark.parametrize(("break_Hz", "corner_Hz"), [(1200.0, 6631.0), (700.0, 20e3)])
+def test_the_withdrawn_claim_is_supported_where_it_is_true(break_Hz, corner_Hz):
+    film = FilmModel(
+        -78.0,
+        1 / corner_Hz,
+        (Notch(480.0, 10.0, 12.0), Notch(2500.0, 9.0, 11.0)),
+        break_Hz=break_Hz,
+    )
+    test = analyse(*curve_of(film.response)).stress_jerk
+    assert test.verdict == "supported"
+    assert test.break_Hz == pytest.approx(break_Hz, rel=0.02)
+
+
+def test_the_default_film_has_the_slope_of_the_circuit_table(default_film):
+    assert line_slope(SWEEP_FILM) == pytest.approx(19.565, abs=0.001)
+    assert default_film.slopes.slope.covers(line_slope(SWEEP_FILM))
+    assert default_film.slopes.asymptotic.covers(20.0)
+
+
+def test_the_plain_fit_lies_below_b_and_depends_on_the_grid(default_film):
+    dense = np.concatenate([SCAN, np.geomspace(1000, 2000, 60)])
+    more = analyse(*curve_of(lambda f: true_response(f, *DEFAULT_FILM), dense))
+    assert -0.9 < default_film.plain.level_dB - default_film.level.value < -0.3
+    assert more.plain.level_dB < default_film.plain.level_dB - 0.1
+    assert more.level.value == pytest.approx(default_film.level.value, abs=0.02)
+
+
+def test_the_corner_is_said_to_contradict_table_1(default_film):
+    text = "\n".join(default_film.sentences())
+    assert "6631 Hz for the film alone" in text
+    assert "do not explain the measured saturation" in text
+    assert "20 dB/decade (stress rate) holds" in text
+    assert "the paper subtracted 24 dB" in text
+
+
+def test_the_order_of_the_points_does_not_matter(default_film):
+    points = default_sweep()
+    order = np.random.default_rng(5).permutation(len(points[0]))
+    shuffled = analyse(*(values[order] for values in points))
+    assert shuffled.as_dict() == default_film.as_dict()
+
+
+def test_a_film_without_drops_has_none():
+    analysis = analyse(*curve_of(FilmModel(-78.0, 1 / 2000).response))
+    assert analysis.drops == ()
+    assert "No drop was found." in analysis.sentences()
+
+
+def test_one_odd_point_is_no_drop():
+    frequencies, responses, covariances = curve_of(FilmModel(-78.0, 1 / 2000).response)
+    responses[90] *= 0.4
+    assert analyse(frequencies, responses, covariances).drops == ()
+
+
+def test_a_scan_without_refinement_already_finds_the_drops():
+    film = drawn_film(321)
+    analysis = analyse(SCAN, *record(film, SCAN, np.random.default_rng(2))[:2])
+    found = [drop.frequency.value for drop in analysis.drops]
+    assert found == pytest.approx([drop.frequency_Hz for drop in film[0].drops], rel=0.02)
+
+
+def test_a_film_connected_the_other_way_round_and_late_reads_the_same(default_film):
+    frequencies, responses, covariances = default_sweep()
+    turned = -responses * np.exp(-2j * np.pi * frequencies * 3e-6)
+    analysis = analyse(frequencies, turned, covariances)
+    assert analysis.fit.model.polarity == -1
+    assert analysis.fit.delay.value == pytest.approx(3.0, abs=0.05)
+    assert analysis.level.value == pytest.approx(default_film.level.value, abs=0.002)
+    assert analysis.corner.value == pytest.approx(default_film.corner.value, rel=1e-3)
+
+
+def test_errors_known_from_few_samples_count_less():
+    points = default_sweep()
+    known, estimated = analyse(*points), analyse(*points, degrees=np.full(len(points[0]), 8.0))
+    assert estimated.fit.chi_square == pytest.approx(known.fit.chi_square / 1.5, rel=0.01)
+    with pytest.raises(CurveError, match="degrees: the value at 2 Hz is below 1"):
+        analyse(*points, degrees=np.zeros(len(points[0])))
+
+
+def test_scatter_of_the_gain_alone_widens_the_intervals_and_is_stated():
+    response = lambda f: true_response(f, *DEFAULT_FILM)  # noqa: E731
+    frequencies = np.concatenate([SCAN, SCAN[SCAN < 200], np.geomspace(380, 620, 25)])
+    calm = analyse(*curve_of(response, frequencies, error_dB=0.005))
+    restless = analyse(*curve_of(response, frequencies, error_dB=0.005, scatter=0.01))
+    assert calm.fit.gain_error_dB < 0.005
+    assert restless.fit.gain_error_dB == pytest.approx(0.0869, rel=0.2)
+    assert restless.fit.phase_error_deg < 0.1
+    assert restless.level.standard_error > 5 * calm.level.standard_error
+    assert "more than noise explains" in restless.sentences()[-1]
+    assert restless.level.covers(pvdf.level_at_one_hertz(SWEEP_FILM))
+
+
+def test_a_film_that_does_not_saturate_has_no_corner_and_its_report_is_json():
+    analysis = analyse(*curve_of(FilmModel(-78.0, 0.0).response, error_dB=0.1))
+    assert analysis.corner.low > 20e3
+    assert any("No corner is seen up to 20000 Hz" in line for line in analysis.sentences())
+    assert json.loads(json.dumps(analysis.as_dict(), allow_nan=False))["points"] == SCAN.size
+
+
+def test_a_sweep_above_the_band_has_no_slope():
+    frequencies = np.geomspace(1900, 20000, 60)
+    analysis = analyse(*curve_of(FilmModel(-78.0, 1 / 4000).response, frequencies))
+    assert analysis.slopes is None
+    assert "No slope" in analysis.sentences()[0]
+
+
+def test_points_that_follow_no_circuit_are_refused():
+    random = np.random.default_rng(8)
+    gains = 10 ** (random.uniform(-40, 20, SCAN.size) / 20)
+    responses = gains * np.exp(2j * np.pi * random.random(SCAN.size))
+    covariances = (0.01 * gains)[:, None, None] ** 2 * np.eye(2)
+    with pytest.raises(CurveError, match="no first-order circuit with drops comes near"):
+        analyse(SCAN, responses, covariances)
+
+
+@pytest.mark.parametrize(
+    ("frequencies", "message"),
+    [
+        (np.geomspace(2, 2000, 7), "7 different frequencies show no trend"),
+        (np.linspace(100, 900, 30), "a decade is needed"),
+    ],
+)
+def test_too_few_points_are_refused(frequencies, message):
+    with pytest.raises(CurveError, match=message):
+        analyse(*curve_of(FilmModel(-78.0, 1 / 2000).response, frequencies))
+
+
+def test_refinement_lies_within_the_half_widths():
+    film = drawn_film(322)
+    scanned = ResponseCurve.of(SCAN, *record(film, SCAN, np.random.default_rng(3)))
+    more = np.array(refine_Hz(PLAN, scanned))
+    together = np.sort(np.concatenate([SCAN, more]))
+    left = np.ones(more.size, bool)
+    for drop in film[0].drops:
+        x = together / drop.frequency_Hz
+        detuning = drop.pole_Q * (x - 1 / x)
+        assert (np.abs(detuning[detuning < 0]) < 1.03).sum() >= 6
+        assert (detuning[detuning > 0] < 1.03).sum() >= 6
+        x = more / drop.frequency_Hz
+        left &= np.abs(drop.pole_Q * (x - 1 / x)) > 1.05
+    assert not left.any()

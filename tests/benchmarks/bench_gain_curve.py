@@ -1,0 +1,80 @@
+"""200 drawn films, recorded, analysed and held against the truth: errors, coverage, drops, cost.
+
+Films of the seeds 1 to 200; what an analysis is tuned on are other seeds (1000 and above). The
+truth of each quantity is defined in tests/analysis/recorded_film.py. Prints the table and judges
+it: b within 0.1 dB, slopes within 0.1 dB/decade, corner within 5 %, every drop found within 2 % and
+none invented, and every 95 % interval right in 183 to 197 of 200.
+
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_gain_curve.py``.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from measured import heading, row, target
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "analysis"))
+from recorded_film import judge
+
+pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
+
+SEEDS = range(1, 201)
+COVERED = (183, 197)
+LARGEST_ERROR = {
+    "b": 0.1,
+    "slope 2-2000 Hz": 0.1,
+    "asymptotic slope": 0.1,
+}
+LARGEST_RELATIVE_ERROR = {"corner": 0.05, "frequency": 0.02}
+
+
+def allowed(quantity, truth):
+    """Largest error of a quantity, or none is set."""
+    if quantity in LARGEST_ERROR:
+        return LARGEST_ERROR[quantity]
+    for name, relative in LARGEST_RELATIVE_ERROR.items():
+        if quantity.endswith(name):
+            return relative * truth
+    return np.inf
+
+
+def test_200_films():
+    heading("analysis of 200 drawn films, seeds 1 to 200, two plans, 1 N, 0.05 dB")
+    judged = [judge(seed) for seed in SEEDS]
+    failures = [f"seed {j.seed}: missed {j.missed}" for j in judged if j.missed]
+    failures += [f"seed {j.seed}: invented {j.invented}" for j in judged if j.invented]
+    print(
+        f"{'quantity':26s} {'covered':>11s} {'largest error':>22s} {'error/stated: mean, rms':>26s}"
+    )
+    for quantity in judged[0].estimates:
+        pairs = [j.estimates[quantity] for j in judged if quantity in j.estimates]
+        errors = np.array([estimate.value - truth for estimate, truth in pairs])
+        scores = errors / np.array([estimate.standard_error for estimate, _ in pairs])
+        spread = np.sqrt(np.square(scores).mean())
+        covered = sum(estimate.covers(truth) for estimate, truth in pairs)
+        print(
+            f"{quantity:26s} {covered:4d} of {len(pairs)} {np.abs(errors).max():15.3g} "
+            f"{pairs[0][0].unit:12s} {scores.mean():+13.2f}, {spread:.3f}"
+        )
+        if not COVERED[0] <= covered <= COVERED[1]:
+            failures.append(f"{quantity}: covered in {covered}")
+        if any(abs(e.value - truth) > allowed(quantity, truth) for e, truth in pairs):
+            failures.append(f"{quantity}: an error is too large")
+    found = sum(len(j.analysis.drops) for j in judged)
+    missed, invented = (
+        sum(len(getattr(j, kind)) for j in judged) for kind in ("missed", "invented")
+    )
+    print(f"drops: {found} found of {3 * len(judged)}, {missed} missed, {invented} invented")
+    verdicts = [j.analysis.stress_jerk.verdict for j in judged]
+    least = min(j.analysis.stress_jerk.aic_difference for j in judged)
+    print(f"stress jerk: refuted in {verdicts.count('refuted')}, least AIC difference {least:.0f}")
+    away = [j.analysis.plain.level_dB - j.analysis.level.value for j in judged]
+    row("paper's plain eq. (2) less b", away, "dB")
+    row("points of a sweep", [j.analysis.points for j in judged], "", 0)
+    cost = row("analysis of a sweep", [j.seconds for j in judged], "s")
+    target("median analysis", cost, 1.0, "s")
+    assert not failures, "\n".join(failures)

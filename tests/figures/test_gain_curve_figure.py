@@ -1,0 +1,86 @@
+"""The pictures of an analysed sweep say what was found, and that simulated data are simulated."""
+
+import numpy as np
+import pytest
+
+from rig.analysis.film_model import FilmModel, Notch
+from rig.analysis.gain_curve import ResponseCurve, analyse
+from rig.figures.gain_curve import draw_gain, draw_linearity, draw_readings
+from rig.figures.style import save
+
+FILM = FilmModel(-72.0, 1 / 2000, (Notch(500.0, 10.0, 12.0), Notch(2400.0, 10.0, 10.0)))
+SINGLE_LOAD = np.geomspace(2, 20000, 200)
+LOADS = (0.2, 1.0, 10.0)
+
+
+def measured(model, loads=(1.0,)):
+    random = np.random.default_rng(1)
+    f, load = (a.ravel() for a in np.meshgrid(SINGLE_LOAD, loads))
+    truth = model.response(f)
+    noise = random.standard_normal((2, f.size))
+    responses = truth * (1 + 0.003 * (noise[0] + 1j * noise[1]))
+    covariances = np.square(0.003 * abs(truth))[:, None, None] * np.eye(2)
+    analysis = analyse(f, responses, covariances, loads=load)
+    return ResponseCurve.of(f, responses, covariances), analysis
+
+
+def texts(figure):
+    found = [text.get_text() for text in figure.texts]
+    found += [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    for axes in figure.axes:
+        found += [text.get_text() for text in axes.texts]
+        found += (
+            [text.get_text() for text in axes.get_legend().get_texts()] if axes.get_legend() else []
+        )
+        found += [axes.get_xlabel(), axes.get_ylabel(), axes.get_title()]
+    return "\n".join(found)
+
+
+@pytest.fixture(scope="module")
+def film():
+    return measured(FILM)
+
+
+def test_the_gain_figure_names_level_corner_slope_and_every_drop(film):
+    written = texts(draw_gain(*film, title="Sweep"))
+    for expected in (
+        "b = −72.0",
+        "corner 20",
+        "2 drops",
+        "slope 2 to 2000 Hz 19.5",
+        "eq. (2), plain",
+    ):
+        assert expected in written
+    for drop in film[1].drops:
+        assert f"{drop.depth.value:.1f} dB" in written
+    assert "Gain (dB re 1 V/N)" in written
+    assert "Frequency (Hz)" in written
+
+
+def test_the_readings_figure_shows_all_three_their_offsets_and_both_corners(film):
+    written = texts(draw_readings(*film))
+    for expected in (
+        "printed, +89.3 dB",
+        "ohmic, +6.0 dB",
+        "circuit, +17.3 dB",
+        "6631 Hz",
+        "found",
+    ):
+        assert expected in written
+
+
+def test_a_film_without_corner_and_drops_is_drawn_too():
+    curve, analysis = measured(FilmModel(-78.0, 0.0))
+    assert "0 drops" in texts(draw_gain(curve, analysis))
+    assert "6631 Hz" in texts(draw_readings(curve, analysis))
+
+
+def test_the_linearity_figure_says_the_mean():
+    _, analysis = measured(FILM, LOADS)
+    assert "of load" in texts(draw_linearity(analysis.linearity))
+
+
+def test_simulated_data_say_so_in_the_picture(film, tmp_path):
+    figure = draw_gain(*film)
+    assert [path.suffix for path in save(figure, tmp_path / "run.h5", True)] == [".png", ".svg"]
+    assert "SIMULATED" in texts(figure)
