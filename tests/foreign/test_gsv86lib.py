@@ -72,7 +72,8 @@ def test_gsv86lib_stops_sets_reads_one_value_and_streams_without_a_gap() -> None
     assert seen["rate"] == 1000.0
     assert seen["one"][1:] == pytest.approx([-0.03, 0.25], abs=2e-4)
     started, stopped = world.spans_us[1:3]
-    assert seen["frames"] == (stopped - started) // 1000
+    due = (stopped - started) // 1000
+    assert seen["frames"] in (due, due - 1), "one may fall due while the stop is being taken"
     assert seen["frames"] >= 3000
     steps = np.diff(seen["ramp"]) * 10
     assert steps == pytest.approx(np.full(len(steps), 0.003), abs=1.5e-3), "1 ms after 1 ms"
