@@ -77,8 +77,9 @@ TELEGRAM = 111
 LARGEST_COUNT = 2**31 - 1
 """Positions travel as signed 32-bit integers; speeds are held to the same."""
 POLL_S = 0.002
-ARRIVAL_POLL_S = 0.005
-KEEP_ALIVE_EVERY_S = 0.01
+ARRIVAL_POLL_S = 0.02
+KEEP_ALIVES_PER_TIMEOUT = 20
+"""How often the communication time-out is fed within its length."""
 ACKNOWLEDGE_TIMEOUT_S = 0.5
 """How long the drive may take to show that it has taken a task."""
 FAULT_TIMEOUT_S = 5.0
@@ -271,6 +272,7 @@ class Axis:
             lambda seen: Zsw1.HOMED in seen.zsw1 and PosZsw1.HOMING not in seen.pos_zsw1,
             self._settings.homing_timeout_s,
             "did not find its reference",
+            ARRIVAL_POLL_S,
         )
         self.stop()
 
@@ -349,7 +351,8 @@ class Axis:
     def keep_alive(self) -> None:
         """Read the drive's state, unless that has just been done: it feeds the communication
         time-out. What ended a motion raises, and so does a fault, once when it appears."""
-        if self._link.charging or self._clock.now() - self._seen_at_s < KEEP_ALIVE_EVERY_S:
+        every_s = self._settings.communication_timeout_ms * 1e-3 / KEEP_ALIVES_PER_TIMEOUT
+        if self._link.charging or self._clock.now() - self._seen_at_s < every_s:
             return
         seen = self._read()
         if not self._in_charge or Zsw1.FAULT not in seen.zsw1:
@@ -571,6 +574,7 @@ class Axis:
         condition: Callable[[Inputs], bool],
         timeout_s: float,
         otherwise: str,
+        poll_s: float = POLL_S,
     ) -> None:
         """Poll until the drive's state meets the condition."""
         give_up = self._clock.now() + timeout_s
@@ -578,7 +582,7 @@ class Axis:
             self._refuse_if_made_safe(command)
             if self._clock.now() > give_up:
                 raise self._error(command, f"{otherwise} within {timeout_s:g} s", _LOOK)
-            self._clock.sleep(POLL_S)
+            self._clock.sleep(poll_s)
 
     # --- judging ------------------------------------------------------------------------------
 

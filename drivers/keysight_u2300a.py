@@ -138,6 +138,10 @@ class Daq:
         sharing = 1 if self.model.simultaneous else channels
         return float(self.model.total_rate_S_s // sharing)  # units take whole S/s
 
+    def ranges_V(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital
+        """Bipolar full scales of this model, ascending."""
+        return tuple(sorted(self.model.ranges_V))
+
     def check(self, acquisition: Acquisition) -> None:
         """Raise LimitError where this model cannot do the acquisition."""
         device = f"daq {self.identity.model}"

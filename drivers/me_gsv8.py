@@ -25,7 +25,7 @@ import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -498,6 +498,10 @@ class ForceAmplifier:
         self._started_s = None
         self._link.request(STOP_TRANSMISSION)
         self._link.discard()
+
+    def calibrate(self, matrix_N_mV_V: Sequence[Sequence[float]]) -> None:
+        """Use this matrix, force in N by bridge output in mV/V, from the next `read` on."""
+        self._matrix = np.array(matrix_N_mV_V, dtype=np.float64)
 
     def tare(self, zero_mV_V: tuple[float, float, float]) -> None:
         """Take this reading in mV/V as no force, from the next `read` on."""

@@ -46,7 +46,7 @@ def phasor_columns(name: str, unit: str, tone: SineFit) -> Reading:
 
 LAYOUT = Layout(
     definition="NXrig_sweep",
-    version="1",
+    version="2",
     columns=(
         Column("frequency", "frequency_Hz", "Hz", "Frequency (Hz)"),
         Column("gain", "gain_dB", "dB", "Gain (dB re 1 V/N)"),
@@ -67,6 +67,15 @@ LAYOUT = Layout(
         Column("voltage_phase", "voltage_phase_deg", "deg", "Film voltage phase (deg)"),
         Column("voltage_distortion", "voltage_distortion", "", "Harmonic distortion of the film"),
         Column("voltage_residual", "voltage_residual_rms_V", "V", "Film residual, rms (V)"),
+        Column("load_set", "load_set_N", "N", "Load asked for, peak (N)"),
+        Column("repeat", "repeat", "", "Repeat"),
+        Column("drive", "drive_V", "V", "Generator amplitude, peak (V)"),
+        Column("preload", "preload_N", "N", "Preload (N)"),
+        Column("degrees", "degrees", "", "Degrees of freedom of the fit"),
+        Column("records", "records", "", "Records that count"),
+        Column("taken", "taken_s", "s", "Time the point took (s)"),
+        Column("physics", "physics_s", "s", "Time of waits and records in it (s)"),
+        Column("largest_load", "largest_load_N", "N", "Largest load on the way, peak (N)"),
         Column("settled_at", "settled_at_s", "s", "Time of the record's end (s)"),
     ),
     plots=(

@@ -12,30 +12,46 @@ import contextlib
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from datetime import datetime
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, Protocol, Self, TypeVar
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
+from rig.calibration import (
+    CalibrationFiles,
+    FilmCalibration,
+    ForceCalibration,
+    LoadCellCalibration,
+    header_entry,
+    read_calibration,
+    require_valid,
+)
 from rig.clock import Clock
 from rig.errors import ConfigurationError, LimitError, RigError
 from rig.instruments import (
     DataAcquisition,
     DriverModule,
+    ForceSensor,
     Identity,
     Instrument,
+    LinearStage,
     Reach,
     SignalGenerator,
 )
 from rig.settings import Settings
 
-ROLES = ("generator", "daq")
+ROLES = ("generator", "daq", "stage_z", "force_sensor")
+
+WIRING = ("resource", "timeout_s", "channels", "host", "port", "unit_id", "matrix_N_mV_V")
+"""Settings of a driver that say where an instrument is and what is wired to it."""
 
 WAITS_PER_CALL = 2
 """A call on an instrument may wait twice for its time-out: to reconnect, and for the answer."""
 
 T = TypeVar("T")
+R = TypeVar("R", FilmCalibration, ForceCalibration, LoadCellCalibration)
 
 Fixture = Literal["film-clamp", "plate", "semi-spherical-object"]
 
@@ -54,6 +70,8 @@ class FilmSettings(Settings):
 class LoadCellSettings(Settings):
     """The dynamic force sensor that carries the film."""
 
+    name: str = ""
+    """Which cell: its label or serial number."""
     sensitivity_V_N: float = Field(gt=0)
     """Output per newton."""
     max_load_N: float = Field(default=20.0, gt=0)
@@ -65,6 +83,24 @@ class FixtureSettings(Settings):
 
     mounted: Fixture
     """A procedure refuses to run on the wrong fixture."""
+    contact_from_mm: float | None = None
+    """Position of the z stage at which the probe meets the object at the earliest: contact felt
+    before means that something is in the way."""
+    contact_to_mm: float | None = None
+    """Position at which it has met the object: no contact by then means that there is none."""
+    parked_mm: float = 5.0
+    """Position at which the z stage waits, clear of everything."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        places = [self.parked_mm, self.contact_from_mm, self.contact_to_mm]
+        known = [place for place in places if place is not None]
+        if known != sorted(known):
+            raise ValueError(
+                "parked_mm, contact_from_mm and contact_to_mm have to ascend; they are "
+                + ", ".join(f"{place:g}" for place in known)
+            )
+        return self
 
 
 class BenchSettings(Settings):
@@ -80,6 +116,8 @@ class BenchSettings(Settings):
     fixture: FixtureSettings
     film: FilmSettings | None = None
     load_cell: LoadCellSettings | None = None
+    calibrations: CalibrationFiles = CalibrationFiles()
+    """Calibration records in use; their values replace those of this file."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +205,16 @@ class Bench:
         return self._role("daq")  # type: ignore[return-value]
 
     @property
+    def stage_z(self) -> LinearStage:
+        """The z stage; ConfigurationError where the bench has none."""
+        return self._role("stage_z")  # type: ignore[return-value]
+
+    @property
+    def force_sensor(self) -> ForceSensor:
+        """The force sensor; ConfigurationError where the bench has none."""
+        return self._role("force_sensor")  # type: ignore[return-value]
+
+    @property
     def film(self) -> FilmSettings:
         """The film; ConfigurationError where the bench file describes none."""
         return self._part("film", self.settings.film)
@@ -183,12 +231,16 @@ class Bench:
         return self.settings.simulation is not None or admitted
 
     def reach(self) -> dict[str, Reach]:
-        """Every instrument's limits as ``role.quantity``."""
-        return {
+        """Every instrument's limits as ``role.quantity``, and the load cell's."""
+        limits = {
             f"{role}.{quantity}": reach
             for role, instrument in self.instruments.items()
             for quantity, reach in instrument.reach().items()
         }
+        if self.settings.load_cell is not None:
+            largest = self.settings.load_cell.max_load_N
+            limits["load_cell.load"] = Reach(0.0, largest, "N", "load cell")
+        return limits
 
     def require_fixture(self, *accepted: Fixture) -> None:
         """Refuse the run where another fixture is mounted."""
@@ -280,10 +332,13 @@ def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
     instruments = []
     for part in simulated.instruments:
         if part.driver_name in own:
-            kept = {k: v for k, v in part.settings if k in ("resource", "timeout_s", "channels")}
+            kept = {k: v for k, v in part.settings if k in WIRING}
             part = replace(part, settings=own[part.driver_name].model_copy(update=kept))
         instruments.append(part)
-    limits: dict[str, Any] = {"fixture": real.settings.fixture}
+    limits: dict[str, Any] = {
+        "fixture": real.settings.fixture,
+        "calibrations": CalibrationFiles(),  # those of real sensors are nothing to simulated ones
+    }
     if real.settings.load_cell is not None and simulated.settings.load_cell is not None:
         kept = {"sensitivity_V_N": simulated.settings.load_cell.sensitivity_V_N}
         limits["load_cell"] = real.settings.load_cell.model_copy(update=kept)
@@ -306,6 +361,8 @@ def connect(plan: BenchPlan, clock: Clock) -> Bench:
             raise
         guarded = GuardedGenerator(instrument) if part.role == "generator" else instrument  # type: ignore[arg-type]
         instruments[part.role] = guarded
+        if hasattr(instrument, "keep_alive"):
+            clock.each_slice(instrument.keep_alive)
     if failures:
         _close_all(instruments)
         if len(failures) == 1:
@@ -313,6 +370,50 @@ def connect(plan: BenchPlan, clock: Clock) -> Bench:
         first = failures[0]
         raise RigError("; ".join(f.message for f in failures), first.hint, first.code)
     return Bench(plan, clock, instruments)
+
+
+def apply_calibrations(
+    bench: Bench, now: datetime, allow_expired: bool = False
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """Use the calibration records that the bench file names, each checked against its sensor.
+
+    Returns the records as a run's header carries them, and warnings. ConfigurationError for one
+    that is expired (unless told), another sensor's, or a simulated one on a real bench.
+    """
+    files, plan = bench.settings.calibrations, bench.plan
+    folder = Path(plan.source).parent
+    entries: list[dict[str, Any]] = []
+    warnings: list[str] = []
+
+    def used(file: Path, kind: type[R], sensor: str) -> R:
+        path = folder / file
+        record = read_calibration(path, kind)
+        warnings.extend(
+            require_valid(
+                record,
+                sensor,
+                now,
+                source=path,
+                simulated_bench=bench.simulated,
+                allow_expired=allow_expired,
+                warning_days=files.expiry_warning_days,
+            )
+        )
+        entries.append(header_entry(record, path))
+        return record
+
+    if files.film is not None:
+        used(files.film, FilmCalibration, bench.film.name)
+    if files.force_sensor is not None:
+        sensor = bench.force_sensor
+        force = used(files.force_sensor, ForceCalibration, sensor.identity.serial_number)
+        sensor.calibrate(force.matrix_N_mV_V)
+    if files.load_cell is not None:
+        cell = used(files.load_cell, LoadCellCalibration, bench.load_cell.name)
+        calibrated = {"sensitivity_V_N": cell.sensitivity_V_N.value}
+        part = bench.load_cell.model_copy(update=calibrated)
+        bench.plan = replace(plan, settings=plan.settings.model_copy(update={"load_cell": part}))
+    return entries, warnings
 
 
 def _close_all(instruments: Mapping[str, Instrument]) -> None:
@@ -354,6 +455,8 @@ def _plan_instrument(role: str, table: Any, source: str) -> InstrumentPlan:
         settings = module.Settings.model_validate(table)
     except ValidationError as error:
         raise ConfigurationError.from_validation(error, where) from error
+    if (own := getattr(settings, "role", role)) != role:
+        raise ConfigurationError(f"{where}: its settings are those of the {own}")
     return InstrumentPlan(role, name, module, settings)
 
 

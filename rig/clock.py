@@ -75,6 +75,18 @@ class Clock(ABC):
     def announce(self, run: int, point: int) -> None:  # noqa: B027 - hardware need not know
         """Tell a simulated bench which point comes next: it keys the point's noise."""
 
+    def act(self, do: str, **values: object) -> bool:
+        """Have a simulated bench do what a person would do to a real one, such as ``weigh``.
+
+        Whether there is such a bench: where there is none, a person has to do it.
+        """
+        return False
+
+    def follow_stream(self, name: str, consumed: Callable[[], int]) -> Unregister:
+        """Make waits last until the reader of stream `name` has consumed, by its count, what the
+        bench has sent; in real time there is nothing to wait for."""
+        return lambda: None
+
     def close(self) -> None:  # noqa: B027 - nothing to release in real time
         """Release what the clock holds."""
 
@@ -126,9 +138,20 @@ class SlavedClock(Clock):
             remaining_us -= step_us
 
     def follow_stream(self, name: str, consumed: Callable[[], int]) -> Unregister:
-        """Make `sleep` wait for the reader of stream `name`, whose byte count is `consumed()`."""
-        self._consumed[name] = consumed
+        """Make `sleep` wait for the reader of stream `name`, whose byte count is `consumed()`.
+
+        What the bench had sent before counts as consumed before; call it while nothing streams.
+        """
+        streams = self._control.request("advance", us=0)["streams"]
+        sent_before = int(streams.get(name, 0))
+        missing = sent_before - consumed()
+        self._consumed[name] = lambda: consumed() + missing
         return lambda: self._consumed.pop(name, None) and None
+
+    def act(self, do: str, **values: object) -> bool:
+        """Have the bench do it."""
+        self._control.request(do, **values)
+        return True
 
     def announce(self, run: int, point: int) -> None:
         """Tell the bench which point comes next."""
@@ -146,7 +169,11 @@ class SlavedClock(Clock):
         self._now_us = int(reply["now_us"])
         for name, sent in reply.get("streams", {}).items():
             if name in self._consumed:
-                self._wait_for_reader(name, int(sent))
+                try:
+                    self._wait_for_reader(name, int(sent))
+                except BaseException:  # said once: a clean-up may still have to wait
+                    self._consumed.pop(name, None)
+                    raise
 
     def _wait_for_reader(self, name: str, sent: int) -> None:
         give_up = time.monotonic() + STREAM_PATIENCE_S

@@ -8,7 +8,7 @@ that names device, command and cause.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -153,6 +153,10 @@ class DataAcquisition(Instrument, Protocol):
         """Raise LimitError where this instrument cannot do it: rate, range, channel, count."""
         ...
 
+    def ranges_V(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital
+        """Bipolar full scales of an input, ascending."""
+        ...
+
     def acquire(self, acquisition: Acquisition) -> Record:
         """Sample once, wait for the end on the bench clock, and return everything."""
         ...
@@ -240,6 +244,11 @@ class ForceSensor(Instrument, Protocol):
         """Bytes taken off the link since it was opened."""
         ...
 
+    @property
+    def frames_behind(self) -> float:
+        """Frames that bench time says are due since `start` and that `read` has not given."""
+        ...
+
     def start(self, rate_S_s: float) -> float:
         """Begin to stream; returns the rate that the amplifier reports."""
         ...
@@ -253,6 +262,10 @@ class ForceSensor(Instrument, Protocol):
 
     def stop(self) -> None:
         """End the stream."""
+        ...
+
+    def calibrate(self, matrix_N_mV_V: Sequence[Sequence[float]]) -> None:
+        """Use this matrix, force in N by bridge output in mV/V, from the next `read` on."""
         ...
 
     def tare(self, zero_mV_V: tuple[float, float, float]) -> None:

@@ -16,6 +16,8 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 
 UNIT_BY_SUFFIX: dict[str, str] = {
+    "N_mV_V": "N/(mV/V)",
+    "mV_V": "mV/V",
     "V_N": "V/N",
     "V_sqrtHz": "V/sqrt(Hz)",
     "C_N": "C/N",

@@ -80,7 +80,10 @@ WRONG: dict[str, tuple[str, str]] = {
     "unknown key of a part": (changed("sensitivity_V_N", "gain = 1\nsensitivity_V_N"), "gain"),
     "unknown key of a driver": (changed("max_amplitude_V", "loud = 1\nmax_amplitude_V"), "loud"),
     "unknown table": (GOOD + "\n[oven]\nx = 1\n", "oven: unknown key"),
-    "unknown driver": (changed("keysight-33500b", "keysight-1"), "known: keysight-33500b"),
+    "unknown driver": (
+        changed("keysight-33500b", "keysight-1"),
+        "known: festo-cmmt, keysight-33500b",
+    ),
     "driver of another role": (
         changed("keysight-33500b", "keysight-u2300a"),
         "driver 'keysight-u2300a' is for the role daq",

@@ -43,6 +43,20 @@ class Options:
     linger_s: float = LINGER_S
 
 
+FORCE_SENSOR = "force_sensor"
+FORCE_STREAM = "force_sensor.stream"
+"""Name of the force sensor's own frames in fault plans; its answers go by the sensor's name."""
+
+ANY_PORT = 502
+"""Stands for the drive's port in a bench file that is only recorded."""
+
+LINK_TIMEOUT_S = 1.5
+"""Wall time the bench file gives every link: a loaded machine may let a process wait for long."""
+
+SETTLE_EVERY_S = 0.02
+"""How often drives in real time look at what has befallen them."""
+
+
 @dataclass(frozen=True)
 class Endpoints:
     """Where the bench listens."""
@@ -50,12 +64,16 @@ class Endpoints:
     control: int
     generator: str
     daq: str
+    stage_z: int
+    force_sensor: str
 
 
 def bench_toml(options: Options, world: dict[str, Any], endpoints: Endpoints) -> str:
     """The bench file that drives this bench."""
+    from drivers.simulated.me_gsv8 import Sensor
+
     simulation = {"seed": options.seed, **world}
-    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in simulation.items())
+    lines = "".join(f"{key} = {_toml(value)}\n" for key, value in simulation.items())
     return f"""# A simulated bench: whatever is measured on it is computed, not measured.
 name = "simulated"
 
@@ -63,28 +81,60 @@ name = "simulated"
 {lines}
 [fixture]
 mounted = "film-clamp"
+contact_from_mm = 12.0
+contact_to_mm = 13.0
 
 [film]
-name = "simulated film"
+name = "simulated film {options.seed}"
 amplifier_gain = 1.0
 area_mm2 = 8.0
 
 [load_cell]
+name = "simulated cell {options.seed}"
 sensitivity_V_N = 0.1
 max_load_N = 20.0
 
 [generator]
 driver = "keysight-33500b"
 resource = "{endpoints.generator}"
-timeout_s = 0.5
+timeout_s = {LINK_TIMEOUT_S}
 max_amplitude_V = 10.0
 
 [daq]
 driver = "keysight-u2300a"
 resource = "{endpoints.daq}"
-timeout_s = 0.5
+timeout_s = {LINK_TIMEOUT_S}
 channels = {{ load_cell = 101, film = 102 }}
+
+[stage_z]
+driver = "festo-cmmt"
+axis = "z"
+host = "127.0.0.1"
+port = {endpoints.stage_z}
+timeout_s = {LINK_TIMEOUT_S}
+low_limit_mm = 0.0
+high_limit_mm = 14.0
+max_speed_mm_s = 20.0
+communication_timeout_ms = 1000
+torque_limit_percent = 45.0
+
+[force_sensor]
+driver = "me-gsv8"
+port = "{endpoints.force_sensor}"
+timeout_s = {LINK_TIMEOUT_S}
+nominal_force_N = 50.0
+max_force_N = 40.0
+matrix_N_mV_V = {json.dumps(Sensor().matrix)}
 """
+
+
+def _toml(value: Any) -> str:
+    """A value of the World's settings in TOML: JSON but for tables."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(own)}" for key, own in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml(own) for own in value) + "]"
+    return json.dumps(value)
 
 
 class StartedBench:
@@ -139,43 +189,80 @@ def serve(options: dict[str, Any], ready: Callable[[str], None]) -> None:
 async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> None:
     from drivers.simulated.control import ControlServer
     from drivers.simulated.faults import FaultPlan, WireFaults
+    from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
     from drivers.simulated.keysight_33500b import Keysight33500B
     from drivers.simulated.keysight_u2300a import KeysightU2300A
+    from drivers.simulated.me_gsv8 import Gsv8, Sensor
+    from drivers.simulated.modbus_tcp import ModbusTcpServer
+    from drivers.simulated.serial_server import PtyServer
     from drivers.simulated.servers import HislipServer, ScpiSocketServer
-    from drivers.simulated.world import World, read_world
+    from drivers.simulated.world import STAGE_Z, World, read_world
 
     settings = read_world(options.world)
-    devices = ("generator", "daq")
+    devices = ("generator", "daq", STAGE_Z, FORCE_SENSOR, FORCE_STREAM)
     faults = FaultPlan.read(Path(options.fault), devices) if options.fault else FaultPlan()
     log = Path(options.world_log) if options.world_log else None
     world = World(settings, options.seed, options.slaved, log)
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
 
-    def orphaned() -> None:
-        if not world.timeline.slaved:
-            return
-        world.timeline.set_free()
-        world.log("world", "owner-gone", None, "world")
-        loop.call_later(options.linger_s, ended.set)
-
     server_class = HislipServer if settings.generator_link == "hislip" else ScpiSocketServer
     generator = server_class(Keysight33500B(world, world), faults=WireFaults(faults, "generator"))
     daq = HislipServer(
         KeysightU2300A(settings.daq_model, world, world), faults=WireFaults(faults, "daq")
     )
-    control = ControlServer(world, {}, ended.set, orphaned)
-    if options.slaved:
-        await loop.connect_read_pipe(lambda: _OwnersPipe(orphaned), sys.stdin)
+    drive = CmmtDrive(DriveSettings(name=STAGE_Z, troubles=settings.stage_z_troubles), world)
+    world.mount(drive.position_mm)
+    stage = ModbusTcpServer(drive, faults=WireFaults(faults, STAGE_Z))
+    force = PtyServer(
+        Gsv8(world, world, FORCE_SENSOR, Sensor(zero_mV_V=settings.force_sensor_zero_mV_V)),
+        world,
+        slaved=options.slaved,
+        faults=WireFaults(faults, FORCE_SENSOR),
+        stream_faults=WireFaults(faults, FORCE_STREAM),
+        name=FORCE_SENSOR,
+    )
+
+    def after_time_passed() -> None:
+        drive.settle(world.now_us)
+        force.pump()
+
+    async def follow_real_time() -> None:
+        while True:
+            drive.settle(world.now_us)
+            await asyncio.sleep(SETTLE_EVERY_S)
+
+    free: list[asyncio.Task[None]] = []
+
+    def set_free() -> None:
+        free.append(loop.create_task(follow_real_time()))
+
+    def orphaned() -> None:
+        if not world.timeline.slaved:
+            return
+        world.timeline.set_free()
+        world.log("world", "owner-gone", None, "world")
+        force.set_free()
+        set_free()
+        loop.call_later(options.linger_s, ended.set)
+
+    control = ControlServer(
+        world, {FORCE_SENSOR: lambda: force.bytes_sent}, ended.set, orphaned, after_time_passed
+    )
+    if not options.slaved:
+        set_free()
     for number in (signal.SIGTERM,) if options.slaved else (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
+    servers = (generator, daq, stage, force)
     try:
-        await generator.start()
-        await daq.start()
+        for server in servers:
+            await server.start()
         port = await control.start()
+        if options.slaved:  # its end is seen however early it was: what it sets free has started
+            await loop.connect_read_pipe(lambda: _OwnersPipe(orphaned), sys.stdin)
         overrides = settings.model_dump(mode="json", exclude_defaults=True)
-        listening = _endpoints(settings, port, generator.port, daq.port)
-        anywhere = _endpoints(settings, 0, 0, 0)
+        listening = _endpoints(settings, port, generator.port, daq.port, stage.port, force.path)
+        anywhere = _endpoints(settings, 0, 0, 0, ANY_PORT, FORCE_SENSOR)
         ready(
             {
                 "control_port": port,
@@ -186,8 +273,11 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
         await ended.wait()
     finally:
         control.close()
-        await generator.close()
-        await daq.close()
+        for task in free:
+            task.cancel()
+        for server in servers:
+            await server.close()
+        drive.settle(world.now_us)
         world.close()
 
 
@@ -201,8 +291,10 @@ class _OwnersPipe(asyncio.Protocol):
         self._gone()
 
 
-def _endpoints(settings: Any, control: int, generator: int, daq: int) -> Endpoints:
-    """VISA resources; port 0 stands for "any" where a text is recorded rather than connected to."""
+def _endpoints(
+    settings: Any, control: int, generator: int, daq: int, stage_z: int, force_sensor: str
+) -> Endpoints:
+    """Where each instrument is; port 0 stands for "any" in a text that is only recorded."""
     by_link = {
         "socket": f"TCPIP::127.0.0.1::{generator}::SOCKET",
         "hislip": f"TCPIP::127.0.0.1::hislip0,{generator}::INSTR",
@@ -211,6 +303,8 @@ def _endpoints(settings: Any, control: int, generator: int, daq: int) -> Endpoin
         control,
         by_link[settings.generator_link],
         f"TCPIP::127.0.0.1::hislip0,{daq}::INSTR",
+        stage_z,
+        force_sensor,
     )
 
 

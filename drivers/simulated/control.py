@@ -2,6 +2,7 @@
 
     {"do": "advance", "us": 10000}      -> {"now_us": ..., "streams": {name: bytes sent}}
     {"do": "point", "run": 0, "point": 7} -> {"now_us": ...}
+    {"do": "weigh", "force_N": [0, 0, 5]} -> {"now_us": ...}: somebody puts weights on the sensors
     {"do": "stop"}                      -> {"now_us": ...}, and the bench ends
 
 The first connection owns a slaved World's time. When it closes without a stop, its owner has died:
@@ -30,11 +31,13 @@ class ControlServer:
         streams: Mapping[str, Callable[[], int]],
         stop: Callable[[], None],
         orphaned: Callable[[], None],
+        time_passed: Callable[[], None] = lambda: None,
     ):
         self._world = world
         self._streams = streams
         self._stop = stop
         self._orphaned = orphaned
+        self._time_passed = time_passed
         self._server: asyncio.Server | None = None
         self._owned = False
         self._stopped = False
@@ -60,6 +63,9 @@ class ControlServer:
                 return {"now_us": self._world.now_us, "streams": sent}
             if do == "point":
                 self._world.announce(int(request["run"]), int(request["point"]))
+            elif do == "weigh":
+                x, y, z = (float(value) for value in request["force_N"])
+                self._world.weigh((x, y, z))
             elif do == "stop":
                 self._stopped = True
                 self._stop()
@@ -73,6 +79,7 @@ class ControlServer:
         if step_us > LONGEST_ADVANCE_US:
             raise ValueError(f"an advance of {step_us} us is longer than {LONGEST_ADVANCE_US} us")
         self._world.timeline.advance(step_us)
+        self._time_passed()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

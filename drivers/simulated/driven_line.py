@@ -7,6 +7,7 @@ line's state at its start; a sample taken late, in blocks or twice is the same n
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +35,13 @@ class DrivenLine:
     def __init__(self, line: ModalSystem):
         self._line = line
         self._segments = [Segment(0, SineDrive(), line.rest())]
+        self._starts_s = [0.0]
+
+    @property
+    def frequency_Hz(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """Frequency of the present drive; 0 where there is none."""
+        drive = self._segments[-1].drive
+        return drive.frequency_Hz if drive.amplitude else 0.0
 
     def excite(self, now_us: int, excitation: Excitation) -> None:
         """Change the drive from `now_us` on.
@@ -51,18 +59,23 @@ class DrivenLine:
         if excitation.on and excitation.function in ("SIN", "DC"):
             drive = replace(drive, offset=excitation.offset_V)
         self._segments.append(Segment(now_us, drive, state))
-        del self._segments[:-SEGMENTS_KEPT]
+        self._starts_s.append(now_us * 1e-6)
+        del self._segments[:-SEGMENTS_KEPT], self._starts_s[:-SEGMENTS_KEPT]
 
     def output(self, column: int, times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """One output at ascending World times; shape of `times_s`.
 
         Times before the kept history see its first segment's start.
         """
-        starts = np.array([segment.start_us for segment in self._segments]) * 1e-6
-        edges = np.searchsorted(times_s, starts[1:], side="left")
+        if not len(times_s):
+            return np.empty(0)
+        first = max(bisect_right(self._starts_s, float(times_s[0])) - 1, 0)
+        last = max(bisect_right(self._starts_s, float(times_s[-1])), first + 1)
+        segments = self._segments[first:last]
+        edges = np.searchsorted(times_s, self._starts_s[first + 1 : last], side="left")
         bounds = [0, *edges.tolist(), len(times_s)]
         result = np.empty(len(times_s))
-        for segment, begin, end in zip(self._segments, bounds[:-1], bounds[1:], strict=True):
+        for segment, begin, end in zip(segments, bounds[:-1], bounds[1:], strict=True):
             if end > begin:
                 since = np.maximum(times_s[begin:end] - segment.start_us * 1e-6, 0.0)
                 values = self._line.evaluate(segment.state, segment.drive, since, [column])

@@ -19,6 +19,7 @@ import math
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Protocol
 
 import numpy as np
@@ -91,8 +92,15 @@ class Sensor:
 
     def bridges(self, force_N: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """What the three bridges put out in mV/V under forces (n, 3)."""
-        inverse = np.linalg.inv(np.array(self.matrix))
-        return np.asarray(force_N @ inverse.T + np.array(self.zero_mV_V))
+        inverse, zero = _inverse(self.matrix, self.zero_mV_V)
+        return np.asarray(force_N @ inverse.T + zero)
+
+
+@cache
+def _inverse(
+    matrix: tuple[tuple[float, ...], ...], zero: tuple[float, ...]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    return np.linalg.inv(np.array(matrix)), np.array(zero)
 
 
 @dataclass

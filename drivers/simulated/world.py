@@ -1,27 +1,31 @@
 """The World: one simulated physics behind all simulated instruments of a bench.
 
-It holds time, the log, the film in its clamp with the vibrator that presses on it, and what the
-DAQ's input terminals carry. Instruments see it through the narrow ports of `ports.py`; only here
-do they meet. Random numbers are keyed, never continued: the noise of a point depends on the seed,
-the run, the point and the stream, and not on what came before it.
+It holds time, the log, the film in its clamp with the stage and the vibrator that press on it, and
+what the force sensor and the DAQ's input terminals carry. Instruments see it through the narrow
+ports of `ports.py`; only here do they meet. Random numbers are keyed, never continued: the noise of
+a point depends on the seed, the run, the point and the stream, and not on what came before it.
 """
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
+from drivers.simulated.clamp import ClampedFilm
 from drivers.simulated.driven_line import DrivenLine
+from drivers.simulated.festo_cmmt import Trouble
 from drivers.simulated.ports import Excitation
 from drivers.simulated.timeline import Timeline
 from drivers.simulated.world_log import WorldLog
 from rig.errors import ConfigurationError
-from rig.model import front_end, pvdf, vibrator
+from rig.model import film_clamp, front_end, pvdf, vibrator
+from rig.model.film_clamp import FilmClampSettings
 from rig.model.front_end import FrontEndSettings
 from rig.settings import Settings
 
@@ -30,6 +34,24 @@ FILM_TERMINAL = 102
 VIBRATOR_CHANNEL = 1
 AMPLIFIER_CLIP_V = 10.0
 NOISE_CHUNK = 4096
+FORCE_NOISE = 900
+"""Stream number that keys the force sensor's noise; terminals are the DAQ's streams."""
+STAGE_Z = "stage_z"
+FORCE_SENSOR_FOLLOWS_Hz = 1000.0
+"""Vibration beyond does not reach the force sensor's bridges: its probe is too heavy (assumed)."""
+
+
+class Bump(Settings):
+    """Somebody or something pushes on the probe for a while."""
+
+    acquisition: int = Field(ge=0)
+    """During which acquisition of the DAQ since the World began."""
+    after_s: float = Field(default=0.0, ge=0)
+    """How long after that began."""
+    for_s: float = Field(default=0.05, gt=0)
+    """How long."""
+    force_N: float = 30.0
+    """Along z, on top of everything else."""
 
 
 class WorldSettings(Settings):
@@ -43,6 +65,18 @@ class WorldSettings(Settings):
     """Noise and hum of the film's channel."""
     load_cell_input: FrontEndSettings = FrontEndSettings()
     """Noise and hum of the load cell's channel."""
+    clamp: FilmClampSettings = FilmClampSettings()
+    """Where the film is met, how stiff it is and how it creeps."""
+    load_cell_sensitivity_V_N: float = Field(default=0.1, gt=0)
+    """True sensitivity of the load cell."""
+    load_cell_zero_V: float = 0.0
+    """Its output under no load."""
+    force_sensor_zero_mV_V: tuple[float, float, float] = (0.012, -0.007, 0.021)
+    """Bridge outputs of the force sensor under no load."""
+    bumps: tuple[Bump, ...] = ()
+    """Pushes on the probe that nobody commanded."""
+    stage_z_troubles: tuple[Trouble, ...] = ()
+    """What is to befall the z drive."""
     daq_model: Literal["U2331A", "U2542A"] = "U2331A"
     """Which DAQ the bench has."""
     generator_link: Literal["socket", "hislip"] = "socket"
@@ -78,12 +112,53 @@ class World:
             else (vibrator.VibratorSettings(), pvdf.SWEEP_FILM)
         )
         circuit = circuit.model_copy(update={"gain": settings.film_gain})
+        mechanics = mechanics.model_copy(
+            update={"cell_sensitivity_V_N": settings.load_cell_sensitivity_V_N}
+        )
         self._line = DrivenLine(vibrator.vibrator_line(mechanics, circuit))
+        self._clamp: ClampedFilm | None = None
+        self._weight_N = np.zeros(3)
+        self._pushes: list[tuple[float, float, float]] = []
+        """Begin and end in s, force in N."""
 
     @property
     def now_us(self) -> int:
         """World time in microseconds."""
         return self.timeline.now_us
+
+    @property
+    def noise_key(self) -> tuple[int, ...]:
+        """Keys the force sensor's noise."""
+        return (self._seed, *self._point_key, FORCE_NOISE)
+
+    def mount(self, stage_z_mm: Callable[[int], float]) -> None:
+        """The z stage carries the vibrator: where its carriage is or was, by World time in us."""
+        self._clamp = ClampedFilm(self.settings.clamp, stage_z_mm)
+
+    def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
+        """Force along an axis on its carriage: the film pushes back."""
+        if axis != STAGE_Z or self._clamp is None:
+            return 0.0
+        return -self._clamp.push_N(position_mm, t_us)
+
+    def force_N(  # noqa: N802
+        self, times_s: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """Force on the sensor under the film, (n,) to (n, 3): weights, preload, vibration."""
+        force = np.tile(self._weight_N, (len(times_s), 1))
+        along_z = self._preload(times_s)
+        if self._line.frequency_Hz <= FORCE_SENSOR_FOLLOWS_Hz and along_z.any():
+            shaken = self._line.output(vibrator.Output.LOAD, times_s)
+            along_z = np.maximum(along_z + shaken, 0.0) * (along_z > 0)
+        force[:, 2] += along_z
+        for begin_s, end_s, push_N in self._pushes:
+            force[:, 2] += push_N * ((times_s >= begin_s) & (times_s < end_s))
+        return force
+
+    def weigh(self, force_N: tuple[float, float, float]) -> None:
+        """Somebody puts weights on the sensors, along x, y and z."""
+        self._weight_N = np.array(force_N, float)
+        self.log("world", "weights", list(force_N), "world")
 
     def announce(self, run: int, point: int) -> None:
         """The run says which point comes next: it keys the noise."""
@@ -104,6 +179,11 @@ class World:
         number = len(self._acquisition_keys)
         self._acquisition_keys[number] = (*self._point_key, self._acquisitions_of_point)
         self._acquisitions_of_point += 1
+        for bump in self.settings.bumps:
+            if bump.acquisition == number:
+                begin_s = self.now_us * 1e-6 + bump.after_s
+                self._pushes.append((begin_s, begin_s + bump.for_s, bump.force_N))
+                self.log("world", "bump", bump.force_N, "world")
         return number
 
     def volts(
@@ -132,12 +212,27 @@ class World:
 
     def _signal(self, terminal: int, times: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         hum = front_end.mains_hum(self._front_end(terminal), times)
+        preload = self._preload(times)
         if terminal == LOAD_CELL_TERMINAL:
-            return self._line.output(vibrator.Output.CELL, times) + hum
-        if terminal == FILM_TERMINAL and self.settings.film != "open-circuit":
-            film = self._line.output(vibrator.Output.FILM, times)
-            return np.clip(film, -AMPLIFIER_CLIP_V, AMPLIFIER_CLIP_V) + hum
-        return hum
+            own = self.settings
+            still = own.load_cell_zero_V + own.load_cell_sensitivity_V_N * self._weight_N[2]
+            # Zeroed under the preload: only what vibrates is seen, and only if there is contact.
+            seen: npt.NDArray[np.float64] = self._line.output(vibrator.Output.CELL, times)
+            seen = seen * (preload > 0) + still
+        elif terminal == FILM_TERMINAL and self.settings.film != "open-circuit":
+            film: npt.NDArray[np.float64] = self._line.output(vibrator.Output.FILM, times)
+            film = film * film_clamp.preload_gain(self.settings.clamp, preload)
+            seen = np.clip(film, -AMPLIFIER_CLIP_V, AMPLIFIER_CLIP_V)
+        else:
+            seen = np.zeros(times.shape)
+        result: npt.NDArray[np.float64] = seen + hum
+        return result
+
+    def _preload(self, times: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Static force on the film; the nominal one where no stage is mounted."""
+        if self._clamp is None:
+            return np.full(times.shape, self.settings.clamp.nominal_preload_N)
+        return self._clamp.preload_N(times)
 
     def _front_end(self, terminal: int) -> FrontEndSettings:
         if terminal == LOAD_CELL_TERMINAL:

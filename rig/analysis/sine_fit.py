@@ -25,6 +25,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -83,6 +84,10 @@ class SineFit:
     """The tone in up to eight successive parts of whole cycles, same phase reference."""
     fitted_Hz: tuple[float, ...]
     """Interfering lines fitted beside the tone, each at the frequency it was found at."""
+    line_amplitudes: tuple[float, ...]
+    """Peak amplitudes of these lines."""
+    line_errors: tuple[float, ...]
+    """Standard errors of these amplitudes."""
     left_out_Hz: tuple[float, ...]
     """Interfering lines the record is too short for."""
 
@@ -130,18 +135,22 @@ def fit_sine(
     *,
     interference: Sequence[float] = (),
     delay_s: float = 0.0,
+    largest_inflation: float = LARGEST_INFLATION,
 ) -> SineFit:
     """Fit the tone at ``frequency`` (Hz) in evenly spaced ``samples`` (n,) taken at ``rate`` (1/s).
 
     ``interference`` are lines to fit beside it where the record separates them (see
     :func:`mains_lines`). ``delay_s`` is how much later than t = 0 this channel took its first
-    sample (multiplexer skew): the phasor refers to t = 0. Raises RecordError for NaN, fewer than 16
-    samples or one cycle, or a frequency the rate cannot carry.
+    sample (multiplexer skew): the phasor refers to t = 0. ``largest_inflation`` is what fitting
+    lines beside it may cost in variance: a strong signal can pay for a line close by. Raises
+    RecordError for NaN, fewer than 16 samples or one cycle, or a frequency the rate cannot carry.
     """
     y = np.asarray(samples, dtype=float)
     _check(y, rate, frequency)
     disturbing = tuple(float(line) for line in interference)
-    fitted, orders = _lines_to_fit(disturbing, float(frequency), float(rate), y.size)
+    fitted, orders = _lines_to_fit(
+        disturbing, float(frequency), float(rate), y.size, float(largest_inflation)
+    )
     left_out = [line for line in disturbing if line not in fitted]
     frequencies = [frequency, *fitted, *(k * frequency for k in orders)]
     if y.size < 2 * len(frequencies) + 2:
@@ -159,6 +168,7 @@ def fit_sine(
     lines, solution, residual = solved.lines, solved.solution, solved.residual
     phasors = solution[1::2] + 1j * solution[2::2]
     residual_rms = math.sqrt(float(np.square(residual).sum()) / degrees)
+    variances = np.diag(covariance)[3 : 3 + 2 * len(fitted)].reshape(-1, 2).mean(axis=1)
     turns = np.exp(-2j * np.pi * delay_s * lines.frequencies)
     harmonics = np.full(len(HARMONICS), complex(np.nan, np.nan))
     harmonics[[HARMONICS.index(k) for k in orders]] = (phasors * turns)[1 + len(fitted) :]
@@ -173,6 +183,8 @@ def fit_sine(
         harmonics=harmonics,
         block_phasors=(phasors[0] + lines.block_changes(residual)) * turns[0],
         fitted_Hz=tuple(float(line) for line in lines.frequencies[1 : 1 + len(fitted)]),
+        line_amplitudes=tuple(np.abs(phasors[1 : 1 + len(fitted)]).tolist()),
+        line_errors=tuple((residual_rms * np.sqrt(variances)).tolist()),
         left_out_Hz=tuple(left_out),
     )
 
@@ -214,6 +226,13 @@ def record_length(
     beats = [FULL_BEAT / abs(frequency - line) for line in interference if line != frequency]
     needed = [beat for beat in beats if beat <= maximum_duration]
     return whole_cycles(frequency, rate, max([minimum_duration, *needed]))
+
+
+def inflation(frequency: float, rate: float, n: int, interference: Sequence[float]) -> float:
+    """Variance of a tone's phasor with all these lines fitted beside it over that without."""
+    lines = [line for line in interference if 0 < line < rate / 2]
+    normal = _Lines([frequency, *lines], rate, n).normal_equations()
+    return _tone_variance(normal, range(1 + len(lines))) / _tone_variance(normal, [0])
 
 
 class _Lines:
@@ -388,7 +407,11 @@ def _beats(first: float, second: float, rate: float, n: int) -> float:
 
 @lru_cache(maxsize=256)
 def _lines_to_fit(
-    interference: tuple[float, ...], frequency: float, rate: float, n: int
+    interference: tuple[float, ...],
+    frequency: float,
+    rate: float,
+    n: int,
+    largest_inflation: float,
 ) -> tuple[list[float], list[int]]:
     """The interfering lines and the harmonic orders that can be fitted beside the tone."""
     candidates = [line for line in interference if 0 < line < rate / 2]
@@ -396,13 +419,20 @@ def _lines_to_fit(
     frequencies = [frequency, *candidates, *(order * frequency for order in orders)]
     normal = _Lines(frequencies, rate, n).normal_equations()
     chosen = [0]
-    limit = LARGEST_INFLATION * _tone_variance(normal, chosen)
+    bare = _tone_variance(normal, chosen)
+    limit = largest_inflation * bare
+    everything = list(range(len(frequencies)))
+    spacing = [_beats(a, b, rate, n) for a, b in combinations(frequencies, 2)]
+    if min(spacing, default=1.0) >= FULL_BEAT and _tone_variance(normal, everything) <= limit:
+        return candidates, orders  # the common case: all at once
     for index in range(1, len(frequencies)):
         is_harmonic = index > len(candidates)
         others = [frequencies[k] for k in [*chosen, index]]
         beats = [_beats(frequencies[index], other, rate, n) for other in others]
-        if is_harmonic and min(beats) < FULL_BEAT:
-            continue
+        if is_harmonic:
+            if min(beats) < FULL_BEAT:
+                continue
+            limit = max(LARGEST_INFLATION * bare, _tone_variance(normal, chosen) * 1.01)
         if _tone_variance(normal, [*chosen, index]) <= limit:
             chosen.append(index)
     fitted = [candidates[k - 1] for k in chosen if 0 < k <= len(candidates)]

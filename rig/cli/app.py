@@ -16,7 +16,7 @@ from pathlib import Path
 
 import typer
 
-from rig.cli import files, simulate, skin
+from rig.cli import calibrate, files, simulate, skin
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "resume": files.resume,
@@ -54,6 +54,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
         _add(app, procedure.name, summary(procedure), function)
     for name, function in COMMANDS.items():
         _add(app, name, (function.__doc__ or "").split("\n", 1)[0], function)
+    app.add_typer(calibrate.app, name="calibrate", short_help=calibrate.HELP)
     app.add_typer(skin.app, name="skin", short_help=skin.HELP)
     return app
 

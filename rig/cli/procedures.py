@@ -39,6 +39,7 @@ class Request:
     sample: str = ""
     notes: str = ""
     figures: bool = True
+    allow_expired: bool = False
     world: Path | None = None
     fault: Path | None = None
     world_log: Path | None = None
@@ -59,7 +60,10 @@ def _common(
     user: Annotated[str, typer.Option(help="Who runs it.")] = "",
     sample: Annotated[str, typer.Option(help="What is on the bench.")] = "",
     notes: Annotated[str, typer.Option(help="Anything worth keeping.")] = "",
-    figures: Annotated[bool, typer.Option(help="Draw the figure of the run.")] = True,
+    figures: Annotated[bool, typer.Option(help="Draw the figures of the run.")] = True,
+    allow_expired: Annotated[
+        bool, typer.Option("--allow-expired", help="Use calibration records that have expired.")
+    ] = False,
     world: Annotated[
         Path | None, typer.Option(help="World settings (TOML) of a simulated bench.")
     ] = None,
@@ -108,7 +112,7 @@ def perform(
             results = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rig-dry-run-")))
         else:
             start_log(results)
-        plan, clock, started, recorded_toml = _bench_for(request)
+        plan, clock, started, recorded_toml = bench_for(request)
         from rig.runner.execution import execute
         from rig.runner.jobs import Job
 
@@ -121,6 +125,7 @@ def perform(
             sample=request.sample,
             notes=request.notes,
             resume=resume,
+            allow_expired=request.allow_expired,
             recorded_toml=recorded_toml,
         )
         reporter = ConsoleReporter(procedure.NAME)
@@ -135,7 +140,7 @@ def perform(
     raise typer.Exit(int(outcome.code))
 
 
-def _bench_for(request: Request) -> tuple[BenchPlan, Clock, RunningBench | None, str | None]:
+def bench_for(request: Request) -> tuple[BenchPlan, Clock, RunningBench | None, str | None]:
     """The bench file's plan with a wall clock, or a started simulated bench with its own clock."""
     path = request.bench or (BENCH_FILE if BENCH_FILE.exists() else None)
     started = None

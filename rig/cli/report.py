@@ -51,6 +51,8 @@ class ConsoleReporter:
             + (f", {len(kept)} kept before" if kept else "")
             + f", about {_duration(left)} of bench time"
         )
+        if self._progress is not None:  # a plan before this one is done
+            self._progress.stop()
         if self._console.is_terminal:
             self._progress = Progress(
                 TextColumn("{task.description}"),
@@ -102,8 +104,11 @@ def finish(
         print(json.dumps(as_object(outcome, drawn)))  # noqa: T201 - stdout carries data
         return
     for name, value in outcome.summary.items():
-        shown = f"{value:.6g}" if isinstance(value, float) else value
-        say(f"  {name}: {shown}")
+        if isinstance(value, list):
+            for sentence in value:
+                say(f"  {sentence}")
+        elif not isinstance(value, dict):  # tables are for --json
+            say(f"  {name}: {value:.6g}" if isinstance(value, float) else f"  {name}: {value}")
     if outcome.file is not None:
         print(outcome.file)  # noqa: T201 - stdout carries data
 

@@ -1,7 +1,8 @@
 """Figures of run files: the only importer of matplotlib, and only inside `draw`.
 
-A figure is a module here with a function ``draw(run) -> Figure``. Whatever is drawn from a
-simulated bench says so in the picture.
+A figure is a module here with a function ``draw(run)`` that gives the figures by the name that is
+added to the run's, "" for the first one. Whatever is drawn from a simulated bench says so in the
+picture.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ FIGURES = {"sweep": "rig.figures.sweep"}
 
 
 def draw(name: str, run_file: Path) -> list[Path]:
-    """Draw the figure of a run file beside it as PNG and SVG; returns their paths."""
+    """Draw the figures of a run file beside it as PNG and SVG; returns their paths."""
     if name not in FIGURES:
         raise ConfigurationError(f"{run_file}: there is no figure for a {name}")
     import matplotlib
@@ -25,5 +26,8 @@ def draw(name: str, run_file: Path) -> list[Path]:
     from rig.recording.runfile import RunFile
 
     with RunFile.open(run_file) as run:
-        figure = import_module(FIGURES[name]).draw(run)
-        return save(figure, run_file, simulated=run.outcome.simulated)
+        saved = []
+        for added, figure in import_module(FIGURES[name]).draw(run).items():
+            path = run_file.with_stem(run_file.stem + added)
+            saved += save(figure, path, simulated=run.outcome.simulated)
+        return saved

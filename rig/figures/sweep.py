@@ -10,15 +10,63 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from rig.figures.style import STYLE
+from rig.model.pvdf import SKIN_STRIP
 
 if TYPE_CHECKING:
+    from rig.analysis.gain_curve import SweepAnalysis
+    from rig.analysis.response_curve import ResponseCurve
     from rig.recording.runfile import RunFile
 
 REFERENCE_SLOPE_DB_DECADE = 20.0
 """First-order (stress-rate) characteristic of the paper's eq. (2), drawn for comparison."""
 
 
-def draw(run: RunFile) -> Figure:
+def draw(run: RunFile) -> dict[str, Figure]:
+    """What was measured; the fitted curve, the three readings of the circuit and the linearity over
+    load, where the sweep is long enough to tell them."""
+    figures = {"": draw_measured(run)}
+    curve, analysis = _analysed(run)
+    if curve is None or analysis is None:
+        return figures
+    from rig.figures.gain_curve import draw_gain, draw_linearity, draw_readings
+
+    title = run.header.title
+    figures["-gain"] = draw_gain(curve, analysis, title)
+    figures["-readings"] = draw_readings(curve, analysis, SKIN_STRIP, title)
+    if analysis.linearity is not None:
+        figures["-linearity"] = draw_linearity(analysis.linearity, title)
+    return figures
+
+
+def _analysed(run: RunFile) -> tuple[ResponseCurve | None, SweepAnalysis | None]:
+    """The responses and what the analysis makes of them; nothing for a sweep too short for it."""
+    from rig.analysis.gain_curve import analyse
+    from rig.analysis.response_curve import CurveError, ResponseCurve
+
+    column = run.column
+    mixed = column("response_cov")
+    covariance = np.stack(
+        [column("response_var_real"), mixed, mixed, column("response_var_imag")], axis=1
+    ).reshape(-1, 2, 2)
+    response = column("response_real") + 1j * column("response_imag")
+    loads = column("load_set")
+    several = len(set(loads.tolist())) > 1
+    try:
+        curve = ResponseCurve.of(column("frequency"), response, covariance, column("degrees"))
+        return curve, analyse(
+            column("frequency"),
+            response,
+            covariance,
+            degrees=column("degrees"),
+            loads=column("load_amplitude") if several else None,
+            load_distortion=column("load_distortion") if several else None,
+            film_distortion=column("voltage_distortion") if several else None,
+        )
+    except CurveError:
+        return None, None
+
+
+def draw_measured(run: RunFile) -> Figure:
     """Gain, phase and load over frequency; error bars are two standard errors."""
     frequency = run.column("frequency")
     with mpl.rc_context(STYLE):

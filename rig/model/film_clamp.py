@@ -7,6 +7,8 @@ one-sided contact. Positive displacement is compression. All values are assumed.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -52,6 +54,20 @@ def creep_step(
         fading[k + 1] = decay * fading[k] + gain * more
     force = np.maximum(settings.stiffness_N_mm * compression + fading, 0.0)
     return np.where(compression > 0, force, 0.0), float(fading[-1])
+
+
+def push_after(
+    settings: FilmClampSettings, fading_N: float, from_mm: float, to_mm: float, step_s: float
+) -> float:
+    """Force in N at the end of one step of `creep_step`, without the arrays."""
+    before = max(from_mm - settings.contact_mm, 0.0)
+    after = max(to_mm - settings.contact_mm, 0.0)
+    if not after:
+        return 0.0
+    decay = math.exp(-step_s / settings.creep_s)
+    gain = settings.creep_s / step_s * (1 - decay)
+    fading = decay * fading_N + gain * settings.creep_stiffness_N_mm * (after - before)
+    return max(settings.stiffness_N_mm * after + fading, 0.0)
 
 
 def preload_gain(settings: FilmClampSettings, preload_N: Reals) -> Reals:

@@ -164,7 +164,8 @@ def _write_outcome(
     text_field(made, "status", end.status)
     text_field(made, "reason", end.reason)
     number_field(made, "attempt", end.attempt)
-    number_field(made, "points_planned", len(header.points))
+    planned = len(header.points) if end.points_planned is None else end.points_planned
+    number_field(made, "points_planned", max(planned, len(table.ids)))
     number_field(made, "points_done", len(table.ids))
     number_field(made, "exit", end.exit)
     number_field(made, "duration", end.duration_s, "s")

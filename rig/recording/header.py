@@ -162,6 +162,8 @@ class End(Settings):
     end_time: IsoTime
     duration_s: Annotated[float, Field(ge=0)]
     points_done: Annotated[int, Field(ge=0)]
+    points_planned: Annotated[int, Field(ge=0)] | None = None
+    """With those that the run itself planned; the header's number where it is left out."""
     warnings: tuple[str, ...] = ()
     exit: int = 0
 

@@ -24,6 +24,8 @@ class Armed:
     name: str
     off: Callable[[], None]
     deadline_s: float
+    at_once: Callable[[], None] | None
+    """What a watcher does first, from another thread and without waiting on the bench clock."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +48,32 @@ class Arming:
         return tuple(armed.name for armed in self._armed)
 
     def register(
-        self, name: str, off: Callable[[], None], deadline_s: float = OFF_DEADLINE_S
+        self,
+        name: str,
+        off: Callable[[], None],
+        deadline_s: float = OFF_DEADLINE_S,
+        at_once: Callable[[], None] | None = None,
     ) -> None:
         """Remember `off` under `name`; registering a name again replaces its off."""
-        self._armed = [armed for armed in self._armed if armed.name != name]
-        self._armed.append(Armed(name, off, deadline_s))
+        armed = [armed for armed in self._armed if armed.name != name]
+        self._armed = [*armed, Armed(name, off, deadline_s, at_once)]
+
+    def act_at_once(self) -> list[str]:
+        """From a watcher's thread: what stops the bench now, each isolated; what failed, in words.
+
+        Nothing is forgotten: the offs themselves still run at the exit.
+        """
+        failures = []
+        for armed in reversed(self._armed):
+            if armed.at_once is None:
+                continue
+            try:
+                armed.at_once()
+            except RigError as error:
+                failures.append(f"{armed.name}: {error.one_line()}")
+            except Exception as error:  # noqa: BLE001 - the others still have to be stopped
+                failures.append(f"{armed.name}: {type(error).__name__}: {error}")
+        return failures
 
     def make_safe(self, before_each: Callable[[], None] = lambda: None) -> list[OffFailure]:
         """Run every off in reverse order; returns those that failed and forgets the others.

@@ -11,8 +11,10 @@ from __future__ import annotations
 import contextlib
 import time
 import zlib
-from collections.abc import Iterator
-from typing import Protocol
+from collections.abc import Callable, Iterator
+from datetime import datetime
+from functools import partial
+from typing import Protocol, TypeVar
 
 from rig import bench as benches
 from rig.bench import Bench, BenchPlan
@@ -21,6 +23,7 @@ from rig.errors import ExitCode, RigError
 from rig.recording.compiled import compile_run
 from rig.recording.recorder import Recorder
 from rig.runner.guard import GuardLink
+from rig.runner.holds import HoldError, PauseSwitch
 from rig.runner.jobs import Job, Journal
 from rig.runner.outcome import Outcome
 from rig.runner.points import Point, Reading, check_points
@@ -29,6 +32,10 @@ from rig.runner.stopping import StopFlag, StopRequestedError
 from rig.runner.trip import TripError
 
 BEAT_EVERY_S = 0.2
+HOLD_LOOK_S = 0.1
+"""How often a run on hold looks whether it may go on."""
+
+T = TypeVar("T")
 
 
 class Reporter(Protocol):
@@ -60,6 +67,8 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
     outcome.simulated = bench.simulated
     with contextlib.closing(bench):
         try:
+            now = datetime.now().astimezone()
+            job.calibrations, warnings = benches.apply_calibrations(bench, now, job.allow_expired)
             points = job.procedure.points(job.settings)
             outcome.points_planned = len(points)
             bench.require_fixture(*job.procedure.FIXTURES)
@@ -68,7 +77,10 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
             journal = job.open_journal(bench, points)
         except RigError as error:
             return _failed(outcome, error)
-        _Loop(job, bench, points, journal, stop, reporter, outcome).go()
+        loop = _Loop(job, bench, points, journal, stop, reporter, outcome)
+        for warning in warnings:
+            loop.run.event("warning", "calibration", warning)
+        loop.go()
     return outcome
 
 
@@ -89,8 +101,16 @@ class _Loop:
         self.stop, self.reporter, self.outcome = stop, reporter, outcome
         self.recorder = Recorder(journal.writer)
         self.guard = GuardLink(bench.plan, journal.path, job.guard_report(bench, journal))
-        self.run = Run(job.settings, bench, self.recorder, journal.stream_index, journal.elapsed_s)
         self.readings = dict(journal.kept)
+        self.run = Run(
+            job.settings,
+            bench,
+            self.recorder,
+            journal.stream_index,
+            journal.elapsed_s,
+            self.readings,
+        )
+        self._taking = False
         self._last_beat = 0.0
         self._begun_s = bench.clock.now()
 
@@ -98,7 +118,8 @@ class _Loop:
         """Take the points, then safe, data, report."""
         unregister = self.bench.clock.each_slice(self._each_slice)
         try:
-            self._take_all()
+            with PauseSwitch(self.run.holds):
+                self._take_all()
             self.outcome.status, self.outcome.code = "complete", ExitCode.DONE
         except StopRequestedError as stopped:
             self.outcome.status, self.outcome.code = "stopped", stopped.code
@@ -124,19 +145,67 @@ class _Loop:
             self.guard.beat()
         self.recorder.check()
         self.stop.check()
+        if self._taking:
+            self.run.check_watchers()
 
     def _take_all(self) -> None:
         self.outcome.points_done = len(self.readings)
-        self.reporter.planned(self.points, set(self.readings))
-        remaining = [point for point in self.points if point.id not in self.readings]
+        self._take_plan(self.points)
+        refine = getattr(self.job.procedure, "refine", None)
+        if refine is None:
+            return
+        further = tuple(refine(self.job.settings, self._in_order()))
+        if further:
+            check_points(further, self.bench, (point.id for point in self.points))
+            self.points += further
+            self.outcome.points_planned = len(self.points)
+            self.run.event("info", "refined", f"{len(further)} further points where it matters")
+            self._take_plan(self.points)
+
+    def _take_plan(self, points: tuple[Point, ...]) -> None:
+        remaining = [point for point in points if point.id not in self.readings]
         if not remaining:
             return
-        self.job.procedure.arm(self.run)
+        self.reporter.planned(points, set(self.readings))
+        if not self.run.arming.names:
+            self._disturbable(self._arm)
         for point in remaining:
             self.run.check_stop()
-            self.readings[point.id] = reading = self._take_or_retake(point)
+            reading = self._disturbable(partial(self._take_or_retake, point))
+            self.readings[point.id] = reading
             self.outcome.points_done += 1
-            self.reporter.point_kept(self.outcome.points_done, len(self.points), point, reading)
+            self.reporter.point_kept(self.outcome.points_done, len(points), point, reading)
+
+    def _arm(self) -> None:
+        self.job.procedure.arm(self.run)
+
+    def _disturbable(self, act: Callable[[], T]) -> T:
+        """Do it; after a hold, when the bench is armed again, do it anew."""
+        again = False
+        while True:
+            self.run.holds.acknowledge()
+            self._taking = True
+            try:
+                if again and act != self._arm:
+                    self._arm()
+                return act()
+            except HoldError as hold:
+                self._taking = False
+                self._wait_out(hold)
+                again = True
+            finally:
+                self._taking = False
+
+    def _wait_out(self, hold: HoldError) -> None:
+        """Safe first; then wait until no hold is in force."""
+        self.run.event("warning", "hold", hold.message)
+        failures = self.run.arming.make_safe(self.guard.beat)
+        if failures:
+            raise RigError("; ".join(f"{f.name}: {f.reason}" for f in failures)) from hold
+        self.reporter.event("warning", f"hold: {hold.message}; the bench is safe")
+        while self.run.holds.active:
+            self.bench.clock.sleep(HOLD_LOOK_S)
+        self.reporter.event("info", "going on")
 
     def _take_or_retake(self, point: Point) -> Reading:
         try:
@@ -144,20 +213,28 @@ class _Loop:
         except TripError as trip:
             self.run.event("error", "trip", trip.one_line())
             self.reporter.event("warning", f"{trip.one_line()}; retaking point {point.id} once")
+            self._taking = False  # making safe is not to be disturbed
             failures = self.run.arming.make_safe(self.guard.beat)
             if failures:
                 raise
-        self.job.procedure.arm(self.run)
+        self._taking = True
+        self._arm()
         return self._take(point)
+
+    def _in_order(self) -> list[Reading]:
+        return [self.readings[p.id] for p in self.points if p.id in self.readings]
 
     def _take(self, point: Point) -> Reading:
         self.bench.clock.announce(self.job.run_number, zlib.crc32(point.id.encode()))
         self.recorder.put_point_begin(point.id, {"time": self.run.elapsed_s()})
         try:
             reading = self.job.procedure.take(self.run, point)
+            self.run.check_watchers()  # also what came and went within its last blocking call
         except BaseException as error:
             with contextlib.suppress(RigError):  # the first cause is on its way
                 self.recorder.put_point_discard(point.id, str(error))
+            if isinstance(error, RigError):
+                self.run.check_trip()  # came before whatever a blocked call made of it
             raise
         self.recorder.put_point_keep(point.id, reading)
         return reading
@@ -190,8 +267,7 @@ class _Loop:
             outcome.file = compile_run(self.journal.path, retire=True)
         if self.journal.path.exists():
             outcome.journal = self.journal.path
-        in_order = [self.readings[p.id] for p in self.points if p.id in self.readings]
-        outcome.summary = self.job.procedure.summarise(self.job.settings, in_order)
+        outcome.summary = self.job.procedure.summarise(self.job.settings, self._in_order())
 
     @contextlib.contextmanager
     def _storing(self) -> Iterator[None]:

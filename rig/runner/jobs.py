@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import uuid
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -60,6 +60,7 @@ class Journal:
             "end_time": now_iso(),
             "duration_s": duration_s,
             "points_done": outcome.points_done,
+            "points_planned": outcome.points_planned,
             "warnings": outcome.warnings,
             "exit": int(outcome.code),
         }
@@ -79,6 +80,10 @@ class Job:
     resume: JournalContents | None = None
     run_number: int = 0
     """Place within a batch; keys the simulated bench's noise."""
+    allow_expired: bool = False
+    """Whether calibration records that have expired may be used."""
+    calibrations: list[dict[str, Any]] = field(default_factory=list)
+    """The records in use, as the header carries them."""
     recorded_toml: str | None = None
     """The bench file as it is recorded, where the connected one holds a process's port numbers."""
 
@@ -167,6 +172,7 @@ class Job:
             "user": {"name": self.user},
             "sample": {"name": self.sample},
             "notes": self.notes,
+            "calibrations": self.calibrations,
             "instruments": [
                 {
                     "name": role,

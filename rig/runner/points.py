@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,11 +38,12 @@ class Point:
     """Bench time it is expected to take."""
 
 
-def check_points(points: Sequence[Point], bench: Bench) -> None:
-    """Refuse, before anything moves, every value outside a limit; ids must be unique."""
+def check_points(points: Sequence[Point], bench: Bench, taken: Iterable[str] = ()) -> None:
+    """Refuse, before anything moves, every value outside a limit; ids must be unique, also among
+    those of an earlier plan that are `taken`."""
     if not points:
         raise ConfigurationError("there is no point to take", "ask for at least one")
-    seen: set[str] = set()
+    seen: set[str] = set(taken)
     reach = bench.reach()
     for point in points:
         if point.id in seen:

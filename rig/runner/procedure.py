@@ -3,6 +3,7 @@
     points(settings) -> tuple[Point, ...]     # pure: what will be done, with every move
     arm(run)                                  # make ready; everything switched on registers its off
     take(run, point) -> Reading               # act: one point
+    refine(settings, readings) -> tuple[Point, ...]   # optional and pure: further points
 
 The runner owns the loop between them. From this split come the check of all points before the
 first motion, progress, dry runs, discarding and retaking a point, and resuming at the point where

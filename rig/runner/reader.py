@@ -49,7 +49,7 @@ class StreamReader(Generic[Sample]):
         self._failure: BaseException | None = None
         self._stopping = threading.Event()
         self._lock = threading.Lock()
-        self._handled_bytes = 0
+        self._handled_bytes = source.bytes_consumed
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:

@@ -10,6 +10,9 @@ from rig.clock import Clock
 from rig.instruments import Record, Scaling
 from rig.recording.recorder import Recorder
 from rig.runner.arming import OFF_DEADLINE_S, Arming
+from rig.runner.force import ForceMonitor
+from rig.runner.holds import Holds
+from rig.runner.points import Reading
 
 
 class Run:
@@ -22,10 +25,17 @@ class Run:
         recorder: Recorder,
         streams: Mapping[str, int],
         elapsed_s: float,
+        readings: Mapping[str, Reading] | None = None,
     ):
         self.settings = settings
         self.bench = bench
         self.clock: Clock = bench.clock
+        self.readings: Mapping[str, Reading] = {} if readings is None else readings
+        """What has been kept so far, by point id; a resumed run begins with what was kept."""
+        self.state: Any = None
+        """The procedure's own memory between points; None until it sets one."""
+        self.holds = Holds()
+        self._force: ForceMonitor | None = None
         self.warnings: list[str] = []
         self._arming = Arming()
         self._recorder = recorder
@@ -42,9 +52,50 @@ class Run:
         """What is switched on."""
         return self._arming
 
-    def arm(self, name: str, off: Callable[[], None], deadline_s: float = OFF_DEADLINE_S) -> None:
-        """Register how `name` is switched off; call it before switching it on."""
-        self._arming.register(name, off, deadline_s)
+    @property
+    def force(self) -> ForceMonitor:
+        """The force sensor's stream, once `stream_force` has begun it."""
+        assert self._force is not None, "stream_force() comes first"
+        return self._force
+
+    def arm(
+        self,
+        name: str,
+        off: Callable[[], None],
+        deadline_s: float = OFF_DEADLINE_S,
+        at_once: Callable[[], None] | None = None,
+    ) -> None:
+        """Register how `name` is switched off; call it before switching it on.
+
+        `at_once` is what a watcher does in an emergency, from its own thread: it may talk to the
+        instrument once and may not wait on the bench clock.
+        """
+        self._arming.register(name, off, deadline_s, at_once)
+
+    def stream_force(self, rate_S_s: float) -> ForceMonitor:
+        """Begin to read and to watch the force sensor; its end is armed."""
+        monitor = ForceMonitor(self.bench.force_sensor, self.clock, self.holds, self._stop_at_once)
+
+        def off() -> None:
+            if self._force is monitor:
+                self._force = None
+            monitor.stop()
+
+        self.arm("force stream", off)
+        monitor.start(rate_S_s)
+        self._force = monitor
+        return monitor
+
+    def check_trip(self) -> None:
+        """Raise the trip that a watcher has met, if there is one that nobody has seen."""
+        if self._force is not None:
+            self._force.check_trip()
+
+    def check_watchers(self) -> None:
+        """Raise what the force reader or a hold wants to be known."""
+        if self._force is not None:
+            self._force.check()
+        self.holds.check()
 
     def emit(self, stream: str, record: Record) -> None:
         """Record raw samples of a stream; a changed scaling goes ahead of them."""
@@ -77,6 +128,10 @@ class Run:
                 "message": message,
             }
         )
+
+    def _stop_at_once(self, why: str) -> list[str]:
+        """From a watcher's thread."""
+        return self._arming.act_at_once()
 
     def check_stop(self) -> None:
         """Let stop requests and failures of other threads end the run here; waits do it too."""

@@ -11,6 +11,7 @@ Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_fit_bound.py``.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -19,9 +20,10 @@ from measured import heading
 from drivers.simulated.keysight_u2300a import MODELS, codes_of_volts, volts_of_codes
 from drivers.simulated.ports import Excitation
 from drivers.simulated.world import FILM_TERMINAL, LOAD_CELL_TERMINAL, World, WorldSettings
-from procedures.sweep import Settings, points
+from procedures.sweep import Settings
+from rig.analysis.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz
 from rig.analysis.response import quantisation_rms
-from rig.analysis.sine_fit import fit_sine, mains_lines
+from rig.analysis.sine_fit import fit_sine, mains_lines, record_length
 from rig.model.front_end import FrontEndSettings, noise_rms
 from rig.model.modal import SineDrive
 from rig.model.vibrator import Output, drawn_film, vibrator_line
@@ -31,15 +33,36 @@ pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 DRAWS = 120
 LARGEST_RATIO = 1.2
 SETTINGS = Settings()
+AMPLITUDE_V, SETTLING_S, RANGE_V = 0.7, 0.2, 1.25
+LEAST_S, LEAST_CYCLES, MOST_S = 0.1, 4, 20.0
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A frequency and the record that is fitted there: whole cycles, a beat with every line."""
+
+    condition: float
+    rate_S_s: float
+    samples: int
+
+
 SHORTEST_GAP_S = 0.05
 TERMINALS = {Output.CELL: LOAD_CELL_TERMINAL, Output.FILM: FILM_TERMINAL}
 
 
 def chosen_points():
     """Every fifth point of the sweep, its ends, and all within 20 Hz of the first mains lines."""
-    every = points(SETTINGS)
+    every = [sampled_at(f) for f in scan_frequencies_Hz(FrequencyPlanSettings())]
     near = [p for p in every if min(abs(p.condition - line) for line in mains_lines()) < 20]
     return sorted({*every[::5], every[-1], *near}, key=lambda point: point.condition)
+
+
+def sampled_at(frequency):
+    rate = SETTINGS.rate_at(frequency)
+    least = max(LEAST_S, LEAST_CYCLES / frequency)
+    lines = mains_lines()
+    n = record_length(frequency, rate, least, interference=lines, maximum_duration=MOST_S)
+    return Sampled(frequency, rate, n)
 
 
 def errors_at(point, daq, draws):
@@ -48,7 +71,7 @@ def errors_at(point, daq, draws):
     seed = int(random.integers(1, 1000))
     world = World(WorldSettings(daq_model=daq), seed, slaved=True)
     response = vibrator_line(*drawn_film(seed)).steady_state(point.condition)[list(TERMINALS)]
-    acquisition = point.acquisitions[0]
+    acquisition = point
     rate, n = float(int(acquisition.rate_S_s)), acquisition.samples
     skew = MODELS[daq].skew_s(2, int(rate), burst=True)
     tone = SineDrive()
@@ -56,7 +79,7 @@ def errors_at(point, daq, draws):
     def drive_for(frequency, interval_us):
         """Excite the vibrator for a while; the phase runs on, as direct synthesis does."""
         nonlocal tone
-        tone = SineDrive(frequency, SETTINGS.amplitude_V, tone.phase_rad)
+        tone = SineDrive(frequency, AMPLITUDE_V, tone.phase_rad)
         world.excite(1, Excitation(True, "SIN", frequency, tone.amplitude, 0.0, 0.0), "bench")
         world.timeline.advance(interval_us)
         tone = tone.after(interval_us * 1e-6)
@@ -66,11 +89,11 @@ def errors_at(point, daq, draws):
         world.announce(draw, round(point.condition))
         # From another frequency, as in a sweep, and at any phase of the mains.
         drive_for(0.97 * point.condition, round(1e6 * (SHORTEST_GAP_S + random.random())))
-        drive_for(point.condition, round(1e6 * SETTINGS.settling_s))
+        drive_for(point.condition, round(1e6 * SETTLING_S))
         number = world.begin_acquisition()
         volts = world.volts(number, tuple(TERMINALS.values()), world.now_us, rate, 0, n, skew)
         truth = response * tone.phasor
-        for k, range_V in enumerate((SETTINGS.load_range_V, SETTINGS.film_range_V)):
+        for k, range_V in enumerate((RANGE_V, RANGE_V)):
             errors[draw, k] = fitted(volts[:, k], range_V, daq, point, skew[k]) - truth[k]
     return errors
 
@@ -80,7 +103,7 @@ def fitted(volts, range_V, daq, point, delay_s):
     bits = MODELS[daq].bits
     return fit_sine(
         volts_of_codes(codes_of_volts(volts, range_V, "BIP", bits), range_V, "BIP", bits),
-        float(int(point.acquisitions[0].rate_S_s)),
+        float(int(point.rate_S_s)),
         point.condition,
         interference=mains_lines(SETTINGS.mains_Hz),
         delay_s=delay_s,
@@ -89,9 +112,9 @@ def fitted(volts, range_V, daq, point, delay_s):
 
 def bound(point, daq):
     """Least standard error of a phasor's real or imaginary part, V."""
-    acquisition = point.acquisitions[0]
+    acquisition = point
     bits = MODELS[daq].bits
-    step = 2 * SETTINGS.film_range_V / (2**bits - 1 if bits < 16 else 2**bits)
+    step = 2 * RANGE_V / (2**bits - 1 if bits < 16 else 2**bits)
     noise = noise_rms(FrontEndSettings(), acquisition.rate_S_s)
     return math.hypot(noise, quantisation_rms(step)) * math.sqrt(2 / acquisition.samples)
 
@@ -108,7 +131,7 @@ def test_error_of_the_fit_is_near_the_bound(daq):
         ratios[row] = np.sqrt(np.square(np.abs(errors)).mean(axis=0) / 2) / least
         bias = np.abs(errors.mean(axis=0)) / least * math.sqrt(DRAWS)
         print(
-            f"{point.condition:9.2f} Hz, n = {point.acquisitions[0].samples:6d}: "
+            f"{point.condition:9.2f} Hz, n = {point.samples:6d}: "
             f"load cell {ratios[row, 0]:.3f} (bias {bias[0]:.1f}), "
             f"film {ratios[row, 1]:.3f} (bias {bias[1]:.1f})"
         )

@@ -25,14 +25,14 @@ import numpy as np
 import pytest
 from measured import heading, row
 
-from procedures.sweep import default_grid
+from rig.analysis.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz
 from rig.recording.runfile import RunFile
 from rig.recording.verify import verify
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(2400)]
 
 INSTANTS = 50
-GRID = default_grid()[21::3]
+GRID = scan_frequencies_Hz(FrequencyPlanSettings())[21::3]
 POINT_S = 0.06
 """About a point's wall time on the slaved bench."""
 SWEEP = ("--frequencies", ",".join(f"{frequency:g}" for frequency in GRID))

@@ -46,7 +46,15 @@ def test_help_lists_every_procedure_with_its_summary_and_every_command() -> None
 
 def test_a_procedures_help_shows_its_settings_with_units_and_defaults() -> None:
     shown = " ".join(rig("sweep", "--help").stdout.split())
-    for words in ("--amplitude V", "[0.7 V]", "--settling s", "--dry-run", "--json"):
+    for words in (
+        "--load N",
+        "[1 N]",
+        "--preload N",
+        "[25 N]",
+        "--settling s",
+        "--dry-run",
+        "--json",
+    ):
         assert words in shown
     assert "2 to 20000 Hz" in shown
 

@@ -2,17 +2,40 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
+from rig.recording.runfile import RunFile
 from rig.recording.verify import verify
 
 FREQUENCIES = ("--frequencies", "20,210,310,410,510")
+IN_THE_MIDDLE = 14
+"""Of the records of this sweep, and so of every command of a record, one after its first point and
+before its last."""
+SWITCHING_OFF = 3
+"""The generator is switched off when it is connected, before it is switched on, and at the end."""
+
+
+POINTS = [f"{frequency}Hz-1N" for frequency in FREQUENCIES[1].split(",")]
+
+
+def assert_points_are_kept(rig, ended):
+    """Those that were taken before, all of them and no other, and at least one of five."""
+    told = re.findall(r"^\d/5 (.*)$", ended.stderr, re.MULTILINE)
+    assert 1 <= len(told) < 5
+    assert told == POINTS[: len(told)]
+    assert ended.object["points_done"] == len(told)
+    assert verify(rig.only("*.h5")) == []
+    with RunFile.open(rig.only("*.h5")) as run:
+        assert list(run.point_ids()) == told
 
 
 @pytest.mark.parametrize("kind", ["silence", "garbage", "close", "truncate", "stale"])
 @pytest.mark.parametrize("command", ["WAV:DATA", "DIG", "WAV:COMP"])
 def test_a_daq_that_fails_once_ends_the_run_safely(rig, kind, command):
-    plan = f'[[fault]]\ndevice = "daq"\nkind = "{kind}"\ncommand = "{command}"\nat = 3\n'
+    plan = f'[[fault]]\ndevice = "daq"\nkind = "{kind}"\ncommand = "{command}"\n'
+    plan += f"at = {IN_THE_MIDDLE}\n"
     ended = rig.sweep(*FREQUENCIES, "--fault", rig.fault(plan))
 
     assert ended.code == 3, ended.stderr
@@ -21,8 +44,7 @@ def test_a_daq_that_fails_once_ends_the_run_safely(rig, kind, command):
     assert command in error
     assert "; " in error, "the remedy follows the cause"
     assert rig.outputs() == [True, False]
-    assert ended.object["points_done"] == 2
-    assert verify(rig.only("*.h5")) == []
+    assert_points_are_kept(rig, ended)
 
 
 @pytest.mark.parametrize("kind", ["silence", "garbage", "close", "truncate"])
@@ -34,14 +56,15 @@ def test_a_generator_that_fails_once_is_still_switched_off(rig, kind):
     (error,) = ended.errors
     assert error.startswith("error: generator: SOUR1:FREQ")
     assert rig.outputs() == [True, False]
-    assert "switched off: generator output" in ended.stderr
+    assert "switched off: force stream, preload, generator output" in ended.stderr
 
 
 def test_an_off_that_fails_too_is_told_after_the_first_cause(rig):
     plan = (
-        '[[fault]]\ndevice = "daq"\nkind = "silence"\ncommand = "DIG"\nat = 2\n'
-        '[[fault]]\ndevice = "generator"\nkind = "silence"\ncommand = "OUTP1 0"\nat = 2\n'
-        "count = 0\n"
+        f'[[fault]]\ndevice = "daq"\nkind = "silence"\ncommand = "DIG"\n'
+        f"at = {IN_THE_MIDDLE}\n"
+        '[[fault]]\ndevice = "generator"\nkind = "silence"\ncommand = "OUTP1 0"\n'
+        f"at = {SWITCHING_OFF}\ncount = 0\n"
     )
     ended = rig.sweep(*FREQUENCIES, "--fault", rig.fault(plan))
 
@@ -49,16 +72,17 @@ def test_an_off_that_fails_too_is_told_after_the_first_cause(rig):
     first, second = ended.errors
     assert first.startswith("error: daq: DIG")
     assert "NOT SAFE: generator output" in second
+    assert "switched off: force stream, preload;" in ended.stderr, "the other offs still ran"
     assert "the guard could not make the bench safe either" in ended.stderr
-    assert ended.object["points_done"] == 1
-    assert verify(rig.only("*.h5")) == []
+    assert_points_are_kept(rig, ended)
 
 
 def test_an_off_that_fails_once_is_done_by_the_guard(rig):
     plan = (
-        '[[fault]]\ndevice = "daq"\nkind = "silence"\ncommand = "DIG"\nat = 2\n'
-        '[[fault]]\ndevice = "generator"\nkind = "silence"\ncommand = "OUTP1 0"\nat = 2\n'
-        "count = 1\n"
+        f'[[fault]]\ndevice = "daq"\nkind = "silence"\ncommand = "DIG"\n'
+        f"at = {IN_THE_MIDDLE}\n"
+        '[[fault]]\ndevice = "generator"\nkind = "silence"\ncommand = "OUTP1 0"\n'
+        f"at = {SWITCHING_OFF}\ncount = 1\n"
     )
     ended = rig.sweep(*FREQUENCIES, "--fault", rig.fault(plan))
 
@@ -67,22 +91,25 @@ def test_an_off_that_fails_once_is_done_by_the_guard(rig):
     assert rig.outputs()[-1] is False
 
 
+DEVICES = ("generator", "daq", "stage_z", "force_sensor")
+
+
 def test_a_bench_that_does_not_answer_at_all_is_told_with_every_device(rig):
     plan = "".join(
-        f'[[fault]]\ndevice = "{device}"\nkind = "silence"\ncount = 0\n'
-        for device in ("generator", "daq")
+        f'[[fault]]\ndevice = "{device}"\nkind = "silence"\ncount = 0\n' for device in DEVICES
     )
     ended = rig.sweep(*FREQUENCIES, "--fault", rig.fault(plan))
 
     assert ended.code == 3
     (error,) = ended.errors
-    assert "generator: *IDN?" in error
-    assert "daq: *IDN?" in error
+    for words in ("generator: *IDN?", "daq: *IDN?", "stage_z: ", "force_sensor: "):
+        assert words in error
     assert not list(rig.results.rglob("*.h5"))
 
 
 def test_a_film_that_is_not_connected_is_told(rig):
-    ended = rig.sweep(*FREQUENCIES, "--world", rig.world('film = "open-circuit"\n'))
+    unconnected = rig.world('film = "open-circuit"\n')
+    ended = rig.sweep(*FREQUENCIES, "--longest-point", "2s", "--world", unconnected)
 
     assert ended.code == 3
     (error,) = ended.errors
@@ -92,12 +119,12 @@ def test_a_film_that_is_not_connected_is_told(rig):
 
 
 def test_a_saturated_input_is_told_and_the_points_before_it_are_kept(rig):
-    ended = rig.sweep(*FREQUENCIES, "--world", rig.world("film_gain = 40\n"))
+    ended = rig.sweep(*FREQUENCIES, "--world", rig.world("film_gain = 500\n"))
 
     assert ended.code == 3
     (error,) = ended.errors
     assert "channel film at 210 Hz" in error
-    assert "1.25 V range" in error
-    assert "choose a larger range" in error
+    assert "10 V range" in error, "the largest one has been tried"
+    assert "choose a smaller load" in error
     assert ended.object["points_done"] == 1
     assert rig.outputs() == [True, False]

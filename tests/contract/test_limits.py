@@ -7,29 +7,37 @@ import re
 import pytest
 
 REFUSED = {
-    "amplitude beyond the generator": (
-        ("--amplitude", "12V"),
+    "load beyond the load cell": (
+        ("--load", "21N", "--preload", "30N"),
         4,
-        "point 20Hz: generator amplitude 12 V is outside 0.001 to 10 V of the generator 33512B",
+        "point 20Hz-21N: load_cell load 21 N is outside 0 to 20 N of the load cell",
+    ),
+    "load and preload beyond the force sensor": (
+        ("--load", "19N"),
+        4,
+        "point 20Hz-19N: force_sensor force 44 N is outside -40 to 40 N of the force_sensor GSV-8",
+    ),
+    "load that could lift the indentor off": (
+        ("--load", "8N", "--preload", "10N"),
+        4,
+        "a load of 8 N peak is not below 0.8 of the preload of 10 N",
     ),
     "frequency beyond the generator": (
         ("--frequencies", "3e7"),
         4,
-        "point 30000000Hz: generator frequency 3e+07 Hz is outside 1e-06 to 2e+07 Hz",
+        "point 30000000Hz-1N: generator frequency 3e+07 Hz is outside 1e-06 to 2e+07 Hz",
     ),
     "rate beyond the DAQ": (
         ("--rate", "800e3"),
         4,
         "800000 S/s a channel for 2 channels is outside 3 to 500000 S/s",
     ),
-    "range the DAQ has not": (("--film-range", "3V"), 4, "a range of 3 V does not exist"),
-    "not ascending": (("--frequencies", "200,20"), 2, "20 Hz follows 200 Hz"),
-    "twice": (("--frequencies", "20,20"), 2, "give each frequency once"),
+    "not ascending": (("--frequencies", "200,20"), 2, "20 follows 200"),
+    "twice": (("--frequencies", "20,20"), 2, "give each value once"),
     "NaN": (("--frequencies", "20,nan"), 2, "finite number"),
-    "none": (("--frequencies", ""), 2, "there is no frequency"),
-    "below zero": (("--frequencies=-5",), 2, "greater than 0|not above 0 Hz"),
+    "below zero": (("--frequencies=-5",), 2, "-5 is not above 0"),
     "not a number": (("--frequencies", "twenty"), 2, "--frequencies twenty"),
-    "wrong unit": (("--amplitude", "3N"), 2, "--amplitude 3N: 'N' does not convert to V"),
+    "wrong unit": (("--load", "3V"), 2, "--load 3V: 'V' does not convert to N"),
     "rate too low": (("--rate", "40"), 2, "cannot carry"),
 }
 
@@ -43,7 +51,8 @@ def test_refused_before_anything_is_switched_on(rig, case):
     assert ended.code == code, ended.stderr
     (error,) = ended.errors
     assert re.search(words, error) or words in error, error
-    assert True not in (rig.outputs() if rig.world_log.exists() else [])
+    done = {entry["what"] for entry in rig.log()} if rig.world_log.exists() else set()
+    assert not {"ch1.on", "enabled", "homing", "move"} & done
     assert not list(rig.results.rglob("*.h5"))
     assert not list(rig.results.rglob("*.rigj"))
 
@@ -55,12 +64,25 @@ def test_an_unknown_option_is_a_usage_error(rig):
     assert "--loudness" in ended.stderr
 
 
-def test_a_load_over_the_limit_trips_is_retried_once_and_ends_the_run(rig):
-    ended = rig.sweep("--frequencies", "20,100,210", "--amplitude", "9V", "--load-range", "5V")
+TRIPPED = {
+    "load cell": (300, "load_cell_sensitivity_V_N = 0.15\n", "18N", "limit of 20 N of the load"),
+    "force sensor": (20, "", "26N", "force along z of .* N is over the limit of 40 N"),
+}
+
+
+@pytest.mark.parametrize("sensor", TRIPPED)
+def test_a_load_over_the_limit_trips_is_retried_once_and_ends_the_run(rig, sensor):
+    """A first drive that is far too strong; the load cell's own limit is met by one that shows
+    more than there is."""
+    frequency, world, preload, words = TRIPPED[sensor]
+    ended = rig.sweep(
+        *("--frequencies", f"{frequency},600", "--preload", preload, "--first-amplitude", "10V"),
+        *("--world", rig.world(world)),
+    )
 
     assert ended.code == 4, ended.stderr
     (error,) = ended.errors
-    assert "over the limit of 20 N" in error
+    assert re.search(words, error), error
     assert rig.outputs() == [True, False, True, False]
-    assert ended.object["points_done"] == 1
-    assert "retaking point 100Hz once" in ended.stderr
+    assert ended.object["points_done"] == 0
+    assert f"retaking point {frequency}Hz-1N once" in ended.stderr

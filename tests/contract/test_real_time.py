@@ -61,7 +61,7 @@ def test_an_amplitude_that_the_generator_clips_is_a_failure(rig, bench_file):
     resource = tomllib.loads(bench_file.read_text())["generator"]["resource"]
     running = rig.start(
         "sweep", "--bench", str(bench_file), "--json", "--no-figures",
-        "--frequencies", "210,310,410,510,610,710,810,910,1010",
+        "--frequencies", "210,310,410,510,610,710,810,910,1010", "--settling", "0.3s",
     )  # fmt: skip
     running.wait_for("^2/9 ")
     somebody = pyvisa.ResourceManager("@py").open_resource(resource)
@@ -99,8 +99,9 @@ def test_a_bench_that_disappears_is_told_and_the_next_start_is_refused(rig, benc
 
 def test_a_killed_run_leaves_a_bench_that_the_guard_made_safe(rig, bench_file):
     running = rig.start(
-        "sweep", "--bench", str(bench_file), "--no-figures", "--frequencies", "210,310,410,510,610"
-    )
+        "sweep", "--bench", str(bench_file), "--no-figures",
+        "--frequencies", "210,310,410,510,610", "--settling", "0.3s",
+    )  # fmt: skip
     running.wait_for("^1/5 ")
     running.send(signal.SIGKILL)
     running.process.wait()

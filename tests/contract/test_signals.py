@@ -10,13 +10,14 @@ import pytest
 from rig.recording.runfile import RunFile
 from rig.recording.verify import verify
 
+SIXTY_POINTS = ("--frequencies", ",".join(str(f) for f in range(300, 6300, 100)))
 STOPS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 
 
 @pytest.mark.parametrize("number", STOPS, ids=lambda number: number.name)
 def test_a_signal_in_the_middle_ends_the_run_in_order(rig, number):
-    running = rig.start_sweep()
-    running.wait_for(r"^20/141 ")
+    running = rig.start_sweep(*SIXTY_POINTS)
+    running.wait_for(r"^20/60 ")
     running.send(number)
     ended = running.finish()
 
@@ -24,9 +25,9 @@ def test_a_signal_in_the_middle_ends_the_run_in_order(rig, number):
     assert rig.outputs() == [True, False]
     told = ended.object
     assert told["outcome"] == "stopped"
-    assert 20 <= told["points_done"] < 141
+    assert 20 <= told["points_done"] < 60
     (line,) = [line for line in ended.stderr.splitlines() if number.name in line]
-    assert "switched off: generator output" in line
+    assert "switched off: force stream, preload, generator output" in line
     assert f"resume with: rig resume {told['journal']}" in line
     file = rig.only("*.h5")
     assert verify(file) == []
@@ -47,8 +48,8 @@ def test_a_signal_before_the_bench_is_connected_switches_nothing_on(rig):
 
 
 def test_further_signals_do_not_disturb_the_clean_up(rig):
-    running = rig.start_sweep()
-    running.wait_for(r"^20/141 ")
+    running = rig.start_sweep(*SIXTY_POINTS)
+    running.wait_for(r"^20/60 ")
     for _ in range(30):
         if running.process.poll() is not None:
             break

@@ -7,6 +7,9 @@ import subprocess
 from pathlib import Path
 
 LIMIT_BYTES = 400_000
+FREQUENCIES = ("--frequencies", "300,400,500,600,700,800,900,1000")
+LONG_RECORDS = ("--shortest-record", "0.5s")
+"""Several of them do not fit."""
 
 
 def test_a_disk_that_fills_up_ends_the_run_safely(rig):
@@ -16,10 +19,7 @@ def test_a_disk_that_fills_up_ends_the_run_safely(rig):
         resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT_BYTES, LIMIT_BYTES))
 
     ended = subprocess.run(
-        [
-            *rig.COMMAND,
-            *rig.sweep_arguments("--frequencies", "200.5,300,400,500,600,700,800,900,1000"),
-        ],
+        [*rig.COMMAND, *rig.sweep_arguments(*FREQUENCIES, *LONG_RECORDS)],
         cwd=rig.folder,
         env=rig.env,
         preexec_fn=small_disk,

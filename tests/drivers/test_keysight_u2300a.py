@@ -36,6 +36,7 @@ SCAN = "STOP;:ACQ:SRAT 3;:ROUT:SCAN (@102,101);:ACQ:BURS ON"
 SINGLE_SHOT = f"{SCAN};:{RANGES};:ACQ:SRAT 1000;:ACQ:POIN 3;:ACQ:SRAT?;:ACQ:POIN?;:SYST:ERR?"
 STREAM = f"{SCAN};:{RANGES};:ACQ:SRAT 1000;:WAV:POIN 3;:ACQ:SRAT?;:WAV:POIN?;:SYST:ERR?"
 SET_UP = f"1000;3;{NO_ERROR}"
+REOPENED = ("*CLS", None)  # what the broken conversation left in the error queue is forgotten
 ONCE = (("DIG;:SYST:ERR?", NO_ERROR), ("WAV:COMP?", "YES"))
 
 
@@ -114,6 +115,7 @@ def test_after_a_failure_the_unit_is_stopped_and_set_up_anew() -> None:
         (SINGLE_SHOT, SET_UP),
         ("DIG;:SYST:ERR?", NO_ERROR),
         ("WAV:COMP?", "PERHAPS"),
+        REOPENED,
         (SINGLE_SHOT, SET_UP),
         *ONCE,
         ("WAV:DATA?", block()),
@@ -256,6 +258,7 @@ def test_a_block_lost_on_the_wire_is_never_patched_with_the_next() -> None:
         ("RUN;:SYST:ERR?", NO_ERROR),
         ("WAV:STAT?", "DATA"),
         ("WAV:DATA?", block()[:-5]),
+        REOPENED,
         (STREAM, SET_UP),
         ("RUN;:SYST:ERR?", NO_ERROR),
         ("WAV:STAT?", "DATA"),

@@ -192,12 +192,18 @@ def test_a_bench_that_is_gone_is_reported_unsafe_with_every_instrument(
     guard.finish()
     report = report_of(bench)
     assert report["safe"] is False
-    assert set(report["failures"]) == {"generator", "daq"}
+    assert set(report["failures"]) == {"generator", "daq", "stage_z"}
     with pytest.raises(UnsafeError) as caught:
         refuse_unsafe(tmp_path, bench.plan.settings.name)
     told = caught.value.one_line()
     assert report["time"] in told
-    for words in ("generator: OUTP1 0", "daq: STOP", "rig make-safe", str(bench.report)):
+    for words in (
+        "generator: OUTP1 0",
+        "daq: STOP",
+        "stage_z: ",
+        "rig make-safe",
+        str(bench.report),
+    ):
         assert words in told
 
 

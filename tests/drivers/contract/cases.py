@@ -6,22 +6,32 @@ the truth about it, and add it to `CASES`. Everything in ``test_every_driver.py`
 
 from __future__ import annotations
 
+import os
+import threading
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
+from simulated.axis_bench import AxisBench
 from simulated.ideal import IdealBench, serving
 
-from drivers.simulated.faults import FaultKind, FaultPlan, WireFaults
+from drivers.simulated.axis import Mechanics
+from drivers.simulated.faults import FaultKind, FaultPlan, FaultyLink, WireFaults
+from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
 from drivers.simulated.keysight_33500b import Keysight33500B
 from drivers.simulated.keysight_u2300a import KeysightU2300A
+from drivers.simulated.me_gsv8 import Gsv8
+from drivers.simulated.modbus_tcp import ModbusTcpServer
 from drivers.simulated.scpi import ScpiInstrument
+from drivers.simulated.serial_server import PtyServer
 from drivers.simulated.servers import HislipServer, ScpiSocketServer
 from rig.clock import Clock
 
-from .roles import carried
+from .roles import carried, pressed
 
 TIMEOUT_S = 0.1
 STRANGER = ("ACME", "T-1000", "77", "0.1")
@@ -43,25 +53,34 @@ class BenchClock(Clock):
 
 
 class CountedFaults(WireFaults):
-    """Faults that remember how many requests there were."""
+    """Faults that remember which requests there were."""
 
-    requests = 0
+    def __init__(self, plan: FaultPlan, device: str):
+        super().__init__(plan, device)
+        self.heard: list[bytes] = []
+
+    @property
+    def requests(self) -> int:
+        """How many there were."""
+        return len(self.heard)
 
     def kind_for(self, request: bytes) -> FaultKind | None:
         """Count a request; the fault that befalls it."""
-        self.requests += 1
+        self.heard.append(request)
         return super().kind_for(request)
 
 
 class Service(ABC):
     """A simulator that is running on its transport."""
 
-    def __init__(self, faults: CountedFaults):
-        self.bench = IdealBench(wave=carried)
-        self.clock = BenchClock(self.bench)
+    def __init__(self, faults: CountedFaults, bench: IdealBench | None = None):
+        self.bench = bench if bench is not None else IdealBench(wave=carried)
+        self.clock: Clock = BenchClock(self.bench)
         self.faults = faults
         self.settings: dict[str, Any] = {}
         """A bench file's table for the driver."""
+        self.place = ""
+        """How messages name where the instrument is."""
 
     def now_s(self) -> float:
         """Bench time in seconds."""
@@ -70,6 +89,11 @@ class Service(ABC):
     def sleep(self, seconds: float) -> None:
         """Let bench time pass."""
         self.clock.sleep(seconds)
+
+    def in_real_time(self) -> AbstractContextManager[None]:
+        """Meanwhile time goes by itself, for a module's `make_safe` that waits on the wall clock;
+        most need not."""
+        return nullcontext()
 
     @abstractmethod
     def truth(self, what: str) -> Any:
@@ -93,6 +117,18 @@ class Case(ABC):
     every_fault = True
     """False where another case has the same driver on the same transport: the walk of all faults
     over all requests takes seconds."""
+    alike: tuple[bytes, ...] = ()
+    """Beginnings of requests that a driver says many times over, such as a poll or the reading of
+    one parameter like another: the walk of faults visits the first of each in every step. All
+    other requests are visited every one."""
+    exclusive_link = ""
+    """Why nothing can be connected beside a live connection, where that is so."""
+    deaf_greeting = ""
+    """Why nobody misses the answer to the very first request, where that is so."""
+    drives_nothing = ""
+    """Why the module's `make_safe` has nothing to do, where that is so."""
+    stranger_told = "ACME T-1000"
+    """How another instrument than the expected one is named in the refusal."""
 
     def __repr__(self) -> str:
         return self.name
@@ -107,7 +143,11 @@ class Case(ABC):
     ) -> Any:
         """A context manager that gives a running `Service`; `identity` makes it a stranger."""
         plan = FaultPlan.model_validate({"fault": [{"device": "it", **one} for one in fault]})
-        return self._serve(CountedFaults(plan, "it"), identity)
+        return self._serve(self.faults(plan), identity)
+
+    def faults(self, plan: FaultPlan) -> CountedFaults:
+        """The plan's faults, as this case's transport meets them."""
+        return CountedFaults(plan, "it")
 
     @abstractmethod
     def _serve(self, faults: CountedFaults, identity: tuple[str, str, str, str] | None) -> Any: ...
@@ -180,9 +220,10 @@ class ScpiCase(Case):
         with serving(service.server):
             port = service.server.port
             where = f"hislip0,{port}::INSTR" if self._link == "hislip" else f"{port}::SOCKET"
+            service.place = f"TCPIP::127.0.0.1::{where}"
             service.settings = {
                 "driver": self.driver,
-                "resource": f"TCPIP::127.0.0.1::{where}",
+                "resource": service.place,
                 "timeout_s": TIMEOUT_S,
                 **self._settings,
             }
@@ -213,9 +254,225 @@ class DaqCase(ScpiCase):
         return service
 
 
+# --- an axis on Modbus TCP -------------------------------------------------------------------
+
+
+class FreeBench(AxisBench):
+    """An axis's bench whose time can be let go."""
+
+    _at_us = 0
+    _free_from_ns: int | None = None
+
+    @property  # type: ignore[override]
+    def now_us(self) -> int:
+        """Time set by hand, or going by itself from where it stood."""
+        if self._free_from_ns is None:
+            return self._at_us
+        return self._at_us + (time.monotonic_ns() - self._free_from_ns) // 1000
+
+    @now_us.setter
+    def now_us(self, value: int) -> None:
+        self._at_us = value
+
+    @contextmanager
+    def free(self) -> Iterator[None]:
+        """Time goes by itself."""
+        self._free_from_ns = time.monotonic_ns()
+        try:
+            yield
+        finally:
+            self._at_us, self._free_from_ns = self.now_us, None
+
+
+class AxisService(Service):
+    """A simulated CMMT; fast, so that a walk of faults over all its motions is."""
+
+    bench: FreeBench
+
+    def __init__(self, faults: CountedFaults):
+        super().__init__(faults, FreeBench())
+        self.drive = CmmtDrive(
+            DriveSettings(
+                homing_speed_mm_s=500.0,
+                full_acceleration_mm_s2=50_000.0,
+                mechanics=Mechanics(start_mm=3.0),
+            ),
+            self.bench,
+        )
+        self.server = ModbusTcpServer(self.drive, faults=faults)
+
+    def in_real_time(self) -> AbstractContextManager[None]:
+        """`make_safe` waits until the axis stands."""
+        return self.bench.free()
+
+    def truth(self, what: str) -> Any:
+        """The carriage, and what the drive knows."""
+        now = self.bench.now_us
+        position, speed = self.drive.position_mm(now), self.drive.velocity_mm_s(now)
+        return {"position": position, "speed": speed, "homed": self.drive.homed}[what]
+
+    def at_rest(self) -> bool:
+        """Stands, and has nowhere to go."""
+        return self.truth("speed") == 0 and self.drive.axis.finished(self.bench.now_us)
+
+    def connections(self) -> int:
+        """Open TCP connections."""
+        return len(self.server.transports)
+
+
+class AxisCase(Case):
+    """The CMMT. Every image that is written meets the faults; of the polls of the drive's status
+    (FC3 100) and of the mailbox accesses, which are many times the rest, the first of a step."""
+
+    name = "cmmt-modbus"
+    driver = "festo-cmmt"
+    alike = (b"FC3 100", b"FC6 50", b"FC3 50", b"FC3 510", b"FC16 510")
+
+    @contextmanager
+    def _serve(
+        self, faults: CountedFaults, identity: tuple[str, str, str, str] | None
+    ) -> Iterator[Service]:
+        service = AxisService(faults)
+        if identity is not None:
+            vendor, model, _, revision = identity
+            service.drive.identity.update({0: vendor, 1: model, 2: revision, 4: "axis", 5: model})
+        with serving(service.server):
+            service.place = f"127.0.0.1:{service.server.port}"
+            service.settings = {
+                "driver": self.driver,
+                "axis": "z",
+                "host": "127.0.0.1",
+                "port": service.server.port,
+                "timeout_s": TIMEOUT_S,
+                "low_limit_mm": 0.0,
+                "high_limit_mm": 80.0,
+                "max_speed_mm_s": 500.0,
+                "acceleration_mm_s2": 20_000.0,
+                "deceleration_mm_s2": 20_000.0,
+                "full_acceleration_mm_s2": 50_000.0,
+                "torque_limit_percent": 30.0,
+            }
+            yield service
+
+
+# --- a force sensor on a serial line ---------------------------------------------------------
+
+
+class PressedBench(IdealBench):
+    """A bench that presses on a force sensor."""
+
+    noise_key = (3, 0, 0)
+
+    def force_N(self, times_s: Any) -> Any:  # noqa: N802 - the unit keeps its capital
+        """The true force."""
+        return pressed(times_s)
+
+
+class LineFaults(CountedFaults):
+    """Faults of a serial line: answers and stream are counted together and keep their order."""
+
+    def __init__(self, plan: FaultPlan, device: str):
+        super().__init__(plan, device)
+        self._line = FaultyLink(self)
+
+    def link(self) -> FaultyLink:
+        """The one line."""
+        return self._line
+
+
+class LineClock(BenchClock):
+    """Time passes in the server's thread, which sends what falls due, as a control server does."""
+
+    def __init__(self, bench: IdealBench, server: PtyServer):
+        super().__init__(bench)
+        self._server = server
+
+    def _pass(self, seconds: float) -> None:
+        def advance() -> None:
+            super(LineClock, self)._pass(seconds)
+            self._server.pump()
+            done.set()
+
+        done = threading.Event()
+        loop = self._server._loop
+        assert loop is not None, "the server has been started"
+        loop.call_soon_threadsafe(advance)
+        assert done.wait(5)
+
+
+class AmplifierService(Service):
+    """A simulated GSV-8 on a pseudo-terminal."""
+
+    bench: PressedBench
+
+    def __init__(self, faults: CountedFaults):
+        super().__init__(faults, PressedBench())
+        self.core = Gsv8(self.bench, self.bench)
+        self.server = PtyServer(
+            self.core, self.bench, slaved=True, faults=faults, stream_faults=faults
+        )
+        self.clock = LineClock(self.bench, self.server)
+
+    def truth(self, what: str) -> Any:
+        """The stream, and what the sensor is."""
+        return {
+            "rate": self.core.rate,
+            "streaming": self.core.streaming,
+            "bytes": self.server.bytes_sent,
+            "matrix": self.core.sensor.matrix,
+            "zero": self.core.sensor.zero_mV_V,
+        }[what]
+
+    def at_rest(self) -> bool:
+        """Silent."""
+        return not self.core.streaming
+
+    def connections(self) -> int:
+        """Descriptors of this process on the line, without the server's own."""
+        line, found = str(Path(self.place).resolve()), 0
+        for descriptor in os.listdir("/proc/self/fd"):  # noqa: PTH208 - names only
+            with suppress(OSError):
+                found += str(Path(f"/proc/self/fd/{descriptor}").readlink()) == line
+        return found - 1
+
+
+class AmplifierCase(Case):
+    """The GSV-8. Its three channels are set up alike, and so one of them meets the faults."""
+
+    name = "gsv8-serial"
+    driver = "me-gsv8"
+    alike = (b"A2 ", b"14 ")
+    exclusive_link = "a serial port belongs to the one who has opened it"
+    deaf_greeting = "it ends a stream whose frames and answers are dropped, its own among them"
+    drives_nothing = "a sensor drives nothing, and its stream guards the rest of the bench"
+    stranger_told = "model number 06, serial 00000077"  # it tells no name
+
+    def faults(self, plan: FaultPlan) -> CountedFaults:
+        """Those of one line."""
+        return LineFaults(plan, "it")
+
+    @contextmanager
+    def _serve(
+        self, faults: CountedFaults, identity: tuple[str, str, str, str] | None
+    ) -> Iterator[Service]:
+        service = AmplifierService(faults)
+        if identity is not None:
+            service.core.model, service.core.serial_number = 0x06, identity[2].zfill(8)
+        with serving(service.server):
+            service.place = service.server.path
+            service.settings = {
+                "driver": self.driver,
+                "port": service.place,
+                "timeout_s": TIMEOUT_S,
+            }
+            yield service
+
+
 CASES: tuple[Case, ...] = (
     GeneratorCase("33500b-socket", "keysight-33500b", "socket", {"max_amplitude_V": 3.0}),
     GeneratorCase("33500b-hislip", "keysight-33500b", "hislip", {"max_amplitude_V": 3.0}),
     DaqCase("U2331A"),
     DaqCase("U2542A"),
+    AxisCase(),
+    AmplifierCase(),
 )

@@ -3,21 +3,28 @@
 A script is a sequence of steps in the order of an experiment. A step calls the instrument and
 checks what came of it against the truth: what the simulated instrument did, or what its terminals
 carried. A step may be repeated after a failure, so a call that failed half-way must not spoil the
-next one. A new role is one more entry in `ROLES`.
+next one. The last step of a script needs no other before it. A new role is one more entry in
+`ROLES`.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pytest
 
+from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
 from rig.instruments import (
     Acquisition,
     DataAcquisition,
+    ForceFrames,
+    ForceSensor,
     InputChannel,
+    LinearStage,
     Record,
     SignalGenerator,
 )
@@ -42,6 +49,11 @@ class Role:
     script: tuple[Step, ...]
     excite: Callable[[Any, Any], None]
     """Leaves the instrument in a state from which it has to be made safe."""
+    attend: Callable[[Any, Any], object] = lambda instrument, service: None
+    """What the runner does for a connected instrument of the role on its own."""
+    apart: tuple[Step, ...] = ()
+    """Steps for a just connected instrument that are tried without faults only: an error is what
+    they want, or nobody would miss what a fault takes from them."""
 
 
 # --- generator -------------------------------------------------------------------------------
@@ -142,9 +154,21 @@ def _stream(daq: Any, service: Any) -> None:
     assert service.at_rest()
 
 
-def _check(daq: Any, service: Any) -> None:
-    from rig.errors import LimitError
+def _ranges(daq: Any, service: Any) -> None:
+    ranges = daq.ranges_V()
+    assert ranges == tuple(sorted(set(ranges)))
+    assert ranges[0] > 0
+    assert {channel.range_V for channel in CHANNELS} <= set(ranges)
+    for range_V in ranges:
+        daq.check(Acquisition((InputChannel("film", range_V),), 1_000.0, 10))
+    try:
+        daq.check(Acquisition((InputChannel("film", 1.5 * ranges[-1]),), 1_000.0, 10))
+    except LimitError:
+        return
+    raise AssertionError("a range beyond the widest was not refused")
 
+
+def _check(daq: Any, service: Any) -> None:
     daq.check(SINGLE)
     try:
         daq.check(Acquisition(CHANNELS, 1e12, 10))
@@ -157,6 +181,7 @@ DAQ = Role(
     DataAcquisition,
     frozenset({"rate"}),
     (
+        Step("ranges_V()", _ranges),
         Step("check()", _check),
         Step("acquire()", _acquire),
         Step("acquire() again", _acquire),
@@ -167,4 +192,303 @@ DAQ = Role(
     excite=lambda daq, service: daq.start(BLOCKS),
 )
 
-ROLES: Mapping[str, Role] = {"generator": GENERATOR, "daq": DAQ}
+# --- stage -----------------------------------------------------------------------------------
+
+ARRIVED_mm = 0.02
+FED_s = 0.1
+"""Shorter than a drive's communication time-out, and many of them longer."""
+
+
+def _homed(stage: Any, service: Any) -> None:
+    assert stage.homed() is service.truth("homed")
+
+
+def _home(stage: Any, service: Any) -> None:
+    """From somewhere else: the simulated drive's homing lasts no time where the axis stands at its
+    reference already, and a driver that waits for homing to begin cannot see it."""
+    if service.truth("homed"):
+        stage.stop()
+        stage.move_to(10.0, 200.0)
+    stage.home()
+    assert service.truth("homed")
+    assert service.at_rest()
+
+
+def _position(stage: Any, service: Any) -> None:
+    assert abs(stage.position_mm() - service.truth("position")) < 1e-3
+
+
+def _move_to(position_mm: float, speed_mm_s: float) -> Step:
+    def act(stage: Any, service: Any) -> None:
+        stage.move_to(position_mm, speed_mm_s)
+        assert abs(service.truth("position") - position_mm) <= ARRIVED_mm
+        assert service.at_rest()
+
+    return Step(f"move_to({position_mm:g}, {speed_mm_s:g})", act)
+
+
+def _retarget(stage: Any, service: Any) -> None:
+    """A motion that is changed under way ends at its new target, without a stop between."""
+    stage.start_move(70.0, 100.0)
+    service.sleep(0.05)
+    assert stage.moving()
+    speed = service.truth("speed")
+    assert abs(abs(speed) - 100.0) < 1e-6
+    stage.start_move(60.0, 400.0)
+    deadline = service.now_s() + 5.0
+    while stage.moving():
+        assert service.now_s() < deadline, "it never arrives"
+        service.sleep(0.02)
+    assert abs(service.truth("position") - 60.0) <= ARRIVED_mm
+
+
+def _stop(stage: Any, service: Any) -> None:
+    stage.start_move(5.0, 50.0)
+    service.sleep(0.05)
+    assert service.truth("speed") != 0
+    stage.stop()
+    assert service.at_rest()
+    assert abs(service.truth("position") - 5.0) > 1.0
+    assert not stage.moving()
+
+
+def _keep_alive(stage: Any, service: Any) -> None:
+    """Nothing but keep-alives, and the axis goes on."""
+    stage.start_move(5.0, 10.0)
+    before = service.truth("position")
+    for _ in range(10):
+        service.clock._pass(FED_s)
+        stage.keep_alive()
+        assert abs(service.truth("speed") + 10.0) < 1e-6
+    assert abs(service.truth("position") - before) > 9.0
+    stage.stop()
+
+
+def _move_beyond(stage: Any, service: Any) -> None:
+    stage.stop()
+    beyond = stage.reach()["position"].high + 1.0, stage.reach()["speed"].high + 1.0
+    for position_mm, speed_mm_s in ((beyond[0], 1.0), (40.0, beyond[1]), (40.0, 0.0)):
+        try:
+            stage.start_move(position_mm, speed_mm_s)
+        except LimitError:
+            continue
+        raise AssertionError(f"{position_mm:g} mm at {speed_mm_s:g} mm/s was not refused")
+    assert service.at_rest()
+
+
+def _rest_from_motion(stage: Any, service: Any) -> None:
+    stage.stop()  # also what lets an axis that was made safe move again
+    stage.start_move(20.0, 20.0)
+    service.sleep(0.05)
+    _rest_stage(stage, service)
+
+
+def _rest_stage(stage: Any, service: Any) -> None:
+    """It answers before the axis stands: a watcher may call it while the bench's clock does."""
+    before = service.now_s()
+    stage.make_safe()
+    stage.make_safe()
+    assert service.now_s() == before, "making safe may not wait for bench time"
+    service.sleep(0.2)
+    assert service.at_rest()
+    stage.stop()
+
+
+def _refused(stage: Any, service: Any, act: Callable[[], None], words: str) -> None:
+    with pytest.raises(InstrumentError, match=words) as caught:
+        act()
+    assert caught.value.hint
+    service.sleep(0.2)
+    assert service.at_rest()
+
+
+def _move_unhomed(stage: Any, service: Any) -> None:
+    assert not service.truth("homed")
+    for act in (stage.start_move, stage.move_to):
+        _refused(stage, service, lambda act=act: act(10.0, 10.0), "homed")
+
+
+def _move_after_make_safe(stage: Any, service: Any) -> None:
+    """A procedure behind its watcher cannot set the axis going again."""
+    _excite_stage(stage, service)
+    stage.make_safe()
+    _refused(stage, service, lambda: stage.start_move(60.0, 10.0), "made safe")
+    _refused(stage, service, stage.home, "made safe")
+    stage.stop()
+    stage.move_to(10.0, 100.0)
+    assert abs(service.truth("position") - 10.0) <= ARRIVED_mm
+
+
+def _excite_stage(stage: Any, service: Any) -> None:
+    stage.home()
+    stage.start_move(70.0, 10.0)
+    service.sleep(0.1)
+    assert abs(service.truth("speed") - 10.0) < 1e-6
+
+
+STAGE = Role(
+    LinearStage,
+    frozenset({"position", "speed"}),
+    (
+        Step("homed() at first", _homed),
+        Step("home()", _home),
+        Step("homed()", _homed),
+        _move_to(20, 200),
+        Step("position_mm()", _position),
+        Step("start_move() under way", _retarget),
+        _move_to(40, 400),
+        Step("stop()", _stop),
+        Step("keep_alive()", _keep_alive),
+        Step("start_move() beyond reach", _move_beyond),
+        Step("make_safe() in motion", _rest_from_motion),
+        _move_to(10, 200),
+        Step("make_safe()", _rest_stage),
+    ),
+    excite=_excite_stage,
+    attend=lambda stage, service: service.clock.each_slice(stage.keep_alive),
+    apart=(
+        Step("a move before homing", _move_unhomed),
+        Step("a move after make_safe()", _move_after_make_safe),
+    ),
+)
+
+
+# --- force sensor ----------------------------------------------------------------------------
+
+RATE_S_s = 1000.0
+SLICE_s = 0.02
+STREAM_PATIENCE_s = 0.1
+LEVEL_N, SLOPE_N_s = np.array([2.0, -3.0, 5.0]), np.array([10.0, -15.0, 20.0])
+
+
+def pressed(time_s: Any) -> Any:
+    """The force on the sensor (n, 3): rising, so that every frame tells its instant."""
+    return LEVEL_N + np.asarray(time_s)[:, None] * SLOPE_N_s
+
+
+def _collected(sensor: Any, service: Any) -> list[ForceFrames]:
+    """What is due, as a reader takes it; frames that do not come are an error, as there."""
+    pieces: list[ForceFrames] = []
+    deadline = time.monotonic() + STREAM_PATIENCE_s
+    while (missing := sensor.frames_behind) > 0.5:
+        if time.monotonic() > deadline:
+            raise InstrumentTimeoutError(
+                "force_sensor", "stream", f"{missing:.0f} frames are missing", "look at the cable"
+            )
+        if (piece := sensor.read()) is not None:
+            pieces.append(piece)
+    assert sensor.frames_behind > -0.5, "more frames than are due"
+    return pieces
+
+
+def _check_frames(pieces: list[ForceFrames], service: Any, first: int, since_s: float) -> int:
+    """Frames from index `first` on show what pressed on the sensor, one after the other, none
+    twice and none left out, at instants after `since_s`; the next index."""
+    for piece in pieces:
+        assert piece.first_index == first
+        assert piece.raw.shape == piece.force_N.shape == (len(piece), 3)
+        assert not piece.saturated.any()
+        period = 1 / service.truth("rate")
+        middles = (first + 0.5 + np.arange(len(piece))) * period
+        begun = ((piece.force_N - LEVEL_N) / SLOPE_N_s - middles[:, None]).ravel()
+        assert np.abs(begun - np.median(begun)).max() < 0.9 * period
+        assert since_s - 0.5 * period <= np.median(begun) <= service.now_s() + 0.5 * period
+        first += len(piece)
+    return first
+
+
+def _begin(sensor: Any, service: Any) -> float:
+    """A stream of calibrated forces; when it began."""
+    sensor.stop()
+    sensor.calibrate(service.truth("matrix"))
+    sensor.tare(service.truth("zero"))
+    since: float = service.now_s()
+    assert sensor.start(RATE_S_s) == RATE_S_s == service.truth("rate")
+    assert service.truth("streaming")
+    return since
+
+
+def _force_stream(sensor: Any, service: Any) -> None:
+    since = _begin(sensor, service)
+    taken, sent = sensor.bytes_consumed, service.truth("bytes")
+    assert sensor.read() is None, "no time has passed"
+    index = 0
+    for _ in range(3):
+        service.sleep(SLICE_s)
+        index = _check_frames(_collected(sensor, service), service, index, since)
+    assert index == round(3 * SLICE_s * RATE_S_s)
+    assert sensor.bytes_consumed - taken == service.truth("bytes") - sent
+    sensor.stop()
+    assert service.at_rest()
+    assert sensor.frames_behind == 0
+
+
+def _calibrated(sensor: Any, service: Any) -> None:
+    """Matrix and tare count from the next read on, and only for the forces."""
+    _begin(sensor, service)
+    matrix, zero = np.array([[1.0, 2.0, 3.0], [0.0, 4.0, 5.0], [6.0, 0.0, 7.0]]), (0.1, -0.2, 0.3)
+    for _ in range(2):
+        service.sleep(SLICE_s)
+        sensor.calibrate(matrix.tolist())
+        sensor.tare(zero)
+        pieces = _collected(sensor, service)
+        assert pieces
+        for piece in pieces:
+            assert np.allclose(piece.force_N, (piece.raw - np.array(zero)) @ matrix.T, atol=1e-6)
+        matrix, zero = 2 * matrix.T, (0.0, 0.5, 0.0)
+    sensor.stop()
+
+
+def _dropped(sensor: Any, service: Any) -> None:
+    """What nobody read before `stop` is not in the next stream."""
+    _begin(sensor, service)
+    service.sleep(SLICE_s)
+    assert round(sensor.frames_behind) == round(SLICE_s * RATE_S_s)
+    sensor.stop()
+    service.sleep(SLICE_s)
+    assert sensor.read() is None
+    _force_stream(sensor, service)
+
+
+def _other_rate(sensor: Any, service: Any) -> None:
+    sensor.stop()
+    rate = sensor.start(500.0)
+    assert rate == service.truth("rate") == 500.0
+    service.sleep(SLICE_s)
+    assert sum(map(len, _collected(sensor, service))) == round(SLICE_s * rate)
+    sensor.stop()
+
+
+def _undisturbed(sensor: Any, service: Any) -> None:
+    """Making a sensor safe leaves its stream, which guards the rest of the bench, alone."""
+    since = _begin(sensor, service)
+    service.sleep(SLICE_s)
+    sensor.make_safe()
+    sensor.make_safe()
+    service.sleep(SLICE_s)
+    index = _check_frames(_collected(sensor, service), service, 0, since)
+    assert index == round(2 * SLICE_s * RATE_S_s)
+    sensor.stop()
+    assert service.at_rest()
+
+
+FORCE_SENSOR = Role(
+    ForceSensor,
+    frozenset({"rate", "force"}),
+    (
+        Step("start(), read(), stop()", _force_stream),
+        Step("calibrate(), tare()", _calibrated),
+        Step("start() at another rate", _other_rate),
+        Step("make_safe() of a stream", _undisturbed),
+    ),
+    excite=lambda sensor, service: sensor.start(RATE_S_s),
+    apart=(Step("stop() with frames unread", _dropped),),
+)
+
+ROLES: Mapping[str, Role] = {
+    "generator": GENERATOR,
+    "daq": DAQ,
+    "stage_z": STAGE,
+    "stage_x": STAGE,
+    "force_sensor": FORCE_SENSOR,
+}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import time
+from bisect import bisect_right
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -26,7 +27,9 @@ def role_of(case: Case) -> Role:
 
 def connect(case: Case, service: Service) -> Any:
     module = case.module()
-    return module.connect(module.Settings.model_validate(service.settings), service.clock)
+    instrument = module.connect(module.Settings.model_validate(service.settings), service.clock)
+    role_of(case).attend(instrument, service)
+    return instrument
 
 
 def members(protocol: type) -> dict[str, Any]:
@@ -116,10 +119,25 @@ def test_connecting_leaves_the_instrument_at_rest(case: Case) -> None:
         first = connect(case, service)
         role_of(case).excite(first, service)
         assert not service.at_rest()
+        if case.exclusive_link:
+            with pytest.raises(InstrumentError) as caught:
+                connect(case, service)
+            assert service.place in caught.value.one_line()
+            assert not service.at_rest(), "the first is none the worse"
+            first.close()
         second = connect(case, service)
         assert service.at_rest()
         first.close()
         second.close()
+
+
+@EVERY
+def test_what_can_only_be_tried_without_faults_works(case: Case) -> None:
+    for step in role_of(case).apart:
+        with case.serve() as service:
+            instrument = connect(case, service)
+            step.act(instrument, service)
+            instrument.close()
 
 
 # --- what goes wrong -------------------------------------------------------------------------
@@ -130,32 +148,62 @@ def test_connecting_leaves_the_instrument_at_rest(case: Case) -> None:
 def test_one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over(
     case: Case, kind: str
 ) -> None:
-    """The fault befalls each request of a whole experiment in turn.
+    """The fault befalls each request of a whole experiment in turn, but of those that
+    `Case.alike` names only the first in a step.
 
     Every step either does what it says or raises an InstrumentError that tells what to do; never
     does a late, broken or foreign reply become a value. What failed once works when repeated.
     """
-    at = 1
-    while True:
-        with case.serve({"kind": kind, "at": at}) as service:
-            failures = experiment_with_retries(case, service)
-            if service.faults.requests < at:
-                break
-        where = f"{kind} at request {at}"
+    places = places_of_faults(case)
+    assert len(places) > len(role_of(case).script), "the faults befall hardly anything"
+    for at in places:
+        try:
+            failures, heard = faulty_experiment(case, kind, at)
+        except InstrumentTimeoutError:  # a stall of the computer, as below, in a repeated step
+            failures, heard = faulty_experiment(case, kind, at)
+        if failures[1:] and any(isinstance(one, InstrumentTimeoutError) for one in failures):
+            # So it looks too when the computer stalls for TIMEOUT_S: only twice is it the driver's.
+            failures, heard = faulty_experiment(case, kind, at)
+        where = f"{kind} at request {at} ({heard})"
         assert len(failures) <= 1, f"{where}: {[str(f) for f in failures]}"
         for failure in failures:
             assert failure.device, where
             assert failure.command, where
             assert failure.hint, where
-        if kind == "silence":
+        if kind == "silence" and not (at == 1 and case.deaf_greeting):
             assert failures, f"{where}: nobody noticed"
             assert isinstance(failures[0], InstrumentTimeoutError), where
-        at += 1
-    assert at > len(role_of(case).script), "the faults befell hardly anything"
 
 
-def experiment_with_retries(case: Case, service: Service) -> list[InstrumentError]:
-    """The role's script, each step repeated once where it failed."""
+def faulty_experiment(case: Case, kind: str, at: int) -> tuple[list[InstrumentError], str]:
+    """What was told during an experiment with one fault, and what the fault befell."""
+    with case.serve({"kind": kind, "at": at}) as service:
+        failures = experiment_with_retries(case, service)
+        assert service.faults.requests >= at, "an experiment says the same every time"
+        return failures, service.faults.heard[at - 1][:40].decode("ascii", "replace")
+
+
+def places_of_faults(case: Case) -> list[int]:
+    """Which requests of an experiment without faults the walk visits, counted from 1."""
+    with case.serve() as service:
+        steps: list[int] = []
+        assert experiment_with_retries(case, service, steps) == []
+        heard = service.faults.heard
+    seen: set[tuple[int, bytes]] = set()
+    places = []
+    for index, request in enumerate(heard):
+        said = {(bisect_right(steps, index), one) for one in case.alike if request.startswith(one)}
+        if not said or said - seen:
+            places.append(index + 1)
+        seen |= said
+    return places
+
+
+def experiment_with_retries(
+    case: Case, service: Service, begins: list[int] | None = None
+) -> list[InstrumentError]:
+    """The role's script, each step repeated once where it failed; `begins` is told how many
+    requests there had been before each step."""
     failures: list[InstrumentError] = []
     try:
         instrument = connect(case, service)
@@ -163,6 +211,8 @@ def experiment_with_retries(case: Case, service: Service) -> list[InstrumentErro
         failures.append(failure)
         instrument = connect(case, service)
     for step in role_of(case).script:
+        if begins is not None:
+            begins.append(service.faults.requests)
         try:
             step.act(instrument, service)
         except InstrumentError as failure:
@@ -183,7 +233,7 @@ def test_silence_is_told_with_device_command_time_and_remedy_and_charged(case: C
         assert error.command in error.message
         assert f"no answer within {TIMEOUT_S:g} s" in error.message
         assert error.hint is not None
-        assert service.settings["resource"] in error.hint
+        assert service.place in error.hint
         assert service.now_s() - before == pytest.approx(TIMEOUT_S, abs=1e-3), (
             "bench time went on meanwhile"
         )
@@ -196,7 +246,7 @@ def test_an_instrument_that_is_not_there_is_told(case: Case) -> None:
     with pytest.raises(InstrumentError) as caught:
         connect(case, service)
     assert caught.value.device == case.module().ROLES[0]
-    assert service.settings["resource"] in str(caught.value.hint)
+    assert service.place in str(caught.value.hint)
 
 
 @EVERY
@@ -216,8 +266,8 @@ def test_another_instrument_is_refused_with_both_names_and_let_go(case: Case) ->
         with pytest.raises(InstrumentError) as caught:
             connect(case, service)
         told = caught.value.one_line()
-        assert "ACME T-1000" in told
-        assert service.settings["resource"] in told
+        assert case.stranger_told in told
+        assert service.place in told
         assert "expected" in told
         deadline = time.monotonic() + PATIENCE_S
         while service.connections() and time.monotonic() < deadline:
@@ -237,8 +287,14 @@ def test_make_safe_of_the_module_gets_in_beside_a_live_connection(case: Case) ->
         assert not service.at_rest()
         settings = module.Settings.model_validate(service.settings)
         for _ in range(2):
-            module.make_safe(settings)
-            assert service.at_rest()
+            said = service.faults.requests
+            with service.in_real_time():
+                module.make_safe(settings)
+            if case.drives_nothing:
+                assert not service.at_rest(), case.drives_nothing
+                assert service.faults.requests == said
+            else:
+                assert service.at_rest()
         for step in role_of(case).script:  # the live connection is none the worse
             step.act(instrument, service)
         instrument.close()
@@ -249,6 +305,10 @@ def test_make_safe_of_a_silent_instrument_is_an_error_not_a_hope(case: Case) -> 
     module = case.module()
     with case.serve({"kind": "silence", "count": 0}) as service:
         settings = module.Settings.model_validate(service.settings)
+        if case.drives_nothing:
+            module.make_safe(settings)
+            assert service.faults.requests == 0, case.drives_nothing
+            return
         with pytest.raises(InstrumentTimeoutError):
             module.make_safe(settings)
 

@@ -1,0 +1,234 @@
+"""Static preload: approach until contact is felt, bring the force up under control, hold, let go.
+
+What a person does by hand with one eye on the force: park, zero the sensor, go down quickly to
+where nothing can be yet, slowly until something is, then up to the preload no faster than the
+force may rise. The film creeps under it, so the force is followed for as long as the run lasts.
+Whatever ends the run, the stage is stopped, and moved away where it still can be.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rig.bench import require
+from rig.errors import ConfigurationError, InstrumentError, LimitError
+from rig.runner.trip import TripError
+
+if TYPE_CHECKING:
+    from rig.runner.run import Run
+
+FORCE_RATE_S_S = 1000.0
+TICK_S = 0.01
+"""Of the control of the force."""
+LOOK_AROUND_S = 0.02
+"""Of an approach, between two looks at the force; the limit is watched all the time."""
+LOOK_S = 0.005
+"""Stretch of force that a tick looks at."""
+TARE_S = 0.2
+"""Rest before the sensor is zeroed, and stretch that the zero is the mean of."""
+CONTACT_N = 0.4
+"""Force that means contact: far above the sensor's noise, far below the preload."""
+CLEAR_mm = 0.3
+"""Where the slow approach begins, before the earliest contact."""
+TRAVEL_mm_s = 10.0
+APPROACH_mm_s = 0.5
+RISE_N_s = 25.0
+"""How fast the force may rise."""
+FIRST_STIFFNESS_N_mm = 1000.0
+"""Taken for the film's until its own is known: stiffer than any, for a small first step."""
+KNOWN_AFTER_mm = 0.02
+"""Compression from which the film's own stiffness is believed."""
+CLOSE = 0.002
+"""Relative error of the force that is left alone."""
+HELD = 0.01
+"""Relative error within which the force has to stay to count as held."""
+HOLD_S = 0.3
+PATIENCE_S = 15.0
+"""From contact to a held force, at most."""
+UNLOAD_DEADLINE_S = 20.0
+
+
+@dataclass
+class Preload:
+    """A film under force: where contact was felt, how stiff it is, how well the force was met."""
+
+    target_N: float
+    contact_mm: float
+    stiffness_N_mm: float
+    reached_N: float
+    overshoot: float
+    """Largest excess on the way up, relative."""
+    settling_s: float
+    """From contact to the force being held."""
+    position_mm: float
+    """Where the stage was told to be."""
+
+    def follow(self, run: Run, stretch_s: float) -> bool:
+        """Bring the mean force of the latest stretch back where the film has crept; one small move
+        at most, and whether there was one. The stretch has to be of whole periods of what
+        vibrates."""
+        missing_N = self.target_N - float(run.force.mean_N(stretch_s)[2])
+        if abs(missing_N) <= CLOSE * self.target_N:
+            return False
+        if abs(missing_N) > 0.2 * self.target_N:
+            raise TripError(
+                f"the preload is {self.target_N - missing_N:.3g} N, not {self.target_N:g} N",
+                "look at the film and its clamp: something has given way",
+            )
+        creep_N = CLOSE * self.target_N if missing_N > 0 else 0.0  # it will go on creeping
+        self.position_mm += (missing_N + creep_N) / self.stiffness_N_mm
+        run.bench.stage_z.start_move(self.position_mm, RISE_N_s / self.stiffness_N_mm)
+        return True
+
+
+def refuse_impossible(preload_N: float, load_N: float, share: float) -> None:
+    """LimitError where the largest load could lift the indentor off the film."""
+    if load_N >= share * preload_N:
+        raise LimitError(
+            f"a load of {load_N:g} N peak is not below {share:g} of the preload of {preload_N:g} N:"
+            " the indentor could lift off the film",
+            f"ask for less than {share * preload_N:g} N, or for more preload",
+        )
+
+
+def press(run: Run, target_N: float) -> Preload:
+    """Bring the film under `target_N` and hold it; the way back is armed before the first move."""
+    bench = run.bench
+    fixture, stage = bench.settings.fixture, bench.stage_z
+    first_mm, last_mm = fixture.contact_from_mm, fixture.contact_to_mm
+    if first_mm is None or last_mm is None:
+        raise ConfigurationError(
+            f"{bench.plan.source}: [fixture] does not say where contact has to be felt",
+            "add contact_from_mm and contact_to_mm, positions of the z stage",
+        )
+    run.stream_force(FORCE_RATE_S_S)
+    run.force.watch(bench.force_sensor.reach()["force"].high)
+    run.arm("preload", lambda: _unload(run), deadline_s=UNLOAD_DEADLINE_S, at_once=stage.make_safe)
+    stage.stop()
+    if not stage.homed():
+        stage.home()
+    stage.move_to(fixture.parked_mm, TRAVEL_mm_s)
+    run.clock.sleep(2 * TARE_S)
+    run.force.tare(TARE_S)
+    _travel(run, first_mm - CLEAR_mm, TRAVEL_mm_s, first_mm)
+    contact_mm = _approach(run, first_mm, last_mm)
+    return _press_from(run, contact_mm, target_N)
+
+
+def _travel(run: Run, position_mm: float, speed_mm_s: float, first_mm: float) -> None:
+    """Go where nothing may be felt yet."""
+    stage = run.bench.stage_z
+    stage.start_move(position_mm, speed_mm_s)
+    while stage.moving():
+        run.clock.sleep(LOOK_AROUND_S)
+        _refuse_contact(run, first_mm)
+    stage.stop()
+
+
+def _refuse_contact(run: Run, first_mm: float) -> None:
+    force_N = float(abs(_recent(run)))
+    if force_N > CONTACT_N:
+        run.bench.stage_z.stop()
+        here_mm = run.bench.stage_z.position_mm()
+        raise InstrumentError(
+            "stage_z",
+            "approach",
+            f"{force_N:.2g} N are felt at {here_mm:.2f} mm, before any contact can be "
+            f"(contact_from_mm = {first_mm:g} mm)",
+            "look what is in the way; correct [fixture] if contact belongs there",
+        )
+
+
+def _approach(run: Run, first_mm: float, last_mm: float) -> float:
+    """Go on slowly until something is felt; where that was."""
+    stage = run.bench.stage_z
+    stage.start_move(last_mm, APPROACH_mm_s)
+    moving = True
+    while moving:
+        run.clock.sleep(LOOK_AROUND_S)
+        here_mm = stage.position_mm()
+        if _recent(run) > CONTACT_N:
+            if here_mm < first_mm:
+                _refuse_contact(run, first_mm)
+            return here_mm
+        moving = stage.moving()
+    stage.stop()
+    raise InstrumentError(
+        "stage_z",
+        "approach",
+        f"no contact is felt down to {last_mm:g} mm (contact_to_mm): "
+        f"{_recent(run):.2g} N, contact means {CONTACT_N:g} N",
+        "check that the film is clamped and the force sensor connected; correct [fixture]",
+    )
+
+
+def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload:
+    """From contact to the held preload: small targets ahead of the stage, as stiff as it proves."""
+    stage, clock = run.bench.stage_z, run.clock
+    highest_mm = stage.reach()["position"].high
+    start_s, held_since_s = clock.now(), None
+    stiffness, largest_N = FIRST_STIFFNESS_N_mm, 0.0
+    target_mm = contact_mm
+    while clock.now() - start_s < PATIENCE_S:
+        force_N = _recent(run)
+        largest_N = max(largest_N, force_N)
+        here_mm = stage.position_mm()
+        pressed_mm = here_mm - contact_mm
+        if pressed_mm > KNOWN_AFTER_mm:
+            stiffness = max((force_N - CONTACT_N) / pressed_mm, 1e-3)
+        missing_N = target_N - force_N
+        if abs(missing_N) > HELD * target_N:
+            held_since_s = None
+        elif held_since_s is None:
+            held_since_s = clock.now()
+        elif clock.now() - held_since_s >= HOLD_S:
+            return Preload(
+                target_N,
+                contact_mm,
+                stiffness,
+                float(run.force.mean_N(HOLD_S)[2]),
+                max(0.0, largest_N / target_N - 1),
+                held_since_s - start_s,
+                target_mm,
+            )
+        if abs(missing_N) > CLOSE * target_N:
+            target_mm = here_mm + missing_N / stiffness
+            require("position for the preload", target_mm, stage.reach()["position"])
+            stage.start_move(min(target_mm, highest_mm), _speed(stiffness, missing_N))
+        clock.sleep(TICK_S)
+    raise InstrumentError(
+        "stage_z",
+        "preload",
+        f"{_recent(run):.3g} N after {PATIENCE_S:g} s, {target_N:g} N wanted; the stage stands at "
+        f"{stage.position_mm():.3f} mm",
+        "look at the film and its clamp",
+    )
+
+
+def _speed(stiffness_N_mm: float, missing_N: float) -> float:
+    """Full rise far away, then what covers the rest in a few ticks."""
+    rise_N_s = min(RISE_N_s, max(abs(missing_N) / (5 * TICK_S), 1.0))
+    return min(APPROACH_mm_s, rise_N_s / stiffness_N_mm)
+
+
+def _recent(run: Run) -> float:
+    """Force along z over the last few milliseconds."""
+    return float(run.force.mean_N(LOOK_S)[2])
+
+
+def _unload(run: Run) -> None:
+    """Stop, whatever happens; then away from the film, if the drive still can.
+
+    A drive that has a fault or has lost its place stands where it is. That is safe, and said.
+    """
+    stage = run.bench.stage_z
+    stage.stop()
+    try:
+        stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
+    except InstrumentError as error:
+        run.event(
+            "warning",
+            "not-unloaded",
+            f"the stage stands and the film may still be pressed: {error.one_line()}",
+        )

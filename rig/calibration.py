@@ -1,0 +1,394 @@
+"""Calibration records: what a sensor's numbers are, since when, until when, and who found them.
+
+One file a record, JSON that a person can read. A record is written once and never overwritten; it
+says by itself whether it may be used: for which sensor, until which day, and not on a real bench
+if it was made on a simulated one. Arrays are in the order of the sensor's axes x, y, z.
+
+Three kinds: ``pvdf`` (volts per newton of a film, from a sweep), ``force`` (three-axis force
+sensor, from weights), ``load-cell`` (the dynamic load cell, statically, from weights).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import tempfile
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AwareDatetime, Field, ValidationError, model_validator
+
+from rig.errors import ConfigurationError
+from rig.settings import Settings
+
+Kind = Literal["pvdf", "force", "load-cell"]
+
+VALID_DAYS: dict[Kind, int] = {"pvdf": 90, "force": 365, "load-cell": 365}
+"""How long a record holds unless told otherwise (assumed: a film ages, a strain gauge hardly)."""
+EXPIRY_WARNING_DAYS = 14.0
+"""A record that expires within so many days gives a warning."""
+FOLDER = "calibrations"
+"""Where records are kept, beside the bench file."""
+
+COMMANDS: dict[Kind, str] = {
+    "pvdf": "rig calibrate pvdf FILE",
+    "force": "rig calibrate force",
+    "load-cell": "rig calibrate load-cell",
+}
+
+Vector = tuple[float, float, float]
+Matrix = tuple[Vector, Vector, Vector]
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+class Quantity(Settings):
+    """A value with its standard error and 95 % interval; None stands for what is not finite."""
+
+    value: float | None
+    standard_error: NotNegative | None
+    low: float | None
+    high: float | None
+    unit: str
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Quantity:
+        low, high, value = self.low, self.high, self.value
+        if value is not None and (
+            (low is not None and low > value) or (high is not None and high < value)
+        ):
+            raise ValueError(f"the interval {low} to {high} does not hold the value {value}")
+        return self
+
+
+class CalibrationFiles(Settings):
+    """The records that a bench uses, paths beside the bench file."""
+
+    film: Path | None = None
+    """Record of the film, by ``rig calibrate pvdf``."""
+    force_sensor: Path | None = None
+    """Record of the force sensor, by ``rig calibrate force``."""
+    load_cell: Path | None = None
+    """Record of the load cell, by ``rig calibrate load-cell``."""
+    expiry_warning_days: float = Field(default=EXPIRY_WARNING_DAYS, ge=0)
+    """A record that expires within so many days gives a warning."""
+
+
+class SourceRun(Settings):
+    """The run that a record was computed from."""
+
+    run_uuid: str
+    file: str
+    simulated: bool
+
+
+class Record(Settings):
+    """What every calibration record says."""
+
+    format: Literal[1] = 1
+    kind: Kind
+    sensor: str = Field(min_length=1, max_length=200)
+    """Label of the film; serial number or name of a sensor."""
+    date: AwareDatetime
+    """When it was measured."""
+    valid_until: AwareDatetime
+    operator: str = ""
+    simulated: bool
+    """From a simulated bench: never to be used on a real one."""
+    program: str = ""
+    """Name and version of the program that wrote it."""
+    temperature_degC: float | None = None
+    """Of the surroundings, where somebody measured it."""
+    notes: str = ""
+
+    @model_validator(mode="after")
+    def _ends_after_it_begins(self) -> Record:
+        if self.valid_until <= self.date:
+            raise ValueError("valid_until is not after date")
+        return self
+
+
+class RecordedDrop(Settings):
+    """A drop that the sweep found: a second-order notch."""
+
+    frequency_Hz: float = Field(gt=0)
+    pole_Q: float = Field(gt=0)
+    depth_dB: float
+
+
+class FilmCalibration(Record):
+    """Volts per newton of a film with its amplifier: slope of 20 dB/decade, one pole, drops.
+
+    ``covariance`` belongs to b (dB), inverse_corner (s), delay (s), then ln frequency, ln Q and
+    depth (dB) of each drop; it holds noise, the load cell's error, and the model error that the
+    sweep's scatter about the model asked for.
+    """
+
+    kind: Literal["pvdf"] = "pvdf"
+    source: SourceRun
+    b_dB: Quantity
+    """Level of equation (2), dB re 1 V/N: the low-frequency asymptote at 1 Hz."""
+    corner_Hz: Quantity
+    """Frequency of the pole; no value where none shows in the measured range."""
+    delay_us: Quantity
+    """Of the film's channel after the load's."""
+    inverse_corner_s: float
+    """1 / corner, which stays finite: what is computed with."""
+    polarity: Literal[-1, 1]
+    drops: tuple[RecordedDrop, ...] = ()
+    covariance: tuple[tuple[float, ...], ...]
+    gain_model_error_dB: NotNegative = 0.0
+    """Scatter of single frequencies about the model beyond noise."""
+    phase_model_error_deg: NotNegative = 0.0
+    points: int = Field(ge=1)
+    lowest_frequency_Hz: float = Field(gt=0)
+    highest_frequency_Hz: float = Field(gt=0)
+    preload_N: float | None = None
+    """Static force on the film during the sweep, where the run says it."""
+    amplifier_gain: float | None = Field(default=None, gt=0)
+    """Of the film's amplifier, which the response contains; where the run says it."""
+    load_cell_error_percent: NotNegative | None = None
+    """Standard error of the load cell's sensitivity as the run's own calibration record states it;
+    None where the run had no such record, and the intervals then lack this error."""
+
+    @model_validator(mode="after")
+    def _covariance_fits(self) -> FilmCalibration:
+        size = 3 + 3 * len(self.drops)
+        if len(self.covariance) != size or any(len(row) != size for row in self.covariance):
+            raise ValueError(f"covariance: {size} x {size} numbers belong to b, pole, delay, drops")
+        if any(row[k] < 0 for k, row in enumerate(self.covariance)):
+            raise ValueError("covariance: a variance is negative")
+        if self.b_dB.value is None:
+            raise ValueError("b_dB has no value")
+        return self
+
+
+class WeighedForce(Settings):
+    """A reading of the force sensor under a known force."""
+
+    force_N: Vector
+    reading_mV_V: Vector
+    standard_error_mV_V: tuple[NotNegative, NotNegative, NotNegative]
+    samples: int = Field(ge=1)
+
+
+class WeighedLoad(Settings):
+    """A reading of the load cell under a known force."""
+
+    load_N: float
+    reading_V: float
+    standard_error_V: NotNegative
+    samples: int = Field(ge=1)
+
+
+class Weighed(Record):
+    """What records from known weights have in common."""
+
+    weights_N: tuple[float, ...] = Field(min_length=1)
+    weight_tolerance_percent: NotNegative
+    """Limit of the weights' common error, taken as evenly spread and part of every error."""
+    preload_N: float = 0.0
+    """Force that stood on the sensor besides the weights."""
+    coverage: float = Field(gt=0)
+    """Standard errors on either side that make the 95 % interval: Student's t where the scatter of
+    the readings was estimated from the readings, else 1.96."""
+
+
+class ForceCalibration(Weighed):
+    """Three-axis force sensor with its amplifier: force in N = matrix (reading - zero)."""
+
+    kind: Literal["force"] = "force"
+    zero_mV_V: Vector
+    zero_standard_error_mV_V: tuple[NotNegative, NotNegative, NotNegative]
+    matrix_N_mV_V: Matrix
+    matrix_standard_error_N_mV_V: Matrix
+    residual_rms_N: NotNegative
+    largest_residual_N: NotNegative
+    crosstalk_percent: NotNegative
+    """What a force seems to be along another axis, in percent of it, if every bridge is read for
+    itself; the largest over all pairs of axes."""
+    readings: tuple[WeighedForce, ...] = Field(min_length=5)
+
+
+class LoadCellCalibration(Weighed):
+    """Load cell with its amplifier, statically: volts = zero + sensitivity times load."""
+
+    kind: Literal["load-cell"] = "load-cell"
+    zero_V: Quantity
+    sensitivity_V_N: Quantity
+    residual_rms_N: NotNegative
+    largest_residual_N: NotNegative
+    input_range_V: float = Field(gt=0)
+    """Range of the DAQ's channel: its gain error on that range is in the sensitivity."""
+    readings: tuple[WeighedLoad, ...] = Field(min_length=3)
+
+    @model_validator(mode="after")
+    def _is_a_sensor(self) -> LoadCellCalibration:
+        if not self.sensitivity_V_N.value:
+            raise ValueError("sensitivity_V_N has no value")
+        return self
+
+
+Calibration = FilmCalibration | ForceCalibration | LoadCellCalibration
+_Kind = TypeVar("_Kind", FilmCalibration, ForceCalibration, LoadCellCalibration)
+
+
+def read_calibration(path: Path, kind: type[_Kind]) -> _Kind:
+    """The record of a file; ConfigurationError where it is missing, garbled or of another kind."""
+    expected: Kind = kind.model_fields["kind"].default
+    hint = f"name another record, or make one with `{COMMANDS[expected]}`"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot read the calibration record {path}: {error.strerror}", hint
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigurationError(
+            f"{path} is no calibration record: {_first_line(error)}", hint
+        ) from error
+    found = content.get("kind") if isinstance(content, dict) else None
+    if not isinstance(found, str) or found not in VALID_DAYS:
+        raise ConfigurationError(f"{path} is no calibration record: it names no kind of one", hint)
+    if found != expected:
+        raise ConfigurationError(
+            f"{path} is a record of kind {found}, here one of kind {expected} belongs", hint
+        )
+    try:
+        return kind.model_validate(content)
+    except ValidationError as error:
+        raise ConfigurationError.from_validation(error, str(path), hint) from error
+
+
+def make_record(kind: type[_Kind], fields: dict[str, Any]) -> _Kind:
+    """A record of these fields; ConfigurationError tells all that is wrong with them."""
+    try:
+        return kind.model_validate(fields)
+    except ValidationError as error:
+        expected = kind.model_fields["kind"].default
+        raise ConfigurationError.from_validation(error, f"{expected} record") from error
+
+
+def write_calibration(record: Record, folder: Path) -> Path:
+    """Write a record to a new file of the folder; its path. What is there is never overwritten.
+
+    The name is ``<kind>-<sensor>-<date>.json``, with a number after it from the second record of a
+    day on. The file appears whole or not at all. ConfigurationError where the folder takes none.
+    """
+    day = record.date.strftime("%Y-%m-%d")
+    stem = f"{record.kind}-{_in_a_name(record.sensor)}-{day}"
+    unfinished = folder / f".{stem}.{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            with unfinished.open("w", encoding="utf-8") as file:
+                file.write(as_text(record))
+                file.flush()
+                os.fsync(file.fileno())
+            return _publish(unfinished, folder, stem)
+        finally:
+            unfinished.unlink(missing_ok=True)
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+
+
+def require_folder(folder: Path) -> Path:
+    """The folder, made if needed; ConfigurationError where it would not take a record."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+
+
+def as_text(record: Record) -> str:
+    """A record as its file has it: JSON, one key a line, a list of numbers on one line."""
+    return _json(record.model_dump(mode="json"), "") + "\n"
+
+
+def require_valid(
+    record: Record,
+    sensor: str,
+    now: datetime,
+    *,
+    source: Path | str,
+    simulated_bench: bool,
+    allow_expired: bool = False,
+    warning_days: float = EXPIRY_WARNING_DAYS,
+) -> list[str]:
+    """Warnings about a record that may be used for `sensor`, at the time `now`, on this bench.
+
+    ConfigurationError, naming file, sensor, dates and remedy, for a record of another sensor, for
+    one of a simulated bench on a real one, and for one that has expired unless `allow_expired`.
+    """
+    remedy = f"calibrate with `{COMMANDS[record.kind]}`"
+    if record.sensor != sensor:
+        raise ConfigurationError(
+            f"{source} is the calibration of {record.sensor!r}, on the bench is {sensor!r}",
+            f"name the record of {sensor!r} in [calibrations], or {remedy}",
+        )
+    if record.simulated and not simulated_bench:
+        raise ConfigurationError(
+            f"{source}: this calibration of {sensor!r} was made on a simulated bench and cannot "
+            "be used on a real one",
+            remedy,
+        )
+    whose = f"{source}: the calibration of {sensor!r} of {_day(record.date)}"
+    if now >= record.valid_until:
+        ended = f"{whose} expired on {_day(record.valid_until)}"
+        if not allow_expired:
+            raise ConfigurationError(ended, f"{remedy}, or allow it with --allow-expired")
+        return [f"{ended} and is used because that was allowed"]
+    if now < record.date:
+        return [f"{whose} lies in the future: look at this computer's clock"]
+    if record.valid_until - now <= timedelta(days=warning_days):
+        return [f"{whose} expires on {_day(record.valid_until)}"]
+    return []
+
+
+def header_entry(record: Record, source: Path | str) -> dict[str, Any]:
+    """A record as the header of a run carries it: all of it, and the file it was read from."""
+    return {**record.model_dump(mode="json"), "file": str(source)}
+
+
+def _publish(unfinished: Path, folder: Path, stem: str) -> Path:
+    """Give the finished file the first free name, which an empty file has claimed before."""
+    number = 1
+    while True:
+        path = folder / (f"{stem}.json" if number == 1 else f"{stem}-{number}.json")
+        with contextlib.suppress(FileExistsError):
+            path.touch(exist_ok=False)
+            return unfinished.replace(path)
+        number += 1
+
+
+def _unwritable(folder: Path, error: OSError) -> ConfigurationError:
+    return ConfigurationError(
+        f"the calibration record cannot be written to {folder}: {error.strerror or error}",
+        "give another folder with --to",
+    )
+
+
+def _in_a_name(sensor: str) -> str:
+    return re.sub(r"[^\w.]+", "-", sensor).strip("-.")[:60] or "sensor"
+
+
+def _day(when: datetime) -> str:
+    return when.strftime("%Y-%m-%d")
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).split("\n", 1)[0]
+
+
+def _json(value: Any, indent: str) -> str:
+    inner = indent + "  "
+    if isinstance(value, dict) and value:
+        lines = [f"{inner}{json.dumps(key)}: {_json(item, inner)}" for key, item in value.items()]
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+    if isinstance(value, list) and any(isinstance(item, list | dict) for item in value):
+        return "[\n" + ",\n".join(inner + _json(item, inner) for item in value) + f"\n{indent}]"
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)

@@ -1,0 +1,568 @@
+"""Commands that make calibration records: of a film from a sweep, of sensors from known weights."""
+
+from __future__ import annotations
+
+import contextlib
+import getpass
+import json
+import math
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rig.cli.outcome import reported, say
+from rig.errors import ConfigurationError, ExitCode, LimitError, RigError
+
+if TYPE_CHECKING:
+    from rig.analysis.weighing import CellFit, ForceFit
+    from rig.bench import Bench
+    from rig.calibration import Kind, Record
+    from rig.cli.weigh import Person
+    from rig.instruments import Reach
+    from rig.runner.scales import Timing
+
+    Vector = tuple[float, float, float]
+
+HELP = "Make calibration records: a film from a sweep's file, sensors from known weights."
+
+LARGE_CROSSTALK_PERCENT = 10.0
+"""A sensor of two crossed or tilted axes."""
+LARGEST_TOLERANCE_PERCENT = 5.0
+"""Of weights that are worth calibrating with."""
+app = typer.Typer(
+    name="calibrate",
+    help=HELP,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+DIRECTIONS: dict[str, Vector] = {
+    "+x": (1.0, 0.0, 0.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "+y": (0.0, 1.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+    "+z": (0.0, 0.0, 1.0),
+    "-z": (0.0, 0.0, -1.0),
+}
+
+To = Annotated[
+    Path | None, typer.Option(help="Folder for the record [calibrations/ beside the bench file].")
+]
+Operator = Annotated[str, typer.Option(help="Who calibrates [the login name].")]
+Valid = Annotated[
+    str | None, typer.Option(help="How long the record holds, for example 90d.", metavar="DAYS")
+]
+Temperature = Annotated[
+    float | None, typer.Option(help="Of the surroundings, in degrees Celsius.", metavar="degC")
+]
+Notes = Annotated[str, typer.Option(help="Anything worth keeping.")]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
+BenchOption = Annotated[
+    Path | None, typer.Option(help="Bench file; without one, ./bench.toml or the simulated bench.")
+]
+Weights = Annotated[str, typer.Option(help="Known forces to be put on, rising.", metavar="N,N,…")]
+Tolerance = Annotated[
+    float, typer.Option(help="Limit of the weights' common error.", min=0, metavar="percent")
+]
+Duration = Annotated[str, typer.Option(help="Length of a reading.", metavar="s")]
+Settling = Annotated[str, typer.Option(help="Wait before a reading.", metavar="s")]
+Preload = Annotated[str, typer.Option(help="Force that stands on it all the time.", metavar="N")]
+Yes = Annotated[bool, typer.Option("--yes", help="Do not wait for Enter (simulated bench only).")]
+Results = Annotated[Path, typer.Option(help="Folder with the guard's report.")]
+Seed = Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0)]
+World = Annotated[Path | None, typer.Option(help="World settings (TOML) of a simulated bench.")]
+WorldLog = Annotated[Path | None, typer.Option(help="File for a simulated bench's own log.")]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The options that all records have in common."""
+
+    to: Path | None
+    operator: str
+    valid: str | None
+    temperature_degC: float | None
+    notes: str
+    as_json: bool
+
+    def fields(self, kind: Kind, date: datetime, operator: str = "") -> dict[str, Any]:
+        """Fields of a record that was measured at `date`."""
+        import rig
+        from rig.calibration import VALID_DAYS
+
+        days = VALID_DAYS[kind] if self.valid is None else _days(self.valid)
+        if self.temperature_degC is not None and not math.isfinite(self.temperature_degC):
+            raise ConfigurationError("--temperature: has to be a number")
+        return {
+            "date": date,
+            "valid_until": date + timedelta(days=days),
+            "operator": self.operator or operator or _login(),
+            "temperature_degC": self.temperature_degC,
+            "notes": self.notes,
+            "program": f"tactile-rig {rig.__version__}",
+        }
+
+
+@dataclass(frozen=True)
+class WeighingOptions:
+    """The options that both calibrations from weights have in common."""
+
+    bench: Path | None
+    weights: str
+    tolerance_percent: float
+    duration: str
+    settling: str
+    preload: str
+    yes: bool
+    results: Path
+    seed: int
+    world: Path | None
+    world_log: Path | None
+
+
+@app.command("pvdf")
+def pvdf(
+    file: Annotated[Path, typer.Argument(help="Run file of a complete sweep.")],
+    film: Annotated[str, typer.Option(help="Label of the film [as the bench file had it].")] = "",
+    to: To = None,
+    operator: Operator = "",
+    valid: Valid = None,
+    temperature: Temperature = None,
+    notes: Notes = "",
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Level b and corner of a film, from the run file of a sweep."""
+    wanted = Wanted(to, operator, valid, temperature, notes, as_json)
+    with reported(debug, as_json):
+        from rig.calibration import FOLDER
+        from rig.cli.film_record import analysed, doubts, film_record, sentences
+        from rig.recording.runfile import RunFile
+
+        with RunFile.open(file) as run:
+            analysis = analysed(run)
+            date = datetime.fromisoformat(run.header.start_time)
+            fields = wanted.fields("pvdf", date, run.header.user.name)
+            record = film_record(run, analysis, film, fields)
+            bench_file = Path(run.header.bench_file)
+        beside = bench_file.parent if bench_file.is_file() else Path()
+        for line in sentences(record, analysis):
+            say(line)
+        _finish(record, wanted, beside / FOLDER, doubts(record))
+
+
+@app.command("force")
+def force(
+    bench: BenchOption = None,
+    weights: Weights = "5N,10N,20N",
+    axes: Annotated[
+        str, typer.Option(help="Directions in which weights are put on.", metavar="±AXIS,…")
+    ] = "+x,-x,+y,-y,+z",
+    sensor: Annotated[str, typer.Option(help="Its name [serial number of the amplifier].")] = "",
+    rate: Annotated[str, typer.Option(help="Frames a second.", metavar="1/s")] = "1000",
+    tolerance: Tolerance = 0.02,
+    duration: Duration = "2s",
+    settling: Settling = "1s",
+    preload: Preload = "0N",
+    to: To = None,
+    operator: Operator = "",
+    valid: Valid = None,
+    temperature: Temperature = None,
+    notes: Notes = "",
+    yes: Yes = False,
+    results: Results = Path("results"),
+    seed: Seed = 0,
+    world: World = None,
+    world_log: WorldLog = None,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Zero and matrix of the force sensor, from known weights on each axis, step by step."""
+    wanted = Wanted(to, operator, valid, temperature, notes, as_json)
+    options = WeighingOptions(
+        bench, weights, tolerance, duration, settling, preload, yes, results, seed, world, world_log
+    )
+    with reported(debug, as_json), _stoppable(as_json):
+        from rig.analysis.weighing import fit_force, refuse_outlier, sequence
+        from rig.calibration import ForceCalibration, make_record
+        from rig.cli.weigh import weigh
+        from rig.runner.scales import ForceScale
+
+        forces = sequence(_directions(axes), _weights(options))
+        fields = {**wanted.fields("force", _now()), **_conditions(options)}
+        with _at_the_bench(options, wanted, "force_sensor") as (connected, person, folder):
+            amplifier = connected.force_sensor
+            _refuse_heavy(options, amplifier.reach()["force"])
+            scale = ForceScale(
+                amplifier, connected.clock, _timing(options), _rate(rate, amplifier.reach()["rate"])
+            )
+            means = weigh(forces, scale, person, connected.clock)
+            fields["sensor"] = sensor or amplifier.identity.serial_number
+            fields["simulated"] = connected.simulated
+        values, errors = [m.value for m in means], [m.standard_error for m in means]
+        fit = fit_force(forces, values, errors, options.tolerance_percent / 100)
+        refuse_outlier(forces, fit.residuals)
+        record = make_record(ForceCalibration, {**fields, **fit.coefficients(forces, means)})
+        for line in _force_lines(forces, fit):
+            say(line)
+        _finish(record, wanted, folder, _crosstalk_warning(fit))
+
+
+@app.command("load-cell")
+def load_cell(
+    bench: BenchOption = None,
+    weights: Weights = "2N,5N,10N",
+    sensor: Annotated[str, typer.Option(help="Its name [as the bench file has it].")] = "",
+    input_range: Annotated[
+        str, typer.Option("--range", help="Input range of the DAQ's channel.", metavar="V")
+    ] = "1.25V",
+    tolerance: Tolerance = 0.02,
+    duration: Duration = "2s",
+    settling: Settling = "1s",
+    preload: Preload = "0N",
+    to: To = None,
+    operator: Operator = "",
+    valid: Valid = None,
+    temperature: Temperature = None,
+    notes: Notes = "",
+    yes: Yes = False,
+    results: Results = Path("results"),
+    seed: Seed = 0,
+    world: World = None,
+    world_log: WorldLog = None,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Zero and static sensitivity of the load cell, from known weights along z, step by step."""
+    wanted = Wanted(to, operator, valid, temperature, notes, as_json)
+    options = WeighingOptions(
+        bench, weights, tolerance, duration, settling, preload, yes, results, seed, world, world_log
+    )
+    with reported(debug, as_json), _stoppable(as_json):
+        from rig.analysis.weighing import fit_load_cell, refuse_outlier, sequence
+        from rig.calibration import LoadCellCalibration, make_record
+        from rig.cli.weigh import weigh
+        from rig.instruments import Reach
+        from rig.runner.scales import CellScale
+
+        forces = sequence([DIRECTIONS["+z"]], _weights(options))
+        range_V = _number(input_range, "V", "--range")
+        fields = {**wanted.fields("load-cell", _now()), **_conditions(options)}
+        with _at_the_bench(options, wanted, "daq") as (connected, person, folder):
+            cell = connected.load_cell
+            _refuse_heavy(options, Reach(0.0, cell.max_load_N, "N", "load cell"))
+            _refuse_out_of_range(max(_weights(options)) * cell.sensitivity_V_N, range_V)
+            fields["sensor"] = sensor or _name_of_cell(connected)
+            fields["simulated"] = connected.simulated
+            scale = CellScale(
+                connected.daq, connected.clock, _timing(options), range_V, cell.sensitivity_V_N
+            )
+            means = weigh(forces, scale, person, connected.clock)
+        loads = [known[2] for known in forces]
+        values = [float(mean.value[0]) for mean in means]
+        errors = [float(mean.standard_error[0]) for mean in means]
+        fit = fit_load_cell(loads, values, errors, options.tolerance_percent / 100)
+        refuse_outlier(loads, fit.residuals)
+        found = {**fit.coefficients(loads, means), "input_range_V": range_V}
+        record = make_record(LoadCellCalibration, {**fields, **found})
+        for line in _cell_lines(loads, fit):
+            say(line)
+        _finish(record, wanted, folder, [])
+
+
+# --- at the bench ----------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _at_the_bench(
+    options: WeighingOptions, wanted: Wanted, *roles: str
+) -> Iterator[tuple[Bench, Person, Path]]:  # fmt: skip
+    """The bench with these instruments connected and no others, who puts the weights on, and the
+    folder for the record, which takes one."""
+    from rig.calibration import require_folder
+    from rig.cli.procedures import Request, bench_for
+    from rig.cli.weigh import Person
+    from rig.runner.stopping import StopFlag
+
+    request = Request(
+        bench=options.bench,
+        results=options.results,
+        seed=options.seed,
+        world=options.world,
+        world_log=options.world_log,
+    )
+    with StopFlag() as stop, contextlib.ExitStack() as at_the_end:
+        plan, clock, started, _ = bench_for(request)
+        if started is not None:
+            at_the_end.callback(started.wait)
+        from rig import bench as benches
+
+        needed = tuple(part for part in plan.instruments if part.role in roles)
+        try:
+            connected = benches.connect(replace(plan, instruments=needed), clock)
+        except BaseException:
+            clock.close()
+            raise
+        at_the_end.callback(connected.close)
+        folder = require_folder(wanted.to or _beside(plan.source))
+        _refuse_weightless(connected, slaved=started is not None, yes=options.yes)
+
+        def check_stop() -> None:
+            try:
+                stop.check()
+            except RigError:
+                unregister()  # what follows is clean-up, whose waits go undisturbed
+                raise
+
+        unregister = clock.each_slice(check_stop)
+        present = started is None or (sys.stdin.isatty() and not options.yes)
+        if started is not None:
+            say("the simulated bench puts the weights on by itself")
+        yield connected, Person(check_stop, present), folder
+
+
+def _refuse_weightless(bench: Bench, slaved: bool, yes: bool) -> None:
+    """Somebody has to put the weights on: a person, or the bench that this command started."""
+    if bench.simulated and not slaved:
+        raise ConfigurationError(
+            f"{bench.plan.source} is a simulated bench in real time: nobody can put weights on it",
+            "leave the bench file out: then the command's own simulated bench does it",
+        )
+    if yes and not slaved:
+        raise ConfigurationError(
+            "--yes is for the simulated bench: here every weight waits for a person",
+            "leave it out",
+        )
+
+
+@contextlib.contextmanager
+def _stoppable(as_json: bool) -> Iterator[None]:
+    """A stop by signal or q as one line and its exit code: nothing has been written then."""
+    try:
+        yield
+    except RigError as stopped:
+        if stopped.code not in (ExitCode.SIGINT, ExitCode.SIGTERM, ExitCode.SIGHUP):
+            raise
+        say(f"{stopped.message}; nothing was written, the sensor is at rest")
+        if as_json:
+            shown: dict[str, Any] = {
+                "file": None,
+                "outcome": "stopped",
+                "exit": int(stopped.code),
+                "summary": {},
+            }
+            print(json.dumps(shown))  # noqa: T201 - stdout carries data
+        raise typer.Exit(int(stopped.code)) from None
+
+
+def _refuse_heavy(options: WeighingOptions, reach: Reach) -> None:
+    total = max(_weights(options)) + _number(options.preload, "N", "--preload")
+    if not reach.holds(total):
+        raise LimitError(
+            f"weights and preload of {total:g} N are over the limit of {reach.high:g} N of the "
+            f"{reach.owner}",
+            "choose smaller weights with --weights",
+        )
+
+
+def _rate(text: str, reach: Reach) -> float:
+    rate = _number(text, "1/s", "--rate")
+    if not reach.holds(rate):
+        raise LimitError(
+            f"--rate {rate:g} is outside {reach.low:g} to {reach.high:g} frames/s of the "
+            f"{reach.owner}",
+            "choose a rate inside",
+        )
+    return rate
+
+
+def _name_of_cell(bench: Bench) -> str:
+    named = str(getattr(bench.load_cell, "name", ""))
+    if not named and not bench.simulated:
+        raise ConfigurationError("which load cell is it", "give its serial number with --sensor")
+    return named or "simulated load cell"
+
+
+def _refuse_out_of_range(largest_V: float, range_V: float) -> None:
+    if largest_V > range_V:
+        raise LimitError(
+            f"the largest weight takes the load cell to {largest_V:.3g} V, beyond the range of "
+            f"{range_V:g} V",
+            "choose a larger --range, the one that is in use, or smaller --weights",
+        )
+
+
+def _conditions(options: WeighingOptions) -> dict[str, Any]:
+    """Under which the weights are put on."""
+    if not 0 <= options.tolerance_percent <= LARGEST_TOLERANCE_PERCENT:
+        raise ConfigurationError(
+            f"--tolerance {options.tolerance_percent:g}: has to be 0 to "
+            f"{LARGEST_TOLERANCE_PERCENT:g} percent"
+        )
+    return {
+        "weights_N": _weights(options),
+        "weight_tolerance_percent": options.tolerance_percent,
+        "preload_N": _number(options.preload, "N", "--preload"),
+    }
+
+
+def _crosstalk_warning(fit: ForceFit) -> list[str]:
+    if fit.crosstalk_percent <= LARGE_CROSSTALK_PERCENT:
+        return []
+    return [
+        f"crosstalk of {fit.crosstalk_percent:.1f} %: the weights were not on the sensor's axes, "
+        "or the sensor is not sound"
+    ]
+
+
+def _force_lines(forces: Sequence[Vector], fit: ForceFit) -> Iterator[str]:
+    yield "zero (mV/V, ± 95 %):"
+    yield "  " + "  ".join(
+        f"{axis} {value:+.6f} ± {fit.coverage * error:.6f}"
+        for axis, value, error in zip("xyz", fit.zero, fit.zero_error, strict=True)
+    )
+    yield "matrix (N per mV/V, ± 95 %):"
+    for row, halves in zip(fit.matrix, fit.half_widths(), strict=True):
+        yield "  " + "  ".join(
+            f"{value:9.4f} ± {half:.4f}" for value, half in zip(row, halves, strict=True)
+        )
+    yield "residuals (mN):"
+    for known, off in zip(forces, fit.residuals, strict=True):
+        yield f"  {_at(known):>24}  " + "  ".join(f"{1e3 * value:+7.2f}" for value in off)
+    yield (
+        f"residual rms {1e3 * fit.residual_rms:.2f} mN, largest {1e3 * fit.largest_residual:.2f} "
+        f"mN; crosstalk {fit.crosstalk_percent:.2f} % if the matrix were left out"
+    )
+
+
+def _cell_lines(loads: Sequence[float], fit: CellFit) -> Iterator[str]:
+    yield f"zero {fit.zero}"
+    yield f"sensitivity {fit.sensitivity}"
+    yield "residuals (mN): " + "  ".join(
+        f"{load:g} N {1e3 * off:+.2f}" for load, off in zip(loads, fit.residuals, strict=True)
+    )
+
+
+def _at(force_N: Vector) -> str:
+    return "(" + ", ".join(f"{value:g}" for value in force_N) + ") N"
+
+
+# --- options and output ----------------------------------------------------------------------
+
+
+def _finish(record: Record, wanted: Wanted, folder: Path, warnings: list[str]) -> None:
+    """Write the record and say where it is and how long it holds."""
+    from rig.calibration import write_calibration
+
+    path = write_calibration(record, wanted.to or folder)
+    for warning in warnings:
+        say(f"warning: {warning}")
+    mark = "SIMULATED " if record.simulated else ""
+    say(
+        f"{mark}calibration of {record.sensor!r} ({record.kind}), valid until "
+        f"{record.valid_until:%Y-%m-%d}"
+    )
+    if wanted.as_json:
+        shown = {
+            "file": str(path),
+            "outcome": "complete",
+            "exit": 0,
+            "simulated": record.simulated,
+            "summary": record.model_dump(mode="json", exclude={"readings", "covariance"}),
+            "warnings": warnings,
+        }
+        print(json.dumps(shown))  # noqa: T201 - stdout carries data
+    else:
+        print(path)  # noqa: T201 - stdout carries data
+
+
+def _beside(source: str) -> Path:
+    """The folder of records beside the bench file; here where the bench has no file."""
+    from rig.calibration import FOLDER
+
+    bench_file = Path(source)
+    return (bench_file.parent if bench_file.is_file() else Path()) / FOLDER
+
+
+def _directions(text: str) -> list[Vector]:
+    found: list[Vector] = []
+    for word in text.split(","):
+        if word.strip() not in DIRECTIONS:
+            known = ", ".join(sorted(DIRECTIONS))
+            raise ConfigurationError(
+                f"--axes: {word.strip()!r} is no direction", f"take of {known}"
+            )
+        found.append(DIRECTIONS[word.strip()])
+    if missing := [axis for k, axis in enumerate("xyz") if not any(d[k] for d in found)]:
+        raise ConfigurationError(
+            f"--axes {text} leaves out {' and '.join(missing)}: the matrix needs all three"
+        )
+    return found
+
+
+def _weights(options: WeighingOptions) -> list[float]:
+    weights = sorted(
+        _number(word, "N", "--weights") for word in options.weights.split(",") if word.strip()
+    )
+    if len(set(weights)) < 2 or weights[0] <= 0:
+        raise ConfigurationError(
+            f"--weights {options.weights}: two different weights above 0 N are needed at least",
+            "for example --weights 5N,10N,20N",
+        )
+    return weights
+
+
+def _timing(options: WeighingOptions) -> Timing:
+    from rig.runner.scales import Timing
+
+    timing = Timing(
+        settling_s=_number(options.settling, "s", "--settling"),
+        duration_s=_number(options.duration, "s", "--duration"),
+    )
+    if not (0 <= timing.settling_s <= 60 and 0.1 <= timing.duration_s <= 60):
+        raise ConfigurationError(
+            f"--settling {timing.settling_s:g} s has to be 0 to 60 s, --duration "
+            f"{timing.duration_s:g} s 0.1 to 60 s"
+        )
+    return timing
+
+
+def _number(text: str, unit: str, option: str) -> float:
+    """A finite number from an option's text, with or without its unit."""
+    from rig.cli.options import quantity
+
+    try:
+        value = quantity(text, unit)
+    except ValueError as error:
+        raise ConfigurationError(f"{option} {text}: {error}", "see --help for the units") from error
+    if not math.isfinite(value) or value < 0:
+        raise ConfigurationError(f"{option} {text}: has to be a number, not below 0")
+    return value
+
+
+def _days(text: str) -> int:
+    match = re.fullmatch(r"\s*(\d{1,4})\s*(d|days?)?\s*", text)
+    if match is None or not 1 <= int(match[1]) <= 3650:
+        raise ConfigurationError(
+            f"--valid {text}: has to be 1 to 3650 days", "write it as --valid 90d"
+        )
+    return int(match[1])
+
+
+def _now() -> datetime:
+    return datetime.now().astimezone().replace(microsecond=0)
+
+
+def _login() -> str:
+    with contextlib.suppress(OSError, KeyError):
+        return getpass.getuser()
+    return ""

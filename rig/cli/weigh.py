@@ -1,0 +1,116 @@
+"""Weights on a sensor, step by step: what is asked, the answer, the reading, again or further.
+
+The person is asked on stderr and answers on stdin. On a simulated bench the bench itself puts the
+weights on.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from rig.cli.outcome import say
+from rig.errors import ConfigurationError, ExitCode, RigError
+from rig.runner.scales import RejectedError, Scale
+
+if TYPE_CHECKING:
+    from rig.analysis.weighing import Mean
+    from rig.clock import Clock
+
+Vector = tuple[float, float, float]
+
+LOOK_EVERY_S = 0.02
+TRIES_ALONE = 3
+"""Readings of one step that may be rejected where nobody can look after it."""
+
+
+class QuitError(RigError):
+    """The person at the terminal had enough."""
+
+    code = ExitCode.SIGINT
+
+
+class Person:
+    """Who puts the weights on: somebody at stdin, or nobody where the bench does it."""
+
+    def __init__(self, check_stop: Callable[[], None], present: bool):
+        self._check_stop = check_stop
+        self.present = present
+        self._typed = b""
+
+    def asked(self, text: str, repeatable: bool) -> bool:
+        """Ask to go on; False where the reading before is to be taken again. q raises QuitError."""
+        if not self.present:
+            say(text)
+            return True
+        choices = "Enter" + (", r repeats the reading before" if repeatable else "") + ", q quits"
+        while True:
+            say(f"{text} [{choices}]")
+            answer = self._line().strip().lower()
+            if answer == "q":
+                raise QuitError("stopped with q")
+            if answer == "" or (answer == "r" and repeatable):
+                return answer == ""
+            say(f"{answer!r} is no answer")
+
+    def _line(self) -> str:
+        """The next line of stdin, with a look at the stop signals every 20 ms."""
+        while b"\n" not in self._typed:
+            self._check_stop()
+            if not select.select([sys.stdin], [], [], LOOK_EVERY_S)[0]:
+                continue
+            typed = os.read(sys.stdin.fileno(), 1024)
+            if not typed:
+                raise QuitError("stopped: the input ended")
+            self._typed += typed
+        line, self._typed = self._typed.split(b"\n", 1)
+        return line.decode(errors="replace")
+
+
+def weigh(
+    forces_N: Sequence[Vector], scale: Scale, person: Person, clock: Clock
+) -> list[Mean]:  # fmt: skip
+    """A reading under each of the known forces, in this order; the person may repeat any last one.
+
+    Raises QuitError, and RejectedError where nobody is there to look after a bad reading.
+    """
+    largest_N = max(abs(value) for force in forces_N for value in force)
+    means: list[Mean] = []
+    rejected = 0
+    while True:
+        done = len(means)
+        if done == len(forces_N):
+            if person.asked("all readings are taken: fit and write the record", done > 0):
+                return means
+            means.pop()
+            continue
+        instruction = f"{done + 1}/{len(forces_N)}: {instruction_for(forces_N[done])}"
+        if not person.asked(instruction, done > 0):
+            means.pop()
+            continue
+        if not clock.act("weigh", force_N=list(forces_N[done])) and not person.present:
+            raise ConfigurationError(
+                "nobody is there to put the weights on", "run it at a terminal"
+            )
+        try:
+            mean = scale.read(largest_N)
+        except RejectedError as error:
+            rejected += 1
+            if not person.present and rejected >= TRIES_ALONE:
+                raise
+            say(f"reading rejected: {error.one_line()}; the same step again")
+            continue
+        rejected = 0
+        means.append(mean)
+        say(f"  {scale.tell(mean)}")
+
+
+def instruction_for(force_N: Vector) -> str:
+    """What to put on the sensor."""
+    for axis, value in zip("xyz", force_N, strict=True):
+        if value:
+            return f"put {abs(value):g} N on {'+' if value > 0 else '-'}{axis}"
+    return "take all weights off"

@@ -1,0 +1,196 @@
+"""The force sensor's reader and its watchers: they act although the procedure may be blocked.
+
+The reader's thread owns the sensor's link. Every batch of frames goes past the watchers before
+anybody else sees it: a force over the limit makes the bench safe from that thread at once, with
+the offs that were registered for it. What happened is raised in the procedure's thread at its next
+look.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from rig.clock import Clock
+from rig.errors import InstrumentError
+from rig.instruments import ForceFrames, ForceSensor
+from rig.runner.holds import Holds
+from rig.runner.reader import StreamReader
+from rig.runner.trip import TripError
+
+AXES = "xyz"
+STALE_S = 0.25
+"""No frame for longer is a hold: the force is not known."""
+LOST_S = 5.0
+"""No frame for longer ends the run."""
+MISSING_FRAMES = 25
+"""Frames that bench time says are due beyond the usual before the stream is taken to have a gap."""
+GAP_S = 0.5
+"""How long they have to be missing: late frames arrive."""
+DRIFT = 1e-3
+"""How fast the usual number follows: well above two clocks' disagreement."""
+BATCHES_KEPT = 20_000
+
+
+class ForceMonitor:
+    """Streams a force sensor, keeps the last frames, and watches every one of them."""
+
+    def __init__(
+        self, sensor: ForceSensor, clock: Clock, holds: Holds, act: Callable[[str], list[str]]
+    ):
+        self._sensor, self._clock, self._holds, self._act = sensor, clock, holds, act
+        self._limit_N = float("inf")
+        self._trip: TripError | None = None
+        self._rate = 0.0
+        self._recent: deque[ForceFrames] = deque(maxlen=BATCHES_KEPT)
+        self._lock = threading.Lock()
+        self._last_frame_s = 0.0
+        self._usual = 0.0
+        self._missing_since_s: float | None = None
+        self._looked_s = 0.0
+        self.largest_N = 0.0
+        """Largest force along any axis since `watch`."""
+        self._reader: StreamReader[ForceFrames] = StreamReader("force reader", self)
+        self._unfollow: Callable[[], None] = lambda: None
+
+    # --- what the procedure uses --------------------------------------------------------------
+
+    def start(self, rate_S_s: float) -> None:
+        """Begin to stream and to watch; no limit is in force yet."""
+        self._unfollow = self._clock.follow_stream("force_sensor", self._reader.bytes_handled)
+        self._last_frame_s = self._looked_s = self._clock.now()
+        self._rate = self._sensor.start(rate_S_s)
+        self._reader.start()
+
+    def stop(self) -> None:
+        """End reading and streaming."""
+        self._reader.stop()
+        self._unfollow()
+        self._sensor.stop()
+
+    def watch(self, limit_N: float) -> None:
+        """From now on a force over `limit_N` along any axis trips."""
+        self._limit_N, self.largest_N = limit_N, 0.0
+
+    def mean_N(  # noqa: N802 - the unit keeps its capital
+        self, seconds: float
+    ) -> npt.NDArray[np.float64]:
+        """Mean force (3,) over the latest `seconds`; InstrumentError where no frame has come."""
+        latest = np.concatenate([f.force_N[-n:] for f, n in self._latest(seconds)])
+        mean: npt.NDArray[np.float64] = latest.mean(axis=0)
+        return mean
+
+    def tare(self, seconds: float) -> None:
+        """Take the mean of the latest `seconds` as no force."""
+        zero = np.concatenate([f.raw[-n:] for f, n in self._latest(seconds)]).mean(axis=0)
+        self._sensor.tare((float(zero[0]), float(zero[1]), float(zero[2])))
+        with self._lock:
+            self._recent.clear()
+
+    def check(self) -> None:
+        """Raise what the reader's thread met, once for a trip."""
+        self.check_trip()
+        self._reader.check()
+
+    def check_trip(self) -> None:
+        """Raise a trip that nobody has seen."""
+        if self._trip is not None:
+            trip, self._trip = self._trip, None
+            raise trip
+
+    # --- the reader's thread ------------------------------------------------------------------
+
+    @property
+    def bytes_consumed(self) -> int:
+        """Of the sensor's link."""
+        return self._sensor.bytes_consumed
+
+    def read(self) -> Sequence[ForceFrames]:
+        """What has come, watched; called by the reader's thread."""
+        frames = self._sensor.read()
+        if frames is None:
+            self._watch_silence()
+            return []
+        now = self._clock.now()
+        self._last_frame_s = now
+        self._holds.end(_STALE)
+        self._watch_gap(now)
+        with self._lock:
+            self._recent.append(frames)
+        self._watch_force(frames)
+        return [frames]
+
+    def _watch_force(self, frames: ForceFrames) -> None:
+        if frames.saturated.any():
+            self._act("force channel saturated")
+            raise InstrumentError(
+                "force_sensor",
+                "stream",
+                f"{int(frames.saturated.sum())} of {len(frames)} frames are saturated: the force "
+                "is beyond what the amplifier can measure",
+                "unload the sensor; check its zero, its cable and the input range",
+            )
+        sizes = np.abs(frames.force_N)
+        largest = float(sizes.max())
+        self.largest_N = max(self.largest_N, largest)
+        if largest <= self._limit_N:
+            return
+        axis = AXES[int(sizes.max(axis=0).argmax())]
+        what = f"force along {axis} of {largest:.3g} N is over the limit of {self._limit_N:g} N"
+        self._limit_N = float("inf")  # one trip is one: armed again by the next watch
+        failures = self._act(what)
+        failed = f"; not switched off at once: {'; '.join(failures)}" if failures else ""
+        self._trip = TripError(what + failed, "find out what pressed before going on")
+
+    def _watch_silence(self) -> None:
+        silent_s = self._clock.now() - self._last_frame_s
+        if silent_s > LOST_S:
+            raise InstrumentError(
+                "force_sensor",
+                "stream",
+                f"no frame for {silent_s:.2g} s",
+                "check the amplifier and its cable",
+            )
+        if silent_s > STALE_S:
+            self._holds.begin(_STALE)
+
+    def _watch_gap(self, now: float) -> None:
+        missing = self._sensor.frames_behind - self._usual
+        follow = DRIFT * self._rate * (now - self._looked_s)
+        self._looked_s = now
+        self._usual += min(max(missing, -follow), follow) if missing > 0 else missing
+        if missing < MISSING_FRAMES:
+            self._missing_since_s = None
+            return
+        since = self._missing_since_s = self._missing_since_s or now
+        if now - since > GAP_S:
+            self._act("gap in the force stream")
+            raise InstrumentError(
+                "force_sensor",
+                "stream",
+                f"{missing:.0f} frames are missing: the stream has a gap",
+                "check the cable and the load of the computer; choose a lower rate",
+            )
+
+    def _latest(self, seconds: float) -> list[tuple[ForceFrames, int]]:
+        """The latest batches, oldest first, and how many frames of each lie within `seconds`."""
+        wanted = max(1, round(seconds * self._rate))
+        batches: list[tuple[ForceFrames, int]] = []
+        with self._lock:
+            for frames in reversed(self._recent):
+                batches.append((frames, min(wanted, len(frames))))
+                wanted -= len(frames)
+                if wanted <= 0:
+                    break
+        if not batches:
+            raise InstrumentError(
+                "force_sensor", "stream", "no frame has come yet", "check the amplifier"
+            )
+        return batches[::-1]
+
+
+_STALE = "the force sensor is silent"

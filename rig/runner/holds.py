@@ -1,0 +1,90 @@
+"""Holds: recoverable conditions that disturb a run without ending it.
+
+A hold makes the bench safe; when it is over, the bench is armed again and the disturbed point is
+taken anew. Holds are counted, so that one that came and went while the procedure sat in a blocking
+call is still seen afterwards.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from types import FrameType
+from typing import Self
+
+from rig.errors import RigError
+
+
+class HoldError(RigError):
+    """A hold disturbed what was going on; never the outcome of a run."""
+
+
+class Holds:
+    """The holds of one run: which are in force, and how many there have been."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()  # a signal's handler may come while it is held
+        self._active: dict[str, None] = {}
+        self._count = 0
+        self._seen = 0
+        self._latest = ""
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Reasons of the holds in force, oldest first."""
+        return tuple(self._active)
+
+    @property
+    def count(self) -> int:
+        """How many there have been."""
+        return self._count
+
+    def begin(self, reason: str) -> None:
+        """From any thread: the condition holds; nothing happens where it does already."""
+        with self._lock:
+            if reason not in self._active:
+                self._active[reason] = None
+                self._count += 1
+                self._latest = reason
+
+    def end(self, reason: str) -> None:
+        """From any thread: the condition is over."""
+        with self._lock:
+            self._active.pop(reason, None)
+
+    def check(self) -> None:
+        """Raise HoldError where a hold has begun since they were last `acknowledge`d."""
+        if self._count != self._seen:
+            raise HoldError(self._latest)
+
+    def acknowledge(self) -> None:
+        """What has happened up to now is dealt with."""
+        with self._lock:
+            self._seen = self._count
+
+
+PAUSE = "paused by the operator"
+_SIGNALS = (signal.SIGTSTP, signal.SIGCONT)
+
+
+class PauseSwitch:
+    """Ctrl-Z pauses a run and lets it go on, in turn; ``kill -CONT`` lets it go on. Main thread."""
+
+    def __init__(self, holds: Holds):
+        self._holds = holds
+        self._previous: dict[signal.Signals, object] = {}
+
+    def __enter__(self) -> Self:
+        for number in _SIGNALS:
+            self._previous[number] = signal.signal(number, self._switch)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)  # type: ignore[arg-type]
+
+    def _switch(self, number: int, _: FrameType | None) -> None:
+        if number == signal.SIGCONT or PAUSE in self._holds.active:
+            self._holds.end(PAUSE)
+        else:
+            self._holds.begin(PAUSE)

@@ -1,0 +1,190 @@
+"""What a run has to do about force and motion, through the real command: trips, holds, preload."""
+
+from __future__ import annotations
+
+import re
+import signal
+
+import pytest
+
+from rig.recording.runfile import RunFile
+from rig.recording.verify import verify
+
+SHORT = ("--frequencies", "300,600")
+LISTENING = 2
+"""Acquisitions before the first point: the record before anything vibrates, on two ranges."""
+
+
+def moves(rig):
+    """Targets of the z stage in the World's log."""
+    return [
+        line["value"]["target_mm"]
+        for line in rig.log()
+        if line["device"] == "stage_z" and line["what"] == "move"
+    ]
+
+
+def rest(rig):
+    """Where the z stage came to rest last."""
+    stood = [x["value"] for x in rig.log() if (x["device"], x["what"]) == ("stage_z", "at-rest")]
+    return stood[-1]
+
+
+def bumps(*acquisitions, force_N=30.0, after_s=0.0):
+    pushes = ", ".join(
+        f"{{ acquisition = {k}, force_N = {force_N}, for_s = 0.02, after_s = {after_s} }}"
+        for k in acquisitions
+    )
+    return f"bumps = [{pushes}]\n"
+
+
+def test_a_sweep_presses_holds_and_parks(rig):
+    ended = rig.sweep(*SHORT)
+    assert ended.code == 0, ended.stderr
+    assert moves(rig)[-1] == pytest.approx(5.0)
+    assert rest(rig) == pytest.approx(5.0, abs=0.02)
+    with RunFile.open(rig.only("*.h5")) as run:
+        assert run.column("preload") == pytest.approx(25.0, rel=0.02)
+        assert run.column("load_amplitude") == pytest.approx(1.0, rel=0.01)
+
+
+def test_a_force_over_its_limit_trips_and_the_point_is_retaken_once(rig):
+    ended = rig.sweep(*SHORT, "--world", rig.world(bumps(LISTENING + 1)))
+    assert ended.code == 0, ended.stderr
+    assert "over the limit of 40 N" in ended.stderr
+    assert "retaking point 300Hz-1N once" in ended.stderr
+    assert rig.outputs() == [True, False, True, False]
+    assert [round(mm) for mm in moves(rig)].count(5) == 4, (
+        "parked first, after the trip, at the end"
+    )
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert run.point_ids() == ["300Hz-1N", "600Hz-1N"]
+        assert b"trip" in run.entry["events/code"][()].tolist()
+
+
+def test_a_second_trip_ends_the_run(rig):
+    again = range(LISTENING + 1, LISTENING + 12)
+    ended = rig.sweep(*SHORT, "--world", rig.world(bumps(*again)))
+    assert ended.code == 4
+    assert len(ended.errors) == 1
+    assert "over the limit" in ended.errors[0]
+    assert rig.outputs()[-1] is False
+    assert rest(rig) == pytest.approx(5.0, abs=0.02)
+
+
+def test_a_trip_acts_while_the_procedure_sits_in_a_blocking_read(rig):
+    """In real time: the DAQ's answer is lost, its reader waits 2 s; the force rises meanwhile."""
+    path = rig.folder / "a-bench.toml"
+    fault = rig.fault(
+        f'[[fault]]\ndevice = "daq"\nkind = "silence"\nat = {LISTENING + 2}\ncommand = "WAV:DATA"\n'
+    )
+    world = rig.world(bumps(LISTENING + 1, after_s=0.3))
+    serving = rig.start(
+        "simulate", "--write", str(path), "--world-log", str(rig.world_log),
+        "--fault", fault, "--world", world,
+    )  # fmt: skip
+    serving.wait_for("Ctrl-C ends it")
+    patient = re.sub(r"(\[daq\][^[]*timeout_s = )[0-9.]+", r"\g<1>2.0", path.read_text())
+    patient = patient.replace("communication_timeout_ms = 1000", "communication_timeout_ms = 5000")
+    path.write_text(patient)
+    ended = rig.run("sweep", "--bench", str(path), "--json", "--no-figures", *SHORT)
+    serving.send(signal.SIGINT)
+    serving.finish()
+
+    assert ended.code == 0, ended.stderr
+    assert "over the limit" in ended.stderr
+    log = rig.log()
+    (bump,) = [line for line in log if line["what"] == "bump"]
+    off = next(
+        line
+        for line in log
+        if line["what"] == "ch1.on" and not line["value"] and line["t_us"] > bump["t_us"]
+    )
+    assert 0.3 < (off["t_us"] - bump["t_us"]) * 1e-6 < 1.5, "off before the read came back"
+    away = next(
+        line
+        for line in log
+        if line["what"] == "move" and line["device"] == "stage_z" and line["t_us"] > bump["t_us"]
+    )
+    assert away["t_us"] >= off["t_us"]
+    assert away["value"]["target_mm"] == pytest.approx(5.0)
+
+
+def test_a_hold_makes_safe_and_the_point_is_retaken_when_it_is_over(rig):
+    """Ctrl-Z pauses; the same again lets it go on."""
+    path = rig.folder / "a-bench.toml"
+    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
+    serving.wait_for("Ctrl-C ends it")
+    sweep = rig.start(
+        "sweep", "--bench", str(path), "--json", "--no-figures",
+        "--frequencies", "2,300", "--settling", "2s",
+    )  # fmt: skip
+    rig.await_world("ch1.on", True)
+    sweep.send(signal.SIGTSTP)
+    sweep.wait_for("the bench is safe")
+    assert rig.outputs() == [True, False]
+    sweep.send(signal.SIGTSTP)
+    ended = sweep.finish()
+    serving.send(signal.SIGINT)
+    serving.finish()
+    assert ended.code == 0, ended.stderr
+    assert rig.outputs() == [True, False, True, False]
+    with RunFile.open(rig.only("*.h5")) as run:
+        assert run.point_ids() == ["2Hz-1N", "300Hz-1N"]
+        assert b"hold" in run.entry["events/code"][()].tolist()
+
+
+@pytest.mark.parametrize(
+    ("world", "options", "code", "told"),
+    [
+        ("clamp.contact_mm = 13.5", (), 3, "no contact is felt down to 13 mm"),
+        ("clamp.contact_mm = 11.0", (), 3, "before any contact can be (contact_from_mm = 12 mm)"),
+        ("clamp.stiffness_N_mm = 10.0", (), 4, "outside 0 to 14 mm"),
+        ("force_sensor_zero_mV_V = [0.0, 0.0, 3.7]", (), 3, "are saturated"),
+        (
+            'stage_z_troubles = [{ kind = "fault", move = 3, after_s = 1.0, code = 126 }]',
+            (), 3, "the axis did not follow",
+        ),
+        (
+            'stage_z_troubles = [{ kind = "reference-lost", move = 3, after_s = 1.0 }]',
+            (), 3, "lost its reference",
+        ),
+        ("", ("--load", "20N"), 4, "not below 0.8 of the preload of 25 N"),
+        ("", ("--preload", "60N"), 4, "outside -40 to 40 N"),
+        ("", ("--load", "19N", "--preload", "30N"), 4, "outside -40 to 40 N"),
+    ],
+    ids=[
+        "never felt", "in mid-air", "beyond the stage", "saturated", "drive fault", "homing lost",
+        "load above preload", "preload above limit", "both above limit",
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_the_preload_ends_in_one_line(rig, world, options, code, told):
+    ended = rig.sweep(*SHORT, *options, "--world", rig.world(world))
+    assert ended.code == code, ended.stderr
+    assert len(ended.errors) == 1, ended.stderr
+    assert told in ended.errors[0]
+    assert True not in rig.outputs()
+
+
+def test_a_gap_in_the_force_stream_ends_the_run(rig):
+    fault = '[[fault]]\ndevice = "force_sensor.stream"\nkind = "silence"\nat = 300\ncount = 8\n'
+    ended = rig.sweep("--frequencies", "2,3,4", "--fault", rig.fault(fault))
+    assert ended.code == 3, ended.stderr
+    assert "the stream has a gap" in ended.errors[0]
+    assert rig.outputs()[-1:] != [True]
+    assert rest(rig) == pytest.approx(5.0, abs=0.02)
+
+
+def test_the_wrong_fixture_is_refused_before_any_motion(rig):
+    path = rig.folder / "bench.toml"
+    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
+    serving.wait_for("Ctrl-C ends it")
+    path.write_text(path.read_text().replace('"film-clamp"', '"plate"'))
+    ended = rig.run("sweep", "--no-figures", *SHORT)
+    serving.send(signal.SIGINT)
+    serving.finish()
+    assert ended.code == 2
+    assert "the bench has the plate mounted" in ended.stderr
+    assert moves(rig) == []
