@@ -260,10 +260,14 @@ class Axis:
         """Find the reference by the method in the drive's parameters, and wait for it."""
         self._take_charge()
         self._halt()  # homing begins with a rising bit: it must have been low
+        was_homed = Zsw1.HOMED in self._seen.zsw1
         self._tell(replace(_at_rest(self._settings), stw1=_HOME))
         self._await(
             "home",
-            lambda seen: PosZsw1.HOMING in seen.pos_zsw1,
+            lambda seen: (
+                PosZsw1.HOMING in seen.pos_zsw1
+                or (not was_homed and Zsw1.HOMED in seen.zsw1)  # it stood there: over at once
+            ),
             ACKNOWLEDGE_TIMEOUT_S,
             "did not begin to home",
         )

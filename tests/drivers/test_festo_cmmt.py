@@ -211,6 +211,16 @@ def test_homing_word_for_word() -> None:
         assert it.truth_mm == 0.0
 
 
+def test_homing_at_the_reference_is_over_at_once() -> None:
+    """The homing bit may have come and gone before anybody looked."""
+    with service(drive={"home_mm": 10.0}) as it:
+        axis = it.connect()
+        assert it.truth_mm == 10.0
+        axis.home()
+        assert axis.homed()
+        assert it.truth_mm == pytest.approx(10.0)
+
+
 def test_a_move_word_for_word() -> None:
     with service() as it:
         axis = it.connect()
