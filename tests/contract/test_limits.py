@@ -65,24 +65,27 @@ def test_an_unknown_option_is_a_usage_error(rig):
 
 
 TRIPPED = {
-    "load cell": (300, "load_cell_sensitivity_V_N = 0.15\n", "18N", "limit of 20 N of the load"),
-    "force sensor": (20, "", "26N", "force along z of .* N is over the limit of 40 N"),
+    "load cell": (300, "load_cell_sensitivity_V_N = 0.15\n", "18N", "limit of 20 N of the load", 0),
+    "force sensor": (20, "", "26N", "force along z of .* N is over the limit of 40 N", 4),
 }
+"""The load cell's own limit is met by one that shows more than there is. What it saw teaches the
+retake, which is then right; a force sensor that trips tells nothing of the drive."""
 
 
 @pytest.mark.parametrize("sensor", TRIPPED)
-def test_a_load_over_the_limit_trips_is_retried_once_and_ends_the_run(rig, sensor):
-    """A first drive that is far too strong; the load cell's own limit is met by one that shows
-    more than there is."""
-    frequency, world, preload, words = TRIPPED[sensor]
+def test_a_load_over_the_limit_trips_and_is_retried_once(rig, sensor):
+    """A first drive that is far too strong."""
+    frequency, world, preload, words, code = TRIPPED[sensor]
     ended = rig.sweep(
         *("--frequencies", f"{frequency},600", "--preload", preload, "--first-amplitude", "10V"),
         *("--world", rig.world(world)),
     )
 
-    assert ended.code == 4, ended.stderr
-    (error,) = ended.errors
-    assert re.search(words, error), error
+    assert ended.code == code, ended.stderr
+    assert re.search(words, ended.stderr)
     assert rig.outputs() == [True, False, True, False]
-    assert ended.object["points_done"] == 0
+    assert ended.object["points_done"] == (2 if code == 0 else 0)
+    if code:
+        (error,) = ended.errors
+        assert re.search(words, error), error
     assert f"retaking point {frequency}Hz-1N once" in ended.stderr
