@@ -84,6 +84,8 @@ HARMLESS = 0.2
 """A mains line that bends the gain by less than this share of the target is not fitted."""
 FEWEST_FOR_A_MODEL = 12
 MAINS_LINES = 5
+BOLDEST_CORRECTION = 20.0
+"""Of the drive in one step, upwards, whatever the load cell says: it may be half unplugged."""
 LARGEST_CORRECTION = 1.4
 """Of the drive in one step where it was foretold from nearby: more is a bad record."""
 AGREEMENT = 8e-4
@@ -569,7 +571,6 @@ class _Taking:
         if self._records == 0:
             memory.surprise = abs(load.amplitude / self.condition.load_N - 1)
         self._records += 1
-        memory.vibrator.learn(f, load.amplitude / memory.drive_V)
         if voltage.amplitude > NO_SIGNAL_ERRORS * voltage.standard_error and not self._looking:
             memory.film.learn(f, abs(response.value))
 
@@ -580,7 +581,7 @@ class _Taking:
         if abs(load.amplitude / lo - 1) <= self._tolerance(load):
             return True
         self._looking = self._looking and abs(load.amplitude / lo - 1) > 0.1
-        correction = lo / load.amplitude
+        correction = min(lo / load.amplitude, BOLDEST_CORRECTION)
         if self._foretold:
             correction = min(max(correction, 1 / LARGEST_CORRECTION), LARGEST_CORRECTION)
         self._drive(self.memory.drive_V * correction)
