@@ -8,13 +8,13 @@ line's state at its start; a sample taken late, in blocks or twice is the same n
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.simulated.ports import Excitation
-from rig.model.modal import Complexes, ModalSystem, SineDrive
+from rig.model.modal import Complexes, Driven, ModalSystem, SineDrive
 
 SEGMENTS_KEPT = 4096
 """History kept: far more changes than happen within any acquisition."""
@@ -27,6 +27,8 @@ class Segment:
     start_us: int
     drive: SineDrive
     state: Complexes
+    driven: dict[int, Driven] = field(default_factory=dict, compare=False)
+    """What each output does here, made when it is first asked for."""
 
 
 class DrivenLine:
@@ -78,6 +80,10 @@ class DrivenLine:
         for segment, begin, end in zip(segments, bounds[:-1], bounds[1:], strict=True):
             if end > begin:
                 since = np.maximum(times_s[begin:end] - segment.start_us * 1e-6, 0.0)
-                values = self._line.evaluate(segment.state, segment.drive, since, [column])
-                result[begin:end] = values[:, 0]
+                result[begin:end] = self._driven(segment, column).at(since)[:, 0]
         return result
+
+    def _driven(self, segment: Segment, column: int) -> Driven:
+        if column not in segment.driven:
+            segment.driven[column] = self._line.driven(segment.state, segment.drive, [column])
+        return segment.driven[column]

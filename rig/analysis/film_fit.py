@@ -92,9 +92,9 @@ class FilmFit:
     @property
     def probability(self) -> float:
         """Of a chi-square this large from noise alone."""
-        from scipy.stats import chi2
+        from scipy.special import chdtrc
 
-        return float(chi2.sf(self.chi_square, self.degrees))
+        return float(chdtrc(self.degrees, self.chi_square))
 
     @property
     def aic(self) -> float:

@@ -46,9 +46,9 @@ class LoadLinearity:
     @property
     def probability(self) -> float:
         """Of a chi-square this large where the film is linear and the stated errors hold."""
-        from scipy.stats import chi2
+        from scipy.special import chdtrc
 
-        return float(chi2.sf(self.chi_square, self.degrees))
+        return float(chdtrc(self.degrees, self.chi_square))
 
     def sentence(self) -> str:
         """The result in words."""

@@ -320,9 +320,15 @@ class _Solved:
         return left
 
 
+@lru_cache(maxsize=32)
+def _lines_on(frequencies: tuple[float, ...], rate: float, n: int) -> tuple[_Lines, Reals]:
+    """The lines and the inverse of their normal matrix: the channels of a record share them."""
+    lines = _Lines(frequencies, rate, n)
+    return lines, np.asarray(np.linalg.inv(lines.normal_equations()), dtype=np.float64)
+
+
 def _solve(y: Reals, rate: float, frequencies: Sequence[float] | Reals) -> _Solved:
-    lines = _Lines(frequencies, rate, y.size)
-    inverse = np.asarray(np.linalg.inv(lines.normal_equations()), dtype=np.float64)
+    lines, inverse = _lines_on(tuple(map(float, frequencies)), float(rate), y.size)
     bare = _Solved(lines, inverse, np.empty(0), y)
     solution = bare.coefficients(y)
     return _Solved(lines, inverse, solution, bare.rest(y, solution))

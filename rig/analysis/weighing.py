@@ -120,9 +120,9 @@ class Line:
         """Standard errors on either side of a coefficient that hold 95 % of the cases."""
         if not self.excess_error:
             return COVERAGE_95
-        from scipy.stats import t
+        from scipy.special import stdtrit
 
-        return float(t.ppf(0.975, self.degrees))
+        return float(stdtrit(self.degrees, 0.975))
 
 
 def fit_line(forces: ArrayLike, readings: ArrayLike, standard_errors: ArrayLike) -> Line:

@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter
 from rig.analysis.circuit_fit import READINGS
 from rig.analysis.film_model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ
 from rig.analysis.response import DB_PER_RELATIVE
-from rig.figures.style import STYLE
+from rig.figures.style import STYLE, set_margins
 from rig.model.pvdf import SKIN_STRIP, CircuitSettings
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ def draw_gain(curve: ResponseCurve, analysis: SweepAnalysis, title: str = "") ->
         gain.legend(loc="upper left", frameon=False)
         _residuals(residual, curve, analysis)
         _frequency_axis(residual, curve.frequencies)
+        set_margins(figure)
         if title:
             figure.suptitle(title, fontsize=9)
     return figure
@@ -80,6 +81,7 @@ def draw_readings(
         plain.legend(loc="lower right", frameon=False, ncols=2)
         shifted.legend(loc="upper left", frameon=False)
         _frequency_axis(shifted, curve.frequencies)
+        set_margins(figure, top=0.5, between=0.14)
         if title:
             figure.suptitle(title, fontsize=9)
     return figure
@@ -88,7 +90,7 @@ def draw_readings(
 def draw_linearity(linearity: LoadLinearity, title: str = "") -> Figure:
     """Slope of the gain over load at each frequency: zero where the film is linear (data2)."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 3.4))
+        figure = Figure(figsize=(7.2, 3.4), layout="constrained")
         axes = figure.subplots()
         axes.errorbar(
             linearity.frequencies,

@@ -102,7 +102,7 @@ def draw_deformed(
     values = np.concatenate([skin.stress_MPa[:, component] for _, skin in instants]) * 1e3
     limit = float(np.percentile(np.abs(values), 99.0)) or 1.0
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9, 0.6 + 2.5 * len(instants)))
+        figure = Figure(figsize=(9, 0.6 + 2.5 * len(instants)), layout="constrained")
         axes = figure.subplots(len(instants), 1, sharex=True, squeeze=False)
         for axis, (name, skin) in zip(axes[:, 0], instants, strict=True):
             quads = skin.corners_mm + magnified * skin.displacement_mm
@@ -141,7 +141,7 @@ def draw_map(found: DesignMap, ridge: int) -> Figure:
     settings, names = found.settings, [f"$σ_{{{c}}}$" for c in found.components]
     quantities = (("hump", found.hump_V, "RdBu_r"), ("HF peak", found.peak_V, "viridis"))
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10, 8.5))
+        figure = Figure(figsize=(10, 8.5), layout="constrained")
         grid = figure.add_gridspec(3, 3, height_ratios=(1, 1, 0.9))
         for row, (quantity, values, colours) in enumerate(quantities):
             shown = values[ridge - 1] * 1e3
@@ -194,7 +194,7 @@ def _panels(
     size: tuple[float, float], rows: int, title: str, heights: tuple[float, ...]
 ) -> tuple[Figure, Any]:
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=size)
+        figure = Figure(figsize=size, layout="constrained")
         axes = figure.subplots(rows, 1, sharex=True, gridspec_kw={"height_ratios": heights})
         figure.suptitle(title)
     return figure, axes

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from rig.figures.style import STYLE
+from rig.figures.style import STYLE, set_margins
 from rig.model.pvdf import SKIN_STRIP
 
 if TYPE_CHECKING:
@@ -87,6 +87,7 @@ def draw_measured(run: RunFile) -> Figure:
         load.set_xscale("log")
         load.set_xlabel("Frequency (Hz)")
         load.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        set_margins(figure, top=0.5)
         figure.suptitle(f"{run.header.title}\n{run.path.name}", fontsize=9)
     return figure
 

@@ -44,16 +44,18 @@ def creep_step(
     motion is linear, for which the step is exact:
     q' = -q / tau + k1 x', x the compression; F = k x + q, never a pull. Returns forces in N (n,).
     """
-    compression = np.maximum(position_mm - settings.contact_mm, 0.0)
-    decay = np.exp(-step_s / settings.creep_s)
-    push = settings.creep_stiffness_N_mm * np.diff(compression)
-    gain = settings.creep_s / step_s * (1 - decay)
-    fading = np.empty(len(compression))
-    fading[0] = fading_N
-    for k, more in enumerate(push):
-        fading[k + 1] = decay * fading[k] + gain * more
-    force = np.maximum(settings.stiffness_N_mm * compression + fading, 0.0)
-    return np.where(compression > 0, force, 0.0), float(fading[-1])
+    decay = math.exp(-step_s / settings.creep_s)
+    gain = settings.creep_s / step_s * (1 - decay) * settings.creep_stiffness_N_mm
+    forces = []
+    before = max(float(position_mm[0]) - settings.contact_mm, 0.0)
+    for position in position_mm.tolist():  # a few at a time, mostly: arrays would cost more
+        compression = max(position - settings.contact_mm, 0.0)
+        if forces:
+            fading_N = decay * fading_N + gain * (compression - before)
+        before = compression
+        force = max(settings.stiffness_N_mm * compression + fading_N, 0.0)
+        forces.append(force if compression > 0 else 0.0)
+    return np.array(forces), fading_N
 
 
 def push_after(
@@ -65,8 +67,8 @@ def push_after(
     if not after:
         return 0.0
     decay = math.exp(-step_s / settings.creep_s)
-    gain = settings.creep_s / step_s * (1 - decay)
-    fading = decay * fading_N + gain * settings.creep_stiffness_N_mm * (after - before)
+    gain = settings.creep_s / step_s * (1 - decay) * settings.creep_stiffness_N_mm
+    fading = decay * fading_N + gain * (after - before)
     return max(settings.stiffness_N_mm * after + fading, 0.0)
 
 

@@ -178,9 +178,18 @@ class ModalSystem:
         rows = list(range(self.n_outputs)) if outputs is None else list(outputs)
         if not t.size or not rows:
             return np.zeros((t.size, len(rows)))
-        rates, weights = self._exponentials(state, drive, float(t.min()), rows)
-        response = self.steady_state(0.0)[rows].real * drive.offset
-        return _sum_of_exponentials(rates, weights, t) + response
+        return self.driven(state, drive, rows).at(t)
+
+    def driven(self, state: Complexes, drive: SineDrive, outputs: Sequence[int]) -> Driven:
+        """What `evaluate` needs of one state and drive, to be evaluated again and again."""
+        rows = list(outputs)
+        return Driven(
+            frequency_Hz=drive.frequency_Hz,
+            poles=self.poles,
+            steady=self.steady_state(drive.frequency_Hz)[rows] * drive.phasor,
+            constant=self.steady_state(0.0)[rows].real * drive.offset,
+            transient=self.outputs[rows] * (state - self._forced(drive, 0.0)),
+        )
 
     def _forced(self, drive: SineDrive, time_s: float) -> Complexes:
         """The particular solution: the state that stays periodic under ``drive``."""
@@ -191,18 +200,25 @@ class ModalSystem:
         state: Complexes = self.inputs * (up + down - drive.offset / self.poles)
         return state
 
-    def _exponentials(
-        self, state: Complexes, drive: SineDrive, first_s: float, rows: list[int]
-    ) -> tuple[Complexes, Complexes]:
-        """Rates (m,) and weights (len(rows), m): outputs are Re(weights @ exp(rates t))."""
-        steady = self.steady_state(drive.frequency_Hz)[rows] * drive.phasor
-        constant = self.steady_state(0.0)[rows].real * drive.offset
-        transient = self.outputs[rows] * (state - self._forced(drive, 0.0))
-        size = np.abs(transient) * np.exp(self.poles.real * first_s)
-        limit = NEGLIGIBLE_TRANSIENT * (np.abs(steady) + np.abs(constant))
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """Outputs under one drive from one state on: steady (k,), constant (k,), transient (k, m)."""
+
+    frequency_Hz: float  # noqa: N815 - the unit keeps its capital
+    poles: Complexes
+    steady: Complexes
+    constant: Reals
+    transient: Complexes
+
+    def at(self, t: Reals) -> Reals:
+        """The outputs at times >= 0 (s after the state), not none: shape (len(t), k)."""
+        size = np.abs(self.transient) * np.exp(self.poles.real * float(t.min()))
+        limit = NEGLIGIBLE_TRANSIENT * (np.abs(self.steady) + np.abs(self.constant))
         kept = (size > limit[:, None]).any(axis=0)
-        rates = np.concatenate([[2j * np.pi * drive.frequency_Hz], self.poles[kept]])
-        return rates, np.concatenate([steady[:, None], transient[:, kept]], axis=1)
+        rates = np.concatenate([[2j * np.pi * self.frequency_Hz], self.poles[kept]])
+        weights = np.concatenate([self.steady[:, None], self.transient[:, kept]], axis=1)
+        return _sum_of_exponentials(rates, weights, t) + self.constant
 
 
 def resonance(frequency_Hz: float, quality: float, level_dB: float) -> ZeroPoleGain:

@@ -2,14 +2,15 @@
 
 The conventions are those that h5web, silx, NeXpy and xarray each need: a plot's title is a field,
 ``long_name`` shows the unit, logarithmic axes are written in two spellings, and dimension scales
-name the dimensions. h5py is imported by the callers; this module only sees its objects.
+name the dimensions. h5py and numpy are imported only where something is written.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -21,6 +22,30 @@ if TYPE_CHECKING:
 
 CHUNK_ROWS = 1 << 18
 """Rows of a chunk: half a MiB of int16, which viewers read at a time."""
+
+
+def set_attributes(item: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -> None:
+    """New attributes, as ``item.attrs[name] = value`` makes them in twice the time: it writes each
+    one under another name first, and a run file has thousands. What may exist goes that way."""
+    import numpy as np
+    from h5py import h5a
+
+    for name, value in values.items():
+        if type(value) not in (str, float, int):
+            item.attrs[name] = value
+            continue
+        memory, stored, space = _scalar(type(value))
+        h5a.create(item.id, name.encode(), stored, space).write(np.array(value, memory))
+
+
+@cache
+def _scalar(kind: type) -> tuple[Any, Any, Any]:
+    """How a scalar is written: its type in memory, the one in the file, its space."""
+    import numpy as np
+    from h5py import h5s, h5t, string_dtype
+
+    memory = np.dtype({float: "<f8", int: "<i8"}.get(kind, string_dtype()))
+    return memory, h5t.py_create(memory, logical=True), h5s.create(h5s.SCALAR)
 
 
 def safe_name(text: str) -> str:
@@ -47,7 +72,7 @@ def plain_text(text: object) -> str:
 def group(parent: h5py.Group, name: str, nx_class: str) -> h5py.Group:
     """A new group of a NeXus class."""
     made = parent.create_group(name)
-    made.attrs["NX_class"] = nx_class
+    set_attributes(made, {"NX_class": nx_class})
     return made
 
 
@@ -101,9 +126,7 @@ def empty_field(parent: h5py.Group, name: str, shape: tuple[int, ...], dtype: An
 
 def label(field: h5py.Dataset, units: str, long_name: str) -> None:
     """Unit and name as viewers show them."""
-    field.attrs["units"] = units
-    if long_name:
-        field.attrs["long_name"] = long_name
+    set_attributes(field, {"units": units} | ({"long_name": long_name} if long_name else {}))
 
 
 def plot_group(

@@ -19,6 +19,7 @@ from rig.recording.nexus import (
     group,
     label,
     plain_text,
+    set_attributes,
     text_field,
     unique_name,
 )
@@ -216,14 +217,12 @@ class WaveformWriter:
         data.attrs["axes"] = [axis]
         if names[1:]:
             data.attrs["auxiliary_signals"] = names[1:]
-        for key, value in segment_attributes(self._contents, number).items():
-            data.attrs[key] = value
+        set_attributes(data, segment_attributes(self._contents, number))
         text_field(data, "title", self._title(segment, stream.name))
         for k, (dataset, channel) in enumerate(zip(names, stream.channels, strict=True)):
             field = empty_field(data, dataset, (segment.rows,), stream.dtype)
             label(field, stream.units, f"{channel} ({stream.units})")
-            for key, value in channel_attributes(segment.state, k).items():
-                field.attrs[key] = value
+            set_attributes(field, channel_attributes(segment.state, k))
             fields.append(field)
         return fields
 
