@@ -257,8 +257,8 @@ class _Lines:
         full[1::2, 1::2] = (beat - total).real / 2
         full[0::2, 1::2] = -(total - beat).imag / 2
         full[1::2, 0::2] = full[0::2, 1::2].T
-        keep = np.delete(np.arange(2 * turns.size), 1)
-        return full[np.ix_(keep, keep)]
+        keep = [0, *range(2, 2 * turns.size)]
+        return full.take(keep, 0).take(keep, 1)
 
     def moments(self, y: Reals) -> Reals:
         """Inner products of the same columns with ``y``."""
@@ -449,12 +449,12 @@ def _lines_to_fit(
 def _tone_variance(normal: Reals, chosen: Sequence[int]) -> float:
     """Variance of the tone (first line), worst phase, for unit noise; infinite if indeterminate."""
     columns = [0, *(column for k in chosen for column in (2 * k + 1, 2 * k + 2))]
-    part = normal[np.ix_(columns, columns)]
+    part = normal.take(columns, 0).take(columns, 1)
     try:
         inverse = np.linalg.inv(part)
     except np.linalg.LinAlgError:
         return math.inf
-    inflation = np.diag(inverse) * np.diag(part)
+    inflation = inverse.diagonal() * part.diagonal()
     if not (inflation.min() > 0 and inflation.max() < _WORST_INFLATION):
         return math.inf
     (re, both), (_, im) = inverse[1:3, 1:3]

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from rig.settings import Settings
 
 BENCH_FILE = Path("bench.toml")
+LIBRARIES_OF_LINKS = ("pyvisa_py.highlevel", "pymodbus.client", "serial")
+"""What the simulated bench's drivers import when they connect."""
 
 
 @dataclass(frozen=True)
@@ -128,15 +131,15 @@ def perform(
             allow_expired=request.allow_expired,
             recorded_toml=recorded_toml,
         )
-        reporter = ConsoleReporter(procedure.NAME)
-        with reporter:
-            outcome = execute(job, plan, clock, stop, reporter)
+        drawn = procedure.FIGURE if request.figures and not request.dry_run else None
+        reporter = stack.enter_context(ConsoleReporter(procedure.NAME, drawn))
+        outcome = execute(job, plan, clock, stop, reporter)
         if started is not None:
             started.wait()
         if request.dry_run:
             finish_dry_run(outcome, request.as_json)
         else:
-            finish(procedure, outcome, request.as_json, request.figures, request.debug)
+            finish(procedure, outcome, request.as_json, reporter, request.debug)
     raise typer.Exit(int(outcome.code))
 
 
@@ -158,8 +161,7 @@ def bench_for(request: Request) -> tuple[BenchPlan, Clock, RunningBench | None, 
         if real.settings.simulation is not None:
             say(f"SIMULATED bench ({path}): nothing here is measured")
         return real, WallClock(), None, None
-    from rig.recording import compiled  # noqa: F401 - imported while the bench boots
-
+    _import_ahead()
     ready = started.ready()
     why = "a rehearsal" if request.dry_run else "no bench.toml"
     say(f"SIMULATED bench ({why}, seed {request.seed}): nothing here is measured")
@@ -167,6 +169,12 @@ def bench_for(request: Request) -> tuple[BenchPlan, Clock, RunningBench | None, 
     if real is not None:
         plan = rehearsal(real, plan)
     return plan, SlavedClock(ControlLink(ready["control_port"])), started, ready["recorded_toml"]
+
+
+def _import_ahead() -> None:
+    """What this command will need, while the simulated bench boots beside it."""
+    for name in ("rig.recording.compiled", "rig.runner.execution", *LIBRARIES_OF_LINKS):
+        import_module(name)
 
 
 def _start_simulated(request: Request) -> RunningBench:

@@ -20,6 +20,9 @@ from rig.cli.outcome import say, tell_failure
 from rig.errors import RigError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from rig.figures.beside import Drawing
     from rig.runner.outcome import Outcome
     from rig.runner.points import Point, Reading
     from rig.runner.procedure import Procedure
@@ -28,7 +31,9 @@ if TYPE_CHECKING:
 class ConsoleReporter:
     """Progress with time left on a terminal, one plain line a point where it is none."""
 
-    def __init__(self, name: str):
+    def __init__(self, name: str, figure: str | None = None):
+        self._figure = figure
+        self._drawing: Drawing | None = None
         self._console = Console(stderr=True)
         self._name = name
         self._progress: Progress | None = None
@@ -41,6 +46,8 @@ class ConsoleReporter:
     def __exit__(self, *_: object) -> None:
         if self._progress is not None:
             self._progress.stop()
+        if self._drawing is not None:
+            self._drawing.abandon()
 
     def planned(self, points: tuple[Point, ...], kept: set[str]) -> None:
         """The run has these points, of which some were kept by an earlier attempt."""
@@ -79,12 +86,37 @@ class ConsoleReporter:
         """Something a person should see now."""
         self._say(f"{level}: {message}")
 
+    def storing(self) -> None:
+        """The bench is safe; the data are being brought into their file."""
+        if self._progress is not None:
+            self._progress.stop()
+        if self._figure is not None:
+            from rig.figures.beside import Drawing
+
+            self._drawing = Drawing(self._figure)
+
+    def stored(self, run_file: Path) -> None:
+        """They are there."""
+        if self._drawing is not None:
+            self._drawing.begin(run_file)
+
+    def drawn(self, debug: bool) -> list[str]:
+        """The figures of the run; one that fails costs a line, not the run."""
+        if self._drawing is None:
+            return []
+        drawing, self._drawing = self._drawing, None
+        try:
+            return [str(path) for path in drawing.paths()]
+        except RigError as error:
+            tell_failure(RigError(f"the figure could not be drawn: {error.one_line()}"), debug)
+            return []
+
     def _say(self, text: str) -> None:
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def finish(
-    procedure: Procedure, outcome: Outcome, as_json: bool, figures: bool, debug: bool
+    procedure: Procedure, outcome: Outcome, as_json: bool, reporter: ConsoleReporter, debug: bool
 ) -> None:
     """Failures, what was done to the bench, where the data are, how to go on."""
     for failure in outcome.failures:
@@ -96,7 +128,7 @@ def finish(
         say(outcome.guard_report)
     for warning in outcome.warnings:
         say(f"warning: {warning}")
-    drawn = _draw(procedure, outcome, debug) if figures and outcome.points_done else []
+    drawn = reporter.drawn(debug) if outcome.file is not None else []
     say(closing_line(procedure.NAME, outcome))
     for figure in drawn:
         say(f"figure: {figure}")
@@ -166,19 +198,6 @@ def as_object(outcome: Outcome, figures: list[str]) -> dict[str, Any]:
         "warnings": outcome.warnings,
         "figures": figures,
     }
-
-
-def _draw(procedure: Procedure, outcome: Outcome, debug: bool) -> list[str]:
-    """Draw the run's figure beside its file; a figure that fails costs a line, not the run."""
-    if outcome.file is None:
-        return []
-    from rig.figures import draw
-
-    try:
-        return [str(path) for path in draw(procedure.FIGURE, outcome.file)]
-    except (RigError, OSError, ValueError) as error:
-        tell_failure(RigError(f"the figure could not be drawn: {error}"), debug)
-        return []
 
 
 def _duration(seconds: float) -> str:

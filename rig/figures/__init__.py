@@ -1,8 +1,8 @@
-"""Figures of run files: the only importer of matplotlib, and only inside `draw`.
+"""Figures of run files: the only importer of matplotlib, and only inside a call.
 
-A figure is a module here with a function ``draw(run)`` that gives the figures by the name that is
-added to the run's, "" for the first one. Whatever is drawn from a simulated bench says so in the
-picture.
+A figure is one or several functions of a run file that may be called side by side. Each gives
+figures by the name that is added to the run's, "" for the first one. Whatever is drawn from a
+simulated bench says so in the picture.
 """
 
 from __future__ import annotations
@@ -12,22 +12,29 @@ from pathlib import Path
 
 from rig.errors import ConfigurationError
 
-FIGURES = {"sweep": "rig.figures.sweep"}
+FIGURES = {"sweep": ("rig.figures.sweep:draw_data", "rig.figures.sweep:draw_model")}
+"""The functions by the figure's name: known before anything heavy is imported."""
 
 
 def draw(name: str, run_file: Path) -> list[Path]:
     """Draw the figures of a run file beside it as PNG and SVG; returns their paths."""
     if name not in FIGURES:
         raise ConfigurationError(f"{run_file}: there is no figure for a {name}")
-    import matplotlib
+    return [path for part in FIGURES[name] for path in draw_part(part, run_file)]
 
-    matplotlib.use("Agg")
+
+def draw_part(part: str, run_file: Path) -> list[Path]:
+    """Draw what one of the functions gives."""
     from rig.figures.style import save
     from rig.recording.runfile import RunFile
 
+    module, _, function = part.partition(":")
+    draw_figures = getattr(import_module(module), function)
     with RunFile.open(run_file) as run:
-        saved = []
-        for added, figure in import_module(FIGURES[name]).draw(run).items():
-            path = run_file.with_stem(run_file.stem + added)
-            saved += save(figure, path, simulated=run.outcome.simulated)
-        return saved
+        return [
+            path
+            for added, figure in draw_figures(run).items()
+            for path in save(
+                figure, run_file.with_stem(run_file.stem + added), simulated=run.outcome.simulated
+            )
+        ]

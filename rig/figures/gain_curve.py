@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 
 from rig.analysis.circuit_fit import READINGS
 from rig.analysis.film_model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ
 from rig.analysis.response import DB_PER_RELATIVE
-from rig.figures.style import STYLE, set_margins
+from rig.figures.style import STYLE, decades, set_margins
 from rig.model.pvdf import SKIN_STRIP, CircuitSettings
 
 if TYPE_CHECKING:
@@ -204,10 +203,8 @@ def _mark_corners(axes: Axes, analysis: SweepAnalysis) -> None:
 
 
 def _frequency_axis(axes: Axes, frequencies: Reals) -> None:
-    axes.set_xscale("log")
+    decades(axes)
     axes.set_xlim(frequencies[0] / 1.15, frequencies[-1] * 1.15)
-    axes.set_xlabel("Frequency (Hz)")
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def _fine(curve: ResponseCurve, analysis: SweepAnalysis) -> Reals:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 
-from rig.figures.style import STYLE, set_margins
+from rig.figures.style import STYLE, decades, set_margins
 from rig.model.pvdf import SKIN_STRIP
 
 if TYPE_CHECKING:
@@ -21,18 +20,24 @@ REFERENCE_SLOPE_DB_DECADE = 20.0
 """First-order (stress-rate) characteristic of the paper's eq. (2), drawn for comparison."""
 
 
-def draw(run: RunFile) -> dict[str, Figure]:
-    """What was measured; the fitted curve, the three readings of the circuit and the linearity over
-    load, where the sweep is long enough to tell them."""
-    figures = {"": draw_measured(run)}
+def draw_data(run: RunFile) -> dict[str, Figure]:
+    """What was measured."""
+    return {"": draw_measured(run)}
+
+
+def draw_model(run: RunFile) -> dict[str, Figure]:
+    """The fitted curve, the three readings of the circuit and the linearity over load, where the
+    sweep is long enough to tell them."""
     curve, analysis = _analysed(run)
     if curve is None or analysis is None:
-        return figures
+        return {}
     from rig.figures.gain_curve import draw_gain, draw_linearity, draw_readings
 
     title = run.header.title
-    figures["-gain"] = draw_gain(curve, analysis, title)
-    figures["-readings"] = draw_readings(curve, analysis, SKIN_STRIP, title)
+    figures = {
+        "-gain": draw_gain(curve, analysis, title),
+        "-readings": draw_readings(curve, analysis, SKIN_STRIP, title),
+    }
     if analysis.linearity is not None:
         figures["-linearity"] = draw_linearity(analysis.linearity, title)
     return figures
@@ -84,9 +89,7 @@ def draw_measured(run: RunFile) -> Figure:
         load.plot(frequency, run.column("load_amplitude"), ".", markersize=3, color="C1")
         load.set_ylabel("Load, peak (N)")
         load.set_ylim(bottom=0)
-        load.set_xscale("log")
-        load.set_xlabel("Frequency (Hz)")
-        load.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        decades(load)
         set_margins(figure, top=0.5)
         figure.suptitle(f"{run.header.title}\n{run.path.name}", fontsize=9)
     return figure

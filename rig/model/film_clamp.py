@@ -46,7 +46,7 @@ def creep_step(
     """
     decay = math.exp(-step_s / settings.creep_s)
     gain = settings.creep_s / step_s * (1 - decay) * settings.creep_stiffness_N_mm
-    forces = []
+    forces: list[float] = []
     before = max(float(position_mm[0]) - settings.contact_mm, 0.0)
     for position in position_mm.tolist():  # a few at a time, mostly: arrays would cost more
         compression = max(position - settings.contact_mm, 0.0)

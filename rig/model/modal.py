@@ -205,7 +205,7 @@ class ModalSystem:
 class Driven:
     """Outputs under one drive from one state on: steady (k,), constant (k,), transient (k, m)."""
 
-    frequency_Hz: float  # noqa: N815 - the unit keeps its capital
+    frequency_Hz: float
     poles: Complexes
     steady: Complexes
     constant: Reals

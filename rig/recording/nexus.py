@@ -34,17 +34,17 @@ def set_attributes(item: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -
         if type(value) not in (str, float, int):
             item.attrs[name] = value
             continue
-        memory, stored, space = _scalar(type(value))
+        memory, stored, space = _scalar(type(value).__name__)
         h5a.create(item.id, name.encode(), stored, space).write(np.array(value, memory))
 
 
 @cache
-def _scalar(kind: type) -> tuple[Any, Any, Any]:
+def _scalar(kind: str) -> tuple[Any, Any, Any]:
     """How a scalar is written: its type in memory, the one in the file, its space."""
     import numpy as np
     from h5py import h5s, h5t, string_dtype
 
-    memory = np.dtype({float: "<f8", int: "<i8"}.get(kind, string_dtype()))
+    memory = np.dtype({"float": "<f8", "int": "<i8"}.get(kind, string_dtype()))
     return memory, h5t.py_create(memory, logical=True), h5s.create(h5s.SCALAR)
 
 

@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from datetime import datetime
 from functools import partial
+from pathlib import Path
 from typing import Protocol, TypeVar
 
 from rig import bench as benches
@@ -51,6 +52,14 @@ class Reporter(Protocol):
 
     def event(self, level: str, message: str) -> None:
         """Something a person should see now."""
+        ...
+
+    def storing(self) -> None:
+        """The bench is safe; the data are being brought into their file."""
+        ...
+
+    def stored(self, run_file: Path) -> None:
+        """They are there."""
         ...
 
 
@@ -256,6 +265,8 @@ class _Loop:
 
     def _finish_data(self) -> None:
         outcome = self.outcome
+        if outcome.points_done:
+            self.reporter.storing()
         outcome.warnings = list(self.run.warnings)
         with self._storing():
             for failure in outcome.failures:
@@ -265,6 +276,8 @@ class _Loop:
             self.recorder.close()
         with self._storing():
             outcome.file = compile_run(self.journal.path, retire=True)
+            if outcome.points_done:
+                self.reporter.stored(outcome.file)
         if self.journal.path.exists():
             outcome.journal = self.journal.path
         outcome.summary = self.job.procedure.summarise(self.job.settings, self._in_order())
