@@ -183,7 +183,8 @@ class Daq:
         self._configure(acquisition, continuous=False)
         configured, self._configured = self._configured, None  # until the unit has obeyed
         self._link.command("DIG")
-        nominal_s = acquisition.samples / self._scaling_now().rate_S_s
+        # One period more than the samples': its clock and ours begin somewhere within one.
+        nominal_s = (acquisition.samples + 1) / self._scaling_now().rate_S_s
         self._clock.sleep(nominal_s)
         give_up = self._clock.now() + PATIENCE_S
         while self._ask("WAV:COMP?", ("YES", "NO")) == "NO":

@@ -58,7 +58,7 @@ SILENCE_S = 2.0
 """Time at a point after which a film that shows nothing is told."""
 LEAP = 1.1
 """Ratio of two frequencies in a row beyond which everything rings anew."""
-LEAP_S = 0.05
+LEAP_S = 0.02
 """Wait after that, where a record is too short to average over it."""
 FEW_CYCLES = 2
 """A record holds so many cycles where that costs no more than twice the shortest record."""
@@ -92,6 +92,12 @@ AGREEMENT = 8e-4
 """Relative difference of two records in a row, beyond their noise, that counts as settled."""
 CLEAR_RINGING = 2.0
 """A first difference so many times what agrees is ringing and not noise."""
+LOOK_BEFORE_S = 0.1
+"""A record that long is not begun with a drive that may be wrong: a short one tells first."""
+KEPT_WITHIN = 0.75
+"""Of the tolerance of the load: from there on the drive is corrected."""
+FAR_OFF = 0.25
+"""Relative error of a load after which the corrected drive is not trusted either."""
 CAUTION = 0.1
 """Share of the wanted load at a frequency of which nothing is known."""
 MOST_RECORDS = 400
@@ -501,7 +507,8 @@ class _Taking:
         """With the drive that should give the load; with a share of it where nothing is known."""
         f, lo = self.condition.frequency_Hz, self.condition.load_N
         gain = self.memory.vibrator.at(f)
-        self._looking = self.memory.surprise > SURE and self._averages()
+        costly = self._averages() and self._whole_length_s > LOOK_BEFORE_S
+        self._looking = self.memory.surprise > SURE and costly
         if gain is None:
             self._drive(self.settings.first_amplitude_V)
         else:
@@ -526,7 +533,7 @@ class _Taking:
         self._outlasted = False
         if self._averages() and self._whole_length_s < VERY_LONG_RECORD_S:
             wait_s = RINGING_S if changed else CORRECTED_S
-            self.wait(2 * wait_s if self._looking else wait_s)
+            self.wait(wait_s)
 
     def _averages(self) -> bool:
         """Whether one record averages over all ringing."""
@@ -580,7 +587,7 @@ class _Taking:
         load = self.kept[-1].load
         if abs(load.amplitude / lo - 1) <= self._tolerance(load):
             return True
-        self._looking = self._looking and abs(load.amplitude / lo - 1) > 0.1
+        self._looking = self._looking and abs(load.amplitude / lo - 1) > FAR_OFF
         correction = min(lo / load.amplitude, BOLDEST_CORRECTION)
         if self._foretold:
             correction = min(max(correction, 1 / LARGEST_CORRECTION), LARGEST_CORRECTION)
@@ -588,9 +595,9 @@ class _Taking:
         return False
 
     def _tolerance(self, load: SineFit) -> float:
-        """Half of what a kept point may be off; the noise of a short record is no deviation."""
+        """Most of what a kept point may be off; the noise of a short record is no deviation."""
         noise = 2 * load.standard_error / self.condition.load_N
-        return min(max(0.5e-2 * self.settings.load_tolerance_percent, noise), 5e-2)
+        return min(max(KEPT_WITHIN * 1e-2 * self.settings.load_tolerance_percent, noise), 5e-2)
 
     def is_settled(self) -> bool:
         """Whether the last two records agree; those before are forgotten where they do not."""
@@ -708,13 +715,12 @@ class _Taking:
             film_error = memory.error_of_one_second["film"] / (film * lo)
             error = DB_PER_RELATIVE * math.hypot(load_error, film_error)
         target = own.target_error_dB
-        if (
-            not whole and not self.kept and not self._averages()
-        ):  # it only has to tell whether it has settled
+        if not whole and not self.kept and not (self._outlasted or self._averages()):
+            # it only has to tell whether it has settled
             return RecordNeeds(shortest_s, own.longest_point_s, FIRST_LOOK * target, error)
         have_s = sum(s.load.n / s.load.rate_Hz for s in self.kept)
         if error is not None:
-            missing_s = (error / (0.95 * target)) ** 2 - have_s
+            missing_s = (error / target) ** 2 - have_s
             target = error / math.sqrt(max(missing_s, shortest_s))
         return RecordNeeds(shortest_s, own.longest_point_s, target, error)
 

@@ -41,9 +41,9 @@ class FrequencyPlanSettings(Settings):
     """Frequencies that the refinement puts into each half-width of a drop."""
     mains_Hz: float = Field(default=50.0, gt=0)
     """Mains frequency."""
-    mains_distance: float = Field(default=0.02, ge=0, lt=0.5)
-    """How far the scan keeps away from the first mains lines, relative: a record of about a second
-    then separates the two."""
+    mains_distance: float = Field(default=0.06, ge=0, lt=0.5)
+    """How far the scan keeps away from the first mains lines, relative, where half a step allows
+    it: a record of a third of a second then separates the two."""
 
     @model_validator(mode="after")
     def _has_a_range(self) -> Self:
@@ -60,7 +60,9 @@ def scan_frequencies_Hz(settings: FrequencyPlanSettings) -> tuple[float, ...]:  
     change = min(max(settings.fine_from_Hz, low), high)
     coarse = _geometric(low, change, settings.coarse_per_decade)[:-1]
     fine = _geometric(change, high, settings.fine_per_decade) if change < high else [high]
-    return tuple(sorted({_rounded(_beside_mains(f, settings)) for f in (*coarse, *fine)}))
+    moved = {_beside_mains(f, settings, settings.coarse_per_decade) for f in coarse}
+    moved |= {_beside_mains(f, settings, settings.fine_per_decade) for f in fine}
+    return tuple(sorted({_rounded(f) for f in moved}))
 
 
 def refine_Hz(settings: FrequencyPlanSettings, scanned: ResponseCurve) -> tuple[float, ...]:  # noqa: N802
@@ -94,15 +96,16 @@ def _geometric(low: float, high: float, per_decade: int) -> list[float]:
     return [*(low * 10 ** (k / per_decade) for k in range(steps)), high]
 
 
-def _beside_mains(frequency: float, settings: FrequencyPlanSettings) -> float:
+def _beside_mains(frequency: float, settings: FrequencyPlanSettings, per_decade: int) -> float:
+    distance = min(settings.mains_distance, (10 ** (1 / per_decade) - 1) / 2)
     order = min(max(round(frequency / settings.mains_Hz), 1), MAINS_LINES)
     line = settings.mains_Hz * order
-    if abs(frequency / line - 1) >= settings.mains_distance:
+    if abs(frequency / line - 1) >= distance:
         return frequency
-    above = line * (1 + settings.mains_distance)
-    if above <= settings.highest_Hz and frequency >= line:
-        return above
-    return line * (1 - settings.mains_distance)
+    below, above = line * (1 - distance), line * (1 + distance)
+    nearest_first = (above, below) if frequency >= line else (below, above)
+    inside = (f for f in nearest_first if settings.lowest_Hz <= f <= settings.highest_Hz)
+    return next(inside, frequency)
 
 
 def _rounded(frequency: float) -> float:

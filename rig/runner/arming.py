@@ -8,10 +8,14 @@ from the others' failures and each with a deadline.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from rig.errors import RigError
+
+BEAT_EVERY_S = 0.2
+"""How often a run says that it is alive."""
 
 OFF_DEADLINE_S = 3.0
 """Wall time one off action may take: several of the links' time-outs."""
@@ -75,15 +79,16 @@ class Arming:
                 failures.append(f"{armed.name}: {type(error).__name__}: {error}")
         return failures
 
-    def make_safe(self, before_each: Callable[[], None] = lambda: None) -> list[OffFailure]:
+    def make_safe(self, beat: Callable[[], None] = lambda: None) -> list[OffFailure]:
         """Run every off in reverse order; returns those that failed and forgets the others.
 
-        `before_each` is called before every off: a clean-up is a sign of life too.
+        `beat` is called before every off and again and again while it runs: a clean-up within its
+        deadline is a sign of life, and nobody may kill a stage that is on its way up.
         """
         failures = []
         for armed in reversed(self._armed):
-            before_each()
-            reason = _run_off(armed)
+            beat()
+            reason = _run_off(armed, beat)
             if reason is not None:
                 failures.append(OffFailure(armed.name, reason))
             else:  # what another thread has armed meanwhile stays armed
@@ -91,7 +96,7 @@ class Arming:
         return failures
 
 
-def _run_off(armed: Armed) -> str | None:
+def _run_off(armed: Armed, beat: Callable[[], None]) -> str | None:
     """Why the off did not work, or None. A daemon thread, so that a stuck one holds up nothing."""
     outcome: list[str | None] = []
 
@@ -106,7 +111,10 @@ def _run_off(armed: Armed) -> str | None:
 
     thread = threading.Thread(target=act, name=f"off {armed.name}", daemon=True)
     thread.start()
-    thread.join(armed.deadline_s)
+    give_up = time.monotonic() + armed.deadline_s
+    while thread.is_alive() and (left := give_up - time.monotonic()) > 0:
+        thread.join(min(left, BEAT_EVERY_S))
+        beat()
     if not outcome:
         return f"not done within {armed.deadline_s:g} s"
     return outcome[0]

@@ -23,6 +23,7 @@ from rig.clock import Clock
 from rig.errors import ExitCode, RigError
 from rig.recording.compiled import compile_run
 from rig.recording.recorder import Recorder
+from rig.runner.arming import BEAT_EVERY_S
 from rig.runner.guard import GuardLink
 from rig.runner.holds import HoldError, PauseSwitch
 from rig.runner.jobs import Job, Journal
@@ -32,7 +33,6 @@ from rig.runner.run import Run
 from rig.runner.stopping import StopFlag, StopRequestedError
 from rig.runner.trip import TripError
 
-BEAT_EVERY_S = 0.2
 HOLD_LOOK_S = 0.1
 """How often a run on hold looks whether it may go on."""
 

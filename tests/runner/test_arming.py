@@ -106,3 +106,16 @@ def test_what_is_armed_while_the_others_are_switched_off_is_not_forgotten() -> N
     assert arming.names == ("vibrator",)
     arming.make_safe()
     assert done == ["stage", "vibrator"]
+
+
+def test_a_long_clean_up_keeps_saying_that_it_is_alive():
+    """The guard kills a run that is silent for seconds; an unloading stage takes as long."""
+    alive = threading.Semaphore(0)
+    arming = Arming()
+
+    def unload() -> None:
+        for _ in range(5):
+            assert alive.acquire(timeout=PATIENCE_S)
+
+    arming.register("stage", unload, deadline_s=6 * PATIENCE_S)
+    assert arming.make_safe(beat=alive.release) == []
