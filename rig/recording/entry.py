@@ -147,7 +147,20 @@ def _field_value(value: Any) -> Any:
         return list(value)
     if isinstance(value, (list, tuple)) and value and all(type(v) in (int, float) for v in value):
         return [float(v) for v in value] if all(abs(v) < 2**53 for v in value) else to_json(value)
+    if _is_matrix(value):
+        return [[float(number) for number in row] for row in value]
     return to_json(value)
+
+
+def _is_matrix(value: Any) -> bool:
+    """Rows of equally many numbers, each exact as a float."""
+    rows = value if isinstance(value, (list, tuple)) else []
+    return (
+        bool(rows)
+        and all(isinstance(row, (list, tuple)) and row for row in rows)
+        and len({len(row) for row in rows}) == 1
+        and all(type(v) is float or (type(v) is int and abs(v) < 2**53) for r in rows for v in r)
+    )
 
 
 def _write_note(entry: h5py.Group, name: str, kind: str, file_name: str, data: str) -> None:
@@ -206,6 +219,9 @@ def _write_instrument(made: h5py.Group, header: RunHeader) -> None:
             calibrations, unique_name(str(name) or f"calibration_{number}", names), "NXcalibration"
         )
         text_field(part, "description", f"calibration of {name}" if name else "calibration")
+        if "date" in calibration:
+            text_field(part, "last_process", calibration["date"])
+        number_field(part, "applied", True)
         parameters = group(part, "calibration_parameters", "NXparameters")
         _write_values(parameters, calibration, {})
 

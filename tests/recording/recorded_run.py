@@ -70,7 +70,10 @@ def header(**changes: Any) -> dict[str, Any]:
             {"name": "daq", "role": "data_acquisition", "vendor": "Keysight",
              "model": "U2331A", "simulated": True},
         ],
-        "calibrations": [{"sensor": "force", "date": "2026-01-01", "coefficients": [0.1, 2.0]}],
+        "calibrations": [
+            {"sensor": "force", "date": "2026-01-01", "coefficients": [0.1, 2.0],
+             "matrix": [[80.0, 0.5, 0.0], [0.0, 81.0, -0.25]], "rows": [[1.0], [2.0, 3.0]]},
+        ],
         "streams": [
             {"name": "daq", "device": "daq", "channels": ["strip_a", "force"], "dtype": "<i2",
              "row_shape": [2], "units": "count", "long_name": "strips"},

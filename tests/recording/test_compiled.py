@@ -107,6 +107,17 @@ def test_what_the_run_was_is_in_the_file(file: Path) -> None:
             opened.column("gian")
 
 
+def test_a_calibration_record_is_an_nxcalibration_with_its_matrix(file: Path) -> None:
+    with h5py.File(file) as opened:
+        part = opened["entry/instrument/calibrations/force"]
+        assert part.attrs["NX_class"] == "NXcalibration"
+        assert part["last_process"][()] == b"2026-01-01"
+        assert part["applied"][()]
+        values = part["calibration_parameters"]
+        assert values["matrix"][()].tolist() == [[80.0, 0.5, 0.0], [0.0, 81.0, -0.25]]
+        assert values["rows"][()] == b"[[1.0],[2.0,3.0]]"  # ragged: as text
+
+
 def test_a_simulated_run_says_so_everywhere(file: Path) -> None:
     with h5py.File(file) as opened:
         entry = opened["entry"]
