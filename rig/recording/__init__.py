@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from rig.recording.errors import JournalError, RecordingError, RunFileError
     from rig.recording.header import End, Event, Instrument, Program, RunHeader, Stream, StreamState
     from rig.recording.journal import JournalWriter, read_journal
-    from rig.recording.layout import Column, Layout, Plot
+    from rig.recording.layout import Column, Layout, Plot, Trace
     from rig.recording.naming import journal_path, next_run_path
     from rig.recording.recorder import Recorder
 
@@ -30,6 +30,7 @@ __all__ = [
     "RunHeader",
     "Stream",
     "StreamState",
+    "Trace",
     "journal_path",
     "next_run_path",
     "read_journal",

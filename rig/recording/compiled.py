@@ -19,7 +19,7 @@ from rig.recording.guarded_file import GuardedFile
 from rig.recording.journal import lock_journal, sync_folder
 from rig.recording.naming import JOURNAL_SUFFIX, RUN_SUFFIX, checksum_path
 from rig.recording.table import point_table
-from rig.recording.waveforms import WaveformWriter
+from rig.recording.waveforms import WaveformWriter, write_traces
 
 
 def compile_run(
@@ -107,8 +107,9 @@ def _write(contents: JournalContents, path: Path, name: str) -> None:
             write_entry(entry, contents, table)
             guarded.check()
             WaveformWriter(entry, contents).write(guarded.check)
-            if not table.ids and "waveforms" in entry:
-                entry.attrs["default"] = "waveforms"
+            write_traces(entry, contents)
+            if contents.header.layout.default not in entry or not table.ids:
+                entry.attrs["default"] = "waveforms" if "waveforms" in entry else "points"
         guarded.sync()
     except (RuntimeError, ValueError, TypeError, KeyError) as error:
         guarded.check()

@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 from rig.recording.contents import JournalContents
-from rig.recording.header import End, Instrument, Named, RunHeader
+from rig.recording.header import SIMULATED, End, Instrument, Named, RunHeader
 from rig.recording.nexus import (
     array_field,
     group,
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     import h5py
 
 NEVER_CLOSED = "the run ended without closing its journal"
-SIMULATED = "SIMULATED"
 
 
 def ending(contents: JournalContents) -> End:
@@ -76,7 +75,7 @@ def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable)
     text_field(entry, "definition", header.layout.definition).attrs["version"] = plain_text(
         header.layout.version
     )
-    text_field(entry, "title", marked(header, header.title))
+    text_field(entry, "title", header.marked(header.title))
     text_field(entry, "start_time", header.start_time)
     text_field(entry, "end_time", end.end_time)
     number_field(entry, "duration", round(end.duration_s), "s")
@@ -99,15 +98,8 @@ def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable)
     _write_attempts(group(entry, "attempts", "NXcollection"), contents)
     _write_points(group(entry, "points", "NXcollection"), contents, table)
     for plot in header.layout.plots:
-        title = marked(header, plot.title or header.title)
+        title = header.marked(plot.title or header.title)
         plot_group(entry, plot, header.layout, table, title)
-
-
-def marked(header: RunHeader, title: str) -> str:
-    """The title, which says first whether the run was simulated."""
-    if not header.simulated or title.startswith(SIMULATED):
-        return title
-    return f"{SIMULATED} {title}"
 
 
 def _write_named(made: h5py.Group, named: Named) -> None:

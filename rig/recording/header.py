@@ -60,6 +60,10 @@ class Program(Settings):
     """Hash of the source, with "+dirty" where it was changed."""
 
 
+SIMULATED = "SIMULATED"
+"""Before every title and vendor of what was computed and not measured."""
+
+
 class Named(Settings):
     """A person or a sample: a name and whatever else is known."""
 
@@ -208,6 +212,12 @@ class RunHeader(Settings):
         if any(i.simulated for i in self.instruments) and not self.simulated:
             raise ValueError("an instrument is simulated, the run says it is not")
         return self
+
+    def marked(self, title: str) -> str:
+        """A title, which says first whether the run was simulated."""
+        if not self.simulated or title.startswith(SIMULATED):
+            return title
+        return f"{SIMULATED} {title}"
 
     def check_state(self, state: StreamState) -> None:
         """ValueError unless the state is one of an existing stream, with a value a channel."""

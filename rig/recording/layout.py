@@ -97,11 +97,40 @@ class Plot:
 
 
 @dataclass(frozen=True, slots=True)
+class Trace:
+    """One NXdata group of samples over time: channels of a stream, of the first kept point.
+
+    The samples are those under ``waveforms``, linked; every other point's are there too.
+    """
+
+    group: str
+    stream: str
+    signal: str
+    auxiliary: tuple[str, ...] = ()
+    title: str = ""
+
+    __pydantic_config__ = _STRICT
+
+    def __post_init__(self) -> None:
+        if not _NAME.match(self.group) or self.group in RESERVED_GROUPS:
+            raise ValueError(f"trace {self.group!r}: not a usable group name")
+        for name in (self.stream, *self.channels()):
+            if not _NAME.match(name):
+                raise ValueError(f"trace {self.group!r}: {name!r} is not a usable name")
+        if len(set(self.channels())) != 1 + len(self.auxiliary):
+            raise ValueError(f"trace {self.group!r}: two channels of one name")
+
+    def channels(self) -> tuple[str, ...]:
+        """The channels shown, the signal first."""
+        return (self.signal, *self.auxiliary)
+
+
+@dataclass(frozen=True, slots=True)
 class Layout:
     """All plots of a procedure's file, and the columns they are made of.
 
     ``definition`` names the NXDL file ("NXrig_sweep") and ``version`` its version; ``default`` is
-    the plot shown at the first click. Its axes give the order of the table of points.
+    the plot or trace shown at the first click. A plot's axes give the order of the table of points.
     """
 
     definition: str
@@ -109,6 +138,7 @@ class Layout:
     columns: tuple[Column, ...]
     plots: tuple[Plot, ...]
     default: str = "data"
+    traces: tuple[Trace, ...] = ()
 
     __pydantic_config__ = _STRICT
 
@@ -116,16 +146,22 @@ class Layout:
         if not _DEFINITION.match(self.definition):
             raise ValueError(f"definition {self.definition!r}: expected a name such as NXrig_sweep")
         names = [column.name for column in self.columns]
-        groups = [plot.group for plot in self.plots]
+        groups = [plot.group for plot in self.plots] + [trace.group for trace in self.traces]
         if len(set(names)) != len(names) or len(set(groups)) != len(groups):
             raise ValueError("two columns or two plots of one name")
         if self.default not in groups:
-            raise ValueError(f"default {self.default!r} is none of the plots {groups}")
+            raise ValueError(f"default {self.default!r} is none of the plots and traces {groups}")
         numbers = {column.name for column in self.columns if column.kind == "number"}
         for plot in self.plots:
             used = {plot.signal, *plot.axes, *plot.auxiliary} | {plot.errors or plot.signal}
             if used - numbers:
                 raise ValueError(f"plot {plot.group!r}: no number columns {sorted(used - numbers)}")
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """The columns by which the table of points is sorted: the axes of the plot shown first."""
+        shown = [plot for plot in self.plots if plot.group == self.default] or self.plots
+        return shown[0].axes if shown else ()
 
     def column(self, name: str) -> Column:
         """The column of that name; KeyError if there is none."""

@@ -36,6 +36,8 @@ class PointTable:
         """Row indices sorted by the axes in turn; NaN last, equal rows in the table's order."""
         import numpy as np
 
+        if not axes:
+            return np.arange(len(self.ids))
         return np.lexsort([self.numbers(name) for name in reversed(axes)])
 
 
@@ -45,7 +47,7 @@ def point_table(contents: JournalContents) -> PointTable:
     rank = {point_id: n for n, point_id in enumerate(contents.header.points)}
     kept = sorted(contents.grouping.kept.items(), key=lambda item: rank.get(item[0], len(rank)))
     planned = _table([i for i, _ in kept], [n for _, n in kept], contents)
-    order = planned.order(layout.plot(layout.default).axes)
+    order = planned.order(layout.order)
     return _table([kept[k][0] for k in order], [kept[k][1] for k in order], contents)
 
 

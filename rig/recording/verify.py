@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 from rig.recording.comparison import differences
 from rig.recording.compiled import sha256_of
 from rig.recording.contents import read_journal
-from rig.recording.entry import SIMULATED, text_of
+from rig.recording.entry import text_of
 from rig.recording.errors import JournalError, RunFileError
+from rig.recording.header import SIMULATED
 from rig.recording.naming import checksum_path, journal_path
 from rig.recording.nexus import plain_text, plot_sources
 from rig.recording.records import to_json
@@ -114,6 +115,10 @@ def _structure(run: RunFile) -> Iterator[str]:
         for name in plot_sources(plot):
             if f"{plot.group}/{name}" not in run.entry:
                 yield f"{plot.group}/{name} is missing"
+    for trace in layout.traces if run.point_ids() else ():
+        for name in trace.channels():
+            if f"{trace.group}/{name}" not in run.entry:
+                yield f"{trace.group}/{name} is missing"
 
 
 def _points(run: RunFile) -> Iterator[str]:

@@ -164,6 +164,42 @@ class _Gathering:
             self._rows, self._held = [], 0
 
 
+def write_traces(entry: h5py.Group, contents: JournalContents) -> None:
+    """The layout's traces: groups that link the samples of the first kept point, where there is
+    one."""
+    paths = segment_paths(contents)
+    for trace in contents.header.layout.traces:
+        number = _shown(contents, trace.stream)
+        if number is None:
+            continue
+        samples, segment = entry[paths[number]], contents.segments[number]
+        made = group(entry, trace.group, "NXdata")
+        axis = str(samples.attrs["axes"][0])
+        set_attributes(made, {"signal": trace.signal})
+        made.attrs["axes"] = [axis]
+        if trace.auxiliary:
+            made.attrs["auxiliary_signals"] = list(trace.auxiliary)
+        assert segment.attempt is not None
+        point = contents.attempts[segment.attempt].id
+        title = f"{trace.title or trace.group}: {point}"
+        text_field(made, "title", contents.header.marked(title))
+        for name in (axis, *trace.channels()):
+            made[name] = samples[name]
+
+
+def _shown(contents: JournalContents, stream: str) -> int | None:
+    """The segment of the first planned point that was kept."""
+    rank = {point_id: n for n, point_id in enumerate(contents.header.points)}
+    kept = [
+        (rank.get(contents.attempts[segment.attempt].id, len(rank)), number)
+        for number, segment in enumerate(contents.segments)
+        if segment.attempt is not None
+        and contents.header.streams[segment.stream].name == stream
+        and contents.attempts[segment.attempt].status == "kept"
+    ]
+    return min(kept)[1] if kept else None
+
+
 class WaveformWriter:
     """Writes segments as NXdata groups; time axes of one rate and length are stored once."""
 
@@ -227,12 +263,12 @@ class WaveformWriter:
         return fields
 
     def _title(self, segment: Segment, stream: str) -> str:
-        marks = "SIMULATED " if self._contents.header.simulated else ""
+        marked = self._contents.header.marked
         if segment.attempt is None:
-            return f"{marks}{stream} between points"
+            return marked(f"{stream} between points")
         attempt = self._contents.attempts[segment.attempt]
         status = "" if attempt.status == "kept" else f" ({attempt.status})"
-        return f"{marks}{attempt.id}{status}: {stream}"
+        return marked(f"{attempt.id}{status}: {stream}")
 
     def _axis(self, data: h5py.Group, segment: Segment) -> str:
         import numpy as np

@@ -191,9 +191,9 @@ class Job:
                     "name": stream.name,
                     "device": stream.device,
                     "channels": list(stream.channels),
-                    "dtype": "<i2",
+                    "dtype": stream.dtype,
                     "row_shape": [len(stream.channels)],
-                    "units": "count",
+                    "units": stream.units,
                     "long_name": stream.long_name,
                 }
                 for stream in self.procedure.STREAMS

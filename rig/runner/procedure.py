@@ -25,12 +25,15 @@ from rig.settings import Settings
 
 @dataclass(frozen=True)
 class StreamPlan:
-    """One stream of raw counts that a procedure emits."""
+    """One stream that a procedure emits: raw counts of a converter, or numbers of another kind."""
 
     name: str
     device: str
     channels: tuple[str, ...]
     long_name: str
+    dtype: str = "<i2"
+    """NumPy's notation."""
+    units: str = "count"
 
 
 class Procedure(Protocol):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
+
+import numpy.typing as npt
 
 from rig.bench import Bench
 from rig.clock import Clock
@@ -41,6 +43,7 @@ class Run:
         self._recorder = recorder
         self._streams = streams
         self._scalings: dict[str, Scaling] = {}
+        self._states: dict[str, dict[str, Any]] = {}
         self._start_s = bench.clock.now() - elapsed_s
 
     def elapsed_s(self) -> float:
@@ -115,6 +118,33 @@ class Run:
             )
             self._scalings[stream] = scaling
         self._recorder.put_block(index, record.first_index, self.elapsed_s(), record.counts)
+
+    def put(
+        self,
+        stream: str,
+        first_index: int,
+        rows: npt.NDArray[Any],
+        rate_Hz: float,
+        scale: Sequence[float] | None = None,
+        units: str = "",
+    ) -> None:
+        """Record rows (n, channels) of a stream that is no converter's: values = scale times rows.
+
+        ``first_index`` counts the stream's rows; the rows' type is the stream's.
+        """
+        index = self._streams[stream]
+        channels = rows.shape[1]
+        state = {
+            "stream": index,
+            "rate_Hz": rate_Hz,
+            "scale": [1.0] * channels if scale is None else list(scale),
+            "offset": [0.0] * channels,
+            "units": units,
+        }
+        if self._states.get(stream) != state:
+            self._recorder.put_stream(state)
+            self._states[stream] = state
+        self._recorder.put_block(index, first_index, self.elapsed_s(), rows)
 
     def event(self, level: str, code: str, message: str) -> None:
         """Record that something happened; warnings are repeated at the end of the run."""

@@ -6,6 +6,7 @@ import json
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from rig.recording import (
     Layout,
     RecordingError,
     RunFileError,
+    Trace,
     journal_path,
     next_run_path,
     read_journal,
@@ -116,6 +118,35 @@ def test_a_calibration_record_is_an_nxcalibration_with_its_matrix(file: Path) ->
         values = part["calibration_parameters"]
         assert values["matrix"][()].tolist() == [[80.0, 0.5, 0.0], [0.0, 81.0, -0.25]]
         assert values["rows"][()] == b"[[1.0],[2.0,3.0]]"  # ragged: as text
+
+
+def test_a_trace_shows_the_samples_of_the_first_kept_point(tmp_path: Path) -> None:
+    layout = replace(
+        run.LAYOUT,
+        plots=run.LAYOUT.plots[1:],
+        traces=(Trace("data", "daq", "force", ("strip_a",), title="Strip and force"),),
+    )
+    file = compile_run(run.write_run(tmp_path / "trial.rigj", layout=layout.to_json()))
+    with h5py.File(file) as opened:
+        data = opened["entry/data"]
+        assert opened["entry"].attrs["default"] == "data"
+        assert data.attrs["signal"] == "force"
+        assert list(data.attrs["axes"]) == ["time"]
+        assert data["title"][()].decode() == f"SIMULATED Strip and force: {run.POINTS[0]}"
+        assert (data["force"][()] == run.samples(0)[:, 1]).all()
+        assert (data["strip_a"][()] == run.samples(0)[:, 0]).all()
+        assert opened["entry/points/id"][()].tolist() == [p.encode() for p in run.POINTS]
+    assert verify(file) == []
+
+
+def test_a_run_without_points_has_no_trace_and_is_sound(tmp_path: Path) -> None:
+    layout = replace(run.LAYOUT, plots=(), traces=(Trace("data", "daq", "force"),))
+    journal = run.write_run(tmp_path / "trial.rigj", order=(), layout=layout.to_json())
+    file = compile_run(journal)
+    with h5py.File(file) as opened:
+        assert "data" not in opened["entry"]
+        assert opened["entry"].attrs["default"] in opened["entry"]
+    assert verify(file) == []
 
 
 def test_a_simulated_run_says_so_everywhere(file: Path) -> None:
