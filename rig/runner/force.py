@@ -48,6 +48,8 @@ class ForceMonitor:
         self._rate = 0.0
         self._recent: deque[ForceFrames] = deque(maxlen=BATCHES_KEPT)
         self._lock = threading.Lock()
+        self._frames_before = 0
+        """Number of the frame after the last one that was forgotten on purpose."""
         self._last_frame_s = 0.0
         self._usual = 0.0
         self._missing_since_s: float | None = None
@@ -84,11 +86,50 @@ class ForceMonitor:
         mean: npt.NDArray[np.float64] = latest.mean(axis=0)
         return mean
 
+    def frames_since(self, index: int) -> ForceFrames | None:
+        """Every frame from number `index` on, as one batch, or None where none has come yet.
+
+        InstrumentError where some of them have been forgotten: a record has no gap.
+        """
+        found: list[ForceFrames] = []
+        with self._lock:
+            for frames in reversed(self._recent):
+                if frames.first_index + len(frames) <= index:
+                    break
+                found.append(frames)
+        if not found:
+            return None
+        oldest = found[-1]
+        skip = index - oldest.first_index
+        if skip < 0:
+            raise InstrumentError(
+                "force_sensor",
+                "stream",
+                f"{-skip} frames from number {index} on are no longer kept",
+                "read them more often",
+            )
+        parts = found[::-1]
+        return ForceFrames(
+            index,
+            np.concatenate([batch.raw for batch in parts])[skip:],
+            np.concatenate([batch.force_N for batch in parts])[skip:],
+            np.concatenate([batch.saturated for batch in parts])[skip:],
+        )
+
+    @property
+    def frames_seen(self) -> int:
+        """Number of the next frame that has not come yet."""
+        with self._lock:
+            latest = self._recent[-1] if self._recent else None
+        return latest.first_index + len(latest) if latest is not None else self._frames_before
+
     def tare(self, seconds: float) -> None:
         """Take the mean of the latest `seconds` as no force."""
         zero = np.concatenate([f.raw[-n:] for f, n in self._latest(seconds)]).mean(axis=0)
         self._sensor.tare((float(zero[0]), float(zero[1]), float(zero[2])))
         with self._lock:
+            if self._recent:
+                self._frames_before = self._recent[-1].first_index + len(self._recent[-1])
             self._recent.clear()
 
     def check(self) -> None:

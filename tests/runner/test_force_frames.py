@@ -1,0 +1,100 @@
+"""Frames by number: every one once, none patched."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rig.errors import InstrumentError
+from rig.instruments import ForceFrames
+from rig.runner import force
+from rig.runner.force import ForceMonitor
+from rig.runner.holds import Holds
+
+
+class Sensor:
+    """Hands over what it is given, as a force sensor's driver does."""
+
+    bytes_consumed = 0
+    frames_behind = 0.0
+
+    def __init__(self) -> None:
+        self.coming: list[ForceFrames] = []
+
+    def read(self) -> ForceFrames | None:
+        return self.coming.pop(0) if self.coming else None
+
+    def tare(self, zero: tuple[float, float, float]) -> None:
+        pass
+
+
+class Clock:
+    def now(self) -> float:
+        return 0.0
+
+
+def frames(first: int, count: int) -> ForceFrames:
+    numbers = np.arange(first, first + count, dtype=np.float64)
+    values = np.stack([numbers, -numbers, 0.01 * numbers], axis=1)
+    return ForceFrames(first, values.astype(np.float32), values, np.zeros(count, bool))
+
+
+@pytest.fixture
+def sensor() -> Sensor:
+    return Sensor()
+
+
+@pytest.fixture
+def monitor(sensor: Sensor) -> ForceMonitor:
+    return ForceMonitor(sensor, Clock(), Holds(), lambda _: [])  # type: ignore[arg-type]
+
+
+def feed(monitor: ForceMonitor, sensor: Sensor, *batches: ForceFrames) -> None:
+    sensor.coming += batches
+    for _ in batches:
+        monitor.read()
+
+
+def test_every_frame_comes_once(monitor: ForceMonitor, sensor: Sensor) -> None:
+    assert monitor.frames_since(0) is None
+    seen, sizes = [], [10, 1, 7, 25, 3]
+    for size in sizes:
+        feed(monitor, sensor, frames(sum(sizes[: sizes.index(size)]), size))
+        got = monitor.frames_since(len(seen))
+        assert got is not None
+        assert got.first_index == len(seen)
+        seen += got.force_N[:, 0].tolist()
+    assert seen == list(range(sum(sizes)))
+    assert monitor.frames_since(len(seen)) is None
+    assert monitor.frames_seen == len(seen)
+
+
+def test_several_batches_come_as_one_from_the_middle(monitor: ForceMonitor, sensor: Sensor) -> None:
+    feed(monitor, sensor, frames(0, 10), frames(10, 10), frames(20, 5))
+    got = monitor.frames_since(7)
+    assert got is not None
+    assert got.raw[:, 0].tolist() == list(range(7, 25))
+    assert len(got.saturated) == 18
+
+
+def test_forgotten_frames_are_an_error(
+    monitor: ForceMonitor, sensor: Sensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(monitor, "_recent", force.deque(maxlen=2))
+    feed(monitor, sensor, frames(0, 10), frames(10, 10), frames(20, 10))
+    with pytest.raises(InstrumentError, match="5 frames from number 5 on are no longer kept"):
+        monitor.frames_since(5)
+
+
+def test_a_tare_forgets_what_was_and_goes_on_counting(
+    monitor: ForceMonitor, sensor: Sensor
+) -> None:
+    feed(monitor, sensor, frames(0, 400))
+    monitor._rate = 1000.0
+    monitor.tare(0.2)
+    assert monitor.frames_seen == 400
+    assert monitor.frames_since(400) is None
+    feed(monitor, sensor, frames(400, 5))
+    got = monitor.frames_since(400)
+    assert got is not None
+    assert len(got) == 5
