@@ -41,6 +41,7 @@ def parameters(model: type[Settings]) -> list[inspect.Parameter]:
                 str | None,
                 typer.Option(
                     option_name(field),
+                    *_short(info),
                     help=_help(field, info),
                     metavar=(unit_of(field) or "VALUE"),
                     show_default=False,
@@ -110,6 +111,12 @@ def quantity(text: str, unit: str | None) -> float:
         return float(pint.Quantity(number, written).to(unit).magnitude)
     except (pint.PintError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise ValueError(f"{written!r} does not convert to {unit}") from error
+
+
+def _short(info: FieldInfo) -> tuple[str, ...]:
+    """The letter that a field asks for, as ``json_schema_extra={"short": "-n"}``."""
+    extra = info.json_schema_extra
+    return (str(extra["short"]),) if isinstance(extra, dict) and "short" in extra else ()
 
 
 def _help(field: str, info: FieldInfo) -> str:

@@ -93,6 +93,10 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
     return outcome
 
 
+class _InvalidError(RigError):
+    """A reading does not count."""
+
+
 class _Loop:
     """The part of a run that has a journal."""
 
@@ -120,6 +124,8 @@ class _Loop:
             self.readings,
         )
         self._taking = False
+        self._spare = False
+        """Whether a reading that does not count is discarded: its point is taken again."""
         self._last_beat = 0.0
         self._begun_s = bench.clock.now()
 
@@ -129,7 +135,7 @@ class _Loop:
         try:
             with PauseSwitch(self.run.holds):
                 self._take_all()
-            self.outcome.status, self.outcome.code = "complete", ExitCode.DONE
+            self.outcome.status, self.outcome.code = "complete", self._judged()
         except StopRequestedError as stopped:
             self.outcome.status, self.outcome.code = "stopped", stopped.code
             self.outcome.failures.append(stopped)
@@ -145,6 +151,13 @@ class _Loop:
             self.outcome.guard_report = self.guard.take_over()
         else:
             self.guard.done()
+
+    def _judged(self) -> ExitCode:
+        """Whether every reading that was kept counts; those that do not are told."""
+        doubtful = {name: why for name, r in self.readings.items() if (why := self._invalid(r))}
+        for name, why in doubtful.items():
+            self.run.event("warning", "invalid", f"{name} does not count: {why}")
+        return ExitCode.FINISHED_WITH_FAILURES if doubtful else ExitCode.DONE
 
     def _each_slice(self) -> None:
         """What every wait looks at, before every slice of at most 20 ms."""
@@ -180,7 +193,7 @@ class _Loop:
             self._disturbable(self._arm)
         for point in remaining:
             self.run.check_stop()
-            reading = self._disturbable(partial(self._take_or_retake, point))
+            reading = self._disturbable(partial(self._take_valid, point))
             self.readings[point.id] = reading
             self.outcome.points_done += 1
             self.reporter.point_kept(self.outcome.points_done, len(points), point, reading)
@@ -216,6 +229,22 @@ class _Loop:
             self.bench.clock.sleep(HOLD_LOOK_S)
         self.reporter.event("info", "going on")
 
+    def _take_valid(self, point: Point) -> Reading:
+        """Take it, and again where it does not count, as often as the settings say."""
+        for again in range(getattr(self.job.settings, "retry_invalid", 0), -1, -1):
+            self._spare = again > 0
+            try:
+                return self._take_or_retake(point)
+            except _InvalidError as invalid:
+                self.run.event("warning", "invalid", f"{point.id}: {invalid.message}")
+                self.reporter.event("warning", f"{point.id}: {invalid.message}; taken again")
+        raise AssertionError("the last attempt is kept, valid or not")
+
+    def _invalid(self, reading: Reading) -> str:
+        """Why a reading does not count; empty where it does."""
+        judge = getattr(self.job.procedure, "invalid", None)
+        return "" if judge is None else str(judge(self.job.settings, reading))
+
     def _take_or_retake(self, point: Point) -> Reading:
         try:
             return self._take(point)
@@ -239,6 +268,8 @@ class _Loop:
         try:
             reading = self.job.procedure.take(self.run, point)
             self.run.check_watchers()  # also what came and went within its last blocking call
+            if self._spare and (reason := self._invalid(reading)):
+                raise _InvalidError(reason)
         except BaseException as error:
             with contextlib.suppress(RigError):  # the first cause is on its way
                 self.recorder.put_point_discard(point.id, str(error))

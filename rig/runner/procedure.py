@@ -4,6 +4,10 @@
     arm(run)                                  # make ready; everything switched on registers its off
     take(run, point) -> Reading               # act: one point
     refine(settings, readings) -> tuple[Point, ...]   # optional and pure: further points
+    invalid(settings, reading) -> str         # optional and pure: why a reading does not count
+
+A reading that does not count is kept all the same and says so; with settings of a number
+``retry_invalid``, the point is discarded and taken again up to so many times before.
 
 The runner owns the loop between them. From this split come the check of all points before the
 first motion, progress, dry runs, discarding and retaking a point, and resuming at the point where
