@@ -26,6 +26,8 @@ class Armed:
     deadline_s: float
     at_once: Callable[[], None] | None
     """What a watcher does first, from another thread and without waiting on the bench clock."""
+    watches: bool = False
+    """Drives nothing, only looks: stays on while a run is on hold."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +55,11 @@ class Arming:
         off: Callable[[], None],
         deadline_s: float = OFF_DEADLINE_S,
         at_once: Callable[[], None] | None = None,
+        watches: bool = False,
     ) -> None:
         """Remember `off` under `name`; registering a name again replaces its off."""
         armed = [armed for armed in self._armed if armed.name != name]
-        self._armed = [*armed, Armed(name, off, deadline_s, at_once)]
+        self._armed = [*armed, Armed(name, off, deadline_s, at_once, watches)]
 
     def act_at_once(self) -> list[str]:
         """From a watcher's thread: what stops the bench now, each isolated; what failed, in words.
@@ -75,13 +78,18 @@ class Arming:
                 failures.append(f"{armed.name}: {type(error).__name__}: {error}")
         return failures
 
-    def make_safe(self, before_each: Callable[[], None] = lambda: None) -> list[OffFailure]:
+    def make_safe(
+        self, before_each: Callable[[], None] = lambda: None, watch_on: bool = False
+    ) -> list[OffFailure]:
         """Run every off in reverse order; returns those that failed and forgets the others.
 
-        `before_each` is called before every off: a clean-up is a sign of life too.
+        `before_each` is called before every off: a clean-up is a sign of life too. With `watch_on`
+        what only watches stays on.
         """
         failures = []
         for armed in reversed(self._armed):
+            if watch_on and armed.watches:
+                continue
             before_each()
             reason = _run_off(armed)
             if reason is not None:

@@ -206,14 +206,16 @@ class _Loop:
                 self._taking = False
 
     def _wait_out(self, hold: HoldError) -> None:
-        """Safe first; then wait until no hold is in force."""
+        """Safe first; then wait until no hold is in force. The force is read on meanwhile: that
+        is how the end of its silence is seen."""
         self.run.event("warning", "hold", hold.message)
-        failures = self.run.arming.make_safe(self.guard.beat)
+        failures = self.run.arming.make_safe(self.guard.beat, watch_on=True)
         if failures:
             raise RigError("; ".join(f"{f.name}: {f.reason}" for f in failures)) from hold
         self.reporter.event("warning", f"hold: {hold.message}; the bench is safe")
         while self.run.holds.active:
             self.bench.clock.sleep(HOLD_LOOK_S)
+            self.run.check_force_stream()
         self.reporter.event("info", "going on")
 
     def _take_or_retake(self, point: Point) -> Reading:

@@ -94,7 +94,13 @@ class ForceMonitor:
     def check(self) -> None:
         """Raise what the reader's thread met, once for a trip."""
         self.check_trip()
+        self.check_stream()
+
+    def check_stream(self) -> None:
+        """Raise what ended the reader's thread; look whether frames still come. The thread looks
+        too, but how soon is up to the host."""
         self._reader.check()
+        self._watch_silence()
 
     def check_trip(self) -> None:
         """Raise a trip that nobody has seen."""
@@ -117,7 +123,9 @@ class ForceMonitor:
             return []
         now = self._clock.now()
         self._last_frame_s = now
-        self._holds.end(_STALE)
+        if _STALE in self._holds.active:
+            self._usual = self._sensor.frames_behind  # the silence has been a hold: no gap besides
+            self._holds.end(_STALE)
         self._watch_gap(now)
         with self._lock:
             self._recent.append(frames)
