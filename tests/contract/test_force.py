@@ -75,6 +75,26 @@ def test_a_second_trip_ends_the_run(rig):
     assert rest(rig) == pytest.approx(5.0, abs=0.02)
 
 
+def test_points_kept_before_a_force_trip_survive_a_second_trip(rig):
+    frequencies = [300 + 100 * k for k in range(10)]
+    asked = ("--frequencies", ",".join(map(str, frequencies)))
+    again = range(LISTENING + 10, LISTENING + 50)
+    ended = rig.sweep(*asked, "--world", rig.world(bumps(*again)))
+    told = re.findall(r"^\d+/10 (\S+)$", ended.stderr, re.MULTILINE)
+
+    assert ended.code == 4, ended.stderr
+    assert "once" in ended.stderr
+    assert rig.outputs()[-1] is False
+    assert rest(rig) == pytest.approx(5.0, abs=0.02)
+    assert 1 <= len(told) < 10
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert run.point_ids() == told == [f"{f}Hz-1N" for f in frequencies[: len(told)]]
+        assert run.outcome.status == "failed"
+        assert b"trip" in run.entry["events/code"][()].tolist()
+
+
 def test_a_trip_acts_while_the_procedure_sits_in_a_blocking_read(rig):
     """In real time: the DAQ's answer is lost, its reader waits 2 s; the force rises meanwhile."""
     path = rig.folder / "a-bench.toml"
