@@ -27,6 +27,11 @@ REFUSED = {
         4,
         "point 30000000Hz-1N: generator frequency 3e+07 Hz is outside 1e-06 to 2e+07 Hz",
     ),
+    "drive beyond the generator": (
+        ("--first-amplitude", "12V"),
+        4,
+        "point 20Hz-1N: generator amplitude 12 V is outside 0.001 to 10 V of the generator 33512B",
+    ),
     "rate beyond the DAQ": (
         ("--rate", "800e3"),
         4,
