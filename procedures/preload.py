@@ -227,6 +227,7 @@ def _unload(run: Run) -> None:
     try:
         stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
     except InstrumentError as error:
+        stage.stop()  # one answer lost on the way does not stop it
         run.event(
             "warning",
             "not-unloaded",

@@ -36,6 +36,8 @@ class OffFailure:
 
     name: str
     reason: str
+    watches: bool = False
+    """It drives nothing: the bench is safe although this goes on."""
 
 
 class Arming:
@@ -93,7 +95,7 @@ class Arming:
             before_each()
             reason = _run_off(armed)
             if reason is not None:
-                failures.append(OffFailure(armed.name, reason))
+                failures.append(OffFailure(armed.name, reason, armed.watches))
             else:  # what another thread has armed meanwhile stays armed
                 self._armed = [other for other in self._armed if other is not armed]
         return failures

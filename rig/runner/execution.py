@@ -253,10 +253,15 @@ class _Loop:
     def _make_safe(self) -> None:
         self.outcome.duration_s = self.bench.clock.now() - self._begun_s
         armed = self.run.arming.names
-        self.outcome.off_failures = self.run.arming.make_safe(self.guard.beat)
-        failed = {failure.name for failure in self.outcome.off_failures}
+        failures = self.run.arming.make_safe(self.guard.beat)
+        failed = {failure.name for failure in failures}
         self.outcome.switched_off = tuple(name for name in armed if name not in failed)
-        if failed:
+        self.outcome.off_failures = [failure for failure in failures if not failure.watches]
+        for failure in failures:
+            if failure.watches:
+                error = RigError(f"{failure.name}: {failure.reason}", None, ExitCode.INSTRUMENT)
+                self._failed_late(error)
+        if self.outcome.off_failures:
             self.outcome.code = ExitCode.UNSAFE
             self.outcome.status = "failed"
         else:
@@ -290,13 +295,13 @@ class _Loop:
         try:
             yield
         except RigError as error:
-            self._data_failed(error)
+            self._failed_late(error)
         except OSError as error:
             hint = f"free the disk, then run: rig recover {self.journal.path}"
-            self._data_failed(RigError(f"cannot write the run file: {error}", hint))
+            self._failed_late(RigError(f"cannot write the run file: {error}", hint))
 
-    def _data_failed(self, error: RigError) -> None:
-        """The first cause keeps its place; a storage error follows it unless it is the cause."""
+    def _failed_late(self, error: RigError) -> None:
+        """The first cause keeps its place; what fails after it follows, unless it is the cause."""
         if all(error.message != known.message for known in self.outcome.failures):
             self.outcome.failures.append(error)
         if self.outcome.code == ExitCode.DONE:

@@ -8,6 +8,7 @@ look.
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -61,10 +62,10 @@ class ForceMonitor:
 
     def start(self, rate_S_s: float) -> None:
         """Begin to stream and to watch; no limit is in force yet."""
-        self._unfollow = self._clock.follow_stream("force_sensor", self._reader.bytes_handled)
+        self._unfollow = self._clock.follow_stream("force_sensor", self._bytes_handled)
         self._last_frame_s = self._looked_s = self._clock.now()
+        self._reader.start()  # first: frames may come although the answer to the start is lost
         self._rate = self._sensor.start(rate_S_s)
-        self._reader.start()
 
     def stop(self) -> None:
         """End reading and streaming."""
@@ -131,6 +132,14 @@ class ForceMonitor:
             self._recent.append(frames)
         self._watch_force(frames)
         return [frames]
+
+    def _bytes_handled(self) -> int:
+        """What the clock waits for; nothing any more where the thread has ended. `check` tells why,
+        and a clean-up, which looks at no force, is not disturbed by it."""
+        try:
+            return self._reader.bytes_handled()
+        except Exception:  # noqa: BLE001 - check() raises it
+            return sys.maxsize
 
     def _watch_force(self, frames: ForceFrames) -> None:
         if frames.saturated.any():
