@@ -204,8 +204,9 @@ def _homed(stage: Any, service: Any) -> None:
 
 
 def _home(stage: Any, service: Any) -> None:
-    """From somewhere else: the simulated drive's homing lasts no time where the axis stands at its
-    reference already, and a driver that waits for homing to begin cannot see it."""
+    """An axis that is homed already begins somewhere else: at its reference homing lasts no time on
+    the simulated drive, and where the drive said "homed" before, nothing tells a homing that is
+    over from one that never began. The driver refuses to guess."""
     if service.truth("homed"):
         stage.stop()
         stage.move_to(10.0, 200.0)
