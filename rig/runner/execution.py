@@ -42,8 +42,9 @@ T = TypeVar("T")
 class Reporter(Protocol):
     """Where a run's progress goes: the command line, or nowhere."""
 
-    def planned(self, points: tuple[Point, ...], kept: set[str]) -> None:
-        """The run has these points, of which some were kept by an earlier attempt."""
+    def planned(self, points: tuple[Point, ...], kept: set[str], overhead_s: float) -> None:
+        """The run has these points, of which some were kept by an earlier attempt; bench time
+        that goes into making ready and parking."""
         ...
 
     def point_kept(self, number: int, total: int, point: Point, reading: Reading) -> None:
@@ -175,8 +176,9 @@ class _Loop:
         remaining = [point for point in points if point.id not in self.readings]
         if not remaining:
             return
-        self.reporter.planned(points, set(self.readings))
-        if not self.run.arming.names:
+        armed = bool(self.run.arming.names)
+        self.reporter.planned(points, set(self.readings), 0.0 if armed else self._overhead_s())
+        if not armed:
             self._disturbable(self._arm)
         for point in remaining:
             self.run.check_stop()
@@ -184,6 +186,10 @@ class _Loop:
             self.readings[point.id] = reading
             self.outcome.points_done += 1
             self.reporter.point_kept(self.outcome.points_done, len(points), point, reading)
+
+    def _overhead_s(self) -> float:
+        told = getattr(self.job.procedure, "overhead_s", None)
+        return float(told(self.job.settings, self.bench.settings.fixture)) if told else 0.0
 
     def _arm(self) -> None:
         self.job.procedure.arm(self.run)
@@ -251,9 +257,9 @@ class _Loop:
         return reading
 
     def _make_safe(self) -> None:
-        self.outcome.duration_s = self.bench.clock.now() - self._begun_s
         armed = self.run.arming.names
         failures = self.run.arming.make_safe(self.guard.beat)
+        self.outcome.duration_s = self.bench.clock.now() - self._begun_s
         failed = {failure.name for failure in failures}
         self.outcome.switched_off = tuple(name for name in armed if name not in failed)
         self.outcome.off_failures = [failure for failure in failures if not failure.watches]

@@ -4,6 +4,8 @@
     arm(run)                                  # make ready; everything switched on registers its off
     take(run, point) -> Reading               # act: one point
     refine(settings, readings) -> tuple[Point, ...]   # optional and pure: further points
+    overhead_s(settings, fixture) -> float            # optional and pure: bench time that arming
+                                                      # and making safe are expected to take
 
 The runner owns the loop between them. From this split come the check of all points before the
 first motion, progress, dry runs, discarding and retaking a point, and resuming at the point where
