@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rig.bench import require
+from rig.bench import FixtureSettings, require
 from rig.errors import ConfigurationError, InstrumentError, LimitError
 from rig.runner.trip import TripError
 
@@ -46,6 +46,8 @@ HELD = 0.01
 HOLD_S = 0.3
 PATIENCE_S = 15.0
 """From contact to a held force, at most."""
+HOME_AND_PARK_S = 1.0
+"""Expected of homing and the first parking; the stage may stand anywhere."""
 UNLOAD_DEADLINE_S = 20.0
 
 
@@ -114,6 +116,24 @@ def press(run: Run, target_N: float) -> Preload:
     _travel(run, first_mm - CLEAR_mm, TRAVEL_mm_s, first_mm)
     contact_mm = _approach(run, first_mm, last_mm)
     return _press_from(run, contact_mm, target_N)
+
+
+def duration_s(fixture: FixtureSettings, target_N: float) -> float:
+    """Bench time that `press` and the way back are expected to take; contact is taken to be in the
+    middle of where it may be felt."""
+    if fixture.contact_from_mm is None or fixture.contact_to_mm is None:
+        return 0.0  # it will be refused
+    slow_from_mm = fixture.contact_from_mm - CLEAR_mm
+    contact_mm = (fixture.contact_from_mm + fixture.contact_to_mm) / 2
+    travel_mm = slow_from_mm - fixture.parked_mm + contact_mm - fixture.parked_mm
+    return (
+        HOME_AND_PARK_S
+        + 2 * TARE_S
+        + travel_mm / TRAVEL_mm_s
+        + (contact_mm - slow_from_mm) / APPROACH_mm_s
+        + target_N / RISE_N_s
+        + HOLD_S
+    )
 
 
 def _travel(run: Run, position_mm: float, speed_mm_s: float, first_mm: float) -> None:
@@ -227,6 +247,7 @@ def _unload(run: Run) -> None:
     try:
         stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
     except InstrumentError as error:
+        stage.stop()  # one answer lost on the way does not stop it
         run.event(
             "warning",
             "not-unloaded",

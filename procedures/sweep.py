@@ -25,7 +25,7 @@ from pydantic import Field, field_validator, model_validator
 
 from procedures import sweep_layout
 from procedures.sweep_layout import reading_of
-from rig.bench import Fixture
+from rig.bench import Fixture, FixtureSettings
 from rig.errors import InstrumentError
 from rig.instruments import Acquisition, InputChannel, Record
 from rig.runner.points import Move, Point, Reading
@@ -74,6 +74,8 @@ FOLLOWED_S = 0.02
 """What a move after the creep takes."""
 LISTEN_S = 0.5
 """Length of the record before anything vibrates."""
+LISTENED = 2
+"""How often it is expected to be taken: again on the ranges that the first one shows to fit."""
 SURE = 0.003
 """Relative error of the last prediction of the load from which the next one is trusted."""
 FOLLOW_S = 0.05
@@ -263,6 +265,13 @@ def refine(settings: Settings, readings: Sequence[Reading]) -> tuple[Point, ...]
         return _points_at(settings, refine_Hz(_grid(settings), curve_of(scanned)))
     except CurveError:  # too short or too narrow a grid shows no drop
         return ()
+
+
+def overhead_s(settings: Settings, fixture: FixtureSettings) -> float:
+    """Bench time that preloading, listening and parking are expected to take."""
+    from procedures.preload import duration_s
+
+    return duration_s(fixture, settings.preload_N) + LISTENED * LISTEN_S
 
 
 def _grid(settings: Settings) -> Any:

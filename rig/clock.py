@@ -28,8 +28,9 @@ WAIT_SLICE_S = 0.02
 STREAM_SLICE_S = 0.01
 """The longest advance while an instrument streams: what its pty can buffer without loss."""
 
-STREAM_PATIENCE_S = 5.0
-"""Wall time that a stream reader may take to consume what the simulated bench has sent."""
+STREAM_PATIENCE_S = 3.0
+"""Wall time that a stream reader may take to consume what the simulated bench has sent: less than
+the guard's patience with a run that gives no sign of life."""
 
 CONTROL_TIMEOUT_S = 60.0
 """Wall time the simulated bench may take to answer an advance: only a dead one takes longer."""

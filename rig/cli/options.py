@@ -63,7 +63,7 @@ def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Set
         try:
             values[field] = parse(text, model.model_fields[field].annotation, unit_of(field))
         except ValueError as error:
-            findings.append(f"{option_name(field)} {text}: {error}")
+            findings.append(f"{option_name(field)} {text or repr(text)}: {error}")
     if findings:
         raise ConfigurationError("; ".join(findings), "see --help for the units")
     try:
@@ -83,7 +83,10 @@ def parse(text: str, annotation: Any, unit: str | None) -> Any:
     """An option's text as a value for a field of this type; ValueError says what is wrong."""
     arguments = typing.get_args(annotation)
     if typing.get_origin(annotation) is tuple:
-        return tuple(parse(item, arguments[0], unit) for item in text.split(",") if item.strip())
+        items = [item for item in text.split(",") if item.strip()]
+        if not items:
+            raise ValueError("the list is empty; leave the option out for its default")
+        return tuple(parse(item, arguments[0], unit) for item in items)
     if type(None) in arguments:
         if text.strip().lower() == "none":
             return None

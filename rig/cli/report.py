@@ -49,14 +49,15 @@ class ConsoleReporter:
         if self._drawing is not None:
             self._drawing.abandon()
 
-    def planned(self, points: tuple[Point, ...], kept: set[str]) -> None:
-        """The run has these points, of which some were kept by an earlier attempt."""
+    def planned(self, points: tuple[Point, ...], kept: set[str], overhead_s: float) -> None:
+        """The run has these points, of which some were kept by an earlier attempt; bench time
+        that goes into making ready and parking."""
         self._weights = {point.id: max(point.duration_s, 1e-3) for point in points}
         left = sum(w for name, w in self._weights.items() if name not in kept)
         self._say(
             f"{self._name}: {len(points) - len(kept)} points to take"
             + (f", {len(kept)} kept before" if kept else "")
-            + f", about {_duration(left)} of bench time"
+            + f", about {_duration(left + overhead_s)} of bench time"
         )
         if self._progress is not None:  # a plan before this one is done
             self._progress.stop()

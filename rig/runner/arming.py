@@ -30,6 +30,8 @@ class Armed:
     deadline_s: float
     at_once: Callable[[], None] | None
     """What a watcher does first, from another thread and without waiting on the bench clock."""
+    watches: bool = False
+    """Drives nothing, only looks: stays on while a run is on hold."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,8 @@ class OffFailure:
 
     name: str
     reason: str
+    watches: bool = False
+    """It drives nothing: the bench is safe although this goes on."""
 
 
 class Arming:
@@ -57,10 +61,11 @@ class Arming:
         off: Callable[[], None],
         deadline_s: float = OFF_DEADLINE_S,
         at_once: Callable[[], None] | None = None,
+        watches: bool = False,
     ) -> None:
         """Remember `off` under `name`; registering a name again replaces its off."""
         armed = [armed for armed in self._armed if armed.name != name]
-        self._armed = [*armed, Armed(name, off, deadline_s, at_once)]
+        self._armed = [*armed, Armed(name, off, deadline_s, at_once, watches)]
 
     def act_at_once(self) -> list[str]:
         """From a watcher's thread: what stops the bench now, each isolated; what failed, in words.
@@ -79,18 +84,23 @@ class Arming:
                 failures.append(f"{armed.name}: {type(error).__name__}: {error}")
         return failures
 
-    def make_safe(self, beat: Callable[[], None] = lambda: None) -> list[OffFailure]:
+    def make_safe(
+        self, beat: Callable[[], None] = lambda: None, watch_on: bool = False
+    ) -> list[OffFailure]:
         """Run every off in reverse order; returns those that failed and forgets the others.
 
         `beat` is called before every off and again and again while it runs: a clean-up within its
-        deadline is a sign of life, and nobody may kill a stage that is on its way up.
+        deadline is a sign of life, and nobody may kill a stage that is on its way up. With
+        `watch_on` what only watches stays on.
         """
         failures = []
         for armed in reversed(self._armed):
+            if watch_on and armed.watches:
+                continue
             beat()
             reason = _run_off(armed, beat)
             if reason is not None:
-                failures.append(OffFailure(armed.name, reason))
+                failures.append(OffFailure(armed.name, reason, armed.watches))
             else:  # what another thread has armed meanwhile stays armed
                 self._armed = [other for other in self._armed if other is not armed]
         return failures

@@ -42,8 +42,9 @@ T = TypeVar("T")
 class Reporter(Protocol):
     """Where a run's progress goes: the command line, or nowhere."""
 
-    def planned(self, points: tuple[Point, ...], kept: set[str]) -> None:
-        """The run has these points, of which some were kept by an earlier attempt."""
+    def planned(self, points: tuple[Point, ...], kept: set[str], overhead_s: float) -> None:
+        """The run has these points, of which some were kept by an earlier attempt; bench time
+        that goes into making ready and parking."""
         ...
 
     def point_kept(self, number: int, total: int, point: Point, reading: Reading) -> None:
@@ -188,8 +189,9 @@ class _Loop:
         remaining = [point for point in points if point.id not in self.readings]
         if not remaining:
             return
-        self.reporter.planned(points, set(self.readings))
-        if not self.run.arming.names:
+        armed = bool(self.run.arming.names)
+        self.reporter.planned(points, set(self.readings), 0.0 if armed else self._overhead_s())
+        if not armed:
             self._disturbable(self._arm)
         for point in remaining:
             self.run.check_stop()
@@ -197,6 +199,10 @@ class _Loop:
             self.readings[point.id] = reading
             self.outcome.points_done += 1
             self.reporter.point_kept(self.outcome.points_done, len(points), point, reading)
+
+    def _overhead_s(self) -> float:
+        told = getattr(self.job.procedure, "overhead_s", None)
+        return float(told(self.job.settings, self.bench.settings.fixture)) if told else 0.0
 
     def _arm(self) -> None:
         self.job.procedure.arm(self.run)
@@ -219,14 +225,16 @@ class _Loop:
                 self._taking = False
 
     def _wait_out(self, hold: HoldError) -> None:
-        """Safe first; then wait until no hold is in force."""
+        """Safe first; then wait until no hold is in force. The force is read on meanwhile: that
+        is how the end of its silence is seen."""
         self.run.event("warning", "hold", hold.message)
-        failures = self.run.arming.make_safe(self.guard.beat)
+        failures = self.run.arming.make_safe(self.guard.beat, watch_on=True)
         if failures:
             raise RigError("; ".join(f"{f.name}: {f.reason}" for f in failures)) from hold
         self.reporter.event("warning", f"hold: {hold.message}; the bench is safe")
         while self.run.holds.active:
             self.bench.clock.sleep(HOLD_LOOK_S)
+            self.run.check_force_stream()
         self.reporter.event("info", "going on")
 
     def _take_valid(self, point: Point) -> Reading:
@@ -280,12 +288,17 @@ class _Loop:
         return reading
 
     def _make_safe(self) -> None:
-        self.outcome.duration_s = self.bench.clock.now() - self._begun_s
         armed = self.run.arming.names
-        self.outcome.off_failures = self.run.arming.make_safe(self.guard.beat)
-        failed = {failure.name for failure in self.outcome.off_failures}
+        failures = self.run.arming.make_safe(self.guard.beat)
+        self.outcome.duration_s = self.bench.clock.now() - self._begun_s
+        failed = {failure.name for failure in failures}
         self.outcome.switched_off = tuple(name for name in armed if name not in failed)
-        if failed:
+        self.outcome.off_failures = [failure for failure in failures if not failure.watches]
+        for failure in failures:
+            if failure.watches:
+                error = RigError(f"{failure.name}: {failure.reason}", None, ExitCode.INSTRUMENT)
+                self._failed_late(error)
+        if self.outcome.off_failures:
             self.outcome.code = ExitCode.UNSAFE
             self.outcome.status = "failed"
         else:
@@ -319,13 +332,13 @@ class _Loop:
         try:
             yield
         except RigError as error:
-            self._data_failed(error)
+            self._failed_late(error)
         except OSError as error:
             hint = f"free the disk, then run: rig recover {self.journal.path}"
-            self._data_failed(RigError(f"cannot write the run file: {error}", hint))
+            self._failed_late(RigError(f"cannot write the run file: {error}", hint))
 
-    def _data_failed(self, error: RigError) -> None:
-        """The first cause keeps its place; a storage error follows it unless it is the cause."""
+    def _failed_late(self, error: RigError) -> None:
+        """The first cause keeps its place; what fails after it follows, unless it is the cause."""
         if all(error.message != known.message for known in self.outcome.failures):
             self.outcome.failures.append(error)
         if self.outcome.code == ExitCode.DONE:

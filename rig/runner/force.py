@@ -8,6 +8,7 @@ look.
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -63,10 +64,10 @@ class ForceMonitor:
 
     def start(self, rate_S_s: float) -> None:
         """Begin to stream and to watch; no limit is in force yet."""
-        self._unfollow = self._clock.follow_stream("force_sensor", self._reader.bytes_handled)
+        self._unfollow = self._clock.follow_stream("force_sensor", self._bytes_handled)
         self._last_frame_s = self._looked_s = self._clock.now()
+        self._reader.start()  # first: frames may come although the answer to the start is lost
         self._rate = self._sensor.start(rate_S_s)
-        self._reader.start()
 
     def stop(self) -> None:
         """End reading and streaming."""
@@ -135,7 +136,13 @@ class ForceMonitor:
     def check(self) -> None:
         """Raise what the reader's thread met, once for a trip."""
         self.check_trip()
+        self.check_stream()
+
+    def check_stream(self) -> None:
+        """Raise what ended the reader's thread; look whether frames still come. The thread looks
+        too, but how soon is up to the host."""
         self._reader.check()
+        self._watch_silence()
 
     def check_trip(self) -> None:
         """Raise a trip that nobody has seen."""
@@ -158,12 +165,22 @@ class ForceMonitor:
             return []
         now = self._clock.now()
         self._last_frame_s = now
-        self._holds.end(_STALE)
+        if _STALE in self._holds.active:
+            self._usual = self._sensor.frames_behind  # the silence has been a hold: no gap besides
+            self._holds.end(_STALE)
         self._watch_gap(now)
         with self._lock:
             self._recent.append(frames)
         self._watch_force(frames)
         return [frames]
+
+    def _bytes_handled(self) -> int:
+        """What the clock waits for; nothing any more where the thread has ended. `check` tells why,
+        and a clean-up, which looks at no force, is not disturbed by it."""
+        try:
+            return self._reader.bytes_handled()
+        except Exception:  # noqa: BLE001 - check() raises it
+            return sys.maxsize
 
     def _watch_force(self, frames: ForceFrames) -> None:
         if frames.saturated.any():

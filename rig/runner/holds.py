@@ -53,8 +53,8 @@ class Holds:
             self._active.pop(reason, None)
 
     def check(self) -> None:
-        """Raise HoldError where a hold has begun since they were last `acknowledge`d."""
-        if self._count != self._seen:
+        """Raise HoldError where a hold is in force, or has begun since the last `acknowledge`."""
+        if self._active or self._count != self._seen:
             raise HoldError(self._latest)
 
     def acknowledge(self) -> None:

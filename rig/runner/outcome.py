@@ -25,7 +25,7 @@ class Outcome:
     journal: Path | None = None
     """The journal, where it is still needed: to resume, or to recover what was not compiled."""
     duration_s: float = 0.0
-    """Bench time from the first to the last point of this attempt."""
+    """Bench time of this attempt, from making ready to being safe."""
     summary: Mapping[str, Any] = field(default_factory=dict)
     failures: list[RigError] = field(default_factory=list)
     """What went wrong, first cause first."""

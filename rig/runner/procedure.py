@@ -5,6 +5,8 @@
     take(run, point) -> Reading               # act: one point
     refine(settings, readings) -> tuple[Point, ...]   # optional and pure: further points
     invalid(settings, reading) -> str         # optional and pure: why a reading does not count
+    overhead_s(settings, fixture) -> float    # optional and pure: bench time that arming and
+                                              # making safe are expected to take
 
 A reading that does not count is kept all the same and says so; with settings of a number
 ``retry_invalid``, the point is discarded and taken again up to so many times before.

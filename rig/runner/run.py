@@ -76,7 +76,10 @@ class Run:
         self._arming.register(name, off, deadline_s, at_once)
 
     def stream_force(self, rate_S_s: float) -> ForceMonitor:
-        """Begin to read and to watch the force sensor; its end is armed."""
+        """Begin to read and to watch the force sensor, anew where it is read already; its end is
+        armed."""
+        if self._force is not None:
+            self._force.stop()
         monitor = ForceMonitor(self.bench.force_sensor, self.clock, self.holds, self._stop_at_once)
 
         def off() -> None:
@@ -84,7 +87,7 @@ class Run:
                 self._force = None
             monitor.stop()
 
-        self.arm("force stream", off)
+        self._arming.register("force stream", off, watches=True)
         monitor.start(rate_S_s)
         self._force = monitor
         return monitor
@@ -99,6 +102,11 @@ class Run:
         if self._force is not None:
             self._force.check()
         self.holds.check()
+
+    def check_force_stream(self) -> None:
+        """Raise what ended the force stream, or its being silent for too long."""
+        if self._force is not None:
+            self._force.check_stream()
 
     def emit(self, stream: str, record: Record) -> None:
         """Record raw samples of a stream; a changed scaling goes ahead of them."""

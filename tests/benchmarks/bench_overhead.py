@@ -62,7 +62,7 @@ class Silent:
         self.kept_at = []
         self.on_kept = lambda: None
 
-    def planned(self, points, kept):
+    def planned(self, points, kept, overhead_s):
         self.planned_at = time.perf_counter()
 
     def point_kept(self, number, total, point, reading):

@@ -115,6 +115,9 @@ def test_a_dry_run_writes_nothing_and_tells_the_true_duration(rig: Any) -> None:
     taken = rig.run("sweep", *SHORT)
     assert taken.object["duration_s"] == told["duration_s"]
     assert told["duration_s"] > 5, "it homes, approaches and presses the film first"
+    for ended in (rehearsed, taken):
+        (foretold,) = re.findall(r"points to take, about ([\d.]+) s of bench time", ended.stderr)
+        assert float(foretold) == pytest.approx(told["duration_s"], rel=0.25)
 
 
 def test_a_dry_run_under_a_bench_file_keeps_that_benchs_limits(rig: Any) -> None:

@@ -82,9 +82,15 @@ def test_anything_else_is_refused_with_the_reason(text: str, unit: str | None, t
 def test_lists_are_separated_by_commas_and_each_item_may_have_its_unit() -> None:
     floats = tuple[float, ...]
     assert parse("1, 2cm/s ,3 mm/s", floats, "mm/s") == (1.0, 20.0, 3.0)
-    assert parse("", floats, "mm/s") == ()
     assert parse("none", float | None, "1/s") is None
     assert parse("5", float | None, "1/s") == 5.0
+
+
+@pytest.mark.parametrize("text", ["", " ", ",", " , "])
+def test_a_list_without_an_item_is_refused(text: str) -> None:
+    """It is not the default: that is meant by leaving the option out."""
+    with pytest.raises(ValueError, match="the list is empty"):
+        parse(text, tuple[float, ...], "mm/s")
 
 
 def test_options_carry_no_unit_and_default_to_the_settings() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
+import time
 
 import pytest
 
@@ -74,6 +75,26 @@ def test_a_second_trip_ends_the_run(rig):
     assert rest(rig) == pytest.approx(5.0, abs=0.02)
 
 
+def test_points_kept_before_a_force_trip_survive_a_second_trip(rig):
+    frequencies = [300 + 100 * k for k in range(10)]
+    asked = ("--frequencies", ",".join(map(str, frequencies)))
+    again = range(LISTENING + 10, LISTENING + 50)
+    ended = rig.sweep(*asked, "--world", rig.world(bumps(*again)))
+    told = re.findall(r"^\d+/10 (\S+)$", ended.stderr, re.MULTILINE)
+
+    assert ended.code == 4, ended.stderr
+    assert "once" in ended.stderr
+    assert rig.outputs()[-1] is False
+    assert rest(rig) == pytest.approx(5.0, abs=0.02)
+    assert 1 <= len(told) < 10
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert run.point_ids() == told == [f"{f}Hz-1N" for f in frequencies[: len(told)]]
+        assert run.outcome.status == "failed"
+        assert b"trip" in run.entry["events/code"][()].tolist()
+
+
 def test_a_trip_acts_while_the_procedure_sits_in_a_blocking_read(rig):
     """In real time: the DAQ's answer is lost, its reader waits 2 s; the force rises meanwhile."""
     path = rig.folder / "a-bench.toml"
@@ -134,6 +155,93 @@ def test_a_hold_makes_safe_and_the_point_is_retaken_when_it_is_over(rig):
     with RunFile.open(rig.only("*.h5")) as run:
         assert run.point_ids() == ["2Hz-1N", "300Hz-1N"]
         assert b"hold" in run.entry["events/code"][()].tolist()
+
+
+def silence(at, count):
+    """A fault plan: so many batches of frames are lost; in slaved time one comes every 10 ms."""
+    return (
+        f'[[fault]]\ndevice = "force_sensor.stream"\nkind = "silence"\nat = {at}\ncount = {count}\n'
+    )
+
+
+def held(run):
+    """How many holds the file tells of."""
+    return run.entry["events/code"][()].tolist().count(b"hold")
+
+
+SILENT = {
+    "while a point is taken": (740, 60, [True, False, True, False]),
+    "for longer than parking takes": (740, 400, [True, False, True, False]),
+    "on the way to contact": (300, 100, [True, False]),
+}
+
+
+@pytest.mark.parametrize("case", SILENT)
+def test_a_force_sensor_that_is_silent_for_a_while_is_a_hold(rig, case):
+    at, count, outputs = SILENT[case]
+    asked = ("--frequencies", "2,3,300", "--order", "descending")
+    ended = rig.sweep(*asked, "--fault", rig.fault(silence(at, count)))
+
+    assert ended.code == 0, ended.stderr
+    assert "hold: the force sensor is silent; the bench is safe" in ended.stderr
+    assert "info: going on" in ended.stderr
+    assert "the film may still be pressed" not in ended.stderr
+    assert rig.outputs() == outputs
+    assert [round(mm) for mm in moves(rig)].count(5) == 4, "parked, on hold, to start anew, at last"
+    assert rest(rig) == pytest.approx(5.0, abs=0.02)
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert run.outcome.status == "complete"
+        assert run.point_ids() == ["2Hz-1N", "3Hz-1N", "300Hz-1N"]
+        assert held(run) == 1
+        assert run.column("preload").min() > 24, "pressed anew, though it creeps"
+
+
+def test_a_force_sensor_that_stays_silent_ends_the_run(rig):
+    asked = ("--frequencies", "2,3,300", "--order", "descending")
+    ended = rig.sweep(*asked, "--fault", rig.fault(silence(740, 0)))
+
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert error.startswith("error: force_sensor: stream: no frame for 5 s; ")
+    assert rig.outputs() == [True, False]
+    assert rest(rig) == pytest.approx(5.0, abs=0.02)
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert run.point_ids() == ["300Hz-1N"]
+        assert held(run) == 1
+
+
+def test_a_hold_that_came_and_went_within_one_blocking_call_is_acted_on(rig):
+    """In real time: the bench stands still for a while and answers late; its frames come late too,
+    none is lost."""
+    path = rig.folder / "a-bench.toml"
+    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
+    serving.wait_for("Ctrl-C ends it")
+    patient = re.sub(r"timeout_s = [0-9.]+", "timeout_s = 10.0", path.read_text())
+    patient = patient.replace("communication_timeout_ms = 1000", "communication_timeout_ms = 10000")
+    patient = patient.replace("\n[simulation]", "heartbeat_timeout_s = 30.0\n\n[simulation]", 1)
+    path.write_text(patient)
+    sweep = rig.start(
+        "sweep", "--bench", str(path), "--json", "--no-figures",
+        "--frequencies", "300,600", "--settling", "2s",
+    )  # fmt: skip
+    rig.await_world("ch1.on", True)
+    serving.send(signal.SIGSTOP)
+    time.sleep(1.0)
+    serving.send(signal.SIGCONT)
+    ended = sweep.finish()
+    serving.send(signal.SIGINT)
+    serving.finish()
+
+    assert ended.code == 0, ended.stderr
+    assert "hold: the force sensor is silent; the bench is safe" in ended.stderr
+    assert rig.outputs() == [True, False, True, False]
+    with RunFile.open(rig.only("*.h5")) as run:
+        assert run.point_ids() == ["300Hz-1N", "600Hz-1N"]
+        assert held(run) == 1
 
 
 @pytest.mark.parametrize(

@@ -59,6 +59,92 @@ def test_a_generator_that_fails_once_is_still_switched_off(rig, kind):
     assert "switched off: force stream, preload, generator output" in ended.stderr
 
 
+SLOW = ("--frequencies", "2,3,4,5,300", "--order", "descending")
+SLOW_POINTS = [f"{frequency}Hz-1N" for frequency in (300, 5, 4, 3, 2)]
+"""Slow enough for stage and force sensor to be asked and heard many times after the first point."""
+WHILE_TAKING = {"stage_z": 1000, "force_sensor.stream": 900}
+"""A request to the stage, a batch of frames, in the middle of them."""
+
+
+def plan_of(device, kind, at, command="", count=1):
+    return (
+        f'[[fault]]\ndevice = "{device}"\nkind = "{kind}"\ncommand = "{command}"\nat = {at}\n'
+        f"count = {count}\n"
+    )
+
+
+def assert_ended_safely(rig, ended, device, points=SLOW_POINTS, least=1):
+    """One line, exit 3, nothing vibrates or moves, the file holds the points that were told."""
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert error.startswith(f"error: {device}: ")
+    assert "; " in error, "the remedy follows the cause"
+    assert "NOT SAFE" not in ended.stderr
+    assert rig.outputs()[-1:] != [True]
+    stage = [entry for entry in rig.log() if entry["device"] == "stage_z"]
+    motion = [entry["what"] for entry in stage if entry["what"] in ("move", "homing", "at-rest")]
+    assert motion[-1:] != ["move"]
+    told = re.findall(r"^\d/5 (.*)$", ended.stderr, re.MULTILINE)
+    assert least <= len(told) < 5
+    assert told == points[: len(told)]
+    assert verify(rig.only("*.h5")) == []
+    with RunFile.open(rig.only("*.h5")) as run:
+        assert sorted(run.point_ids()) == sorted(told)
+
+
+@pytest.mark.parametrize("kind", ["silence", "garbage", "close", "truncate", "stale"])
+def test_a_stage_that_fails_once_ends_the_run_safely(rig, kind):
+    plan = plan_of("stage_z", kind, WHILE_TAKING["stage_z"])
+    ended = rig.sweep(*SLOW, "--fault", rig.fault(plan))
+    assert_ended_safely(rig, ended, "stage_z")
+
+
+@pytest.mark.parametrize(
+    ("kind", "batches"), [("garbage", 1), ("close", 1), ("silence", 8), ("truncate", 8)]
+)
+def test_a_force_stream_that_breaks_ends_the_run_safely_with_the_film_unloaded(rig, kind, batches):
+    """Half a batch may end with a whole frame: so few that are missing are no gap yet."""
+    at = WHILE_TAKING["force_sensor.stream"]
+    plan = plan_of("force_sensor.stream", kind, at, count=batches)
+    ended = rig.sweep(*SLOW, "--fault", rig.fault(plan))
+    assert_ended_safely(rig, ended, "force_sensor")
+    assert "switched off: force stream, preload, generator output" in ended.stderr
+    assert "may still be pressed" not in ended.stderr
+
+
+def test_frames_that_come_late_disturb_nothing(rig):
+    plan = plan_of("force_sensor.stream", "stale", WHILE_TAKING["force_sensor.stream"], count=5)
+    ended = rig.sweep(*SLOW, "--fault", rig.fault(plan))
+    assert ended.code == 0, ended.stderr
+    assert ended.object["points_done"] == 5
+    assert ended.object["warnings"] == []
+
+
+START, STOP = "24", "23"
+"""Requests to the amplifier that begin and end its stream."""
+
+
+@pytest.mark.parametrize("kind", ["silence", "garbage", "close", "truncate", "stale"])
+def test_a_force_sensor_that_fails_to_start_ends_the_run_before_any_motion(rig, kind):
+    ended = rig.sweep(*SLOW, "--fault", rig.fault(plan_of("force_sensor", kind, 1, START)))
+    assert_ended_safely(rig, ended, "force_sensor", least=0)
+    assert ended.object["points_done"] == 0
+    assert "move" not in {entry["what"] for entry in rig.log()}
+
+
+def test_a_force_stream_that_cannot_be_ended_is_told_but_leaves_nothing_unsafe(rig):
+    """A sensor drives nothing. The stream is ended when it is connected, and at the end."""
+    ended = rig.sweep(
+        *FREQUENCIES, "--fault", rig.fault(plan_of("force_sensor", "silence", 2, STOP))
+    )
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert error.startswith("error: force stream: force_sensor: StopTransmission: no answer")
+    assert "switched off: preload, generator output" in ended.stderr
+    assert ended.object["points_done"] == 5
+    assert verify(rig.only("*.h5")) == []
+
+
 def test_an_off_that_fails_too_is_told_after_the_first_cause(rig):
     plan = (
         f'[[fault]]\ndevice = "daq"\nkind = "silence"\ncommand = "DIG"\n'

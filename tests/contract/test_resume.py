@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import signal
 
 import numpy as np
 
 from rig.recording.runfile import RunFile
+from rig.recording.verify import verify
 
 SIXTY_POINTS = ("--frequencies", ",".join(f"{300 * 1.05**k:.6g}" for k in range(60)))
 """No round numbers: what remains of mains and ringing would be alike at all of them."""
@@ -40,6 +42,35 @@ def test_a_resumed_sweep_equals_an_uninterrupted_one(rig):
         assert np.sqrt(np.mean((difference / errors) ** 2)) < 1.3
         kept_before = slice(0, resumed_from)
         assert (got.column("gain")[kept_before] == expected.column("gain")[kept_before]).all()
+
+
+GRID = ("--lowest", "200", "--fine-per-decade", "20", "--highest", "12000")
+"""A grid of its own, with two drops that a second plan looks at."""
+
+
+def test_a_sweep_interrupted_in_its_second_plan_goes_on_there(rig):
+    running = rig.start_sweep(*GRID)
+    second = running.wait_for(r"^sweep: \d+ points to take, \d+ kept before")
+    to_take, grid = map(int, re.findall(r"(\d+) points to take, (\d+) kept", second)[0])
+    running.wait_for(rf"^{grid + 3}/{grid + to_take} ")
+    running.send(signal.SIGINT)
+    stopped = running.finish()
+    assert stopped.code == 130, stopped.stderr
+    with RunFile.open(rig.folder / stopped.object["file"]) as run:
+        before = dict(zip(run.point_ids(), run.column("gain"), strict=True))
+    assert grid + 3 <= len(before) < grid + to_take
+    resumed = rig.run("resume", stopped.object["journal"], "--no-figures", "--json")
+
+    assert resumed.code == 0, resumed.stderr
+    assert resumed.object["points_done"] == resumed.object["points_planned"] == grid + to_take
+    file = rig.folder / resumed.object["file"]
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        after = dict(zip(run.point_ids(), run.column("gain"), strict=True))
+        assert len(run.point_ids()) == len(after) == grid + to_take
+    assert {point: after[point] for point in before} == before
+    taken = re.findall(r"^\d+/\d+ (\S+)$", stopped.stderr + resumed.stderr, re.MULTILINE)
+    assert sorted(taken) == sorted(after), "every point exactly once, those of both plans"
 
 
 def test_a_complete_run_is_not_resumed(rig):

@@ -204,8 +204,9 @@ def _homed(stage: Any, service: Any) -> None:
 
 
 def _home(stage: Any, service: Any) -> None:
-    """From somewhere else: the simulated drive's homing lasts no time where the axis stands at its
-    reference already, and a driver that waits for homing to begin cannot see it."""
+    """An axis that is homed already begins somewhere else: at its reference homing lasts no time on
+    the simulated drive, and where the drive said "homed" before, nothing tells a homing that is
+    over from one that never began. The driver refuses to guess."""
     if service.truth("homed"):
         stage.stop()
         stage.move_to(10.0, 200.0)
@@ -357,7 +358,6 @@ STAGE = Role(
 
 RATE_S_s = 1000.0
 SLICE_s = 0.02
-STREAM_PATIENCE_s = 0.1
 LEVEL_N, SLOPE_N_s = np.array([2.0, -3.0, 5.0]), np.array([10.0, -15.0, 20.0])
 
 
@@ -369,7 +369,7 @@ def pressed(time_s: Any) -> Any:
 def _collected(sensor: Any, service: Any) -> list[ForceFrames]:
     """What is due, as a reader takes it; frames that do not come are an error, as there."""
     pieces: list[ForceFrames] = []
-    deadline = time.monotonic() + STREAM_PATIENCE_s
+    deadline = time.monotonic() + service.settings["timeout_s"]
     while (missing := sensor.frames_behind) > 0.5:
         if time.monotonic() > deadline:
             raise InstrumentTimeoutError(

@@ -19,6 +19,13 @@ from .roles import ROLES, Role
 EVERY = pytest.mark.parametrize("case", CASES, ids=repr)
 KINDS = ("silence", "garbage", "close", "truncate", "stale")
 PATIENCE_S = 20.0
+PATIENT_S = 4 * TIMEOUT_S
+"""The time-out with which a place of the walk is tried again where an answer did not come that no
+fault has taken: a computer that is busy with other things lets client or server stand for longer
+than TIMEOUT_S now and then. Measured with three busy processes beside the walk on two cores: when
+this happened, a process that only sleeps, and has nothing to do with the drivers, had been standing
+for 0.08 to 0.14 s at that very time; a walk over all 790 places with PATIENT_S met as many stalls
+and no such time-out. A driver that goes wrong at a place does so with any time-out."""
 
 
 def role_of(case: Case) -> Role:
@@ -157,13 +164,10 @@ def test_one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over(
     places = places_of_faults(case)
     assert len(places) > len(role_of(case).script), "the faults befall hardly anything"
     for at in places:
-        try:
-            failures, heard = faulty_experiment(case, kind, at)
-        except InstrumentTimeoutError:  # a stall of the computer, as below, in a repeated step
-            failures, heard = faulty_experiment(case, kind, at)
-        if failures[1:] and any(isinstance(one, InstrumentTimeoutError) for one in failures):
-            # So it looks too when the computer stalls for TIMEOUT_S: only twice is it the driver's.
-            failures, heard = faulty_experiment(case, kind, at)
+        failures, heard, unexplained = faulty_experiment(case, kind, at, TIMEOUT_S)
+        if unexplained:
+            failures, heard, unexplained = faulty_experiment(case, kind, at, PATIENT_S)
+            assert not unexplained, f"{kind} at request {at} ({heard}): {unexplained}"
         where = f"{kind} at request {at} ({heard})"
         assert len(failures) <= 1, f"{where}: {[str(f) for f in failures]}"
         for failure in failures:
@@ -175,19 +179,33 @@ def test_one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over(
             assert isinstance(failures[0], InstrumentTimeoutError), where
 
 
-def faulty_experiment(case: Case, kind: str, at: int) -> tuple[list[InstrumentError], str]:
-    """What was told during an experiment with one fault, and what the fault befell."""
+def faulty_experiment(
+    case: Case, kind: str, at: int, timeout_s: float
+) -> tuple[list[InstrumentError], str, str]:
+    """What was told during an experiment with one fault, what the fault befell, and the time-outs
+    that one fault does not explain: one besides another error, or of a step that was repeated."""
     with case.serve({"kind": kind, "at": at}) as service:
-        failures = experiment_with_retries(case, service)
-        assert service.faults.requests >= at, "an experiment says the same every time"
-        return failures, service.faults.heard[at - 1][:40].decode("ascii", "replace")
+        service.settings["timeout_s"] = timeout_s
+        failures: list[InstrumentError] = []
+        unexplained = ""
+        try:
+            experiment_with_retries(case, service, failures)
+            assert service.faults.requests >= at, "an experiment says the same every time"
+        except InstrumentTimeoutError as again:
+            unexplained = again.one_line()
+        if failures[1:] and any(isinstance(one, InstrumentTimeoutError) for one in failures):
+            unexplained = "; ".join(one.one_line() for one in failures)
+        heard = service.faults.heard[at - 1] if service.faults.requests >= at else b"nothing"
+        return failures, heard[:40].decode("ascii", "replace"), unexplained
 
 
 def places_of_faults(case: Case) -> list[int]:
     """Which requests of an experiment without faults the walk visits, counted from 1."""
     with case.serve() as service:
         steps: list[int] = []
-        assert experiment_with_retries(case, service, steps) == []
+        failures: list[InstrumentError] = []
+        experiment_with_retries(case, service, failures, steps)
+        assert failures == []
         heard = service.faults.heard
     seen: set[tuple[int, bytes]] = set()
     places = []
@@ -200,11 +218,13 @@ def places_of_faults(case: Case) -> list[int]:
 
 
 def experiment_with_retries(
-    case: Case, service: Service, begins: list[int] | None = None
-) -> list[InstrumentError]:
-    """The role's script, each step repeated once where it failed; `begins` is told how many
-    requests there had been before each step."""
-    failures: list[InstrumentError] = []
+    case: Case,
+    service: Service,
+    failures: list[InstrumentError],
+    begins: list[int] | None = None,
+) -> None:
+    """The role's script, each step repeated once where it failed, which goes to `failures`;
+    `begins` is told how many requests there had been before each step."""
     try:
         instrument = connect(case, service)
     except InstrumentError as failure:
@@ -219,7 +239,6 @@ def experiment_with_retries(
             failures.append(failure)
             step.act(instrument, service)
     instrument.close()
-    return failures
 
 
 @EVERY
