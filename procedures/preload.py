@@ -248,8 +248,11 @@ def _unload(run: Run) -> None:
         stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
     except InstrumentError as error:
         stage.stop()  # one answer lost on the way does not stop it
-        run.event(
-            "warning",
-            "not-unloaded",
-            f"the stage stands and the film may still be pressed: {error.one_line()}",
+        run.fail(
+            InstrumentError(
+                "stage_z",
+                "unload",
+                f"the stage stands and the film may still be pressed: {error.one_line()}",
+                "look at the stage; then start again, or move it away by hand",
+            )
         )

@@ -298,6 +298,8 @@ class _Loop:
             if failure.watches:
                 error = RigError(f"{failure.name}: {failure.reason}", None, ExitCode.INSTRUMENT)
                 self._failed_late(error)
+        for error in self.run.failures:
+            self._failed_late(error)
         if self.outcome.off_failures:
             self.outcome.code = ExitCode.UNSAFE
             self.outcome.status = "failed"
@@ -314,6 +316,8 @@ class _Loop:
         outcome.warnings = list(self.run.warnings)
         with self._storing():
             for failure in outcome.failures:
+                if failure in self.run.failures:
+                    continue  # it is in the journal
                 self.run.event("error", type(failure).__name__, failure.one_line())
             self.recorder.put_end(self.journal.end(outcome, self.run.elapsed_s()))
         with self._storing():

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from rig.bench import Bench
 from rig.clock import Clock
+from rig.errors import RigError
 from rig.instruments import Record, Scaling
 from rig.recording.recorder import Recorder
 from rig.runner.arming import OFF_DEADLINE_S, Arming
@@ -39,6 +40,8 @@ class Run:
         self.holds = Holds()
         self._force: ForceMonitor | None = None
         self.warnings: list[str] = []
+        self.failures: list[RigError] = []
+        """What `fail` was told."""
         self._arming = Arming()
         self._recorder = recorder
         self._streams = streams
@@ -170,6 +173,12 @@ class Run:
     def _stop_at_once(self, why: str) -> list[str]:
         """From a watcher's thread."""
         return self._arming.act_at_once()
+
+    def fail(self, error: RigError) -> None:
+        """The run has failed, and what is under way goes on: a clean-up that could only be done in
+        part. It is told at the end, after what failed before."""
+        self.failures.append(error)
+        self.event("error", type(error).__name__, error.one_line())
 
     def check_stop(self) -> None:
         """Let stop requests and failures of other threads end the run here; waits do it too."""

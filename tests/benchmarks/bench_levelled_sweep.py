@@ -46,7 +46,7 @@ def test_time_load_preload_and_truth(rig):
         with RunFile.open(rig.folder / ended.object["file"]) as run:
             floor = floor_s(run, seed).sum()
             ratios.append(run.column("taken").sum() / floor)
-            wholes.append(run.outcome.duration_s)
+            wholes.append(run.outcome.duration)
             load = run.column("load_amplitude") / run.column("load_set")
             deviations.append(100 * np.abs(load - 1).max())
             largest.append(100 * (run.column("largest_load") / run.column("load_set") - 1).max())

@@ -106,6 +106,7 @@ PARKING = 1100
 def test_a_stage_whose_connection_breaks_on_the_way_back_is_at_rest_when_that_is_told(rig):
     ended = rig.sweep(*SLOW, "--fault", rig.fault(plan_of("stage_z", "close", PARKING)))
     assert "the stage stands and the film may still be pressed: stage_z: " in ended.stderr
+    assert ended.code == 3
     assert ended.object["points_done"] == 5
     stage = [entry["what"] for entry in rig.log() if entry["device"] == "stage_z"]
     assert [what for what in stage if what in ("move", "at-rest")][-2:] == ["move", "at-rest"]
