@@ -299,7 +299,10 @@ class _Loop:
                 error = RigError(f"{failure.name}: {failure.reason}", None, ExitCode.INSTRUMENT)
                 self._failed_late(error)
         for error in self.run.failures:
-            self._failed_late(error)
+            if not self.outcome.failures:
+                self._failed_late(error)
+            else:  # the cause is told already: this is what came of it
+                self.outcome.warnings.append(error.one_line())
         if self.outcome.off_failures:
             self.outcome.code = ExitCode.UNSAFE
             self.outcome.status = "failed"
@@ -313,7 +316,7 @@ class _Loop:
         outcome = self.outcome
         if outcome.points_done:
             self.reporter.storing()
-        outcome.warnings = list(self.run.warnings)
+        outcome.warnings = self.run.warnings + outcome.warnings
         with self._storing():
             for failure in outcome.failures:
                 if failure in self.run.failures:
