@@ -121,6 +121,8 @@ class SlipRecord:
 
     def _follow(self, step: int, status: Statuses, plate_mm: Reals) -> None:
         """Statuses of steps in touch; those from the first motion on are judged."""
+        if self._slide is not None and len(self._slide.told) > int(self._ridge_of_node.max()) + 1:
+            return  # every ridge has slipped, and all of them together: nothing is left to find
         if self._slide is None:
             if self._rest_mm is None:
                 self._rest_mm = float(plate_mm[0])

@@ -21,7 +21,7 @@ from drivers.simulated.me_gsv8 import NOISE_MV_V, Sensor
 from rig.bench import Bench, connect, parse_bench
 from rig.cache import DiskCache
 from rig.clock import ControlLink, SlavedClock
-from rig.errors import ConfigurationError
+from rig.errors import ConfigurationError, InstrumentError
 from rig.instruments import Acquisition, ForceFrames, InputChannel, Record
 from rig.model.contact.settings import ContactSettings, Plate
 from rig.model.contact.stepper import ContactStepper
@@ -46,8 +46,8 @@ mains_amplitude_mV = 0.0
 class Started:
     """The bench with its drivers connected, everything read as it comes."""
 
-    def __init__(self, folder: Path, **options: Any):
-        (folder / "world.toml").write_text(WORLD)
+    def __init__(self, folder: Path, world: str = "", **options: Any):
+        (folder / "world.toml").write_text(WORLD + world)
         self.log_file = folder / "world.jsonl"
         files = {"world": str(folder / "world.toml"), "world_log": str(self.log_file)}
         self.process = start({"fixture": "plate", "seed": 5, **files, **options})
@@ -91,11 +91,14 @@ class Started:
         ]
 
 
-@pytest.fixture
-def started(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, skin_cache: DiskCache, skin6: CondensedSkin
-) -> Iterator[Started]:
+@pytest.fixture(autouse=True)
+def cached(monkeypatch: pytest.MonkeyPatch, skin_cache: DiskCache, skin6: CondensedSkin) -> None:
+    """The World finds its skin where these tests keep it."""
     monkeypatch.setenv("RIG_CACHE", str(skin_cache.folder))
+
+
+@pytest.fixture
+def started(tmp_path: Path) -> Iterator[Started]:
     with closing(Started(tmp_path)) as bench:
         yield bench
 
@@ -199,6 +202,37 @@ def test_both_stages_are_kept_alive_guarded_and_made_safe(started: Started) -> N
     assert bench.stage_x.position_mm() == rest < 35.0
     reach = bench.reach()
     assert (reach["stage_x.position"].high, reach["stage_z.position"].high) == (40.0, 14.0)
+
+
+def test_a_contact_without_a_solution_ends_the_run_and_lets_it_make_the_bench_safe(
+    tmp_path: Path,
+) -> None:
+    """Friction of rubber on rubber that falls at once to its half, slid fast."""
+    friction = """
+[contact.friction]
+static_coefficient = 3.0
+kinetic_coefficient = 1.5
+weakening_distance_um = 0.001
+"""
+    with closing(Started(tmp_path, friction)) as started:
+        stages = (started.bench.stage_z, started.bench.stage_x)
+        for stage in stages:
+            stage.home()
+        started.go("stage_x", 10.0, 20.0)
+        started.go("stage_z", 12.44, 5.0)
+        with pytest.raises(
+            InstrumentError, match=r"contact has failed after \d+ us.*no consistent"
+        ):
+            started.go("stage_x", 14.0, 10.0)
+        for stage in stages:
+            stage.make_safe()
+        started.clock.sleep(0.5)
+        assert started.bench.stage_x.position_mm() != 14.0
+        with pytest.raises(InstrumentError, match="no consistent"):
+            started.clock.truth()
+        with pytest.raises(InstrumentError, match="no consistent"):
+            started.clock.announce(0, 2)
+    assert len(started.log("world", "contact-failed")) == 1
 
 
 def test_the_bench_file_describes_skin_and_plate(started: Started) -> None:
