@@ -16,7 +16,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -24,8 +24,9 @@ from rig.errors import ConfigurationError, InstrumentError, RigError
 
 if TYPE_CHECKING:
     from drivers.simulated.faults import FaultPlan
+    from drivers.simulated.festo_cmmt import CmmtDrive
     from drivers.simulated.servers import HislipServer, ScpiSocketServer
-    from drivers.simulated.world import World
+    from drivers.simulated.world import World, WorldSettings
 
 LINGER_S = 10.0
 """How long a bench whose owner died goes on in real time: time for the guard to come and act."""
@@ -228,14 +229,14 @@ def serve(options: dict[str, Any], ready: Callable[[str], None]) -> None:
 async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> None:
     from drivers.simulated.control import ControlServer
     from drivers.simulated.faults import FaultPlan
-    from drivers.simulated.world import World, read_world
+    from drivers.simulated.world import World
 
     if options.fixture not in get_args(Fixture):
         raise ConfigurationError(
             f"the simulated bench has no {options.fixture} to mount",
             f"it has {' and '.join(get_args(Fixture))}",
         )
-    settings = read_world(options.world)
+    settings = _read_world(options)
     devices = _devices(options.fixture)
     faults = FaultPlan.read(Path(options.fault), devices) if options.fault else FaultPlan()
     log = Path(options.world_log) if options.world_log else None
@@ -307,6 +308,16 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
         raise InstrumentError("simulated bench", "contact", world.failure)
 
 
+def _read_world(options: Options) -> WorldSettings:
+    from drivers.simulated.world import read_world
+
+    if options.fixture == "plate":
+        from drivers.simulated.plate_world import PlateWorldSettings
+
+        return read_world(options.world, PlateWorldSettings)
+    return read_world(options.world)
+
+
 def _devices(fixture: Fixture) -> tuple[str, ...]:
     """Names that fault plans may use."""
     from drivers.simulated.world import STAGE_X, STAGE_Z
@@ -320,34 +331,24 @@ class _Instruments:
 
     def __init__(self, world: World, options: Options, faults: FaultPlan):
         from drivers.simulated.faults import WireFaults
-        from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
         from drivers.simulated.keysight_u2300a import KeysightU2300A
         from drivers.simulated.me_gsv8 import Gsv8, Sensor
         from drivers.simulated.modbus_tcp import ModbusTcpServer
         from drivers.simulated.serial_server import PtyServer
         from drivers.simulated.servers import HislipServer
-        from drivers.simulated.world import DAQ_OF_FIXTURE, STAGE_X, STAGE_Z
 
         settings = world.settings
         plate = options.fixture == "plate"
-        model = settings.daq_model or DAQ_OF_FIXTURE[options.fixture]
         self._link = settings.generator_link
         self.generator = None if plate else _generator(world, faults)
         self.daq = HislipServer(
-            KeysightU2300A(model, world, world), faults=WireFaults(faults, "daq")
+            KeysightU2300A(settings.daq_model, world, world), faults=WireFaults(faults, "daq")
         )
-        z = DriveSettings(name=STAGE_Z, troubles=settings.stage_z_troubles)
-        x = DriveSettings(name=STAGE_X, serial="SIMX1", troubles=settings.stage_x_troubles)
-        parts = [replace(part, position_unit_mm=SKIN_UNIT_MM) for part in (z, x)] if plate else [z]
-        self.drives = [CmmtDrive(part, world) for part in parts]
+        self.drives = _plate_drives(world) if plate else _clamp_drives(world)
         self.stages = [
             ModbusTcpServer(drive, faults=WireFaults(faults, drive.settings.name))
             for drive in self.drives
         ]
-        if plate:
-            world.hang_skin(*(drive.positions_mm for drive in self.drives))
-        else:
-            world.mount(self.drives[0].position_mm)
         self.force = PtyServer(
             Gsv8(world, world, FORCE_SENSOR, Sensor(zero_mV_V=settings.force_sensor_zero_mV_V)),
             world,
@@ -385,6 +386,38 @@ class _Instruments:
             generator=by_link[self._link],
             stage_x=stages[-1],
         )
+
+
+def _clamp_drives(world: World) -> list[CmmtDrive]:
+    """The z stage, with the vibrator on it above the film."""
+    from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
+    from drivers.simulated.world import STAGE_Z
+
+    z = CmmtDrive(DriveSettings(name=STAGE_Z, troubles=world.settings.stage_z_troubles), world)
+    world.mount(z.position_mm)
+    return [z]
+
+
+def _plate_drives(world: World) -> list[CmmtDrive]:
+    """The z and the x stage, with the skin on them above the plate."""
+    from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
+    from drivers.simulated.plate_world import PlateWorldSettings, hang_skin
+    from drivers.simulated.world import STAGE_X, STAGE_Z
+
+    settings = world.settings
+    assert isinstance(settings, PlateWorldSettings)
+    troubles = {STAGE_Z: settings.stage_z_troubles, STAGE_X: settings.stage_x_troubles}
+    drives = [
+        CmmtDrive(
+            DriveSettings(
+                name, serial=serial, troubles=troubles[name], position_unit_mm=SKIN_UNIT_MM
+            ),
+            world,
+        )
+        for name, serial in ((STAGE_Z, "SIMZ1"), (STAGE_X, "SIMX1"))
+    ]
+    hang_skin(world, settings, drives[0].positions_mm, drives[1].positions_mm)
+    return drives
 
 
 def _generator(world: World, faults: FaultPlan) -> HislipServer | ScpiSocketServer:

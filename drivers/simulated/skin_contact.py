@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -129,6 +129,16 @@ class SkinContact:
         column = max(t_us // self.step_us + 1 - self._oldest, 0)
         tangential, normal = self._results[:2, column].tolist()
         return tangential, normal
+
+    def truth(self) -> dict[str, Any]:
+        """The record of touches and slips with the friction behind it, as JSON."""
+        friction = self._contact.friction
+        return {
+            **self.record.truth(),
+            "static_coefficient": friction.static_coefficient,
+            "kinetic_coefficient": friction.kinetic_coefficient,
+            "weakening_distance_um": friction.weakening_distance_um,
+        }
 
     def catch_up(self, t_us: int) -> None:
         """Do every step that begins at or before a World time."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,17 +22,16 @@ from drivers.simulated.clamp import ClampedFilm
 from drivers.simulated.driven_line import DrivenLine
 from drivers.simulated.festo_cmmt import Trouble
 from drivers.simulated.ports import Excitation
-from drivers.simulated.skin_contact import SkinContact, SkinMountSettings, Where
 from drivers.simulated.timeline import Timeline
 from drivers.simulated.world_log import WorldLog
 from rig.errors import ConfigurationError
 from rig.model import film_clamp, front_end, pvdf, vibrator
-from rig.model.contact.settings import ContactSettings
 from rig.model.film_clamp import FilmClampSettings
 from rig.model.front_end import FrontEndSettings
-from rig.model.skin.settings import SkinSettings
-from rig.model.transducer import TransducerSettings
 from rig.settings import Settings
+
+if TYPE_CHECKING:
+    from drivers.simulated.skin_contact import SkinContact
 
 LOAD_CELL_TERMINAL = 101
 FILM_TERMINAL = 102
@@ -40,13 +39,10 @@ STRIP_TERMINALS = {101: 1, 102: 2}
 """Where the strips' amplifiers end while the skin is mounted."""
 VIBRATOR_CHANNEL = 1
 AMPLIFIER_CLIP_V = 10.0
-DaqModel = Literal["U2331A", "U2542A"]
 NOISE_CHUNK = 4096
 FORCE_NOISE = 900
 """Stream number that keys the force sensor's noise; terminals are the DAQ's streams."""
 STAGE_Z, STAGE_X = "stage_z", "stage_x"
-DAQ_OF_FIXTURE: dict[str, DaqModel] = {"film-clamp": "U2331A", "plate": "U2542A"}
-"""The DAQ that a bench has unless its World says otherwise: strips want simultaneous samples."""
 FORCE_SENSOR_FOLLOWS_Hz = 1000.0
 """Vibration beyond does not reach the force sensor's bridges: its probe is too heavy (assumed)."""
 
@@ -87,30 +83,21 @@ class WorldSettings(Settings):
     """Pushes on the probe that nobody commanded."""
     stage_z_troubles: tuple[Trouble, ...] = ()
     """What is to befall the z drive."""
-    stage_x_troubles: tuple[Trouble, ...] = ()
-    """What is to befall the x drive."""
-    skin: SkinSettings = SkinSettings()
-    """The skin, where the plate is mounted."""
-    skin_mount: SkinMountSettings = SkinMountSettings()
-    """How it hangs above the plate."""
-    contact: ContactSettings = ContactSettings()
-    """Friction between skin and plate, and the rubber's relaxation."""
-    transducer: TransducerSettings = TransducerSettings()
-    """The skin's strips and their amplifiers."""
-    strip_input: FrontEndSettings = FrontEndSettings()
-    """Noise and hum of each strip's channel."""
-    daq_model: DaqModel | None = None
-    """Which DAQ the bench has; the fixture's own where nothing is said."""
+    daq_model: Literal["U2331A", "U2542A"] = "U2331A"
+    """Which DAQ the bench has."""
     generator_link: Literal["socket", "hislip"] = "socket"
     """How the generator is reached."""
 
 
-def read_world(path: str | None) -> WorldSettings:
+W = TypeVar("W", bound=WorldSettings)
+
+
+def read_world(path: str | None, kind: type[W] = WorldSettings) -> W:  # type: ignore[assignment]
     """World settings from a TOML file; defaults where there is none."""
     if path is None:
-        return WorldSettings()
+        return kind()
     try:
-        return WorldSettings.model_validate(tomllib.loads(Path(path).read_text("utf-8")))
+        return kind.model_validate(tomllib.loads(Path(path).read_text("utf-8")))
     except ValidationError as error:
         raise ConfigurationError.from_validation(error, path) from error
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -140,6 +127,7 @@ class World:
         self._line = DrivenLine(vibrator.vibrator_line(mechanics, circuit))
         self._clamp: ClampedFilm | None = None
         self._skin: SkinContact | None = None
+        self._strip_input = FrontEndSettings()
         self._weight_N = np.zeros(3)
         self._pushes: list[tuple[float, float, float]] = []
         """Begin and end in s, force in N."""
@@ -158,24 +146,9 @@ class World:
         """The z stage carries the vibrator: where its carriage is or was, by World time in us."""
         self._clamp = ClampedFilm(self.settings.clamp, stage_z_mm)
 
-    def hang_skin(self, stage_z_mm: Where, stage_x_mm: Where) -> None:
-        """The stages carry the skin above the plate: where their carriages are or were. Takes the
-        skin from the user's cache, or makes it; ConfigurationError for settings that do not fit."""
-        from rig.cache import user_cache
-        from rig.model.skin.condensed import build_skin
-
-        own = self.settings
-        try:
-            self._skin = SkinContact(
-                build_skin(own.skin, user_cache()),
-                own.skin_mount,
-                own.contact,
-                own.transducer,
-                (stage_z_mm, stage_x_mm),
-                lambda what, value: self.log("world", what, value, "world"),
-            )
-        except ValueError as error:
-            raise ConfigurationError(f"World settings: {error}") from error
+    def hang(self, skin: SkinContact, strips: FrontEndSettings) -> None:
+        """The stages carry a skin above the plate; `strips` are its channels' noise and hum."""
+        self._skin, self._strip_input = skin, strips
 
     @property
     def failure(self) -> str | None:
@@ -194,13 +167,7 @@ class World:
         if self._skin is None:
             return {}
         self.settle()
-        friction = self.settings.contact.friction
-        return {
-            **self._skin.record.truth(),
-            "static_coefficient": friction.static_coefficient,
-            "kinetic_coefficient": friction.kinetic_coefficient,
-            "weakening_distance_um": friction.weakening_distance_um,
-        }
+        return self._skin.truth()
 
     def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
         """Force along an axis on its carriage: the film, or the plate, pushes back."""
@@ -321,7 +288,7 @@ class World:
 
     def _front_end(self, terminal: int) -> FrontEndSettings:
         if self._skin is not None:
-            return self.settings.strip_input
+            return self._strip_input
         if terminal == LOAD_CELL_TERMINAL:
             return self.settings.load_cell_input
         return self.settings.film_input

@@ -13,7 +13,8 @@ from drivers.simulated import skin_contact
 from drivers.simulated.axis import Command, Event
 from drivers.simulated.control import ControlServer
 from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
-from drivers.simulated.world import STAGE_X, STAGE_Z, World, WorldSettings
+from drivers.simulated.plate_world import PlateWorldSettings, hang_skin
+from drivers.simulated.world import STAGE_X, STAGE_Z, World, WorldSettings, read_world
 from rig.cache import DiskCache
 from rig.errors import ConfigurationError
 from rig.model.contact.settings import ContactSettings, Plate
@@ -46,10 +47,11 @@ class Hung:
 
     def __init__(self, log: Path | None = None, **settings: Any):
         own = {"skin": {"elements_per_ridge": 6}, "strip_input": QUIET, **settings}
-        self.world = World(WorldSettings.model_validate(own), 0, slaved=True, log=log)
+        chosen = PlateWorldSettings.model_validate(own)
+        self.world = World(chosen, 0, slaved=True, log=log)
         self.z = CmmtDrive(DriveSettings(name=STAGE_Z), self.world)
         self.x = CmmtDrive(DriveSettings(name=STAGE_X), self.world)
-        self.world.hang_skin(self.z.positions_mm, self.x.positions_mm)
+        hang_skin(self.world, chosen, self.z.positions_mm, self.x.positions_mm)
 
     @property
     def now_us(self) -> int:
@@ -360,3 +362,11 @@ def test_a_step_that_does_not_fit_the_stages_is_refused() -> None:
 def test_a_ridge_that_the_skin_has_not_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="ridge"):
         Hung(skin_mount={"ridge": 10})
+
+
+def test_settings_of_the_skin_are_refused_where_a_film_is_clamped(tmp_path: Path) -> None:
+    path = tmp_path / "world.toml"
+    path.write_text("[skin_mount]\njitter_um = 0.1\n")
+    assert read_world(str(path), PlateWorldSettings).skin_mount.jitter_um == 0.1
+    with pytest.raises(ConfigurationError, match="skin_mount: unknown key"):
+        read_world(str(path))
