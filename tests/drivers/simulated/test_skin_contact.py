@@ -168,9 +168,12 @@ def test_the_record_of_slips_is_the_models(skin6: CondensedSkin, four_newton_mm:
     assert (truth["static_coefficient"], truth["kinetic_coefficient"]) == (0.8, 0.65)
 
 
-def slid(step_us: int, curious: bool = False) -> tuple[bytes, bytes, dict[str, Any]]:
+def slid(
+    step_us: int, curious: bool = False, force_limit_N: float = 200.0
+) -> tuple[bytes, bytes, dict[str, Any]]:
     """Both stages moved at once, in touch, out of it and into it again."""
     hung = Hung(skin_mount={"jitter_um": 0.2, "jitter_Hz": 70.0})
+    hung.x.axis.force_limit_N = force_limit_N
     hung.run(0.0123, step_us)
     hung.press(0.03, step_us)
     hung.go(hung.x, 10.3, 1.0)
@@ -194,10 +197,13 @@ def slid(step_us: int, curious: bool = False) -> tuple[bytes, bytes, dict[str, A
     )
 
 
-def test_the_same_bits_whatever_the_lengths_of_the_advances_and_whoever_asks() -> None:
-    slaved = slid(10_000)
-    assert slid(1_000) == slaved
-    assert slid(3_700, curious=True) == slaved
+@pytest.mark.parametrize("force_limit_N", [200.0, 0.7], ids=["strong", "held by friction"])
+def test_the_same_bits_whatever_the_lengths_of_the_advances_and_whoever_asks(
+    force_limit_N: float,
+) -> None:
+    slaved = slid(10_000, force_limit_N=force_limit_N)
+    assert slid(1_000, force_limit_N=force_limit_N) == slaved
+    assert slid(3_700, curious=True, force_limit_N=force_limit_N) == slaved
 
 
 def test_lifted_off_it_bears_nothing_and_a_second_touch_is_a_fresh_one(
