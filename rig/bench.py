@@ -42,7 +42,7 @@ from rig.instruments import (
 )
 from rig.settings import Settings
 
-ROLES = ("generator", "daq", "stage_z", "force_sensor")
+ROLES = ("generator", "daq", "stage_z", "stage_x", "force_sensor")
 
 WIRING = ("resource", "timeout_s", "channels", "host", "port", "unit_id", "matrix_N_mV_V")
 """Settings of a driver that say where an instrument is and what is wired to it."""
@@ -54,6 +54,9 @@ T = TypeVar("T")
 R = TypeVar("R", FilmCalibration, ForceCalibration, LoadCellCalibration)
 
 Fixture = Literal["film-clamp", "plate", "semi-spherical-object"]
+Strip = Literal["strip_1", "strip_2"]
+STRIPS: tuple[Strip, ...] = ("strip_1", "strip_2")
+"""The skin's two channels as the DAQ's wiring names them: S1 and S2 of the paper."""
 
 
 class FilmSettings(Settings):
@@ -76,6 +79,19 @@ class LoadCellSettings(Settings):
     """Output per newton."""
     max_load_N: float = Field(default=20.0, gt=0)
     """Largest peak load that film and cell may see; beyond it the run trips."""
+
+
+class SkinSettings(Settings):
+    """The artificial finger skin and the amplifiers of its two strips."""
+
+    name: str = ""
+    """Which skin: its label or batch."""
+    amplifier_gain: float = Field(default=1000.0, gt=0)
+    """Gain between a strip and the DAQ."""
+    ridge: int = Field(default=3, ge=1)
+    """The ridge that holds the strips, 1 is the leftmost."""
+    b_dB: dict[Strip, float] = Field(default_factory=dict)
+    """Calibrated b (paper eq. 2) by strip, without the amplifier's gain; none until calibrated."""
 
 
 class FixtureSettings(Settings):
@@ -116,6 +132,7 @@ class BenchSettings(Settings):
     fixture: FixtureSettings
     film: FilmSettings | None = None
     load_cell: LoadCellSettings | None = None
+    skin: SkinSettings | None = None
     calibrations: CalibrationFiles = CalibrationFiles()
     """Calibration records in use; their values replace those of this file."""
 
@@ -210,6 +227,11 @@ class Bench:
         return self._role("stage_z")  # type: ignore[return-value]
 
     @property
+    def stage_x(self) -> LinearStage:
+        """The x stage; ConfigurationError where the bench has none."""
+        return self._role("stage_x")  # type: ignore[return-value]
+
+    @property
     def force_sensor(self) -> ForceSensor:
         """The force sensor; ConfigurationError where the bench has none."""
         return self._role("force_sensor")  # type: ignore[return-value]
@@ -223,6 +245,11 @@ class Bench:
     def load_cell(self) -> LoadCellSettings:
         """The load cell; ConfigurationError where the bench file describes none."""
         return self._part("load_cell", self.settings.load_cell)
+
+    @property
+    def skin(self) -> SkinSettings:
+        """The skin; ConfigurationError where the bench file describes none."""
+        return self._part("skin", self.settings.skin)
 
     @property
     def simulated(self) -> bool:
@@ -328,12 +355,13 @@ def parse_bench(text: str, source: str) -> BenchPlan:
 def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
     """The simulated bench under a real bench file's limits: its fixture, its load limit and its
     drivers' settings, except for where an instrument is and what is wired to it."""
-    own = {part.driver_name: part.settings for part in real.instruments}
+    own = {(part.role, part.driver_name): part.settings for part in real.instruments}
     instruments = []
     for part in simulated.instruments:
-        if part.driver_name in own:
+        which = (part.role, part.driver_name)
+        if which in own:
             kept = {k: v for k, v in part.settings if k in WIRING}
-            part = replace(part, settings=own[part.driver_name].model_copy(update=kept))
+            part = replace(part, settings=own[which].model_copy(update=kept))
         instruments.append(part)
     limits: dict[str, Any] = {
         "fixture": real.settings.fixture,
@@ -465,9 +493,11 @@ def _wiring_errors(
 ) -> Iterator[str]:
     """Parts that the bench file describes but whose signal no terminal of the DAQ carries."""
     wired = next((getattr(p.settings, "channels", {}) for p in plans if p.role == "daq"), {})
-    for name in ("film", "load_cell"):
-        if getattr(settings, name) is not None and name not in wired:
-            yield f"{source}: [{name}] is described, but [daq.channels] wires no {name}"
+    carriers = {"film": ("film",), "load_cell": ("load_cell",), "skin": STRIPS}
+    for name, channels in carriers.items():
+        for channel in channels:
+            if getattr(settings, name) is not None and channel not in wired:
+                yield f"{source}: [{name}] is described, but [daq.channels] wires no {channel}"
 
 
 def _impatience(settings: BenchSettings, plans: list[InstrumentPlan], source: str) -> Iterator[str]:

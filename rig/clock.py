@@ -83,6 +83,11 @@ class Clock(ABC):
         """
         return False
 
+    def truth(self) -> dict[str, Any]:
+        """What really happened on a simulated bench since `announce`, times in us of its time;
+        nothing where nobody knows."""
+        return {}
+
     def follow_stream(self, name: str, consumed: Callable[[], int]) -> Unregister:
         """Make waits last until the reader of stream `name` has consumed, by its count, what the
         bench has sent; in real time there is nothing to wait for."""
@@ -153,6 +158,12 @@ class SlavedClock(Clock):
         """Have the bench do it."""
         self._control.request(do, **values)
         return True
+
+    def truth(self) -> dict[str, Any]:
+        """Ask the bench; nothing where its World keeps no record of it."""
+        answer = self._control.request("truth")
+        del answer["now_us"]
+        return answer
 
     def announce(self, run: int, point: int) -> None:
         """Tell the bench which point comes next."""

@@ -285,7 +285,7 @@ def test_require_names_value_unit_limit_device_and_place() -> None:
     assert caught.value.message == "point 3: load 5.5 N is outside 0 to 5 N of the load cell"
 
 
-@pytest.mark.parametrize("part", ["generator", "daq", "film", "load_cell"])
+@pytest.mark.parametrize("part", ["generator", "daq", "stage_x", "film", "load_cell", "skin"])
 def test_a_part_that_the_bench_has_not_is_named_when_it_is_asked_for(part: str) -> None:
     plan = parse_bench('name = "bare"\n[fixture]\nmounted = "plate"\n', "bare.toml")
     with pytest.raises(ConfigurationError, match=rf"bare\.toml.*{part}.*"):
@@ -298,6 +298,33 @@ def test_the_wrong_fixture_is_refused() -> None:
     bench.require_fixture("film-clamp", "plate")
     with pytest.raises(ConfigurationError, match=r"has the plate mounted.*needs film-clamp"):
         bench.require_fixture("film-clamp")
+
+
+# --- the plate -------------------------------------------------------------------------------
+
+PLATE = """
+name = "bench-4"
+[fixture]
+mounted = "plate"
+[skin]
+name = "skin 2"
+b_dB = { strip_1 = -62.5 }
+[daq]
+driver = "keysight-u2300a"
+resource = "TCPIP::192.168.0.13::INSTR"
+channels = { strip_1 = 101, strip_2 = 102 }
+"""
+
+
+def test_a_skin_is_described_with_what_is_known_of_its_strips() -> None:
+    skin = Bench(parse_bench(PLATE, "bench.toml"), WallClock(), {}).skin
+    assert (skin.name, skin.amplifier_gain, skin.ridge) == ("skin 2", 1000.0, 3)
+    assert skin.b_dB == {"strip_1": -62.5}, "the other strip is not calibrated"
+
+
+def test_a_strip_that_is_not_wired_or_not_known_is_refused() -> None:
+    assert "wires no strip_2" in refused(PLATE.replace(", strip_2 = 102", ""))
+    assert "strip_3" in refused(PLATE.replace("{ strip_1 = -", "{ strip_3 = -"))
 
 
 # --- rehearsal -------------------------------------------------------------------------------
@@ -324,6 +351,29 @@ def test_a_rehearsal_keeps_the_real_limits_on_the_simulated_bench() -> None:
     assert plan.settings.load_cell is not None
     assert plan.settings.load_cell.max_load_N == 12.0
     assert plan.settings.load_cell.sensitivity_V_N == 0.1, "of the simulated cell"
+
+
+def stage(axis: str, high_mm: float, port: int = 502) -> str:
+    return f"""
+[stage_{axis}]
+driver = "festo-cmmt"
+axis = "{axis}"
+host = "127.0.0.1"
+port = {port}
+low_limit_mm = 0.0
+high_limit_mm = {high_mm}
+max_speed_mm_s = 20.0
+"""
+
+
+def test_a_rehearsal_keeps_the_limits_of_each_of_two_equal_drives() -> None:
+    real = parse_bench(PLATE + stage("z", 9.0) + stage("x", 25.0), "bench.toml")
+    simulated = PLATE + stage("z", 14.0, 1502) + stage("x", 40.0, 1503)
+    plan = rehearsal(real, parse_bench(simulated, "the simulated bench"))
+    own = {part.role: part.settings for part in plan.instruments}
+    highest = {role: own[role].high_limit_mm for role in ("stage_z", "stage_x")}  # type: ignore[attr-defined]
+    assert highest == {"stage_z": 9.0, "stage_x": 25.0}
+    assert [own[role].port for role in ("stage_z", "stage_x")] == [1502, 1503]  # type: ignore[attr-defined]
 
 
 def test_a_heartbeat_shorter_than_an_instruments_patience_is_refused() -> None:

@@ -19,6 +19,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+import numpy.typing as npt
+
 CYCLE_us = 1000
 HISTORY_KEPT = 20_000
 """Stretches of motion kept: minutes of servo motion at 100 retargets a second."""
@@ -87,6 +90,15 @@ class Stretch:
         velocity = self.velocity_mm_s + self.acceleration_mm_s2 * dt
         return self.position_mm + (self.velocity_mm_s + velocity) / 2 * dt, velocity
 
+    def positions(self, times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Positions at several times, none of them before `start_s` but where nothing else is
+        known; to the bit those of `at`."""
+        if self.velocity_mm_s == 0 and self.acceleration_mm_s2 == 0:
+            return np.full(times_s.shape, self.position_mm)
+        dt = np.maximum(times_s, self.start_s) - self.start_s
+        velocity = self.velocity_mm_s + self.acceleration_mm_s2 * dt
+        return self.position_mm + (self.velocity_mm_s + velocity) / 2 * dt
+
 
 def stopping_distance(velocity_mm_s: float, deceleration_mm_s2: float) -> float:
     """Signed distance covered by a controlled stop: v |v| / 2a."""
@@ -154,6 +166,22 @@ class Path:
         index = max(bisect_right(self._starts, t_s) - 1, 0)
         stretch = self._stretches[index]
         return stretch.at(max(t_s, stretch.start_s))
+
+    def positions(self, times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Positions at ascending times, to the bit those of `at`; shape of `times_s`."""
+        if not times_s.size:
+            return np.empty(0)
+        first = max(bisect_right(self._starts, float(times_s[0])) - 1, 0)
+        last = max(bisect_right(self._starts, float(times_s[-1])), first + 1)
+        if last == first + 1:
+            return self._stretches[first].positions(times_s)
+        edges = np.searchsorted(times_s, self._starts[first + 1 : last], side="left")
+        bounds = [0, *edges.tolist(), times_s.size]
+        result = np.empty(times_s.size)
+        for k, stretch in enumerate(self._stretches[first:last]):
+            own = slice(bounds[k], bounds[k + 1])
+            result[own] = stretch.positions(times_s[own])
+        return result
 
     def acceleration(self, t_s: float) -> float:
         """Acceleration in mm/s^2."""
@@ -260,6 +288,12 @@ class Axis:
         """Where the carriage is or was, in mm."""
         self.settle(t_us)
         return self._carriage.at(t_us * 1e-6)[0]
+
+    def positions(self, times_us: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+        """The same at several ascending times."""
+        if times_us.size:
+            self.settle(int(times_us[-1]))
+        return self._carriage.positions(np.asarray(times_us * 1e-6, np.float64))
 
     def velocity(self, t_us: int) -> float:
         """The carriage's velocity in mm/s."""

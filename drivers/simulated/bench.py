@@ -18,20 +18,30 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from rig.errors import ConfigurationError, InstrumentError, RigError
+
+if TYPE_CHECKING:
+    from drivers.simulated.faults import FaultPlan
+    from drivers.simulated.festo_cmmt import CmmtDrive
+    from drivers.simulated.servers import HislipServer, ScpiSocketServer
+    from drivers.simulated.world import World, WorldSettings
 
 LINGER_S = 10.0
 """How long a bench whose owner died goes on in real time: time for the guard to come and act."""
 
 START_TIMEOUT_S = 30.0
 
+Fixture = Literal["film-clamp", "plate"]
+
 
 @dataclass(frozen=True)
 class Options:
     """How to run the bench."""
 
+    fixture: Fixture = "film-clamp"
+    """What is mounted: the film in its clamp, or the skin above its plate."""
     seed: int = 0
     slaved: bool = False
     world: str | None = None
@@ -53,6 +63,9 @@ ANY_PORT = 502
 LINK_TIMEOUT_S = 1.5
 """Wall time the bench file gives every link: a loaded machine may let a process wait for long."""
 
+SKIN_UNIT_MM = 0.0001
+"""A count of the stages that carry the skin: 1 um would be 0.15 N of normal force (assumed)."""
+
 SETTLE_EVERY_S = 0.02
 """How often drives in real time look at what has befallen them."""
 
@@ -61,11 +74,11 @@ SETTLE_EVERY_S = 0.02
 class Endpoints:
     """Where the bench listens."""
 
-    control: int
-    generator: str
     daq: str
     stage_z: int
     force_sensor: str
+    generator: str = ""
+    stage_x: int = 0
 
 
 def bench_toml(options: Options, world: dict[str, Any], endpoints: Endpoints) -> str:
@@ -74,17 +87,30 @@ def bench_toml(options: Options, world: dict[str, Any], endpoints: Endpoints) ->
 
     simulation = {"seed": options.seed, **world}
     lines = "".join(f"{key} = {_toml(value)}\n" for key, value in simulation.items())
+    own = _skin_tables if options.fixture == "plate" else _film_tables
     return f"""# A simulated bench: whatever is measured on it is computed, not measured.
 name = "simulated"
 
 [simulation]
 {lines}
 [fixture]
-mounted = "film-clamp"
+mounted = "{options.fixture}"
 contact_from_mm = 12.0
 contact_to_mm = 13.0
 
-[film]
+{own(options, endpoints)}
+[force_sensor]
+driver = "me-gsv8"
+port = "{endpoints.force_sensor}"
+timeout_s = {LINK_TIMEOUT_S}
+nominal_force_N = 50.0
+max_force_N = 40.0
+matrix_N_mV_V = {json.dumps(Sensor().matrix)}
+"""
+
+
+def _film_tables(options: Options, endpoints: Endpoints) -> str:
+    return f"""[film]
 name = "simulated film {options.seed}"
 amplifier_gain = 1.0
 area_mm2 = 8.0
@@ -106,25 +132,39 @@ resource = "{endpoints.daq}"
 timeout_s = {LINK_TIMEOUT_S}
 channels = {{ load_cell = 101, film = 102 }}
 
-[stage_z]
+{_stage_table("z", endpoints.stage_z, 14.0, 45.0)}"""
+
+
+def _skin_tables(options: Options, endpoints: Endpoints) -> str:
+    return f"""[skin]
+name = "simulated skin {options.seed}"
+amplifier_gain = 1000.0
+ridge = 3
+
+[daq]
+driver = "keysight-u2300a"
+resource = "{endpoints.daq}"
+timeout_s = {LINK_TIMEOUT_S}
+channels = {{ strip_1 = 101, strip_2 = 102 }}
+
+{_stage_table("z", endpoints.stage_z, 14.0, 45.0)}position_unit_mm = {SKIN_UNIT_MM}
+
+{_stage_table("x", endpoints.stage_x, 40.0, 30.0)}position_unit_mm = {SKIN_UNIT_MM}
+"""
+
+
+def _stage_table(axis: str, port: int, high_limit_mm: float, torque_percent: float) -> str:
+    return f"""[stage_{axis}]
 driver = "festo-cmmt"
-axis = "z"
+axis = "{axis}"
 host = "127.0.0.1"
-port = {endpoints.stage_z}
+port = {port}
 timeout_s = {LINK_TIMEOUT_S}
 low_limit_mm = 0.0
-high_limit_mm = 14.0
+high_limit_mm = {high_limit_mm}
 max_speed_mm_s = 20.0
 communication_timeout_ms = 1000
-torque_limit_percent = 45.0
-
-[force_sensor]
-driver = "me-gsv8"
-port = "{endpoints.force_sensor}"
-timeout_s = {LINK_TIMEOUT_S}
-nominal_force_N = 50.0
-max_force_N = 40.0
-matrix_N_mV_V = {json.dumps(Sensor().matrix)}
+torque_limit_percent = {torque_percent}
 """
 
 
@@ -188,48 +228,37 @@ def serve(options: dict[str, Any], ready: Callable[[str], None]) -> None:
 
 async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> None:
     from drivers.simulated.control import ControlServer
-    from drivers.simulated.faults import FaultPlan, WireFaults
-    from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
-    from drivers.simulated.keysight_33500b import Keysight33500B
-    from drivers.simulated.keysight_u2300a import KeysightU2300A
-    from drivers.simulated.me_gsv8 import Gsv8, Sensor
-    from drivers.simulated.modbus_tcp import ModbusTcpServer
-    from drivers.simulated.serial_server import PtyServer
-    from drivers.simulated.servers import HislipServer, ScpiSocketServer
-    from drivers.simulated.world import STAGE_Z, World, read_world
+    from drivers.simulated.faults import FaultPlan
+    from drivers.simulated.world import World
 
-    settings = read_world(options.world)
-    devices = ("generator", "daq", STAGE_Z, FORCE_SENSOR, FORCE_STREAM)
+    if options.fixture not in get_args(Fixture):
+        raise ConfigurationError(
+            f"the simulated bench has no {options.fixture} to mount",
+            f"it has {' and '.join(get_args(Fixture))}",
+        )
+    settings = _read_world(options)
+    devices = _devices(options.fixture)
     faults = FaultPlan.read(Path(options.fault), devices) if options.fault else FaultPlan()
     log = Path(options.world_log) if options.world_log else None
     world = World(settings, options.seed, options.slaved, log)
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
+    bench = _Instruments(world, options, faults)
 
-    server_class = HislipServer if settings.generator_link == "hislip" else ScpiSocketServer
-    generator = server_class(Keysight33500B(world, world), faults=WireFaults(faults, "generator"))
-    daq = HislipServer(
-        KeysightU2300A(settings.daq_model, world, world), faults=WireFaults(faults, "daq")
-    )
-    drive = CmmtDrive(DriveSettings(name=STAGE_Z, troubles=settings.stage_z_troubles), world)
-    world.mount(drive.position_mm)
-    stage = ModbusTcpServer(drive, faults=WireFaults(faults, STAGE_Z))
-    force = PtyServer(
-        Gsv8(world, world, FORCE_SENSOR, Sensor(zero_mV_V=settings.force_sensor_zero_mV_V)),
-        world,
-        slaved=options.slaved,
-        faults=WireFaults(faults, FORCE_SENSOR),
-        stream_faults=WireFaults(faults, FORCE_STREAM),
-        name=FORCE_SENSOR,
-    )
+    def settle() -> None:
+        for drive in bench.drives:
+            drive.settle(world.now_us)
+        world.settle()
 
     def after_time_passed() -> None:
-        drive.settle(world.now_us)
-        force.pump()
+        settle()
+        bench.force.pump()
 
     async def follow_real_time() -> None:
         while True:
-            drive.settle(world.now_us)
+            settle()
+            if world.failure is not None:
+                ended.set()
             await asyncio.sleep(SETTLE_EVERY_S)
 
     free: list[asyncio.Task[None]] = []
@@ -242,32 +271,28 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
             return
         world.timeline.set_free()
         world.log("world", "owner-gone", None, "world")
-        force.set_free()
+        bench.force.set_free()
         set_free()
         loop.call_later(options.linger_s, ended.set)
 
-    control = ControlServer(
-        world, {FORCE_SENSOR: lambda: force.bytes_sent}, ended.set, orphaned, after_time_passed
-    )
+    streams = {FORCE_SENSOR: lambda: bench.force.bytes_sent}
+    control = ControlServer(world, streams, ended.set, orphaned, after_time_passed)
     if not options.slaved:
         set_free()
     for number in (signal.SIGTERM,) if options.slaved else (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
-    servers = (generator, daq, stage, force)
     try:
-        for server in servers:
+        for server in bench.servers:
             await server.start()
         port = await control.start()
         if options.slaved:  # its end is seen however early it was: what it sets free has started
             await loop.connect_read_pipe(lambda: _OwnersPipe(orphaned), sys.stdin)
         overrides = settings.model_dump(mode="json", exclude_defaults=True)
-        listening = _endpoints(settings, port, generator.port, daq.port, stage.port, force.path)
-        anywhere = _endpoints(settings, 0, 0, 0, ANY_PORT, FORCE_SENSOR)
         ready(
             {
                 "control_port": port,
-                "bench_toml": bench_toml(options, overrides, listening),
-                "recorded_toml": bench_toml(options, overrides, anywhere),
+                "bench_toml": bench_toml(options, overrides, bench.listening()),
+                "recorded_toml": bench_toml(options, overrides, bench.anywhere()),
             }
         )
         await ended.wait()
@@ -275,10 +300,134 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
         control.close()
         for task in free:
             task.cancel()
-        for server in servers:
+        for server in bench.servers:
             await server.close()
-        drive.settle(world.now_us)
+        settle()
         world.close()
+    if world.failure is not None:
+        raise InstrumentError("simulated bench", "contact", world.failure)
+
+
+def _read_world(options: Options) -> WorldSettings:
+    from drivers.simulated.world import read_world
+
+    if options.fixture == "plate":
+        from drivers.simulated.plate_world import PlateWorldSettings
+
+        return read_world(options.world, PlateWorldSettings)
+    return read_world(options.world)
+
+
+def _devices(fixture: Fixture) -> tuple[str, ...]:
+    """Names that fault plans may use."""
+    from drivers.simulated.world import STAGE_X, STAGE_Z
+
+    own = {"film-clamp": ("generator",), "plate": (STAGE_X,)}[fixture]
+    return (*own, "daq", STAGE_Z, FORCE_SENSOR, FORCE_STREAM)
+
+
+class _Instruments:
+    """What stands on the bench, wired to its World and served, not yet listening."""
+
+    def __init__(self, world: World, options: Options, faults: FaultPlan):
+        from drivers.simulated.faults import WireFaults
+        from drivers.simulated.keysight_u2300a import KeysightU2300A
+        from drivers.simulated.me_gsv8 import Gsv8, Sensor
+        from drivers.simulated.modbus_tcp import ModbusTcpServer
+        from drivers.simulated.serial_server import PtyServer
+        from drivers.simulated.servers import HislipServer
+
+        settings = world.settings
+        plate = options.fixture == "plate"
+        self._link = settings.generator_link
+        self.generator = None if plate else _generator(world, faults)
+        self.daq = HislipServer(
+            KeysightU2300A(settings.daq_model, world, world), faults=WireFaults(faults, "daq")
+        )
+        self.drives = _plate_drives(world) if plate else _clamp_drives(world)
+        self.stages = [
+            ModbusTcpServer(drive, faults=WireFaults(faults, drive.settings.name))
+            for drive in self.drives
+        ]
+        self.force = PtyServer(
+            Gsv8(world, world, FORCE_SENSOR, Sensor(zero_mV_V=settings.force_sensor_zero_mV_V)),
+            world,
+            slaved=options.slaved,
+            faults=WireFaults(faults, FORCE_SENSOR),
+            stream_faults=WireFaults(faults, FORCE_STREAM),
+            name=FORCE_SENSOR,
+        )
+
+    @property
+    def servers(self) -> list[Any]:
+        """All of them, in the order in which they start."""
+        first = [] if self.generator is None else [self.generator]
+        return [*first, self.daq, *self.stages, self.force]
+
+    def listening(self) -> Endpoints:
+        """Where each listens."""
+        generator = 0 if self.generator is None else self.generator.port
+        stages = [stage.port for stage in self.stages]
+        return self._endpoints(generator, self.daq.port, stages, self.force.path)
+
+    def anywhere(self) -> Endpoints:
+        """The same without this process's port numbers, for a text that is only recorded."""
+        return self._endpoints(0, 0, [ANY_PORT] * len(self.stages), FORCE_SENSOR)
+
+    def _endpoints(self, generator: int, daq: int, stages: list[int], force: str) -> Endpoints:
+        by_link = {
+            "socket": f"TCPIP::127.0.0.1::{generator}::SOCKET",
+            "hislip": f"TCPIP::127.0.0.1::hislip0,{generator}::INSTR",
+        }
+        return Endpoints(
+            daq=f"TCPIP::127.0.0.1::hislip0,{daq}::INSTR",
+            stage_z=stages[0],
+            force_sensor=force,
+            generator=by_link[self._link],
+            stage_x=stages[-1],
+        )
+
+
+def _clamp_drives(world: World) -> list[CmmtDrive]:
+    """The z stage, with the vibrator on it above the film."""
+    from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
+    from drivers.simulated.world import STAGE_Z
+
+    z = CmmtDrive(DriveSettings(name=STAGE_Z, troubles=world.settings.stage_z_troubles), world)
+    world.mount(z.position_mm)
+    return [z]
+
+
+def _plate_drives(world: World) -> list[CmmtDrive]:
+    """The z and the x stage, with the skin on them above the plate."""
+    from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
+    from drivers.simulated.plate_world import PlateWorldSettings, hang_skin
+    from drivers.simulated.world import STAGE_X, STAGE_Z
+
+    settings = world.settings
+    assert isinstance(settings, PlateWorldSettings)
+    troubles = {STAGE_Z: settings.stage_z_troubles, STAGE_X: settings.stage_x_troubles}
+    drives = [
+        CmmtDrive(
+            DriveSettings(
+                name, serial=serial, troubles=troubles[name], position_unit_mm=SKIN_UNIT_MM
+            ),
+            world,
+        )
+        for name, serial in ((STAGE_Z, "SIMZ1"), (STAGE_X, "SIMX1"))
+    ]
+    hang_skin(world, settings, drives[0].positions_mm, drives[1].positions_mm)
+    return drives
+
+
+def _generator(world: World, faults: FaultPlan) -> HislipServer | ScpiSocketServer:
+    from drivers.simulated.faults import WireFaults
+    from drivers.simulated.keysight_33500b import Keysight33500B
+    from drivers.simulated.servers import HislipServer, ScpiSocketServer
+
+    hislip = world.settings.generator_link == "hislip"
+    server_class = HislipServer if hislip else ScpiSocketServer
+    return server_class(Keysight33500B(world, world), faults=WireFaults(faults, "generator"))
 
 
 class _OwnersPipe(asyncio.Protocol):
@@ -289,23 +438,6 @@ class _OwnersPipe(asyncio.Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._gone()
-
-
-def _endpoints(
-    settings: Any, control: int, generator: int, daq: int, stage_z: int, force_sensor: str
-) -> Endpoints:
-    """Where each instrument is; port 0 stands for "any" in a text that is only recorded."""
-    by_link = {
-        "socket": f"TCPIP::127.0.0.1::{generator}::SOCKET",
-        "hislip": f"TCPIP::127.0.0.1::hislip0,{generator}::INSTR",
-    }
-    return Endpoints(
-        control,
-        by_link[settings.generator_link],
-        f"TCPIP::127.0.0.1::hislip0,{daq}::INSTR",
-        stage_z,
-        force_sensor,
-    )
 
 
 def main() -> None:

@@ -3,7 +3,11 @@
     {"do": "advance", "us": 10000}      -> {"now_us": ..., "streams": {name: bytes sent}}
     {"do": "point", "run": 0, "point": 7} -> {"now_us": ...}
     {"do": "weigh", "force_N": [0, 0, 5]} -> {"now_us": ...}: somebody puts weights on the sensors
+    {"do": "truth"}                     -> {"now_us": ..., ...}: what really happened
     {"do": "stop"}                      -> {"now_us": ...}, and the bench ends
+
+Where the World has failed, the next advance says so, and every point or truth asked for does; other
+advances go on, for the bench has still to be brought to rest.
 
 The first connection owns a slaved World's time. When it closes without a stop, its owner has died:
 the World goes on in real time, for the drives' time-outs and for the guard, and ends a while later.
@@ -41,6 +45,7 @@ class ControlServer:
         self._server: asyncio.Server | None = None
         self._owned = False
         self._stopped = False
+        self._failure_told = False
 
     async def start(self, port: int = 0) -> int:
         """Listen; returns the port."""
@@ -59,8 +64,15 @@ class ControlServer:
             do = request["do"]
             if do == "advance":
                 self._advance(int(request["us"]))
+                if self._world.failure is not None and not self._failure_told:
+                    self._failure_told = True
+                    return self._failed()
                 sent = {name: count() for name, count in self._streams.items()}
                 return {"now_us": self._world.now_us, "streams": sent}
+            if do in ("point", "truth") and self._world.failure is not None:
+                return self._failed()
+            if do == "truth":
+                return {"now_us": self._world.now_us, **self._world.truth()}
             if do == "point":
                 self._world.announce(int(request["run"]), int(request["point"]))
             elif do == "weigh":
@@ -74,6 +86,9 @@ class ControlServer:
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             return {"error": f"{type(error).__name__}: {error}"}
         return {"now_us": self._world.now_us}
+
+    def _failed(self) -> dict[str, Any]:
+        return {"error": f"the simulated contact has failed {self._world.failure}"}
 
     def _advance(self, step_us: int) -> None:
         if step_us > LONGEST_ADVANCE_US:

@@ -23,6 +23,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+import numpy as np
+import numpy.typing as npt
+
 from drivers.simulated.axis import Axis, Command, Event, Mechanics
 from drivers.simulated.modbus_tcp import ILLEGAL_ADDRESS, ModbusError
 from drivers.simulated.ports import Timeline
@@ -175,6 +178,12 @@ class CmmtDrive:
         """Where the carriage is or was."""
         self.settle(t_us)
         return self.axis.position(t_us)
+
+    def positions_mm(self, times_us: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+        """The same at several ascending World times."""
+        if times_us.size:
+            self.settle(int(times_us[-1]))
+        return self.axis.positions(times_us)
 
     def velocity_mm_s(self, t_us: int) -> float:
         """How fast it moves or moved."""

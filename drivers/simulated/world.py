@@ -1,7 +1,8 @@
 """The World: one simulated physics behind all simulated instruments of a bench.
 
-It holds time, the log, the film in its clamp with the stage and the vibrator that press on it, and
-what the force sensor and the DAQ's input terminals carry. Instruments see it through the narrow
+It holds time, the log, what is mounted, and what the force sensor and the DAQ's input terminals
+carry: the film in its clamp with the stage and the vibrator that press on it, or the skin that two
+stages press and slide on a plate. Instruments see it through the narrow
 ports of `ports.py`; only here do they meet. Random numbers are keyed, never continued: the noise of
 a point depends on the seed, the run, the point and the stream, and not on what came before it.
 """
@@ -11,7 +12,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,14 +30,19 @@ from rig.model.film_clamp import FilmClampSettings
 from rig.model.front_end import FrontEndSettings
 from rig.settings import Settings
 
+if TYPE_CHECKING:
+    from drivers.simulated.skin_contact import SkinContact
+
 LOAD_CELL_TERMINAL = 101
 FILM_TERMINAL = 102
+STRIP_TERMINALS = {101: 1, 102: 2}
+"""Where the strips' amplifiers end while the skin is mounted."""
 VIBRATOR_CHANNEL = 1
 AMPLIFIER_CLIP_V = 10.0
 NOISE_CHUNK = 4096
 FORCE_NOISE = 900
 """Stream number that keys the force sensor's noise; terminals are the DAQ's streams."""
-STAGE_Z = "stage_z"
+STAGE_Z, STAGE_X = "stage_z", "stage_x"
 FORCE_SENSOR_FOLLOWS_Hz = 1000.0
 """Vibration beyond does not reach the force sensor's bridges: its probe is too heavy (assumed)."""
 
@@ -83,12 +89,15 @@ class WorldSettings(Settings):
     """How the generator is reached."""
 
 
-def read_world(path: str | None) -> WorldSettings:
+W = TypeVar("W", bound=WorldSettings)
+
+
+def read_world(path: str | None, kind: type[W] = WorldSettings) -> W:  # type: ignore[assignment]
     """World settings from a TOML file; defaults where there is none."""
     if path is None:
-        return WorldSettings()
+        return kind()
     try:
-        return WorldSettings.model_validate(tomllib.loads(Path(path).read_text("utf-8")))
+        return kind.model_validate(tomllib.loads(Path(path).read_text("utf-8")))
     except ValidationError as error:
         raise ConfigurationError.from_validation(error, path) from error
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -117,6 +126,8 @@ class World:
         )
         self._line = DrivenLine(vibrator.vibrator_line(mechanics, circuit))
         self._clamp: ClampedFilm | None = None
+        self._skin: SkinContact | None = None
+        self._strip_input = FrontEndSettings()
         self._weight_N = np.zeros(3)
         self._pushes: list[tuple[float, float, float]] = []
         """Begin and end in s, force in N."""
@@ -135,8 +146,34 @@ class World:
         """The z stage carries the vibrator: where its carriage is or was, by World time in us."""
         self._clamp = ClampedFilm(self.settings.clamp, stage_z_mm)
 
+    def hang(self, skin: SkinContact, strips: FrontEndSettings) -> None:
+        """The stages carry a skin above the plate; `strips` are its channels' noise and hum."""
+        self._skin, self._strip_input = skin, strips
+
+    @property
+    def failure(self) -> str | None:
+        """Why this World can no longer be believed, if so; it goes on only to be brought to
+        rest."""
+        return None if self._skin is None else self._skin.failure
+
+    def settle(self) -> None:
+        """Bring what is mounted up to the present."""
+        if self._skin is not None:
+            self._skin.catch_up(self.now_us)
+
+    def truth(self) -> dict[str, Any]:
+        """What really happened since the point was announced, as JSON; nothing where the World
+        keeps no such record."""
+        if self._skin is None:
+            return {}
+        self.settle()
+        return self._skin.truth()
+
     def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
-        """Force along an axis on its carriage: the film pushes back."""
+        """Force along an axis on its carriage: the film, or the plate, pushes back."""
+        if self._skin is not None:  # the carriage stands where the skin will ask for it
+            tangential_N, normal_N = self._skin.push_N(t_us)
+            return {STAGE_Z: -normal_N, STAGE_X: -tangential_N}.get(axis, 0.0)
         if axis != STAGE_Z or self._clamp is None:
             return 0.0
         return -self._clamp.push_N(position_mm, t_us)
@@ -144,16 +181,25 @@ class World:
     def force_N(  # noqa: N802
         self, times_s: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """Force on the sensor under the film, (n,) to (n, 3): weights, preload, vibration."""
+        """Force on the sensor under film or plate, (n,) to (n, 3): weights, pushes, contact."""
         force = np.tile(self._weight_N, (len(times_s), 1))
+        if self._skin is not None:
+            force += self._skin.force_N(times_s)
+        else:
+            force[:, 2] += self._film_N(times_s)
+        for begin_s, end_s, push_N in self._pushes:
+            force[:, 2] += push_N * ((times_s >= begin_s) & (times_s < end_s))
+        return force
+
+    def _film_N(  # noqa: N802
+        self, times_s: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """Preload and vibration."""
         along_z = self._preload(times_s)
         if self._line.frequency_Hz <= FORCE_SENSOR_FOLLOWS_Hz and along_z.any():
             shaken = self._line.output(vibrator.Output.LOAD, times_s)
             along_z = np.maximum(along_z + shaken, 0.0) * (along_z > 0)
-        force[:, 2] += along_z
-        for begin_s, end_s, push_N in self._pushes:
-            force[:, 2] += push_N * ((times_s >= begin_s) & (times_s < end_s))
-        return force
+        return along_z
 
     def weigh(self, force_N: tuple[float, float, float]) -> None:
         """Somebody puts weights on the sensors, along x, y and z."""
@@ -164,6 +210,9 @@ class World:
         """The run says which point comes next: it keys the noise."""
         self._point_key = (run, point)
         self._acquisitions_of_point = 0
+        if self._skin is not None:
+            self.settle()
+            self._skin.record.begin(self.now_us)
 
     def log(self, device: str, what: str, value: object, by: str) -> None:
         """Write to the World's log."""
@@ -212,6 +261,9 @@ class World:
 
     def _signal(self, terminal: int, times: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         hum = front_end.mains_hum(self._front_end(terminal), times)
+        if self._skin is not None:
+            strip = STRIP_TERMINALS.get(terminal)
+            return hum if strip is None else self._skin.strip_V(strip, times) + hum
         preload = self._preload(times)
         if terminal == LOAD_CELL_TERMINAL:
             own = self.settings
@@ -235,6 +287,8 @@ class World:
         return self._clamp.preload_N(times)
 
     def _front_end(self, terminal: int) -> FrontEndSettings:
+        if self._skin is not None:
+            return self._strip_input
         if terminal == LOAD_CELL_TERMINAL:
             return self.settings.load_cell_input
         return self.settings.film_input

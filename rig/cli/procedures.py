@@ -18,7 +18,7 @@ from rig.cli.options import parameters, settings_from
 from rig.cli.outcome import reported, say, start_log
 
 if TYPE_CHECKING:
-    from rig.bench import BenchPlan, RunningBench
+    from rig.bench import BenchPlan, Fixture, RunningBench
     from rig.clock import Clock
     from rig.recording.contents import JournalContents
     from rig.runner.procedure import Procedure
@@ -115,7 +115,7 @@ def perform(
             results = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rig-dry-run-")))
         else:
             start_log(results)
-        plan, clock, started, recorded_toml = bench_for(request)
+        plan, clock, started, recorded_toml = bench_for(request, procedure.FIXTURES[0])
         from rig.runner.execution import execute
         from rig.runner.jobs import Job
 
@@ -143,12 +143,17 @@ def perform(
     raise typer.Exit(int(outcome.code))
 
 
-def bench_for(request: Request) -> tuple[BenchPlan, Clock, RunningBench | None, str | None]:
-    """The bench file's plan with a wall clock, or a started simulated bench with its own clock."""
+def bench_for(
+    request: Request, fixture: Fixture = "film-clamp"
+) -> tuple[BenchPlan, Clock, RunningBench | None, str | None]:
+    """The bench file's plan with a wall clock, or a started simulated bench, on which `fixture` is
+    mounted, with its own clock."""
     path = request.bench or (BENCH_FILE if BENCH_FILE.exists() else None)
     started = None
     if path is None or request.dry_run:
-        started = _start_simulated(request)  # it boots while this process goes on importing
+        started = _start_simulated(
+            request, fixture
+        )  # it boots while this process goes on importing
     from rig.bench import parse_bench, read_bench, rehearsal
     from rig.clock import ControlLink, SlavedClock, WallClock
     from rig.runner.guard import refuse_unsafe
@@ -177,12 +182,13 @@ def _import_ahead() -> None:
         import_module(name)
 
 
-def _start_simulated(request: Request) -> RunningBench:
+def _start_simulated(request: Request, fixture: Fixture) -> RunningBench:
     from importlib.metadata import entry_points
 
     (entry,) = entry_points(group="rig.benches", name="simulated")
     started: RunningBench = entry.load().start(
         {
+            "fixture": fixture,
             "seed": request.seed,
             "world": _text(request.world),
             "fault": _text(request.fault),

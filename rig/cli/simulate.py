@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -12,6 +12,9 @@ from rig.errors import ConfigurationError, UnsafeError
 
 
 def simulate(
+    fixture: Annotated[
+        Literal["film-clamp", "plate"], typer.Option(help="What is mounted.")
+    ] = "film-clamp",
     seed: Annotated[int, typer.Option(help="Seed of films and noise.", min=0)] = 0,
     world: Annotated[Path | None, typer.Option(help="World settings (TOML).")] = None,
     fault: Annotated[Path | None, typer.Option(help="Fault plan (TOML).")] = None,
@@ -37,7 +40,7 @@ def simulate(
 
         options = {"world": world, "fault": fault, "world_log": world_log}
         paths = {name: None if path is None else str(path) for name, path in options.items()}
-        entry.load().serve({"seed": seed, **paths}, ready)
+        entry.load().serve({"fixture": fixture, "seed": seed, **paths}, ready)
         say("the simulated bench has ended")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -116,6 +117,18 @@ def test_the_past_does_not_depend_on_when_it_was_asked_for(
     for t in asked:
         assert curious.position(min(t, last)) == blind.position(min(t, last))
     assert curious.happenings(last) == blind.happenings(last)
+
+
+def test_many_positions_at_once_are_those_asked_for_one_by_one() -> None:
+    """To the bit: what is computed from them must not depend on how many were asked for."""
+    moved = axis(wall(20.0))
+    moved.force_limit_N = 50.0
+    for begin, command in ((0, go(18.0, 30.0)), (150_000, go(40.0, 2.0)), (2_000_500, go(5.0))):
+        moved.move(begin, command)
+    times = np.arange(0, 4_000_000, 730)
+    assert (moved.positions(times) == [moved.position(int(t)) for t in times]).all()
+    assert (moved.positions(times[700:]) == moved.positions(times)[700:]).all()
+    assert moved.positions(times[:0]).size == 0
 
 
 def test_a_trapezoid_takes_its_time() -> None:
