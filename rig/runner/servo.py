@@ -23,10 +23,9 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-MEMORY_OF_DELAY = 1.3
-"""Memory of the filter in delays: with less, it rings where k is 1.3 times the one assumed."""
-MEMORY_OF_TICK = 1.1
-"""And in ticks, at least."""
+MEMORY = 1.3
+"""Of the filter, in times from a command until its middle is seen. With less, it rings where k is
+1.3 times the one assumed, and the axis's counts keep it going to and fro."""
 ARRIVAL_OF_TICK = 0.5
 """When a command counts as carried out: in the middle of the tick it has for it."""
 FASTEST_N_s = 200.0
@@ -78,7 +77,7 @@ def settings_from(
         tick_s,
         delay_s,
         acceleration_mm_s2,
-        memory_s=max(MEMORY_OF_DELAY * delay_s, MEMORY_OF_TICK * tick_s),
+        memory_s=MEMORY * (delay_s + ARRIVAL_OF_TICK * tick_s),
         speed_mm_s=FASTEST_N_s / stiffness_N_mm,
     )
 
