@@ -32,6 +32,11 @@ ARRIVED = 0.02
 """Of the target: missing force at which the servo takes over."""
 LOCAL = 0.5
 """Of the present force: the stiffness is that of the forces from here on."""
+AHEAD_s = 0.03
+"""Of motion at the wanted speed: how far ahead of the axis its target is put, so that a speed is a
+speed and a program that hangs does not press on."""
+LEAST_AHEAD_mm = 0.0015
+"""An axis that counts in micrometres has to move at all."""
 LEAST_POINTS = 4
 KEPT = 4000
 
@@ -94,7 +99,14 @@ class ApproachStep:
 
     speed_mm_s: float
     """Into the skin; 0 where the force has arrived."""
+    ahead_mm: float
+    """Where to, from where the axis is."""
     touched: bool
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the servo may take over."""
+        return self.touched and self.speed_mm_s == 0
 
 
 class Approach:
@@ -114,6 +126,8 @@ class Approach:
         acceleration_mm_s2: float = 200.0,
     ):
         self.target_N = target_N
+        self._ahead_s = max(AHEAD_s, 3 * tick_s)
+        self._acceleration = acceleration_mm_s2
         self._delay_s = delay_s + tick_s
         self._search_mm_s = search_speed_mm_s(TOUCH * target_N, self._delay_s, acceleration_mm_s2)
         self._stiffness = ContactStiffness(force_age_s)
@@ -130,14 +144,18 @@ class Approach:
         """What to do, given where the axis is and the mean force of the latest milliseconds."""
         self._latest_N = force_N
         if not self._touched and force_N < TOUCH / 2 * self.target_N:
-            return ApproachStep(self._search_mm_s, False)
+            return self._go(self._search_mm_s)
         self._touched = True
         self._stiffness.add(time_s, position_mm, force_N)
         missing_N = self.target_N - force_N
         if missing_N <= ARRIVED * self.target_N:
-            return ApproachStep(0.0, True)
-        speed = closing_speed_mm_s(missing_N, self.stiffness_N_mm, self._delay_s)
-        return ApproachStep(speed, True)
+            return ApproachStep(0.0, 0.0, True)
+        return self._go(closing_speed_mm_s(missing_N, self.stiffness_N_mm, self._delay_s))
+
+    def _go(self, speed_mm_s: float) -> ApproachStep:
+        braking_mm = speed_mm_s**2 / (2 * self._acceleration)
+        ahead_mm = max(speed_mm_s * self._ahead_s + braking_mm, LEAST_AHEAD_mm)
+        return ApproachStep(speed_mm_s, ahead_mm, self._touched)
 
 
 def _slope(x: NDArray[np.float64], y: NDArray[np.float64]) -> float | None:

@@ -121,10 +121,9 @@ def press_and_slide(
     while True:
         here = bench.position_mm()
         step = approach.step(1e-3 * bench.now_ms, here, bench.force_N())
-        if step.touched and step.speed_mm_s == 0:
+        if step.arrived:
             break
-        braking = step.speed_mm_s**2 / (2 * ACCELERATION_mm_s2)
-        bench.go(here + 3 * step.speed_mm_s / rate_Hz + braking, step.speed_mm_s)
+        bench.go(here + step.ahead_mm, step.speed_mm_s)
         for _ in range(period):
             bench.pass_ms()
         assert bench.now_ms < 20_000
