@@ -131,7 +131,7 @@ def test_the_force_is_held_through_the_fastest_slides(
     skin6: CondensedSkin, static: float, force_N: float, ratio: float
 ) -> None:
     """At 500 commands a second: 2 % rms, 5 % peak; the approach below 10 %. Decision 0035 has the
-    whole table, and where it is missed: 2 N at a friction of 1.2 (5.9 %)."""
+    whole table, and where it is missed: 2 N at a friction of 1.2 (6.9 %)."""
     friction = FrictionSettings(static_coefficient=static, kinetic_coefficient=ratio * static)
     held = press_and_slide(skin6, friction, force_N, 6.0, 500)
     assert held.overshoot < 0.02
