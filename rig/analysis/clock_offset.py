@@ -1,0 +1,239 @@
+"""How far the clocks of force sensor and data acquisition are apart, from a touch-down both saw.
+
+Force frames carry no time stamp, and the acquisition counts its own samples. When the object is
+pressed on, the force rises and the strips see their stress rise with it. A ridge takes its share of
+the force later or sooner than the others, so that the sum of the strips' volts is
+
+    v(t) = P(F) dF/dt + v_0,      F and dF/dt at t + offset,
+
+with a share P that is a function of the force alone. It is not known, only that it is smooth: here
+a broken line between some forces. Both series are first smoothed by the same Gaussian, so that
+rates and frame times do not matter; least squares over P, v_0 and mains at each offset, then over
+the offset.
+
+*What it takes.* A press that closes in on its force evenly looks the same a little later: P
+imitates any shift. A rise, a raised cosine or an exponential, leaves the offset open to some 10 ms,
+whatever the noise. A force that goes back by a tenth and comes again passes the same forces twice,
+and P cannot be both: a tap of 4 µm in 10 ms right after the touch-down gives 0.1 ms.
+
+*Uncertainty.* The residuals are correlated by the smoothing and by what the broken line cannot
+follow: the sandwich estimate with their own autocovariance (Newey and West 1987), how far other
+broken lines lead away, and `LEAST_s`; without a way back also `UNREVERSED_s`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.analysis.estimate import Estimate
+from rig.errors import ExitCode, RigError
+
+Reals = NDArray[np.float64]
+
+WIDTH_s = 0.004
+"""Standard deviation of the Gaussian: it leaves 0.2 N/s of dF/dt to 3 mN of noise per frame."""
+GRID_Hz = 1000.0
+"""Where the two are compared."""
+KNOTS = (
+    (0.0, 0.1, 0.25, 0.5, 1.0),
+    (0.0, 0.08, 0.16, 0.28, 0.45, 0.7, 1.0),
+    (0.0, 0.05, 0.1, 0.16, 0.24, 0.34, 0.48, 0.65, 0.82, 1.0),
+)
+"""Shares of the largest force between which P is straight. The offset is the middle set's; how
+far the others' lie from it is part of the error."""
+MAINS_Hz = 50.0
+MEMORY = 4.0
+"""Widths of the Gaussian over which residuals are taken to be correlated."""
+LEAST_s = 6e-5
+"""Frame shape, transducer and P are not known better: what was left on simulated touch-downs."""
+REVERSAL = 0.05
+"""Of the largest force: as far as it has to go back to count as going back."""
+UNREVERSED_s = 0.015
+"""Rms error on simulated presses that only rise."""
+ENOUGH = 0.5
+"""Share of the volts' variance that the force has to explain."""
+
+
+class ClockOffsetError(RigError):
+    """Two series from which no offset follows."""
+
+    code = ExitCode.FINISHED_WITH_FAILURES
+
+
+@dataclass(frozen=True)
+class Series:
+    """Equally spaced samples (n,) on a clock of their own."""
+
+    values: Reals
+    rate_Hz: float
+    first_s: float = 0.0
+    """When the first sample was taken, on that clock."""
+    delay_s: float = 0.0
+    """How late a sample shows what happened: half a frame for a mean, a filter's `delay_s`."""
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """The offset, and how well force explains volts with it."""
+
+    offset: Estimate
+    """s: what was at t on the volts' clock was at t + offset on the force's."""
+    explained: float
+    """Share of the volts' variance."""
+    reversed: bool
+    """Whether the force went back on its way, so that the offset could be told."""
+
+
+def clock_offset(force_N: Series, volts: Series, within_s: float = 0.2) -> ClockOffset:
+    """Offset of the force's clock against the volts', searched for in ±`within_s`.
+
+    `force_N` is F_n, `volts` the sum v_1 + v_2, raw or decimated; both hold the touch-down and some
+    time before and after, at least `within_s` more of the force. ClockOffsetError where the series
+    do not overlap, or have no touch-down in common.
+    """
+    time, seen = _volts_on_grid(volts)
+    touch = _Force(force_N)
+    inside = (time - within_s >= touch.first_s) & (time + within_s <= touch.last_s)
+    time, seen = time[inside], seen[inside]
+    if time.size < 10 * len(KNOTS[-1]):
+        raise ClockOffsetError(
+            f"the force's frames and the volts have {time.size / GRID_Hz:.3g} s in common, with "
+            f"{within_s:g} s to either side",
+            "record both from before the touch-down until after it",
+        )
+    fits = [_Fit(touch, time, seen, knots) for knots in KNOTS]
+    offsets = [fit.best(within_s) for fit in fits]
+    offset = offsets[1]
+    residual, error = fits[1].error(offset)
+    error = math.hypot(error, LEAST_s, max(abs(other - offset) for other in offsets))
+    reversed_ = touch.way_back(time[0] + offset, time[-1] + offset) >= REVERSAL
+    if not reversed_:
+        error = math.hypot(error, UNREVERSED_s)
+    explained = 1 - float(residual @ residual) / float(np.square(seen - seen.mean()).sum())
+    if not explained > ENOUGH:
+        raise ClockOffsetError(
+            f"the force explains only {100 * max(explained, 0):.0f} % of what the strips say: no "
+            "touch-down in common",
+            "look whether the object touches the ridge with the strips, and at their wiring",
+        )
+    if abs(offset) > within_s - 2 / GRID_Hz:
+        raise ClockOffsetError(f"the offset is not within ±{within_s:g} s", "search further")
+    return ClockOffset(Estimate.normal(offset, error, "s"), explained, reversed_)
+
+
+def _gaussian(values: Reals, rate_Hz: float, order: int) -> Reals:
+    from scipy.ndimage import gaussian_filter1d
+
+    smooth = gaussian_filter1d(values, WIDTH_s * rate_Hz, order=order, mode="nearest", truncate=5.0)
+    result: Reals = np.asarray(smooth, dtype=np.float64) * rate_Hz**order
+    return result
+
+
+def _volts_on_grid(volts: Series) -> tuple[Reals, Reals]:
+    """Times on the volts' clock, corrected, and smoothed volts."""
+    values = np.asarray(volts.values, dtype=np.float64)
+    start = volts.first_s - volts.delay_s
+    edge = 4 * WIDTH_s
+    end = start + (values.size - 1) / volts.rate_Hz
+    time = np.arange(start + edge, end - edge, 1 / GRID_Hz)
+    if not time.size:
+        raise ClockOffsetError(f"{values.size} samples of volts are too few")
+    own = start + np.arange(values.size) / volts.rate_Hz
+    return time, _cubic(own, _gaussian(values, volts.rate_Hz, 0), time)
+
+
+def _cubic(x: Reals, y: Reals, at: Reals) -> Reals:
+    from scipy.interpolate import CubicSpline
+
+    result: Reals = np.asarray(CubicSpline(x, y)(at), dtype=np.float64)
+    return result
+
+
+class _Force:
+    """Smoothed force and its rate at any time of the force's clock."""
+
+    def __init__(self, series: Series):
+        values = np.asarray(series.values, dtype=np.float64)
+        self._time = series.first_s - series.delay_s + np.arange(values.size) / series.rate_Hz
+        self._force = _gaussian(values, series.rate_Hz, 0)
+        self._rate = _gaussian(values, series.rate_Hz, 1)
+        edge = 4 * WIDTH_s
+        self.first_s = float(self._time[0]) + edge
+        self.last_s = float(self._time[-1]) - edge
+        self.largest_N = float(self._force.max())
+
+    def way_back(self, start_s: float, end_s: float) -> float:
+        """How far the force fell after it had risen, as a share of the largest."""
+        inside = (self._time >= start_s) & (self._time <= end_s)
+        force = self._force[inside]
+        return float((np.maximum.accumulate(force) - force).max()) / self.largest_N
+
+    def columns(self, time: Reals, knots: tuple[float, ...]) -> Reals:
+        """dF/dt times each hat function of F: (n, knots)."""
+        force = np.clip(_cubic(self._time, self._force, time) / self.largest_N, 0.0, 1.0)
+        rate = _cubic(self._time, self._rate, time)
+        hats = [np.interp(force, knots, row) for row in np.eye(len(knots))]
+        return np.column_stack([rate * hat for hat in hats])
+
+
+class _Fit:
+    def __init__(self, touch: _Force, time: Reals, seen: Reals, knots: tuple[float, ...]):
+        self._touch, self._time, self._seen, self._knots = touch, time, seen, knots
+        turn = 2 * np.pi * MAINS_Hz * time
+        self._still = np.column_stack([np.ones(time.size), np.cos(turn), np.sin(turn)])
+
+    def best(self, within_s: float) -> float:
+        """Offset of the least residual."""
+        from scipy.optimize import minimize_scalar
+
+        coarse = np.arange(-within_s, within_s + 1e-9, 0.004)
+        costs = [self._cost(float(offset)) for offset in coarse]
+        k = int(np.argmin(costs))
+        low, high = coarse[max(k - 1, 0)], coarse[min(k + 1, coarse.size - 1)]
+        found = minimize_scalar(
+            self._cost, bounds=(float(low), float(high)), method="bounded", options={"xatol": 1e-7}
+        )
+        return float(found.x)
+
+    def error(self, offset_s: float) -> tuple[Reals, float]:
+        """Residuals and the offset's standard error."""
+        model, orthonormal = self._model(offset_s)
+        residual = self._seen - model
+        step = 2e-4
+        later, earlier = self._shifted(offset_s, step), self._shifted(offset_s, -step)
+        slope = (later - earlier) / (2 * step)
+        slope = slope - orthonormal @ (orthonormal.T @ slope)  # what P and v_0 cannot imitate
+        product = slope * residual
+        lags = round(MEMORY * WIDTH_s * GRID_Hz)
+        long_run = float(product @ product)
+        for lag in range(1, lags):
+            long_run += 2 * (1 - lag / lags) * float(product[lag:] @ product[:-lag])
+        parameters = len(self._knots) + 4
+        independent = max(self._time.size / lags, parameters + 1.0)
+        inflation = independent / (independent - min(parameters, 0.5 * independent))
+        steepness = float(slope @ slope)
+        return residual, float(np.sqrt(max(long_run, 0.0) * inflation)) / steepness
+
+    def _cost(self, offset_s: float) -> float:
+        model, _ = self._model(offset_s)
+        residual = self._seen - model
+        return float(residual @ residual)
+
+    def _columns(self, offset_s: float) -> Reals:
+        moving = self._touch.columns(self._time + offset_s, self._knots)
+        return np.column_stack([moving, self._still])
+
+    def _model(self, offset_s: float) -> tuple[Reals, Reals]:
+        left, kept, _ = np.linalg.svd(self._columns(offset_s), full_matrices=False)
+        orthonormal: Reals = left[:, kept > 1e-9 * kept[0]]
+        return orthonormal @ (orthonormal.T @ self._seen), orthonormal
+
+    def _shifted(self, offset_s: float, by_s: float) -> Reals:
+        """The fitted curve with the force moved: P, v_0 and mains stay."""
+        weights = np.linalg.lstsq(self._columns(offset_s), self._seen, rcond=1e-9)[0]
+        moved: Reals = self._columns(offset_s + by_s) @ weights
+        return moved

@@ -1,0 +1,284 @@
+"""Friction coefficients of a slide at constant normal force, from F_t and F_n at 1 kHz.
+
+    static   the largest F_t/F_n on the way to gross slip
+    kinetic  F_t/F_n in steady sliding afterwards
+
+*What the static coefficient is.* A skin slips ridge by ridge: when F_t is largest most of it has
+slipped already and rubs with the kinetic coefficient. So the whole contact shows
+
+    static = μ_k + W (μ_s - μ_k),     0 < W <= 1,
+
+where μ_s is what a point of the surface bears before it slips, and W the share of the normal force
+on what has not yet weakened, each point by its own exp(-D/D_c). Only a contact that slips
+everywhere at once has W = 1. W depends on how many ridges carry the load, on D_c against what the
+skin stretches, and on the speed; F_t and F_n alone do not tell it from μ_s - μ_k: they show only
+the product of the two. `static` is therefore the contact's, a lower bound of μ_s, and
+`point_static` is an interval: the drop that was seen, divided by the W of a range of simulated
+slides (`WEAKENED`).
+
+*Uncertainty.* Kinetic: the mean's, from the integrated autocorrelation time of the ratio (Sokal
+1997), with Student's t of the samples that count. Static: a parabola is fitted to each stretch of
+the rise and taken at the stretch's end, so that the fall behind the peak takes no part; what the
+largest of noisy values is too large by, and how much it scatters, come from repeats of the same
+search on the smoothed curve with stretches of the steady part's noise (moving blocks). Errors that
+all samples share, of the sensor's matrix, are not included; those of its zeros are, where given.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.analysis.estimate import COVERAGE_95, Estimate
+from rig.errors import ExitCode, RigError
+
+Reals = NDArray[np.float64]
+
+WEAKENED = (0.07, 0.24, 0.50)
+"""W at the peak: 5, 50 and 95 % of 240 simulated slides of the reference skin (μ_s 0.3-1.2, μ_k/μ_s
+0.65-0.97, D_c 1-20 µm, F_n 2-8 N, 0.3-6 mm/s, τ 0.25-1.3 ms). Another skin has others."""
+
+SETTLED_TRAVEL = 0.25
+"""Of the travel up to the peak: what follows the peak until sliding may be steady."""
+SETTLED_mm = 0.05
+"""And at least this: more than twice the weakening distance of any friction that is modelled."""
+STEADY_SAMPLES = 50
+"""Fewer in steady sliding make no mean."""
+STILL_RISING = 0.05
+"""Of the first stiffness: steeper at the end of the motion, it has not come to gross slip."""
+NEAR_PEAK = 0.9
+"""Of the peak: from here on the rise is looked at for its shape."""
+PEAK_WITHIN = 1.8
+"""Times the travel at which F_t/F_n came near its largest: later it is noise of steady sliding."""
+SHAPE = 0.002
+"""Relative error of the peak without noise: samples miss it, parabolas are not its shape. Rms over
+the simulated slides with which this module was tuned."""
+STRETCH = (4, 40)
+"""Fewest and most samples of a fitted parabola."""
+REPEATS = 400
+BLOCK = 20
+"""Samples of a block of noise: longer than the sensor's noise remembers."""
+WINDOW = 5.0
+"""Sokal's: autocorrelation is summed up to so many times the correlation time itself."""
+
+
+class FrictionError(RigError):
+    """A slide from which no friction coefficient follows."""
+
+    code = ExitCode.FINISHED_WITH_FAILURES
+
+
+@dataclass(frozen=True)
+class Friction:
+    """What a slide says about friction; coefficients without unit."""
+
+    static: Estimate
+    """Of the whole contact."""
+    kinetic: Estimate
+    point_static: Estimate
+    """Of a point of the surface: median and interval of W, not of the noise."""
+    peak: int
+    """Sample at which F_t/F_n is largest."""
+    steady: int
+    """First sample of steady sliding."""
+    independent: float
+    """Samples of the steady part that count, after correlation."""
+
+
+def friction(
+    normal_N: ArrayLike,
+    tangential_N: ArrayLike,
+    travel_mm: ArrayLike,
+    zero_error_N: tuple[float, float] = (0.0, 0.0),
+) -> Friction:
+    """Coefficients from F_n, F_t and the travel since the slide began, (n,) each, equally spaced.
+
+    The series begin with the motion and end with it. F_t counts along the travel: both directions
+    give positive coefficients. `zero_error_N`: standard errors of the zeros of F_n and F_t.
+    FrictionError where contact is lost, or the motion ends before gross slip or soon after it.
+    """
+    travel = np.asarray(travel_mm, dtype=np.float64)
+    normal, ratio = _ratio(normal_N, tangential_N, travel)
+    travel = np.abs(travel - travel[0])
+    rough = _rough_peak(ratio, travel)
+    steady = _steady_from(ratio, travel, rough)
+    rest = ratio[steady:]
+    kinetic, independent = mean_of_correlated(rest)
+    stretch = _stretch(ratio, rough)
+    static, peak = _peak(ratio, rough, stretch, rest - rest.mean())
+    level = float(normal[max(peak - 5, 0) : peak + 6].mean())
+    static = _with_zeros(static, zero_error_N, level)
+    kinetic = _with_zeros(kinetic, zero_error_N, float(normal[steady:].mean()))
+    return Friction(static, kinetic, _of_a_point(static, kinetic), peak, steady, independent)
+
+
+def mean_of_correlated(samples: ArrayLike) -> tuple[Estimate, float]:
+    """Mean of steady samples (n,) whose noise remembers; and how many independent ones it is worth.
+
+    The interval is Student's t with that number, less one, as degrees of freedom.
+    """
+    from scipy.stats import t as student
+
+    values = np.asarray(samples, dtype=np.float64)
+    n = values.size
+    mean = float(values.mean())
+    deviations = values - mean
+    variance = float(deviations @ deviations) / n
+    if variance <= 0:
+        return Estimate(mean, 0.0, mean, mean, ""), float(n)
+    size = 1 << (2 * n - 1).bit_length()
+    power = np.abs(np.fft.rfft(deviations, size)) ** 2
+    covariance = np.fft.irfft(power, size)[:n] / np.arange(n, 0, -1)
+    times = 1 + 2 * np.cumsum(covariance[1 : n // 2]) / variance
+    enough = np.nonzero(np.arange(1, times.size + 1) >= WINDOW * times)[0]
+    last = int(enough[0]) if enough.size else times.size - 1
+    time = max(float(times[last]) * (1 + (2 * last + 3) / n), 0.1)  # what taking the mean took away
+    independent = max(n / time, 2.0)
+    error = math.sqrt(variance / (independent - 1))
+    half = float(student.ppf(0.975, independent - 1)) * error
+    return Estimate(mean, error, mean - half, mean + half, ""), independent
+
+
+def _ratio(normal_N: ArrayLike, tangential_N: ArrayLike, travel: Reals) -> tuple[Reals, Reals]:
+    normal = np.asarray(normal_N, dtype=np.float64)
+    tangential = np.asarray(tangential_N, dtype=np.float64)
+    if not normal.shape == tangential.shape == travel.shape or normal.ndim != 1:
+        raise ValueError("normal_N, tangential_N and travel_mm must have the same shape (n,)")
+    if normal.size < 2 * STEADY_SAMPLES:
+        raise FrictionError(f"{normal.size} samples are too few for a slide")
+    if not float(normal.min()) > 0:
+        raise FrictionError(
+            f"F_n falls to {float(normal.min()):.3g} N during the slide: contact is lost",
+            "look at the force servo and the alignment of the object",
+        )
+    direction = 1.0 if travel[-1] >= travel[0] else -1.0
+    return normal, direction * tangential / normal
+
+
+def _least_window(ratio: Reals) -> int:
+    return max(3, min(21, ratio.size // 100) | 1)
+
+
+def _smooth(values: Reals, window: int) -> Reals:
+    half = window // 2
+    padded = np.pad(values, half, mode="edge")
+    smoothed: Reals = np.convolve(padded, np.full(window, 1.0 / window), "valid")
+    return smoothed
+
+
+def _rough_peak(ratio: Reals, travel: Reals) -> int:
+    smooth = _smooth(ratio, _least_window(ratio))
+    near = int(np.argmax(smooth >= NEAR_PEAK * smooth.max()))
+    end = int(np.searchsorted(travel, PEAK_WITHIN * travel[near], "right"))
+    return int(smooth[: max(end, near + 1)].argmax())
+
+
+def _steady_from(ratio: Reals, travel: Reals, peak: int) -> int:
+    """First sample of steady sliding."""
+    if not travel[-1] > 0:
+        raise FrictionError("the object did not move")
+    _require_gross_slip(ratio, travel)
+    wanted = travel[peak] * (1 + SETTLED_TRAVEL) + SETTLED_mm
+    steady = int(np.searchsorted(travel, wanted))
+    if ratio.size - steady < STEADY_SAMPLES:
+        raise FrictionError(
+            f"only {max(ratio.size - steady, 0)} samples of steady sliding follow the peak at "
+            f"{travel[peak]:.3g} mm",
+            f"slide further: {wanted:.3g} mm and {STEADY_SAMPLES} samples more",
+        )
+    return steady
+
+
+def _require_gross_slip(ratio: Reals, travel: Reals) -> None:
+    half = int(np.argmax(_smooth(ratio, _least_window(ratio)) > 0.5 * ratio.max()))
+    first = _slope(travel[: half + 3], ratio[: half + 3])
+    late = travel >= 0.8 * travel[-1]
+    last = _slope(travel[late], ratio[late])
+    if first > 0 and last > STILL_RISING * first:
+        raise FrictionError(
+            f"F_t/F_n still rises at the end of the slide, at {100 * last / first:.0f} % of its "
+            "first slope: no gross slip",
+            "slide further",
+        )
+
+
+def _slope(x: Reals, y: Reals) -> float:
+    centred = x - x.mean()
+    below = float(centred @ centred)
+    return float(centred @ y) / below if below > 0 else 0.0
+
+
+def _stretch(ratio: Reals, peak: int) -> int:
+    """Samples of the parabola: half of what the last tenth of the rise takes."""
+    below = np.nonzero(ratio[:peak] < NEAR_PEAK * ratio[peak])[0]
+    rise = peak - (int(below[-1]) if below.size else 0)
+    return int(np.clip(rise // 2, *STRETCH))
+
+
+def _end_of_parabola(stretch: int) -> Reals:
+    """Weights, newest last, that give a fitted parabola's value at its newest sample."""
+    age = np.arange(stretch, dtype=np.float64)[::-1]
+    design = np.column_stack([np.ones(stretch), age, age**2])
+    weights: Reals = np.linalg.pinv(design)[0]
+    return weights
+
+
+def _ends(values: Reals, weights: Reals) -> Reals:
+    """Every stretch's value at its newest sample, (..., n) to (..., n - stretch + 1)."""
+    stretches = np.lib.stride_tricks.sliding_window_view(values, weights.size, axis=-1)
+    ends: Reals = stretches @ weights
+    return ends
+
+
+def _peak(ratio: Reals, rough: int, stretch: int, noise: Reals) -> tuple[Estimate, int]:
+    """The peak without what noise adds to a maximum, with its error."""
+    weights = _end_of_parabola(stretch)
+    first = max(0, rough - 4 * stretch)
+    part = ratio[first : rough + 4 * stretch + 1]
+    if part.size <= stretch:
+        part, first = ratio[: rough + 6 * stretch], 0
+    curve = _ends(part, weights)
+    found = int(curve.argmax())
+    value = float(curve[found])
+    smooth = np.concatenate([part[: stretch - 1], curve])
+    rng = np.random.default_rng(0)  # the same data always give the same numbers
+    repeats = smooth + _blocks_of(noise, (REPEATS, smooth.size), rng)
+    largest = _ends(repeats, weights).max(axis=-1)
+    of_curve = float(_ends(smooth, weights).max())
+    bias = float(largest.mean()) - of_curve
+    known = 0.5 * bias  # to half of itself
+    error = math.hypot(float(largest.std()), known, SHAPE * value)
+    return Estimate.normal(value - bias, error, ""), first + stretch - 1 + found
+
+
+def _blocks_of(noise: Reals, shape: tuple[int, int], rng: np.random.Generator) -> Reals:
+    """Noise of this shape out of stretches of what was seen."""
+    rows, length = shape
+    blocks = -(-length // BLOCK)
+    starts = rng.integers(0, noise.size - BLOCK + 1, (rows, blocks))
+    taken: Reals = noise[starts[:, :, None] + np.arange(BLOCK)].reshape(rows, -1)[:, :length]
+    return taken
+
+
+def _with_zeros(estimate: Estimate, zero_error_N: tuple[float, float], level_N: float) -> Estimate:
+    """With the error that uncertain zeros add."""
+    of_normal, of_tangential = zero_error_N
+    added = math.hypot(of_tangential, estimate.value * of_normal) / level_N
+    low = estimate.value - math.hypot(estimate.value - estimate.low, COVERAGE_95 * added)
+    high = estimate.value + math.hypot(estimate.high - estimate.value, COVERAGE_95 * added)
+    error = math.hypot(estimate.standard_error, added)
+    return Estimate(estimate.value, error, low, high, "")
+
+
+def _of_a_point(static: Estimate, kinetic: Estimate) -> Estimate:
+    """μ_s = μ_k + drop / W, over the range of W; never below the contact's."""
+    least, median, most = WEAKENED
+    drop = max(static.value - kinetic.value, 0.0)
+    noise = math.hypot(static.standard_error, kinetic.standard_error)
+    high = kinetic.value + (drop + COVERAGE_95 * noise) / least
+    low = max(static.low, kinetic.value + max(drop - COVERAGE_95 * noise, 0.0) / most)
+    value = kinetic.value + drop / median
+    return Estimate(value, (high - low) / (2 * COVERAGE_95), low, high, "")

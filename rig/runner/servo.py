@@ -1,0 +1,176 @@
+"""The normal force held constant by a z axis that takes positions: the numbers, no instrument.
+
+The axis is stiff and the skin is not: a position decides a force,
+
+    F = k z + d,
+
+with the contact's stiffness k near the target and everything else, creep and above all what the
+shear of a slide does to the normal force, in the disturbance d. What is known of d is old by the
+time anything can be done about it: a command is seen in the force `delay_s` after it was given. So
+the servo keeps account of where the axis is (trapezoids of speed, as a drive makes them), follows d
+and its slope with a fading-memory filter (alpha-beta, critically damped), and gives at every tick
+the position that makes the force right when that position will have been reached. A d that stands
+or changes evenly leaves no error in the mean: the account of positions is the integrator.
+
+One number sets how quickly it believes what it sees, `memory_s`. It follows from delay and tick, so
+that k may be 1.3 times or half the one assumed: the skin's rises with the force, and changes when
+ridges slip. `rig.runner.approach` comes before and measures k. How well it holds: decision 0035.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+MEMORY = 1.3
+"""Of the filter, in times from a command until its middle is seen. With less, it rings where k is
+1.3 times the one assumed, and the axis's counts keep it going to and fro."""
+ARRIVAL_OF_TICK = 0.5
+"""When a command counts as carried out: in the middle of the tick it has for it."""
+FASTEST_N_s = 200.0
+"""How fast the servo may change the force: many times what a slide needs, and no knock."""
+GRID_s = 0.00025
+"""Of the account of where the axis is: fine against its shortest move."""
+
+
+@dataclass(frozen=True)
+class ServoSettings:
+    """What a servo is made of; `settings_from` fills in what follows from the rest."""
+
+    target_N: float
+    stiffness_N_mm: float
+    """dF/dz near the target, positive: z counts into the skin."""
+    tick_s: float
+    """Between two steps."""
+    delay_s: float
+    """From a command to the first force that shows it, as `step` is given it: link, axis, frame,
+    half the stretch over which force is averaged, and the age of the newest frame."""
+    acceleration_mm_s2: float
+    """Of the axis."""
+    memory_s: float
+    """Of the filter that follows the disturbance."""
+    speed_mm_s: float
+    """Of every move."""
+
+
+def settings_from(
+    target_N: float,
+    stiffness_N_mm: float,
+    tick_s: float,
+    delay_s: float,
+    acceleration_mm_s2: float = 200.0,
+) -> ServoSettings:
+    """A servo for this contact at this tick and delay; ValueError where one is not positive."""
+    for name, value in (
+        ("target_N", target_N),
+        ("stiffness_N_mm", stiffness_N_mm),
+        ("tick_s", tick_s),
+        ("delay_s", delay_s),
+        ("acceleration_mm_s2", acceleration_mm_s2),
+    ):
+        if not (value > 0 and math.isfinite(value)):
+            raise ValueError(f"{name} {value:g} must be a number above 0")
+    return ServoSettings(
+        target_N,
+        stiffness_N_mm,
+        tick_s,
+        delay_s,
+        acceleration_mm_s2,
+        memory_s=MEMORY * (delay_s + ARRIVAL_OF_TICK * tick_s),
+        speed_mm_s=FASTEST_N_s / stiffness_N_mm,
+    )
+
+
+@dataclass(frozen=True)
+class ServoStep:
+    """What the axis is to do in the tick that begins."""
+
+    increment_mm: float
+    """Into the skin, from where the axis was last told to go."""
+    speed_mm_s: float
+    """At most."""
+
+
+class ForceServo:
+    """Holds a force; one `step` a tick, begun where the axis stands at rest near the target."""
+
+    def __init__(self, settings: ServoSettings):
+        self.settings = settings
+        fading = math.exp(-settings.tick_s / settings.memory_s)
+        self._level_gain, self._slope_gain = 1 - fading**2, (1 - fading) ** 2
+        self._axis = _AxisAccount(settings)
+        self._level_N: float | None = None
+        self._slope_N_s = 0.0
+
+    @property
+    def told_mm(self) -> float:
+        """Sum of the increments so far."""
+        return self._axis.target_mm
+
+    def step(self, force_N: float) -> ServoStep:
+        """What to do, given the mean force of the latest milliseconds."""
+        own, axis = self.settings, self._axis
+        self._follow(force_N - own.stiffness_N_mm * axis.seen_mm())
+        horizon_s = own.delay_s + ARRIVAL_OF_TICK * own.tick_s
+        expected_N = (self._level_N or 0.0) + self._slope_N_s * horizon_s
+        wanted_mm = (own.target_N - expected_N) / own.stiffness_N_mm
+        reach_mm = own.speed_mm_s * own.tick_s
+        increment = wanted_mm - axis.target_mm
+        increment = max(-reach_mm, min(increment, reach_mm))
+        axis.tell(increment)
+        return ServoStep(increment, own.speed_mm_s)
+
+    def correct(self, difference_mm: float) -> None:
+        """The axis was told to go `difference_mm` further than the latest step said: its counts are
+        coarser, or a limit stood in the way."""
+        self._axis.correct(difference_mm)
+
+    def _follow(self, disturbance_N: float) -> None:
+        if self._level_N is None:
+            self._level_N = disturbance_N
+            return
+        expected = self._level_N + self._slope_N_s * self.settings.tick_s
+        surprise = disturbance_N - expected
+        self._level_N = expected + self._level_gain * surprise
+        self._slope_N_s += self._slope_gain * surprise / self.settings.tick_s
+
+
+class _AxisAccount:
+    """Where the axis is, from what it was told: trapezoids of speed, late by the delay."""
+
+    def __init__(self, settings: ServoSettings):
+        self._settings = settings
+        self._position = self._velocity = self.target_mm = 0.0
+        self._cycles = max(1, round(settings.tick_s / GRID_s))
+        self._dt = settings.tick_s / self._cycles
+        past = max(1, round(settings.delay_s / self._dt))
+        self._past: deque[float] = deque([0.0] * (past + 1), maxlen=past + 1)
+        self._told = False
+
+    def seen_mm(self) -> float:
+        """The position that the force given to the present step belongs to."""
+        if self._told:
+            for _ in range(self._cycles):
+                self._cycle()
+        return self._past[0]
+
+    def tell(self, increment_mm: float) -> None:
+        """A new target, from now on."""
+        self.target_mm += increment_mm
+        self._told = True
+
+    def correct(self, difference_mm: float) -> None:
+        """It is another one."""
+        self.target_mm += difference_mm
+
+    def _cycle(self) -> None:
+        dt, acceleration = self._dt, self._settings.acceleration_mm_s2
+        rest = self.target_mm - self._position
+        change = acceleration * dt
+        allowed = change * (math.sqrt(0.25 + 2 * abs(rest) / (change * dt)) - 0.5)
+        wanted = math.copysign(min(allowed, self._settings.speed_mm_s, abs(rest) / dt), rest)
+        before = self._velocity
+        self._velocity += max(-change, min(wanted - before, change))
+        self._position += (self._velocity + before) / 2 * dt
+        self._past.append(self._position)

@@ -1,0 +1,156 @@
+"""The tick loop keeps its grid, counts what was late, and lets everything else end it."""
+
+from __future__ import annotations
+
+import pytest
+
+from rig.clock import Clock, WallClock
+from rig.runner.loop import Tick, tick_loop
+
+
+class HandClock(Clock):
+    """Time passes where it is waited for and where a test says so."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._now = 0.0
+        self.woken_late_s = 0.0
+
+    def now(self) -> float:
+        return self._now
+
+    def spend(self, seconds: float) -> None:
+        self._now += seconds
+
+    def _pass(self, seconds: float) -> None:
+        self._now += seconds + self.woken_late_s
+
+
+class HandRun:
+    """The part of a run that the loop uses."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.stopped_at: int | None = None
+        self.looked = 0
+
+    def check_stop(self) -> None:
+        self.clock.sleep(0)
+
+    def check_watchers(self) -> None:
+        self.looked += 1
+        if self.looked == self.stopped_at:
+            raise RuntimeError("trip")
+
+
+@pytest.fixture
+def run() -> HandRun:
+    clock = HandClock()
+    clock.spend(3.7)
+    return HandRun(clock)
+
+
+def test_ticks_lie_on_the_grid_from_the_first_on(run: HandRun) -> None:
+    ticks: list[Tick] = []
+
+    def on_tick(tick: Tick) -> bool:
+        ticks.append(tick)
+        return True
+
+    statistics = tick_loop(run, 100.0, 0.5, on_tick)
+    assert [tick.number for tick in ticks] == list(range(50))
+    assert [tick.due_s for tick in ticks] == pytest.approx([3.7 + k / 100 for k in range(50)])
+    assert (statistics.ticks, statistics.planned, statistics.late) == (50, 50, 0)
+    assert not statistics.ended
+    assert run.looked == 50
+
+
+def test_work_within_a_period_and_late_wake_ups_do_not_add_up(run: HandRun) -> None:
+    """A third of a thousandth a tick would be 0.3 s after a thousand ticks if it drifted."""
+    run.clock.woken_late_s = 3e-4
+
+    def on_tick(tick: Tick) -> bool:
+        run.clock.spend(7e-3)
+        return True
+
+    statistics = tick_loop(run, 100.0, 10.0, on_tick)
+    assert run.clock.now() == pytest.approx(3.7 + 9.99 + 3e-4 + 7e-3)
+    assert statistics.largest_lateness_s == pytest.approx(3e-4)
+    assert statistics.late == 0
+
+
+def test_a_tick_that_overran_is_counted_and_caught_up_with(run: HandRun) -> None:
+    began: list[float] = []
+
+    def on_tick(tick: Tick) -> bool:
+        began.append(tick.began_s - 3.7)
+        run.clock.spend(0.026 if tick.number == 2 else 0.001)
+        return True
+
+    statistics = tick_loop(run, 100.0, 0.08, on_tick)
+    expected = [0.0, 0.01, 0.02, 0.046, 0.047, 0.05, 0.06, 0.07]
+    assert began == pytest.approx(expected)  # 3 and 4 at once, 5 on its grid again
+    assert statistics.late == 2  # 16 ms and 7 ms
+    assert statistics.largest_lateness_s == pytest.approx(0.016)
+    assert statistics.mean_lateness_s == pytest.approx(0.023 / 8)
+
+
+def test_a_tick_may_end_the_loop(run: HandRun) -> None:
+    statistics = tick_loop(run, 100.0, 1.0, lambda tick: tick.number < 4)
+    assert (statistics.ticks, statistics.planned, statistics.ended) == (5, 100, True)
+
+
+def test_a_watcher_ends_it_before_the_tick(run: HandRun) -> None:
+    run.stopped_at = 4
+    done: list[int] = []
+    with pytest.raises(RuntimeError, match="trip"):
+        tick_loop(run, 100.0, 1.0, lambda tick: done.append(tick.number) is None)
+    assert done == [0, 1, 2]
+
+
+def test_a_stop_request_is_seen_although_every_tick_overruns(run: HandRun) -> None:
+    done: list[int] = []
+
+    def stop() -> None:
+        if len(done) == 7:
+            raise KeyboardInterrupt
+
+    run.clock.each_slice(stop)
+
+    def on_tick(tick: Tick) -> bool:
+        done.append(tick.number)
+        run.clock.spend(0.05)
+        return True
+
+    with pytest.raises(KeyboardInterrupt):
+        tick_loop(run, 100.0, 1.0, on_tick)
+    assert len(done) == 7
+
+
+def test_nothing_is_asked_of_a_loop_of_no_duration(run: HandRun) -> None:
+    statistics = tick_loop(run, 100.0, 0.0, lambda tick: False)
+    assert (statistics.ticks, statistics.planned, statistics.ended) == (0, 0, False)
+
+
+@pytest.mark.parametrize(("rate", "duration"), [(0.0, 1.0), (501.0, 1.0), (100.0, -1.0)])
+def test_impossible_loops_are_refused(run: HandRun, rate: float, duration: float) -> None:
+    with pytest.raises(ValueError, match="must be"):
+        tick_loop(run, rate, duration, lambda tick: True)
+
+
+def test_in_real_time_every_tick_runs_once_and_none_before_its_time() -> None:
+    """What the host does to a tick's lateness is nobody's promise."""
+    clock = WallClock()
+    ticks: list[Tick] = []
+
+    def on_tick(tick: Tick) -> bool:
+        ticks.append(tick)
+        return True
+
+    statistics = tick_loop(HandRun(clock), 200.0, 0.2, on_tick)
+    assert [tick.number for tick in ticks] == list(range(40))
+    assert all(tick.began_s >= tick.due_s for tick in ticks)
+    began = [tick.began_s for tick in ticks]
+    assert began == sorted(began)
+    assert statistics.ticks == 40
+    assert statistics.duration_s >= 39 / 200

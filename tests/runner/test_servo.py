@@ -1,0 +1,163 @@
+"""The force servo: closed forms on a spring, and the simulated skin at the corners of its range."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from pressed_skin import press_and_slide
+
+from rig.model.contact.settings import FrictionSettings
+from rig.model.skin.condensed import CondensedSkin
+from rig.runner.approach import (
+    Approach,
+    ContactStiffness,
+    closing_speed_mm_s,
+    search_speed_mm_s,
+)
+from rig.runner.servo import ForceServo, settings_from
+
+TARGET_N, STIFFNESS_N_mm = 4.0, 160.0
+
+
+def on_a_spring(
+    disturbance_N: Callable[[float], float],
+    *,
+    ticks: int = 400,
+    tick_s: float = 0.01,
+    truth: float = 1.0,
+) -> np.ndarray:
+    """Force at each tick on a spring `truth` times as stiff as the servo thinks; the axis is there
+    at once and is seen a whole number of ticks later: a delay of half a tick less."""
+    late = 1 if tick_s > 0.005 else 3
+    servo = ForceServo(settings_from(TARGET_N, STIFFNESS_N_mm, tick_s, (late - 0.5) * tick_s, 1e6))
+    told = [0.0] * late
+    forces = []
+    for k in range(ticks):
+        force = TARGET_N + disturbance_N(k * tick_s) + truth * STIFFNESS_N_mm * told[-late]
+        forces.append(force)
+        servo.step(force)
+        told.append(servo.told_mm)
+    return np.array(forces)
+
+
+@pytest.mark.parametrize("tick_s", [0.01, 0.002])
+@pytest.mark.parametrize("truth", [0.5, 1.0, 1.3])
+def test_a_step_and_a_ramp_leave_no_error(tick_s: float, truth: float) -> None:
+    """Also where the stiffness is half or 1.3 times the one assumed."""
+    after_step = on_a_spring(lambda t: 0.3, tick_s=tick_s, truth=truth)
+    assert np.abs(after_step[-100:] - TARGET_N).max() < 1e-3
+    after_ramp = on_a_spring(lambda t: 5.0 * t, tick_s=tick_s, truth=truth)
+    # what half a tick of the ramp is, for the command is right in its middle
+    assert np.abs(after_ramp[-100:] - TARGET_N).max() < 0.51 * 5.0 * tick_s
+
+
+def test_one_step_never_asks_for_more_than_the_axis_may_do() -> None:
+    settings = settings_from(TARGET_N, STIFFNESS_N_mm, 0.01, 0.005)
+    step = ForceServo(settings).step(0.0)
+    assert step.increment_mm == pytest.approx(settings.speed_mm_s * 0.01)
+    assert step.speed_mm_s == settings.speed_mm_s
+    assert settings.speed_mm_s * STIFFNESS_N_mm == pytest.approx(200.0)  # N/s
+
+
+def test_counts_of_the_axis_do_not_add_up() -> None:
+    """A servo that is told what the axis made of its command keeps the force within a count."""
+    unit_mm, k = 1e-3, STIFFNESS_N_mm
+    servo = ForceServo(settings_from(TARGET_N, k, 0.01, 0.005, 1e6))
+    told, forces = 0.0, []
+    for _ in range(500):
+        forces.append(TARGET_N + 0.213 + k * told)
+        move = servo.step(forces[-1])
+        counted = round((told + move.increment_mm) / unit_mm) * unit_mm
+        servo.correct(counted - told - move.increment_mm)
+        told = counted
+        assert servo.told_mm == pytest.approx(told, abs=1e-12)
+    assert np.abs(np.array(forces[-100:]) - TARGET_N).max() <= 0.51 * unit_mm * k
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_contact_without_stiffness_is_refused(wrong: float) -> None:
+    with pytest.raises(ValueError, match="stiffness_N_mm"):
+        settings_from(TARGET_N, wrong, 0.01, 0.005)
+
+
+def test_the_search_presses_what_it_may() -> None:
+    """k (v delay + v^2 / 2a) is the force pressed after touch."""
+    for delay_s in (0.005, 0.02):
+        v = search_speed_mm_s(0.4, delay_s, 200.0, 166.0)
+        assert 166.0 * (v * delay_s + v**2 / 400.0) == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("truth", [0.6, 1.0, 1.4, 2.3])
+def test_closing_in_on_a_spring_overshoots_less_than_a_tenth(truth: float) -> None:
+    """None up to 1.4 times the stiffness assumed; below 10 % up to 0.58 CLOSING = 2.3 times."""
+    dt, delay_s = 1e-4, 0.015
+    forces = [0.2] * round(delay_s / dt)
+    for _ in range(10_000):
+        v = closing_speed_mm_s(TARGET_N - forces[-round(delay_s / dt)], STIFFNESS_N_mm, delay_s)
+        forces.append(forces[-1] + truth * STIFFNESS_N_mm * v * dt)
+    overshoot = max(forces) / TARGET_N - 1
+    assert overshoot < (1e-3 if truth < 1.45 else 0.1)
+    assert forces[-1] == pytest.approx(TARGET_N, rel=1e-3)
+
+
+def test_stiffness_is_found_from_a_force_that_lags() -> None:
+    """F = 900 (z)^1.5, pressed ever more slowly, the force 4 ms older than the position."""
+    found = ContactStiffness(0.004)
+    place = lambda t: 0.03 * (1 - np.exp(-t / 0.06))  # noqa: E731
+    for k in range(60):
+        t = 0.005 * k
+        found.add(t, place(t), 900 * max(place(t - 0.004), 0.0) ** 1.5)
+    force = 900 * place(0.291) ** 1.5
+    truth = 1.5 * 900 * place(0.291) ** 0.5
+    assert found.at_N_mm(force) == pytest.approx(truth, rel=0.05)
+
+
+def test_nothing_is_said_of_a_contact_that_was_not_felt() -> None:
+    assert ContactStiffness(0.004).at_N_mm(1.0) is None
+    approach = Approach(4.0, 0.01, 0.005, 0.003)
+    step = approach.step(0.0, 0.0, 0.01)
+    assert not step.touched
+    assert step.speed_mm_s == pytest.approx(search_speed_mm_s(0.4, 0.015, 200.0))
+
+
+CORNERS = [(0.3, 2.0), (0.3, 8.0), (1.2, 4.0), (1.2, 8.0)]
+
+
+@pytest.mark.parametrize(("static", "force_N"), CORNERS)
+@pytest.mark.parametrize("ratio", [0.7, 0.95])
+def test_the_force_is_held_through_the_fastest_slides(
+    skin6: CondensedSkin, static: float, force_N: float, ratio: float
+) -> None:
+    """At 500 commands a second: 2 % rms, 5 % peak; the approach below 10 %. Decision 0035 has the
+    whole table, and where it is missed: 2 N at a friction of 1.2 (6.9 %)."""
+    friction = FrictionSettings(static_coefficient=static, kinetic_coefficient=ratio * static)
+    held = press_and_slide(skin6, friction, force_N, 6.0, 500)
+    assert held.overshoot < 0.02
+    assert abs(held.rest) < 0.005
+    assert held.rms < 0.02
+    assert -0.05 < held.low < held.high < 0.05
+
+
+@pytest.mark.parametrize(("static", "force_N"), [(0.3, 2.0), (0.8, 4.0), (0.3, 8.0)])
+def test_a_hundred_commands_a_second_hold_slower_slides(
+    skin6: CondensedSkin, static: float, force_N: float
+) -> None:
+    friction = FrictionSettings(static_coefficient=static, kinetic_coefficient=0.8 * static)
+    held = press_and_slide(skin6, friction, force_N, 3.0, 100)
+    assert held.overshoot < 0.02
+    assert held.rms < 0.02
+    assert -0.05 < held.low < held.high < 0.05
+
+
+@pytest.mark.parametrize("rate_Hz", [100, 500])
+@pytest.mark.parametrize("stiffness_error", [0.8, 1.6])
+def test_a_wrong_stiffness_does_not_ring(skin6, rate_Hz, stiffness_error) -> None:
+    """Held at rest and through the slide as above: ringing would show in both."""
+    held = press_and_slide(
+        skin6, FrictionSettings(), 4.0, 1.0, rate_Hz, stiffness_error=stiffness_error
+    )
+    assert abs(held.rest) < 0.005
+    assert held.rms < 0.02
+    assert -0.05 < held.low < held.high < 0.05
