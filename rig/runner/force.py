@@ -235,8 +235,21 @@ class ForceMonitor:
             )
 
     def _latest(self, seconds: float) -> list[tuple[ForceFrames, int]]:
-        """The latest batches, oldest first, and how many frames of each lie within `seconds`."""
-        wanted = max(1, round(seconds * self._rate))
+        """The latest batches, oldest first, and how many frames of each lie within `seconds`.
+
+        Right after a start or a tare there are none yet: it waits for them as long as a silence is
+        no hold.
+        """
+        give_up_s = self._clock.now() + STALE_S
+        while not (batches := self._kept(max(1, round(seconds * self._rate)))):
+            if self._clock.now() >= give_up_s:
+                raise InstrumentError(
+                    "force_sensor", "stream", "no frame has come yet", "check the amplifier"
+                )
+            self._clock.sleep(1 / self._rate)
+        return batches
+
+    def _kept(self, wanted: int) -> list[tuple[ForceFrames, int]]:
         batches: list[tuple[ForceFrames, int]] = []
         with self._lock:
             for frames in reversed(self._recent):
@@ -244,10 +257,6 @@ class ForceMonitor:
                 wanted -= len(frames)
                 if wanted <= 0:
                     break
-        if not batches:
-            raise InstrumentError(
-                "force_sensor", "stream", "no frame has come yet", "check the amplifier"
-            )
         return batches[::-1]
 
 
