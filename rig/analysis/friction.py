@@ -120,7 +120,7 @@ def mean_of_correlated(samples: ArrayLike) -> tuple[Estimate, float]:
 
     The interval is Student's t with that number, less one, as degrees of freedom.
     """
-    from scipy.stats import t as student
+    from scipy.special import stdtrit
 
     values = np.asarray(samples, dtype=np.float64)
     n = values.size
@@ -138,7 +138,7 @@ def mean_of_correlated(samples: ArrayLike) -> tuple[Estimate, float]:
     time = max(float(times[last]) * (1 + (2 * last + 3) / n), 0.1)  # what taking the mean took away
     independent = max(n / time, 2.0)
     error = math.sqrt(variance / (independent - 1))
-    half = float(student.ppf(0.975, independent - 1)) * error
+    half = float(stdtrit(independent - 1, 0.975)) * error
     return Estimate(mean, error, mean - half, mean + half, ""), independent
 
 

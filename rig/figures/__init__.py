@@ -12,7 +12,10 @@ from pathlib import Path
 
 from rig.errors import ConfigurationError
 
-FIGURES = {"sweep": ("rig.figures.sweep:draw_data", "rig.figures.sweep:draw_model")}
+FIGURES = {
+    "sweep": ("rig.figures.sweep:draw_data", "rig.figures.sweep:draw_model"),
+    "slip_trial": ("rig.figures.slip_trial:draw_trials",),
+}
 """The functions by the figure's name: known before anything heavy is imported."""
 
 

@@ -52,6 +52,10 @@ def ending(contents: JournalContents) -> End:
     )
 
 
+TRUTH = "simulated_truth"
+"""Key of a reading, JSON text, and name of the group: the World's ground truth."""
+
+
 def write_root(file: h5py.File, contents: JournalContents, name: str) -> h5py.Group:
     """The root's attributes, and the empty entry. Nothing in it depends on when this is done."""
     import h5py
@@ -97,6 +101,7 @@ def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable)
     _write_instrument(group(entry, "instrument", "NXinstrument"), header)
     _write_attempts(group(entry, "attempts", "NXcollection"), contents)
     _write_points(group(entry, "points", "NXcollection"), contents, table)
+    _write_truth(entry, contents, table)
     for plot in header.layout.plots:
         title = header.marked(plot.title or header.title)
         plot_group(entry, plot, header.layout, table, title)
@@ -244,6 +249,26 @@ def _write_points(made: h5py.Group, contents: JournalContents, table: PointTable
             field.attrs["long_name"] = plain_text(column.long_name)
         else:
             array_field(made, column.name, values, column.units, column.long_name)
+
+
+def _write_truth(entry: h5py.Group, contents: JournalContents, table: PointTable) -> None:
+    """What the simulated World says really happened at each point: no measurement knows it."""
+    from rig.recording.records import from_json
+
+    truths = {
+        name: text
+        for name, attempt in zip(table.ids, table.attempts, strict=True)
+        if (text := contents.reading(attempt).get(TRUTH))
+    }
+    if not truths:
+        return
+    made = group(entry, TRUTH, "NXcollection")
+    text_field(made, "description", "SIMULATED: known to the World only, never measured")
+    taken = {"description"}
+    for name, text in truths.items():
+        found = from_json(str(text))
+        values = found if isinstance(found, Mapping) else {"value": found}
+        _write_values(group(made, unique_name(name, taken), "NXparameters"), values, {})
 
 
 def text_of(field: h5py.Dataset) -> str:

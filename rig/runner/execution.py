@@ -68,6 +68,7 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
     """Run a job on a bench from connecting to the compiled file. Never raises a RigError: what
     went wrong is in the outcome."""
     outcome = Outcome("failed", ExitCode.INTERNAL)
+    getattr(job.procedure, "import_ahead", lambda: None)()
     try:
         stop.check()
         bench = benches.connect(plan, clock)

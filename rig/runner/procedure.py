@@ -5,6 +5,8 @@
     take(run, point) -> Reading               # act: one point
     refine(settings, readings) -> tuple[Point, ...]   # optional and pure: further points
     invalid(settings, reading) -> str         # optional and pure: why a reading does not count
+    import_ahead()                            # optional: what takes long to import, while nothing
+                                              # is switched on yet
     overhead_s(settings, fixture) -> float    # optional and pure: bench time that arming and
                                               # making safe are expected to take
 

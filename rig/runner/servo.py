@@ -15,11 +15,16 @@ or changes evenly leaves no error in the mean: the account of positions is the i
 One number sets how quickly it believes what it sees, `memory_s`. It follows from delay and tick, so
 that k may be 1.3 times or half the one assumed: the skin's rises with the force, and changes when
 ridges slip. `rig.runner.approach` comes before and measures k. How well it holds: decision 0035.
+
+A slide that is repeated disturbs the force again in the same way: what one slide has shown,
+`ContactShift`, may be given to the servo for the next ones, which then have only the difference to
+follow. What a slide shows that was helped itself is no better: noise adds up from one to the next.
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
 
@@ -92,6 +97,30 @@ class ServoStep:
     """At most."""
 
 
+class ContactShift:
+    """How far the axis would have had to move during a slide for the force to stay on target."""
+
+    def __init__(self) -> None:
+        self._times: list[float] = []
+        self._shifts: list[float] = []
+
+    def add(self, since_s: float, shift_mm: float) -> None:
+        """What was seen `since_s` after the slide's beginning; times ascend."""
+        self._times.append(since_s)
+        self._shifts.append(shift_mm)
+
+    def at_mm(self, since_s: float) -> float:
+        """At any time, 0 before the first."""
+        after = bisect_right(self._times, since_s)
+        if after == 0:
+            return 0.0
+        first = self._shifts[0]
+        if after == len(self._times):
+            return self._shifts[-1] - first
+        (t0, t1), (s0, s1) = self._times[after - 1 : after + 1], self._shifts[after - 1 : after + 1]
+        return s0 + (s1 - s0) * (since_s - t0) / (t1 - t0) - first
+
+
 class ForceServo:
     """Holds a force; one `step` a tick, begun where the axis stands at rest near the target."""
 
@@ -102,6 +131,16 @@ class ForceServo:
         self._axis = _AxisAccount(settings)
         self._level_N: float | None = None
         self._slope_N_s = 0.0
+        self._since_s = -math.inf
+        self._expected = ContactShift()
+        self.shift = ContactShift()
+        """What the slide under way has shown so far."""
+
+    def slide_begins(self, expected: ContactShift | None = None) -> None:
+        """The next step is the first of a slide; `expected` is the `shift` of one like it, on the
+        same tick and delay, from the same force."""
+        self._since_s = 0.0
+        self._expected, self.shift = expected or ContactShift(), ContactShift()
 
     @property
     def told_mm(self) -> float:
@@ -111,10 +150,16 @@ class ForceServo:
     def step(self, force_N: float) -> ServoStep:
         """What to do, given the mean force of the latest milliseconds."""
         own, axis = self.settings, self._axis
-        self._follow(force_N - own.stiffness_N_mm * axis.seen_mm())
-        horizon_s = own.delay_s + ARRIVAL_OF_TICK * own.tick_s
-        expected_N = (self._level_N or 0.0) + self._slope_N_s * horizon_s
+        seen_mm, seen_s = axis.seen_mm(), self._since_s - own.delay_s
+        if seen_s >= 0:
+            missing_N = own.target_N - force_N
+            self.shift.add(seen_s, seen_mm + missing_N / own.stiffness_N_mm)
+        self._follow(force_N - own.stiffness_N_mm * (seen_mm - self._expected.at_mm(seen_s)))
+        ahead_s = ARRIVAL_OF_TICK * own.tick_s
+        expected_N = (self._level_N or 0.0) + self._slope_N_s * (own.delay_s + ahead_s)
         wanted_mm = (own.target_N - expected_N) / own.stiffness_N_mm
+        wanted_mm += self._expected.at_mm(self._since_s + ahead_s)
+        self._since_s += own.tick_s
         reach_mm = own.speed_mm_s * own.tick_s
         increment = wanted_mm - axis.target_mm
         increment = max(-reach_mm, min(increment, reach_mm))

@@ -1,6 +1,6 @@
 """Friction coefficients of the simulated skin's slides, and what a correlated mean is worth.
 
-Tuned on 120 random slides (decision 0035); the corners here are others, with noise of 5 mN, more
+Made with 240 random slides (decision 0035); the corners here are others, with noise of 5 mN, more
 than twice that of the bench's force sensor.
 """
 

@@ -17,7 +17,7 @@ from rig.model.contact.settings import ContactSettings, FrictionSettings, Plate
 from rig.model.contact.stepper import ContactStepper
 from rig.model.skin.condensed import CondensedSkin
 from rig.runner.approach import Approach
-from rig.runner.servo import ForceServo, settings_from
+from rig.runner.servo import ContactShift, ForceServo, settings_from
 
 LINK_ms, LATENCY_ms = 2, 1
 MEAN = 2
@@ -39,13 +39,19 @@ DELAY_s = 1e-3 * LINK_ms + FORCE_AGE_s
 class PressedSkin:
     """The bench."""
 
-    def __init__(self, skin: CondensedSkin, friction: FrictionSettings, unit_mm: float = 1e-4):
+    def __init__(
+        self,
+        skin: CondensedSkin,
+        friction: FrictionSettings,
+        unit_mm: float = 1e-4,
+        seed: int = 0,
+    ):
         self._contact = ContactStepper(skin, ContactSettings(friction=friction), Plate())
         mechanics = Mechanics(start_mm=ORIGIN_mm - ABOVE_mm)
         self._axis = Axis(mechanics, lambda position, t: 0.0)
         self._unit_mm = unit_mm
         self._orders: list[tuple[int, Command]] = []
-        self._rng = np.random.default_rng(35)
+        self._rng = np.random.default_rng([35, seed])
         self._frames: list[float] = []
         self.now_ms = 0
         self.normal_N: list[float] = []
@@ -103,6 +109,8 @@ class Held:
     """Of the error during the slide."""
     low: float
     high: float
+    shift: ContactShift
+    """What the slide has shown."""
 
 
 def press_and_slide(
@@ -114,9 +122,11 @@ def press_and_slide(
     *,
     stiffness_error: float = 1.0,
     unit_mm: float = 1e-4,
+    expected: ContactShift | None = None,
+    seed: int = 0,
 ) -> Held:
     """Approach, press, rest, slide through gross slip under the servo."""
-    bench, period = PressedSkin(skin, friction, unit_mm), 1000 // rate_Hz
+    bench, period = PressedSkin(skin, friction, unit_mm, seed), 1000 // rate_Hz
     approach = Approach(target_N, 1 / rate_Hz, DELAY_s, FORCE_AGE_s, ACCELERATION_mm_s2)
     while True:
         here = bench.position_mm()
@@ -136,6 +146,7 @@ def press_and_slide(
     while bench.now_ms < begin + 1000 * slide_s:
         if bench.now_ms == begin:
             bench.slide_from_ms, bench.speed_mm_s = begin, speed_mm_s
+            servo.slide_begins(expected)
         move = servo.step(bench.force_N())
         counted = bench.go(told + move.increment_mm, move.speed_mm_s)
         servo.correct(counted - told - move.increment_mm)
@@ -152,4 +163,5 @@ def press_and_slide(
         rms=float(np.sqrt(np.mean(sliding**2))),
         low=float(sliding.min()),
         high=float(sliding.max()),
+        shift=servo.shift,
     )

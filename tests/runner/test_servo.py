@@ -16,7 +16,7 @@ from rig.runner.approach import (
     closing_speed_mm_s,
     search_speed_mm_s,
 )
-from rig.runner.servo import ForceServo, settings_from
+from rig.runner.servo import ContactShift, ForceServo, settings_from
 
 TARGET_N, STIFFNESS_N_mm = 4.0, 160.0
 
@@ -149,6 +149,26 @@ def test_a_hundred_commands_a_second_hold_slower_slides(
     assert held.overshoot < 0.02
     assert held.rms < 0.02
     assert -0.05 < held.low < held.high < 0.05
+
+
+@pytest.mark.parametrize("rate_Hz", [100, 500])
+@pytest.mark.parametrize(("force_N", "ratio"), [(2.0, 0.95), (4.0, 0.7), (8.0, 0.95)])
+def test_a_repeated_slide_is_held_at_any_rate(skin6, rate_Hz, force_N, ratio) -> None:
+    """The hardest corners, friction 1.2 at 6 mm/s, once the first slide has shown what comes."""
+    friction = FrictionSettings(static_coefficient=1.2, kinetic_coefficient=1.2 * ratio)
+    first = press_and_slide(skin6, friction, force_N, 6.0, rate_Hz)
+    again = press_and_slide(skin6, friction, force_N, 6.0, rate_Hz, expected=first.shift, seed=1)
+    assert again.rms < min(0.02, 0.7 * first.rms)
+    assert -0.05 < again.low < again.high < 0.05
+
+
+def test_a_shift_is_a_broken_line_from_zero() -> None:
+    shift = ContactShift()
+    assert shift.at_mm(1.0) == 0.0
+    for since_s, seen_mm in ((0.0, 0.5), (0.01, 0.503), (0.02, 0.501)):
+        shift.add(since_s, seen_mm)
+    wanted = {-1.0: 0.0, 0.0: 0.0, 0.005: 0.0015, 0.01: 0.003, 0.015: 0.002, 5.0: 0.001}
+    assert {t: shift.at_mm(t) for t in wanted} == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize("rate_Hz", [100, 500])

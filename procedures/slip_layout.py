@@ -1,0 +1,84 @@
+"""What a slip trial records, what its readings hold, and how both become the plots of its file."""
+
+from __future__ import annotations
+
+from rig.recording.layout import Column, Layout, Plot, Trace
+from rig.runner.procedure import StreamPlan
+
+STREAMS = (
+    StreamPlan("strips", "daq", ("strip_1", "strip_2"), "PVDF strips, raw counts"),
+    StreamPlan(
+        "signals",
+        "computed from strips",
+        ("v_d", "v_1", "v_2"),
+        "Strips at 1 kHz behind the anti-alias filter, v_d = v_1 - v_2",
+        "<f8",
+        "V",
+    ),
+    StreamPlan(
+        "bridges", "force_sensor", ("x", "y", "z"), "Force sensor, bridges as sent", "<f4", "mV/V"
+    ),
+    StreamPlan(
+        "force",
+        "computed from bridges",
+        ("F_n", "F_t", "F_y"),
+        "Normal force, tangential force along x and force along y",
+        "<f8",
+        "N",
+    ),
+    StreamPlan(
+        "position",
+        "stage_z, stage_x",
+        ("z", "x", "z_commanded", "x_commanded"),
+        "Positions measured and commanded, at the ticks",
+        "<f8",
+        "mm",
+    ),
+)
+
+LAYOUT = Layout(
+    definition="NXrig_slip_trial",
+    version="1",
+    columns=(
+        Column("trial", "trial", "", "Trial"),
+        Column("normal_force_set", "normal_force_set_N", "N", "Normal force asked for (N)"),
+        Column("speed", "speed_mm_s", "mm/s", "Speed of the slide (mm/s)"),
+        Column("direction", "direction", "", "Direction along x"),
+        Column("contact", "contact_mm", "mm", "z of the contact (mm)"),
+        Column("stiffness", "stiffness_N_mm", "N/mm", "Stiffness at the force (N/mm)"),
+        Column("overshoot", "overshoot_percent", "%", "Overshoot of the approach (%)"),
+        Column("normal_force", "normal_force_N", "N", "Mean normal force in the slide (N)"),
+        Column("force_error_rms", "force_error_rms_percent", "%", "Force error, rms (%)"),
+        Column("force_error_peak", "force_error_peak_percent", "%", "Force error, peak (%)"),
+        Column("static_friction", "static_friction", "", "Static friction coefficient"),
+        Column("static_friction_error", "static_friction_error", "", "Standard error"),
+        Column("kinetic_friction", "kinetic_friction", "", "Kinetic friction coefficient"),
+        Column("kinetic_friction_error", "kinetic_friction_error", "", "Standard error"),
+        Column("clock_offset", "clock_offset_s", "s", "DAQ's clock behind the force's (s)"),
+        Column("clock_offset_error", "clock_offset_error_s", "s", "Standard error (s)"),
+        Column("slide_from", "slide_from_s", "s", "Begin of the slide, since the record's (s)"),
+        Column("slide_to", "slide_to_s", "s", "End of the slide, since the record's (s)"),
+        Column("samples", "samples", "", "Rows of the strips"),
+        Column("frames", "frames", "", "Frames of the force sensor"),
+        Column("ticks", "ticks", "", "Ticks"),
+        Column("late_ticks", "late_ticks", "", "Ticks that began late"),
+        Column("largest_lateness", "largest_lateness_s", "s", "Largest lateness of a tick (s)"),
+        Column("invalid", "invalid", "", "Why the trial does not count", "text"),
+        Column("filter_delay", "filter_delay_s", "s", "Delay of the anti-alias filter (s)"),
+    ),
+    plots=(
+        Plot(
+            "friction",
+            "static_friction",
+            ("trial",),
+            errors="static_friction_error",
+            auxiliary=("kinetic_friction",),
+            title="Friction coefficients by trial",
+        ),
+    ),
+    traces=(
+        Trace("data", "signals", "v_d", ("v_1", "v_2"), title="Differential PVDF signal"),
+        Trace("force", "force", "F_n", ("F_t",), title="Forces"),
+        Trace("position", "position", "x", ("z", "z_commanded"), title="Positions"),
+    ),
+)

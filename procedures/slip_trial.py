@@ -1,0 +1,212 @@
+"""Slide of the artificial skin on a plate at constant normal force: paper 4.1.
+
+The skin hangs on the x-z stage above the plate, the plate lies on the force sensor. A trial goes
+down until the plate is felt, brings the normal force up and holds it by a servo on z, rests, slides
+along x, and lifts off. The strips are sampled all the while, gap by gap the same: what was lost
+ends the trial.
+
+Every tick takes what the force sensor and the DAQ have sent, records it, and moves z by what the
+force asks for. Whatever ends a trial, x stops first, then z goes up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import Field, model_validator
+
+from procedures import slip_layout
+from rig.bench import Fixture
+from rig.errors import ConfigurationError, InstrumentError, RigError
+from rig.instruments import Acquisition, InputChannel
+from rig.runner.points import Move, Point, Reading
+from rig.settings import Settings as BaseSettings
+
+if TYPE_CHECKING:
+    from rig.runner.run import Run
+
+NAME = "slip-trial"
+FIXTURES: tuple[Fixture, ...] = ("plate",)
+FIGURE = "slip_trial"
+LAYOUT = slip_layout.LAYOUT
+STREAMS = slip_layout.STREAMS
+
+STRIPS = ("strip_1", "strip_2")
+FORCE_RATE_S_S = 1000.0
+"""Frames of the force sensor (paper 4.1)."""
+TRAVEL_mm_s = 10.0
+LIFT_DEADLINE_S = 20.0
+
+
+class Settings(BaseSettings):
+    """What a slip trial may be asked for."""
+
+    normal_force_N: float = Field(default=4.0, gt=0)
+    """Normal force, held by the servo (paper 2.2: all nine ridges touch at 4 N)."""
+    speed_mm_s: float = Field(default=0.5, gt=0)
+    """Speed of the slide."""
+    distance_mm: float = Field(default=1.0, gt=0)
+    """Length of the slide."""
+    direction: Literal["+x", "-x"] = "+x"
+    """Direction of the slide."""
+    start_mm: float = 10.0
+    """Position of the x stage at which a trial begins."""
+    acceleration_mm_s2: float = Field(default=200.0, gt=0)
+    """Of the stages, as their drives are set."""
+    rest_s: float = Field(default=0.3, ge=0, le=60)
+    """Rest under the held force, before the slide."""
+    trials: int = Field(default=1, ge=1, le=10_000, json_schema_extra={"short": "-n"})
+    """How many trials are made."""
+    retry_invalid: int = Field(default=0, ge=0, le=100)
+    """How often a trial that does not count is made again."""
+    force_error_rms_percent: float = Field(default=2.0, gt=0)
+    """Error of the normal force during the slide, rms, beyond which a trial does not count."""
+    force_error_peak_percent: float = Field(default=5.0, gt=0)
+    """Its largest error beyond which a trial does not count."""
+    late_ticks_percent: float = Field(default=1.0, ge=0, le=100)
+    """Share of late ticks beyond which a trial does not count."""
+    largest_force_N: float = Field(default=15.0, gt=0)
+    """Force along any axis at which everything stops."""
+    tick_Hz: float = Field(default=100.0, ge=20, le=500)
+    """Ticks of the servo."""
+    rate_S_s: float = Field(default=10e3, ge=10e3, le=50e3)
+    """Sampling rate of the strips; a whole multiple of 1000."""
+    range_V: float = Field(default=1.25, gt=0)
+    """Input range of the strips' channels, bipolar."""
+    item: str = ""
+    """What lies in the place of the plate."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> Settings:
+        if self.normal_force_N >= self.largest_force_N:
+            raise ValueError(
+                f"normal_force_N {self.normal_force_N:g} is not below largest_force_N "
+                f"{self.largest_force_N:g}"
+            )
+        if self.rate_S_s % 1000:
+            raise ValueError(f"rate_S_s {self.rate_S_s:g} is not a whole multiple of 1000")
+        return self
+
+    @property
+    def along(self) -> int:
+        """Sign of the slide."""
+        return 1 if self.direction == "+x" else -1
+
+    @property
+    def end_mm(self) -> float:
+        """Where the slide ends."""
+        return self.start_mm + self.along * self.distance_mm
+
+
+# --- what will be done ------------------------------------------------------------------------
+
+
+def points(settings: Settings) -> tuple[Point, ...]:
+    """One point a trial."""
+    slide_s = settings.distance_mm / settings.speed_mm_s
+    block = round(settings.rate_S_s / settings.tick_Hz)
+    channels = tuple(InputChannel(name, settings.range_V) for name in STRIPS)
+    return tuple(
+        Point(
+            id=f"trial-{number:03d}",
+            condition=number,
+            moves=(
+                Move("force_sensor.force", settings.largest_force_N),
+                Move("stage_x.position", settings.start_mm),
+                Move("stage_x.position", settings.end_mm),
+                Move("stage_x.speed", settings.speed_mm_s),
+            ),
+            acquisitions=(Acquisition(channels, settings.rate_S_s, block),),
+            duration_s=slide_s + settings.rest_s + 6.0,
+        )
+        for number in range(1, settings.trials + 1)
+    )
+
+
+def invalid(settings: Settings, reading: Reading) -> str:
+    """Why a trial does not count; empty where it does."""
+    return str(reading.get("invalid") or "")
+
+
+def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, Any]:
+    """Friction, servo and how many trials count."""
+    counting = [r for r in readings if not r["invalid"]]
+    found: dict[str, Any] = {"trials": len(readings), "valid_trials": len(counting)}
+    for name in (
+        "static_friction",
+        "kinetic_friction",
+        "force_error_rms_percent",
+        "force_error_peak_percent",
+        "overshoot_percent",
+    ):
+        values = [float(value) for r in counting if (value := r[name]) is not None]
+        if values:
+            found[f"mean_{name}"] = sum(values) / len(values)
+    return found
+
+
+# --- doing it ---------------------------------------------------------------------------------
+
+
+def import_ahead() -> None:
+    """What a trial needs and takes seconds to import: never while something is switched on."""
+    import procedures.slip_taking  # noqa: F401
+
+
+def arm(run: Run) -> None:
+    """Watch the force; have the way up and the ends of everything known before anything moves."""
+    bench, settings = run.bench, run.settings
+    z, x, daq = bench.stage_z, bench.stage_x, bench.daq
+    fixture = bench.settings.fixture
+    if fixture.contact_from_mm is None or fixture.contact_to_mm is None:
+        raise ConfigurationError(
+            f"{bench.plan.source}: [fixture] does not say where contact has to be felt",
+            "add contact_from_mm and contact_to_mm, positions of the z stage",
+        )
+    run.stream_force(FORCE_RATE_S_S)
+    run.force.watch(settings.largest_force_N)
+    run.arm("slide", x.stop, at_once=x.make_safe)
+    run.arm("normal force", lambda: _lift(run), LIFT_DEADLINE_S, at_once=z.make_safe)
+    run.arm("acquisition", daq.stop)
+    for stage in (z, x):
+        stage.stop()
+    if not z.homed():
+        z.home()
+    z.move_to(fixture.parked_mm, TRAVEL_mm_s)
+    if not x.homed():  # only now: the skin is clear of everything
+        x.home()
+
+
+def take(run: Run, point: Point) -> Reading:
+    """One trial: down, hold, rest, slide, up; then what it shows."""
+    from procedures.slip_taking import Trial
+
+    trial = Trial(run, int(point.condition))
+    trial.make_ready()
+    trial.record()
+    try:
+        trial.press()
+        trial.slide()
+    finally:
+        trial.end_record()
+    trial.lift()
+    return trial.reading()
+
+
+def _lift(run: Run) -> None:
+    """Stop, x first; then away from the plate, if the drive still can."""
+    x, z = run.bench.stage_x, run.bench.stage_z
+    try:
+        x.stop()
+    except RigError as error:  # its own off says so, too: up is what matters here
+        run.event("warning", "slide-not-stopped", error.one_line())
+    z.stop()
+    try:
+        z.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
+    except InstrumentError as error:
+        run.event(
+            "warning",
+            "not-lifted",
+            f"the stage stands and the skin may still be pressed: {error.one_line()}",
+        )

@@ -1,0 +1,104 @@
+"""A slip trial in pictures: the strips' signal in the manner of the paper's Figure 10, the forces
+with their ratio, and how well the normal force was held."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from rig.figures.style import STYLE, set_margins
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from rig.recording.runfile import RunFile, Waveform
+
+TRIALS_SHOWN = 20
+"""Trials that get a figure of their own; the file holds them all."""
+BEFORE_S = 0.3
+"""What is shown before the force is felt; the file holds all of it."""
+LEAST_FORCE = 0.1
+"""Share of the normal force from which F_t / F_n is drawn."""
+
+
+def draw_trials(run: RunFile) -> dict[str, Figure]:
+    """One figure a trial: the first has the run's name, the others add their own."""
+    points = run.point_ids()[:TRIALS_SHOWN]
+    return {
+        "" if number == 0 else f"-{point}": draw_trial(run, number, point)
+        for number, point in enumerate(points)
+    }
+
+
+def draw_trial(run: RunFile, number: int, point: str) -> Figure:
+    """Signal, forces, ratio and force error over time; the slide is shaded."""
+    series = {w.stream: w for w in run.waveforms(point)}
+    signals, force = series["signals"], series["force"]
+    begin, end = (float(run.column(name)[number]) for name in ("slide_from", "slide_to"))
+    wanted = float(run.column("normal_force_set")[number])
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 7.6))
+        volts, newtons, ratio, error = figure.subplots(
+            4, 1, sharex=True, gridspec_kw={"height_ratios": [2.4, 1.6, 1.2, 1.0]}
+        )
+        t, mV = _time(signals), {name: 1e3 * signals.values(name) for name in signals.counts}
+        volts.plot(t, mV["v_d"], linewidth=0.8, color="C0", label="$v_d = v_1 - v_2$")
+        for colour, name, label in (("C1", "v_1", "$v_1$"), ("C2", "v_2", "$v_2$")):
+            volts.plot(t, mV[name], linewidth=0.5, alpha=0.5, color=colour, label=label)
+        volts.set_ylabel("Signal (mV)")
+        volts.legend(loc="upper left", frameon=False, ncols=3)
+        t, pressing, sideways = _time(force), force.values("F_n"), force.values("F_t")
+        newtons.plot(t, pressing, linewidth=0.8, label="$F_n$")
+        newtons.plot(t, sideways, linewidth=0.8, label="$F_t$")
+        newtons.set_ylabel("Force (N)")
+        newtons.legend(loc="upper left", frameon=False, ncols=2)
+        _ratio(ratio, t, pressing, sideways, wanted)
+        _coefficients(ratio, run, number)
+        held = (t >= begin) & (t <= end)
+        error.plot(t[held], 100 * (pressing[held] / wanted - 1), linewidth=0.6, color="C3")
+        error.axhspan(-2, 2, color="0.5", alpha=0.12, linewidth=0)
+        error.set_ylabel("$F_n$ error (%)")
+        error.set_xlabel("Time (s)")
+        for axes in (volts, newtons, ratio, error):
+            axes.axvspan(begin, end, color="C2", alpha=0.07, linewidth=0)
+        touched = t[pressing > LEAST_FORCE * wanted]
+        if touched.size:
+            error.set_xlim(max(0.0, float(touched[0]) - BEFORE_S), float(t[-1]))
+        set_margins(figure, top=0.5)
+        doubt = str(run.column("invalid")[number])
+        invalid = f"\ndoes not count: {doubt}" if doubt else ""
+        figure.suptitle(f"{run.header.title}: {point}\n{run.path.name}{invalid}", fontsize=9)
+    return figure
+
+
+def _time(waveform: Waveform) -> NDArray[np.float64]:
+    """Seconds since the record's start."""
+    first = next(iter(waveform.counts.values()))
+    return np.arange(len(first)) / (waveform.rate_Hz or 1.0)
+
+
+def _ratio(
+    axes: Axes,
+    t: NDArray[np.float64],
+    pressing: NDArray[np.float64],
+    sideways: NDArray[np.float64],
+    wanted: float,
+) -> None:
+    pressed = pressing > LEAST_FORCE * wanted
+    values = np.where(pressed, sideways / np.where(pressed, pressing, 1.0), np.nan)
+    axes.plot(t, values, linewidth=0.7, color="0.3")
+    axes.set_ylabel("$F_t/F_n$")
+
+
+def _coefficients(axes: Axes, run: RunFile, number: int) -> None:
+    for name, colour in (("static_friction", "C1"), ("kinetic_friction", "C4")):
+        found = float(run.column(name)[number])
+        if np.isfinite(found):
+            label = f"{name.replace('_', ' ')} {found:.3f}"
+            axes.axhline(found, color=colour, linestyle="--", linewidth=0.8, label=label)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="lower left", frameon=False, ncols=2)

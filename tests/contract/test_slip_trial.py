@@ -1,0 +1,157 @@
+"""Slip trials through the real command: what they show, and what ends them."""
+
+from __future__ import annotations
+
+import json
+import signal
+
+import numpy as np
+import pytest
+from nexusformat.nexus.validate import lint_nxdl, validate_application, validate_file
+
+from rig.recording.definitions import definition_path
+from rig.recording.runfile import RunFile
+from rig.recording.verify import verify
+
+SHORT = ("--distance", "0.4mm", "--speed", "1mm/s", "--rest", "100ms")
+
+
+def arguments(rig, *given):
+    return ["slip-trial", "--json", "--no-figures", "--world-log", str(rig.world_log), *given]
+
+
+def moves(rig, device):
+    return [entry for entry in rig.log() if entry["device"] == device]
+
+
+def assert_off_the_plate(rig):
+    """Lifted, at rest, and the World has seen the skin leave the plate if it was ever on it."""
+    z = [e for e in moves(rig, "stage_z") if e["what"] in ("move", "at-rest")]
+    assert z[-1]["what"] == "at-rest"
+    assert z[-1]["value"] == pytest.approx(5.0, abs=0.01)
+    touched = [e["what"] for e in rig.log() if e["what"] in ("touch-down", "lift-off")]
+    assert touched[-1:] != ["touch-down"]
+
+
+def test_a_trial_shows_hump_and_impulse_and_measures_the_friction(rig):
+    ended = rig.run(*arguments(rig, "--distance", "0.6mm"))
+    assert ended.code == 0, ended.stderr
+    assert_off_the_plate(rig)
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    definition = definition_path("NXrig_slip_trial")
+    assert lint_nxdl(definition) == []
+    assert validate_file(str(file)) == (0, 0)
+    assert validate_application(str(file), application=str(definition)) == (0, 0)
+    with RunFile.open(file) as run:
+        (reading,) = run.readings()
+        series = {w.stream: w for w in run.waveforms("trial-001")}
+        truth = run.entry["simulated_truth/trial_001"]
+        whole_us = truth["whole_slip_us"][()]
+        begun_us = truth["record_begun_us"][()]
+    assert reading["force_error_rms_percent"] < 2
+    assert reading["force_error_peak_percent"] < 5
+    assert reading["overshoot_percent"] < 10
+    assert reading["kinetic_friction"] == pytest.approx(0.65, rel=0.03)
+    assert 0.65 < reading["static_friction"] < 0.8, "of the whole contact: between mu_k and mu_s"
+    order = (np.argsort(whole_us) + 1).tolist()
+    assert order[:4] == [1, 9, 2, 3], "physics: edges first, then the ridge with the strips"
+    v_d = 1e3 * series["signals"].values("v_d")
+    t = np.arange(len(v_d)) / 1000 - reading["filter_delay_s"]
+    slip_s = 1e-6 * (whole_us[2] - begun_us)
+    around = np.abs(t - slip_s) < 0.015
+    assert -36 < v_d[around].min() < -22, "the impulse when ridge 3 slips, mV"
+    shear = (t > reading["slide_from_s"] + 0.04) & (t < slip_s - 0.02)
+    assert 2.0 < np.median(v_d[shear]) < 5.0, "the hump, mV"
+    force = series["force"]
+    assert len(force.counts["F_n"]) == reading["frames"]
+    assert len(series["strips"].counts["strip_1"]) == reading["samples"]
+
+
+def test_the_same_seed_gives_the_same_samples(rig):
+    found = []
+    for _ in range(2):
+        ended = rig.run(*arguments(rig, *SHORT, "--seed", "3"))
+        assert ended.code in (0, 5), ended.stderr
+        with RunFile.open(rig.folder / json.loads(ended.stdout)["file"]) as run:
+            found.append([w.counts for w in run.waveforms("trial-001")])
+    assert [list(counts) for counts in found[0]] == [list(counts) for counts in found[1]]
+    for first, second in zip(*found, strict=True):
+        for name, values in first.items():
+            assert (values == second[name]).all(), name
+
+
+def test_ctrl_c_in_a_slide_lifts_off_and_keeps_what_was_recorded(rig):
+    running = rig.start(*arguments(rig, "--distance", "5mm", "--speed", "0.3mm/s"))
+    rig.await_world("slip")
+    running.send(signal.SIGINT)
+    ended = running.finish()
+    assert ended.code == 130, ended.stderr
+    assert_off_the_plate(rig)
+    with RunFile.open(rig.only("*.h5")) as run:
+        kept = {w.stream: w for w in run.waveforms(status="unfinished")} or {
+            w.stream: w for w in run.waveforms(status="discarded")
+        }
+    assert len(kept["strips"].counts["strip_1"]) > 1000
+    assert kept["force"].values("F_n").max() > 3.5
+
+
+@pytest.mark.parametrize(
+    ("contact_mm", "said"),
+    [(13.6, "no contact is felt down to 13 mm"), (11.85, "before any contact can be")],
+    ids=["no contact", "contact too early"],
+)
+def test_contact_in_the_wrong_place_ends_in_one_line(rig, contact_mm, said):
+    world = rig.world(f"[skin_mount]\ncontact_mm = {contact_mm}\n")
+    ended = rig.run(*arguments(rig, *SHORT, "--world", world))
+    assert ended.code == 3, ended.stderr
+    errors = [line for line in ended.stderr.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 1
+    assert said in errors[0]
+    assert_off_the_plate(rig)
+
+
+def test_a_force_over_the_limit_lifts_off_and_ends_the_run_after_one_retake(rig):
+    ended = rig.run(*arguments(rig, *SHORT, "--largest-force", "4.02N"))
+    assert ended.code == 4, ended.stderr
+    assert "retaking point trial-001 once" in ended.stderr
+    assert_off_the_plate(rig)
+
+
+def test_trials_that_do_not_count_are_made_again_kept_and_told(rig):
+    hard = ("--force-error-rms", "0.001percent", "--retry-invalid", "1")
+    ended = rig.run(*arguments(rig, *SHORT, *hard))
+    assert ended.code == 5, ended.stderr
+    assert "taken again" in ended.stderr
+    assert "force error rms" in ended.stderr
+    with RunFile.open(rig.only("*.h5")) as run:
+        attempts = [status.decode() for status in run.entry["attempts/status"][()]]
+        assert attempts == ["discarded", "kept"]
+        assert "is above 0.001 %" in run.column("invalid")[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "code", "said"),
+    [
+        (("--normal-force", "20N"), 2, "is not below"),
+        (("--distance", "45mm"), 4, "stage_x position 55 mm is outside 0 to 40 mm"),
+        (("--speed", "90mm/s"), 4, "stage_x speed 90 mm/s is outside"),
+        (("--rate", "10500"), 2, "not a whole multiple of 1000"),
+        (("--direction", "up"), 2, "direction"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_before_anything_moves(rig, given, code, said):
+    ended = rig.run(*arguments(rig, *given))
+    assert ended.code == code, ended.stderr
+    assert said in ended.stderr
+    assert not [e for e in rig.log() if e["what"] == "move"] if rig.world_log.exists() else True
+
+
+def test_the_film_clamp_is_the_wrong_fixture(rig):
+    simulator = rig.start("simulate", "--write", "sim.toml")
+    simulator.wait_for("sim.toml")
+    ended = rig.run("slip-trial", "--bench", "sim.toml")
+    assert ended.code == 2, ended.stderr
+    assert "the bench has the film-clamp mounted, this procedure needs plate" in ended.stderr
+    simulator.send(signal.SIGINT)
+    simulator.finish()
