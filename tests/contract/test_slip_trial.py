@@ -43,6 +43,10 @@ def test_a_trial_shows_hump_and_impulse_and_measures_the_friction(rig):
     assert lint_nxdl(definition) == []
     assert validate_file(str(file)) == (0, 0)
     assert validate_application(str(file), application=str(definition)) == (0, 0)
+    shown = rig.run("show", str(file))
+    assert shown.code == 0, shown.stderr
+    assert file.with_suffix(".png").stat().st_size > 10_000
+    assert "SIMULATED" in file.with_suffix(".svg").read_text("utf-8")
     with RunFile.open(file) as run:
         (reading,) = run.readings()
         series = {w.stream: w for w in run.waveforms("trial-001")}
