@@ -296,8 +296,17 @@ class GsvLink:
             self._responses.clear()
 
     def _write(self, command: Command, parameters: bytes) -> None:
+        import serial
+
         self._unanswered.add(command.answer_bytes)
-        self._port.write(gsv_frames.request(command.number, parameters, self.crc))
+        port = self._port
+        try:
+            port.write(gsv_frames.request(command.number, parameters, self.crc))
+        except (TypeError, AttributeError) as error:
+            if port is not None and self._port is port:
+                raise
+            # The reader has closed it meanwhile: pyserial then trips over what is no longer there.
+            raise serial.SerialException("the port was closed while it was written to") from error
 
     def _await(self, command: Command, strict: bool) -> Response:
         """The next response; `strict` makes bytes that are no frame an error."""

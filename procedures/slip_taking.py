@@ -130,10 +130,8 @@ class Trial:
 
     def end_record(self) -> None:
         """Take what has still come, and end the acquisition."""
-        try:
-            self._collect()
-        finally:
-            self.bench.daq.stop()
+        self._collect_streams()
+        self.bench.daq.stop()
 
     def press(self) -> None:
         """Down until the plate is felt, on until the force is there, no faster than it allows; the
@@ -215,7 +213,17 @@ class Trial:
         return True
 
     def _collect(self) -> float:
-        """Take and record what force sensor, DAQ and stages say; the latest force along z."""
+        """Take and record what DAQ, force sensor and stages say; the latest force along z."""
+        self._collect_streams()
+        here = (self.z.position_mm(), self.x.position_mm(), self._z_commanded, self._x_commanded)
+        row, taken = np.array([here]), self.taken
+        self.run.put("position", len(taken.position), row, self.settings.tick_Hz, units="mm")
+        taken.position.append((self.run.clock.now() - self.begun_s, *here))
+        force_N = self._force_N()
+        self.largest_N = max(self.largest_N, force_N)
+        return force_N
+
+    def _collect_streams(self) -> None:
         run, taken = self.run, self.taken
         while (record := self.bench.daq.read()) is not None:
             run.emit("strips", record)
@@ -230,13 +238,6 @@ class Trial:
             newton = np.ascontiguousarray(frames.force_N[:, [2, 0, 1]])
             run.put("force", first, newton, FORCE_RATE_S_S, units="N")
             taken.force.append(newton)
-        here = (self.z.position_mm(), self.x.position_mm(), self._z_commanded, self._x_commanded)
-        row = np.array([here])
-        run.put("position", len(taken.position), row, self.settings.tick_Hz, units="mm")
-        taken.position.append((run.clock.now() - self.begun_s, *here))
-        force_N = self._force_N()
-        self.largest_N = max(self.largest_N, force_N)
-        return force_N
 
     def _signals(self, volts: npt.NDArray[np.float64]) -> None:
         if not len(volts):

@@ -166,9 +166,9 @@ def arm(run: Run) -> None:
         )
     run.stream_force(FORCE_RATE_S_S)
     run.force.watch(settings.largest_force_N)
+    run.arm("acquisition", daq.stop)  # the last to be ended: a DAQ that hangs keeps no skin pressed
     run.arm("slide", x.stop, at_once=x.make_safe)
     run.arm("normal force", lambda: _lift(run), LIFT_DEADLINE_S, at_once=z.make_safe)
-    run.arm("acquisition", daq.stop)
     for stage in (z, x):
         stage.stop()
     if not z.homed():
@@ -185,11 +185,9 @@ def take(run: Run, point: Point) -> Reading:
     trial = Trial(run, int(point.condition))
     trial.make_ready()
     trial.record()
-    try:
-        trial.press()
-        trial.slide()
-    finally:
-        trial.end_record()
+    trial.press()
+    trial.slide()
+    trial.end_record()
     trial.lift()
     return trial.reading()
 
