@@ -78,7 +78,7 @@ LARGEST_COUNT = 2**31 - 1
 """Positions travel as signed 32-bit integers; speeds are held to the same."""
 POLL_S = 0.002
 ARRIVAL_POLL_S = 0.02
-KEEP_ALIVES_PER_TIMEOUT = 20
+KEEP_ALIVES_PER_TIMEOUT = 10
 """How often the communication time-out is fed within its length."""
 ACKNOWLEDGE_TIMEOUT_S = 0.5
 """How long the drive may take to show that it has taken a task."""

@@ -47,6 +47,8 @@ _STEP = 1e-3
 _PARALLEL = 1e-6
 _NULL = 1e-7
 _ASYMPTOTE_HZ = 1e-2
+_SAME_SIZE = 1.001
+"""Ratio within which a threshold is found."""
 
 
 @dataclass(frozen=True)
@@ -304,7 +306,7 @@ def _smallest_seen(
     low, high = 1e-6 * circuit.film_resistance_ohm, 1e12 * circuit.film_resistance_ohm
     if not stands_out(high):
         return math.inf
-    for _ in range(60):
+    while high > _SAME_SIZE * low:
         middle = math.sqrt(low * high)
         low, high = (low, middle) if stands_out(middle) else (middle, high)
     return high

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -54,18 +55,28 @@ LARGEST_MODEL_ERROR = 0.5
 class SweepAnalysis:
     """All that a sweep says about a film."""
 
-    points: int
+    curve: ResponseCurve
+    """What was analysed."""
     fit: FilmFit
     """The joint fit: level, corner, drops, misfit."""
     slopes: Slopes | None
     """None where less than an octave of 2 to 2000 Hz was measured."""
     plain: PlainFit | None
     """None with fewer than two points outside the drops from 2 to 2000 Hz."""
-    stress_jerk: StressJerkTest
     circuit: CircuitComparison
     linearity: LoadLinearity | None
     """None where there is one load only."""
     distortion: DistortionSummary | None
+
+    @property
+    def points(self) -> int:
+        """How many points were analysed."""
+        return len(self.curve)
+
+    @cached_property
+    def stress_jerk(self) -> StressJerkTest:
+        """The test of the withdrawn claim; made when first asked for, it takes longest."""
+        return stress_jerk_test(self.curve, self.fit)
 
     @property
     def level(self) -> Estimate:
@@ -195,19 +206,11 @@ def analyse(
     """
     curve = ResponseCurve.of(frequencies, responses, covariances, degrees)
     fit = fit_with_drops(curve)
-    stress_jerk = stress_jerk_test(curve, fit)
-    if fit.gain_error > LARGEST_MODEL_ERROR and stress_jerk.verdict != "supported":
-        raise CurveError(
-            "no first-order circuit with drops comes near these points: they scatter about the "
-            f"best one by {fit.gain_error:.0%}",
-            "look at the measured gain and phase before anything else",
-        )
-    return SweepAnalysis(
-        points=len(curve),
+    found = SweepAnalysis(
+        curve=curve,
         fit=fit,
         slopes=slopes(curve, fit),
         plain=plain_fit(curve, fit.model),
-        stress_jerk=stress_jerk,
         circuit=compare_circuit(curve, fit.level, fit.corner, given),
         linearity=None
         if loads is None
@@ -216,6 +219,13 @@ def analyse(
         if load_distortion is None or film_distortion is None
         else distortion_summary(frequencies, load_distortion, film_distortion),
     )
+    if fit.gain_error > LARGEST_MODEL_ERROR and found.stress_jerk.verdict != "supported":
+        raise CurveError(
+            "no first-order circuit with drops comes near these points: they scatter about the "
+            f"best one by {fit.gain_error:.0%}",
+            "look at the measured gain and phase before anything else",
+        )
+    return found
 
 
 def _linearity_as_dict(linearity: LoadLinearity | None) -> dict[str, Any] | None:

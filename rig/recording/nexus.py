@@ -31,21 +31,26 @@ def set_attributes(item: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -
     from h5py import h5a
 
     for name, value in values.items():
-        if type(value) not in (str, float, int):
+        kind: type = type(value)
+        rows = None
+        if kind is list and value and all(type(text) is str for text in value):
+            kind, rows = str, len(value)
+        if kind not in (str, float, int):
             item.attrs[name] = value
             continue
-        memory, stored, space = _scalar(type(value).__name__)
+        memory, stored, space = _attribute(kind, rows)
         h5a.create(item.id, name.encode(), stored, space).write(np.array(value, memory))
 
 
 @cache
-def _scalar(kind: str) -> tuple[Any, Any, Any]:
-    """How a scalar is written: its type in memory, the one in the file, its space."""
+def _attribute(kind: type, rows: int | None) -> tuple[Any, Any, Any]:
+    """How a scalar or a list is written: its type in memory, the one in the file, its space."""
     import numpy as np
     from h5py import h5s, h5t, string_dtype
 
-    memory = np.dtype({"float": "<f8", "int": "<i8"}.get(kind, string_dtype()))
-    return memory, h5t.py_create(memory, logical=True), h5s.create(h5s.SCALAR)
+    memory = np.dtype({float: "<f8", int: "<i8"}.get(kind, string_dtype()))
+    space = h5s.create(h5s.SCALAR) if rows is None else h5s.create_simple((rows,))
+    return memory, h5t.py_create(memory, logical=True), space
 
 
 def safe_name(text: str) -> str:

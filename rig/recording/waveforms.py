@@ -249,10 +249,9 @@ class WaveformWriter:
         fields = []
         names = channel_names(stream.channels)
         axis = self._axis(data, segment)
-        data.attrs["signal"] = names[0]
-        data.attrs["axes"] = [axis]
+        set_attributes(data, {"signal": names[0], "axes": [axis]})
         if names[1:]:
-            data.attrs["auxiliary_signals"] = names[1:]
+            set_attributes(data, {"auxiliary_signals": names[1:]})
         set_attributes(data, segment_attributes(self._contents, number))
         text_field(data, "title", self._title(segment, stream.name))
         for k, (dataset, channel) in enumerate(zip(names, stream.channels, strict=True)):
