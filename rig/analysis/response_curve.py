@@ -6,6 +6,7 @@ result depends on the order of measurement.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -117,6 +118,15 @@ class ResponseCurve:
         gain = np.sqrt(self.relative_covariances[:, 0, 0])
         mixed = self.relative_covariances[:, 1, 0] / gain
         return gain, mixed, np.sqrt(self.relative_covariances[:, 1, 1] - mixed**2)
+
+
+def points_of(column: Callable[[str], Reals]) -> tuple[Reals, Complexes, Reals]:
+    """Frequencies (n,) in Hz, responses (n,) in V/N and their covariances (n, 2, 2) from the
+    columns of a sweep's table."""
+    real, mixed = column("response_var_real"), column("response_cov")
+    covariances = np.stack([real, mixed, mixed, column("response_var_imag")], axis=1)
+    responses = column("response_real") + 1j * column("response_imag")
+    return column("frequency"), responses, covariances.reshape(-1, 2, 2)
 
 
 def _estimated_weights(frequency: Reals, degrees: ArrayLike) -> Reals:

@@ -30,6 +30,7 @@ def analysed(run: RunFile) -> SweepAnalysis:
     import numpy as np
 
     from rig.analysis.gain_curve import analyse
+    from rig.analysis.response_curve import points_of
 
     header, outcome = run.header, run.outcome
     if header.procedure != "sweep":
@@ -52,11 +53,7 @@ def analysed(run: RunFile) -> SweepAnalysis:
             f"corner, which need {FEWEST_FREQUENCIES} over a decade or more",
             "calibrate from a sweep of the default grid",
         )
-    response = run.column("response_real") + 1j * run.column("response_imag")
-    real, mixed = run.column("response_var_real"), run.column("response_cov")
-    covariance = np.stack([real, mixed, mixed, run.column("response_var_imag")], axis=1)
-    degrees = _column(run, "degrees")
-    return analyse(frequency, response, covariance.reshape(-1, 2, 2), degrees=degrees)
+    return analyse(*points_of(run.column), degrees=_column(run, "degrees"))
 
 
 def film_record(

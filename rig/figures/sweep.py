@@ -46,22 +46,13 @@ def draw_model(run: RunFile) -> dict[str, Figure]:
 def _analysed(run: RunFile) -> tuple[ResponseCurve | None, SweepAnalysis | None]:
     """The responses and what the analysis makes of them; nothing for a sweep too short for it."""
     from rig.analysis.gain_curve import analyse
-    from rig.analysis.response_curve import CurveError, ResponseCurve
+    from rig.analysis.response_curve import CurveError, points_of
 
     column = run.column
-    mixed = column("response_cov")
-    covariance = np.stack(
-        [column("response_var_real"), mixed, mixed, column("response_var_imag")], axis=1
-    ).reshape(-1, 2, 2)
-    response = column("response_real") + 1j * column("response_imag")
-    loads = column("load_set")
-    several = len(set(loads.tolist())) > 1
+    several = len(set(column("load_set").tolist())) > 1
     try:
-        curve = ResponseCurve.of(column("frequency"), response, covariance, column("degrees"))
-        return curve, analyse(
-            column("frequency"),
-            response,
-            covariance,
+        found = analyse(
+            *points_of(column),
             degrees=column("degrees"),
             loads=column("load_amplitude") if several else None,
             load_distortion=column("load_distortion") if several else None,
@@ -69,6 +60,7 @@ def _analysed(run: RunFile) -> tuple[ResponseCurve | None, SweepAnalysis | None]
         )
     except CurveError:
         return None, None
+    return found.curve, found
 
 
 def draw_measured(run: RunFile) -> Figure:

@@ -100,24 +100,29 @@ class Judged:
 
 def judge(seed, noise_seed=1):
     """Draw, record, analyse, compare."""
-    film = drawn_film(seed)
-    *points, degrees = recorded_sweep(film, np.random.default_rng([seed, noise_seed]))
+    *points, degrees = recorded_sweep(drawn_film(seed), np.random.default_rng([seed, noise_seed]))
     start = time.perf_counter()
     analysis = analyse(*points, degrees=degrees)
-    seconds = time.perf_counter() - start
+    analysis.sentences()  # all of it: some is computed when it is asked for
+    return beside_truth(seed, analysis, time.perf_counter() - start)
+
+
+def beside_truth(seed, analysis, seconds=math.nan):
+    """Hold the analysis of a drawn film's sweep against the film as it was drawn."""
+    mechanics, circuit = drawn_film(seed)
     estimates = {
-        "b": (analysis.level, pvdf.level_at_one_hertz(film[1])),
-        "slope 2-2000 Hz": (analysis.slopes.slope, line_slope(film[1])),
+        "b": (analysis.level, pvdf.level_at_one_hertz(circuit)),
+        "slope 2-2000 Hz": (analysis.slopes.slope, line_slope(circuit)),
         "asymptotic slope": (analysis.slopes.asymptotic, 20.0),
-        "corner": (analysis.corner, pvdf.corner_frequency(film[1])),
-        "circuit level": (analysis.circuit.rate_sensitivity, rate_sensitivity(film[1])),
+        "corner": (analysis.corner, pvdf.corner_frequency(circuit)),
+        "circuit level": (analysis.circuit.rate_sensitivity, rate_sensitivity(circuit)),
         "circuit pole": (
             analysis.circuit.time_constant,
-            1e6 / (2 * math.pi * pvdf.corner_frequency(film[1])),
+            1e6 / (2 * math.pi * pvdf.corner_frequency(circuit)),
         ),
     }
     missed, left = [], list(analysis.drops)
-    for name, drop in zip(DROP_NAMES, film[0].drops, strict=True):
+    for name, drop in zip(DROP_NAMES, mechanics.drops, strict=True):
         near = [d for d in left if abs(d.frequency.value / drop.frequency_Hz - 1) < 0.02]
         if not near:
             missed.append(drop.frequency_Hz)
@@ -128,6 +133,25 @@ def judge(seed, noise_seed=1):
         estimates[f"drop {name}, Q"] = (near[0].pole_Q, drop.pole_Q)
     invented = tuple(d.frequency.value for d in left)
     return Judged(seed, analysis, estimates, tuple(missed), invented, seconds)
+
+
+def print_estimates(judged):
+    """A line a quantity; gives its pairs of estimate and truth, and how many are covered."""
+    print(
+        f"{'quantity':26s} {'covered':>11s} {'largest error':>22s} {'error/stated: mean, rms':>26s}"
+    )
+    found = {}
+    for quantity in dict.fromkeys(name for each in judged for name in each.estimates):
+        pairs = [j.estimates[quantity] for j in judged if quantity in j.estimates]
+        errors = np.array([estimate.value - truth for estimate, truth in pairs])
+        scores = errors / np.array([estimate.standard_error for estimate, _ in pairs])
+        covered = sum(estimate.covers(truth) for estimate, truth in pairs)
+        print(
+            f"{quantity:26s} {covered:4d} of {len(pairs)} {np.abs(errors).max():15.3g} "
+            f"{pairs[0][0].unit:12s} {scores.mean():+13.2f}, {np.sqrt(np.square(scores).mean()):.3f}"
+        )
+        found[quantity] = pairs, covered
+    return found
 
 
 def rate_sensitivity(circuit):

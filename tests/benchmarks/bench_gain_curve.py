@@ -18,7 +18,7 @@ import pytest
 from measured import heading, row, target
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "analysis"))
-from recorded_film import judge
+from recorded_film import judge, print_estimates
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 
@@ -47,19 +47,7 @@ def test_200_films():
     judged = [judge(seed) for seed in SEEDS]
     failures = [f"seed {j.seed}: missed {j.missed}" for j in judged if j.missed]
     failures += [f"seed {j.seed}: invented {j.invented}" for j in judged if j.invented]
-    print(
-        f"{'quantity':26s} {'covered':>11s} {'largest error':>22s} {'error/stated: mean, rms':>26s}"
-    )
-    for quantity in judged[0].estimates:
-        pairs = [j.estimates[quantity] for j in judged if quantity in j.estimates]
-        errors = np.array([estimate.value - truth for estimate, truth in pairs])
-        scores = errors / np.array([estimate.standard_error for estimate, _ in pairs])
-        spread = np.sqrt(np.square(scores).mean())
-        covered = sum(estimate.covers(truth) for estimate, truth in pairs)
-        print(
-            f"{quantity:26s} {covered:4d} of {len(pairs)} {np.abs(errors).max():15.3g} "
-            f"{pairs[0][0].unit:12s} {scores.mean():+13.2f}, {spread:.3f}"
-        )
+    for quantity, (pairs, covered) in print_estimates(judged).items():
         if not COVERED[0] <= covered <= COVERED[1]:
             failures.append(f"{quantity}: covered in {covered}")
         if any(abs(e.value - truth) > allowed(quantity, truth) for e, truth in pairs):

@@ -1,0 +1,52 @@
+"""From an overload to the command on the wire, in real time, idle and inside a blocking read.
+
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_trip.py``.
+"""
+
+from __future__ import annotations
+
+import signal
+
+import numpy as np
+import pytest
+from measured import heading, row
+
+pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3000)]
+
+
+@pytest.mark.parametrize("blocked", [False, True], ids=["idle", "in a blocking read"])
+def test_from_overload_to_the_command_on_the_wire(rig, blocked):
+    """In real time; the World's log says when the force rose and when the generator obeyed."""
+    heading(f"rig sweep in real time, a push of 30 N, procedure {'blocked' if blocked else 'idle'}")
+    pushed = range(3, 400, 4 if not blocked else 400)
+    bumps = ", ".join(f"{{ acquisition = {k}, after_s = 0.3, for_s = 0.05 }}" for k in pushed)
+    delays = []
+    for repeat in range(2 if not blocked else 12):
+        path = rig.folder / f"{blocked}{repeat}.toml"
+        rig.world_log.unlink(missing_ok=True)
+        arguments = ["--world", rig.world(f"bumps = [{bumps}]\n")]
+        if blocked:
+            arguments += ["--fault", rig.fault(
+                '[[fault]]\ndevice = "daq"\nkind = "silence"\nat = 4\ncommand = "WAV:DATA"\n'
+            )]  # fmt: skip
+        serving = rig.start(
+            "simulate", "--write", str(path), "--world-log", str(rig.world_log), *arguments
+        )
+        serving.wait_for("Ctrl-C ends it")
+        path.write_text(path.read_text().replace("timeout_ms = 1000", "timeout_ms = 5000"))
+        rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "2,3,300")
+        serving.send(signal.SIGINT)
+        serving.finish()
+        log = rig.log()
+        for bump in (line for line in log if line["what"] == "bump"):
+            begin_us = bump["t_us"] + 300_000
+            off = [
+                x["t_us"] for x in log
+                if x["what"] == "ch1.on" and not x["value"] and x["t_us"] >= begin_us
+            ]  # fmt: skip
+            on_before = [x for x in log if x["what"] == "ch1.on" and x["t_us"] < begin_us]
+            if off and on_before and on_before[-1]["value"]:
+                delays.append((off[0] - begin_us) * 1e-3)
+    row("overload to generator off", delays, "ms", 2)
+    p50, p99 = np.quantile(delays, [0.5, 0.99])
+    print(f"p50 {p50:.2f} ms, p99 {p99:.2f} ms, largest {max(delays):.2f} ms (n = {len(delays)})")
