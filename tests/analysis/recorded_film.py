@@ -146,9 +146,10 @@ def print_estimates(judged):
         errors = np.array([estimate.value - truth for estimate, truth in pairs])
         scores = errors / np.array([estimate.standard_error for estimate, _ in pairs])
         covered = sum(estimate.covers(truth) for estimate, truth in pairs)
+        spread = np.sqrt(np.square(scores).mean())
         print(
             f"{quantity:26s} {covered:4d} of {len(pairs)} {np.abs(errors).max():15.3g} "
-            f"{pairs[0][0].unit:12s} {scores.mean():+13.2f}, {np.sqrt(np.square(scores).mean()):.3f}"
+            f"{pairs[0][0].unit:12s} {scores.mean():+13.2f}, {spread:.3f}"
         )
         found[quantity] = pairs, covered
     return found
