@@ -25,7 +25,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -231,7 +230,7 @@ def record_length(
 def inflation(frequency: float, rate: float, n: int, interference: Sequence[float]) -> float:
     """Variance of a tone's phasor with all these lines fitted beside it over that without."""
     lines = [line for line in interference if 0 < line < rate / 2]
-    normal = _Lines([frequency, *lines], rate, n).normal_equations()
+    normal = _normal_equations([frequency, *lines], rate, n)
     return _tone_variance(normal, range(1 + len(lines))) / _tone_variance(normal, [0])
 
 
@@ -246,19 +245,6 @@ class _Lines:
         starts = self._turns * (_BLOCK * np.arange(self._stacks * _STACK))[:, None]
         self._starts = np.exp(2j * np.pi * (starts - np.floor(starts)))
         self._table = np.exp(2j * np.pi * self._turns[:, None] * np.arange(_BLOCK))
-
-    def normal_equations(self) -> Reals:
-        """Inner products of the columns 1, cos w_1 k, -sin w_1 k, cos w_2 k, ...: closed forms."""
-        turns = np.concatenate([[0.0], self._turns])
-        total = self._geometric(turns[:, None] + turns)
-        beat = self._geometric(turns[:, None] - turns)
-        full = np.empty((2 * turns.size, 2 * turns.size))
-        full[0::2, 0::2] = (total + beat).real / 2
-        full[1::2, 1::2] = (beat - total).real / 2
-        full[0::2, 1::2] = -(total - beat).imag / 2
-        full[1::2, 0::2] = full[0::2, 1::2].T
-        keep = [0, *range(2, 2 * turns.size)]
-        return full.take(keep, 0).take(keep, 1)
 
     def moments(self, y: Reals) -> Reals:
         """Inner products of the same columns with ``y``."""
@@ -290,14 +276,29 @@ class _Lines:
         changes: Complexes = 2 * parts / np.diff(edges)
         return changes
 
-    def _geometric(self, turns: Reals) -> Complexes:
-        """Sum over k of exp(2 pi j turns k)."""
-        turns = turns - np.round(turns)
-        flat = np.abs(turns) < 1e-15
-        safe = np.where(flat, 0.5, turns)
-        size = np.where(flat, self.n, np.sin(np.pi * safe * self.n) / np.sin(np.pi * safe))
-        value: Complexes = size * np.exp(1j * np.pi * turns * (self.n - 1))
-        return value
+
+def _normal_equations(frequencies: Sequence[float] | Reals, rate: float, n: int) -> Reals:
+    """Inner products of the columns 1, cos w_1 k, -sin w_1 k, cos w_2 k, ...: closed forms."""
+    turns = np.concatenate([[0.0], np.asarray(frequencies, dtype=float) / rate])
+    total = _geometric(turns[:, None] + turns, n)
+    beat = _geometric(turns[:, None] - turns, n)
+    full = np.empty((2 * turns.size, 2 * turns.size))
+    full[0::2, 0::2] = (total + beat).real / 2
+    full[1::2, 1::2] = (beat - total).real / 2
+    full[0::2, 1::2] = -(total - beat).imag / 2
+    full[1::2, 0::2] = full[0::2, 1::2].T
+    keep = [0, *range(2, 2 * turns.size)]
+    return full.take(keep, 0).take(keep, 1)
+
+
+def _geometric(turns: Reals, n: int) -> Complexes:
+    """Sum over k < n of exp(2 pi j turns k)."""
+    turns = turns - np.round(turns)
+    flat = np.abs(turns) < 1e-15
+    safe = np.where(flat, 0.5, turns)
+    size = np.where(flat, n, np.sin(np.pi * safe * n) / np.sin(np.pi * safe))
+    value: Complexes = size * np.exp(1j * np.pi * turns * (n - 1))
+    return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,8 +324,8 @@ class _Solved:
 @lru_cache(maxsize=32)
 def _lines_on(frequencies: tuple[float, ...], rate: float, n: int) -> tuple[_Lines, Reals]:
     """The lines and the inverse of their normal matrix: the channels of a record share them."""
-    lines = _Lines(frequencies, rate, n)
-    return lines, np.asarray(np.linalg.inv(lines.normal_equations()), dtype=np.float64)
+    inverse = np.linalg.inv(_normal_equations(frequencies, rate, n))
+    return _Lines(frequencies, rate, n), np.asarray(inverse, dtype=np.float64)
 
 
 def _solve(y: Reals, rate: float, frequencies: Sequence[float] | Reals) -> _Solved:
@@ -403,12 +404,13 @@ def _duration(n: int, rate: float) -> float:
     return (n + 0.5) / rate
 
 
-def _beats(first: float, second: float, rate: float, n: int) -> float:
-    """Beats in the record between two lines or their images; of a line with its own images."""
-    images = [first + second, rate - first - second]
-    if first != second:
-        images.append(abs(first - second))
-    return min(images) * _duration(n, rate)
+def _beats(frequencies: Sequence[float], rate: float, n: int) -> Reals:
+    """Beats in the record between each two lines or their images; a line's own with its images."""
+    f = np.array(frequencies)
+    total, apart = f[:, None] + f, np.abs(f[:, None] - f)
+    apart[apart == 0] = np.inf
+    beats: Reals = np.minimum(np.minimum(total, rate - total), apart) * _duration(n, rate)
+    return beats
 
 
 @lru_cache(maxsize=256)
@@ -423,20 +425,18 @@ def _lines_to_fit(
     candidates = [line for line in interference if 0 < line < rate / 2]
     orders = [order for order in HARMONICS if order * frequency < rate / 2]
     frequencies = [frequency, *candidates, *(order * frequency for order in orders)]
-    normal = _Lines(frequencies, rate, n).normal_equations()
+    normal = _normal_equations(frequencies, rate, n)
     chosen = [0]
     bare = _tone_variance(normal, chosen)
     limit = largest_inflation * bare
     everything = list(range(len(frequencies)))
-    spacing = [_beats(a, b, rate, n) for a, b in combinations(frequencies, 2)]
-    if min(spacing, default=1.0) >= FULL_BEAT and _tone_variance(normal, everything) <= limit:
+    beats = _beats(frequencies, rate, n)
+    apart = beats[np.triu_indices(len(frequencies), 1)].min(initial=FULL_BEAT) >= FULL_BEAT
+    if apart and _tone_variance(normal, everything) <= limit:
         return candidates, orders  # the common case: all at once
     for index in range(1, len(frequencies)):
-        is_harmonic = index > len(candidates)
-        others = [frequencies[k] for k in [*chosen, index]]
-        beats = [_beats(frequencies[index], other, rate, n) for other in others]
-        if is_harmonic:
-            if min(beats) < FULL_BEAT:
+        if index > len(candidates):  # a harmonic
+            if beats[index, [*chosen, index]].min() < FULL_BEAT:
                 continue
             limit = max(LARGEST_INFLATION * bare, _tone_variance(normal, chosen) * 1.01)
         if _tone_variance(normal, [*chosen, index]) <= limit:
