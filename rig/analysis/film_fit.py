@@ -17,7 +17,7 @@ model leaves out only as scatter; it is not a licence for a wrong model.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -71,7 +71,7 @@ class FilmFit:
     chi_square: float
     """Weighted with the measured covariances alone."""
     degrees: int
-    """2 n - m."""
+    """2 n - m, and one less where an effect of the preload was free."""
     gain_error: float
     """Model error of the gain, a fraction; 0 where noise explains the residuals."""
     phase_error: float
@@ -124,6 +124,21 @@ class FilmFit:
     def delay(self) -> Estimate:
         """Of the film's channel after the load's, us."""
         return Estimate.normal(1e6 * self.model.delay_s, 1e6 * self._errors[2], "us")
+
+    @cached_property
+    def preload_effect(self) -> Estimate | None:
+        """Change of the gain with the preload about its mean, dB/N; None where that is not known.
+        It was free in the fit: all other intervals hold what not knowing it costs."""
+        curve, model = self.weighted, self.model
+        if curve.preload_excess is None:
+            return None
+        bare = replace(curve, preloads_N=None)
+        push = bare.whitened(curve.preload_excess)
+        explained = np.linalg.qr(bare.whitened(model.log_jacobian(curve.frequencies)).T)[0]
+        own = float(np.linalg.norm(push - explained @ (explained.T @ push)))
+        found = curve.preload_effect(curve.log_ratio(model.response(curve.frequencies)))
+        error = math.inf if own <= _UNDETERMINED * np.linalg.norm(push) else 1 / own
+        return Estimate.normal(DB_PER_RELATIVE * found, DB_PER_RELATIVE * error, "dB/N")
 
     @property
     def slope(self) -> Estimate:
@@ -196,7 +211,7 @@ def fit_film(curve: ResponseCurve, start: FilmModel) -> FilmFit:
         weighted=weighted,
         covariance=_inverse(jacobian @ jacobian.T),
         chi_square=chi_square(curve, model),
-        degrees=2 * len(curve) - len(start.vector),
+        degrees=2 * len(curve) - len(start.vector) - (curve.preloads_N is not None),
         gain_error=errors[0],
         phase_error=errors[1],
         deviance=chi_square(weighted, model) + _log_determinant(weighted),
@@ -264,7 +279,7 @@ def _explaining_errors(curve: ResponseCurve, model: FilmModel) -> tuple[float, f
     Of the degrees of freedom either part gets half: a pole or a notch shows as much in one as in
     the other.
     """
-    residual = curve.log_ratio(model.response(curve.frequencies))
+    residual = curve.freed(curve.log_ratio(model.response(curve.frequencies)))
     degrees = len(curve) - len(model.vector) / 2
     variances = curve.relative_covariances
     return (

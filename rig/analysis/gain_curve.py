@@ -104,6 +104,8 @@ class SweepAnalysis:
         lines.append(self.stress_jerk.sentence())
         lines += self.circuit.sentences()
         lines += [part.sentence() for part in (self.linearity, self.distortion) if part is not None]
+        if self.fit.preload_effect is not None:
+            lines.append(self._preload_sentence(self.fit.preload_effect))
         lines.append(self._misfit_sentence())
         return lines
 
@@ -129,6 +131,7 @@ class SweepAnalysis:
             "chi_square": self.fit.chi_square,
             "degrees": self.fit.degrees,
             "model_error_dB": self.fit.gain_error_dB,
+            "preload_effect": effect.as_dict() if (effect := self.fit.preload_effect) else None,
             "stress_jerk": {**asdict(self.stress_jerk), "verdict": self.stress_jerk.verdict},
             "circuit": {
                 "rate_sensitivity": self.circuit.rate_sensitivity.as_dict(),
@@ -172,6 +175,14 @@ class SweepAnalysis:
             f"grid; straight line of free slope {self.plain.slope_dB_decade:.2f} dB/decade)."
         )
 
+    def _preload_sentence(self, effect: Estimate) -> str:
+        assert self.curve.preloads_N is not None
+        preloads = self.curve.preloads_N
+        return (
+            f"Preload {preloads.mean():.2f} N, {preloads.min():.2f} to {preloads.max():.2f} N: the "
+            f"gain changes with it by {effect}, which is taken out."
+        )
+
     def _misfit_sentence(self) -> str:
         fit = self.fit
         text = f"Chi-square of the joint fit {fit.chi_square:.0f} of {fit.degrees}"
@@ -191,6 +202,7 @@ def analyse(
     covariances: ArrayLike,
     *,
     degrees: ArrayLike | None = None,
+    preloads: ArrayLike | None = None,
     loads: ArrayLike | None = None,
     load_distortion: ArrayLike | None = None,
     film_distortion: ArrayLike | None = None,
@@ -198,13 +210,13 @@ def analyse(
 ) -> SweepAnalysis:
     """Analyse a sweep's points, in any order: Hz, V/N, (n, 2, 2) of real and imaginary part.
 
-    ``degrees`` (n,) of freedom behind each covariance (see :meth:`ResponseCurve.of`); ``loads``
-    (n,) in N, peak; distortions (n,) as fractions; ``given`` is the circuit to compare with, Table
-    1 by default. Raises CurveError for what cannot be analysed: what :meth:`ResponseCurve.of` and
-    :func:`fit_with_drops` refuse, and points that neither first order nor the withdrawn claim comes
-    near.
+    ``degrees`` (n,) of freedom behind each covariance and ``preloads`` (n,) in N, static (see
+    :meth:`ResponseCurve.of`); ``loads`` (n,) in N, peak; distortions (n,) as fractions; ``given``
+    is the circuit to compare with, Table 1 by default. Raises CurveError for what cannot be
+    analysed: what :meth:`ResponseCurve.of` and :func:`fit_with_drops` refuse, and points that
+    neither first order nor the withdrawn claim comes near.
     """
-    curve = ResponseCurve.of(frequencies, responses, covariances, degrees)
+    curve = ResponseCurve.of(frequencies, responses, covariances, degrees, preloads)
     fit = fit_with_drops(curve)
     found = SweepAnalysis(
         curve=curve,

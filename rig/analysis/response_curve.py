@@ -2,12 +2,17 @@
 
 Points may come in any order, repeat a frequency or leave some out; they are sorted here, so that no
 result depends on the order of measurement.
+
+Where each point's preload is known, the gain may depend on it by a factor that nobody knows: a film
+that creeps under its stage is followed in steps, and the points lie a little apart. What such a
+factor could explain is then taken out of residuals and of derivatives alike, which is the joint
+fit with that factor free; every interval holds what not knowing it costs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.analysis.response import DB_PER_RELATIVE, Complexes, Reals
 from rig.errors import ExitCode, RigError
+
+SAME_PRELOAD_N = 1e-6
+"""Preloads so near to each other tell nothing of their effect."""
 
 
 class CurveError(RigError):
@@ -33,6 +41,8 @@ class ResponseCurve:
     """V/N, (n,)."""
     covariances: Reals
     """Of (real, imaginary) part, (V/N)^2, (n, 2, 2)."""
+    preloads_N: Reals | None = None
+    """Static force at each point, (n,); None where it is not known or the same everywhere."""
 
     @classmethod
     def of(
@@ -41,8 +51,10 @@ class ResponseCurve:
         responses: ArrayLike,
         covariances: ArrayLike,
         degrees: ArrayLike | None = None,
+        preloads: ArrayLike | None = None,
     ) -> ResponseCurve:
-        """Check and sort: frequencies (n,) Hz, responses (n,) V/N, covariances (n, 2, 2).
+        """Check and sort: frequencies (n,) Hz, responses (n,) V/N, covariances (n, 2, 2), preloads
+        (n,) N.
 
         ``degrees`` (n,) are the degrees of freedom that each covariance was estimated from (samples
         less fitted parameters of a record); without them covariances count as known. A mean whose
@@ -51,7 +63,7 @@ class ResponseCurve:
 
         Raises CurveError, naming the argument and the value, for unequal lengths, anything not
         finite, frequencies not above 0, covariances that are not positive definite and degrees
-        below 1.
+        below 1. Preloads that are not finite count as not known.
         """
         frequency = np.asarray(frequencies, dtype=float)
         response = np.asarray(responses, dtype=complex)
@@ -60,7 +72,13 @@ class ResponseCurve:
         if degrees is not None:
             covariance = covariance * _estimated_weights(frequency, degrees)[:, None, None]
         order = np.lexsort((response.imag, response.real, frequency))
-        return cls(frequency[order], response[order], covariance[order])
+        preload = _varied(preloads, frequency.size)
+        return cls(
+            frequency[order],
+            response[order],
+            covariance[order],
+            None if preload is None else preload[order],
+        )
 
     def __len__(self) -> int:
         """Number of points."""
@@ -92,12 +110,15 @@ class ResponseCurve:
         across = np.stack([-self.responses.imag, self.responses.real], axis=1)
         extra = gain**2 * along[:, :, None] * along[:, None, :]
         extra += phase**2 * across[:, :, None] * across[:, None, :]
-        return ResponseCurve(self.frequencies, self.responses, self.covariances + extra)
+        return replace(self, covariances=self.covariances + extra)
 
     def at(self, chosen: NDArray[np.bool_]) -> ResponseCurve:
         """The points for which ``chosen`` (n,) is true."""
         return ResponseCurve(
-            self.frequencies[chosen], self.responses[chosen], self.covariances[chosen]
+            self.frequencies[chosen],
+            self.responses[chosen],
+            self.covariances[chosen],
+            None if self.preloads_N is None else self.preloads_N[chosen],
         )
 
     def log_ratio(self, expected: Complexes) -> Complexes:
@@ -107,10 +128,46 @@ class ResponseCurve:
         return result
 
     def whitened(self, relative: Complexes) -> Reals:
-        """Gain + j phase (..., n) as (..., 2 n) reals, of unit variance if errors are right."""
+        """Gain + j phase (..., n) as (..., 2 n) reals, of unit variance if errors are right; less
+        what an unknown effect of the preload could explain of them."""
+        white = self._scaled(relative)
+        if self._preload_direction is not None:
+            along = self._preload_direction
+            white -= (white @ along)[..., None] * along
+        return white
+
+    def freed(self, relative: Complexes) -> Complexes:
+        """Gain + j phase (n,) less the effect of the preload that explains most of them."""
+        if self.preload_excess is None:
+            return relative
+        return relative - self.preload_effect(relative) * self.preload_excess
+
+    def preload_effect(self, relative: Complexes) -> float:
+        """The change of the gain with the preload, 1/N, that explains most of `relative` (n,)."""
+        assert self.preload_excess is not None, "the preloads are not known"
+        push = self._scaled(self.preload_excess)
+        return float(push @ self._scaled(relative)) / float(push @ push)
+
+    @cached_property
+    def preload_excess(self) -> Complexes | None:
+        """Preloads less their mean, N, (n,), as a change of the gain alone."""
+        if self.preloads_N is None:
+            return None
+        excess: Complexes = self.preloads_N - self.preloads_N.mean() + 0j
+        return excess
+
+    def _scaled(self, relative: Complexes) -> Reals:
         gain, mixed, phase = self._factor
         first = relative.real / gain
         return np.concatenate([first, (relative.imag - mixed * first) / phase], axis=-1)
+
+    @cached_property
+    def _preload_direction(self) -> Reals | None:
+        if self.preload_excess is None:
+            return None
+        push = self._scaled(self.preload_excess)
+        direction: Reals = push / np.linalg.norm(push)
+        return direction
 
     @cached_property
     def _factor(self) -> tuple[Reals, Reals, Reals]:
@@ -118,6 +175,16 @@ class ResponseCurve:
         gain = np.sqrt(self.relative_covariances[:, 0, 0])
         mixed = self.relative_covariances[:, 1, 0] / gain
         return gain, mixed, np.sqrt(self.relative_covariances[:, 1, 1] - mixed**2)
+
+
+def _varied(preloads: ArrayLike | None, size: int) -> Reals | None:
+    """Preloads that are known and not all the same."""
+    if preloads is None:
+        return None
+    found = np.asarray(preloads, dtype=float)
+    if found.shape != (size,):
+        raise CurveError(f"preloads: {found.size} values for {size} frequencies")
+    return found if np.isfinite(found).all() and np.ptp(found) > SAME_PRELOAD_N else None
 
 
 def points_of(column: Callable[[str], Reals]) -> tuple[Reals, Complexes, Reals]:

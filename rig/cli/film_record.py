@@ -53,7 +53,8 @@ def analysed(run: RunFile) -> SweepAnalysis:
             f"corner, which need {FEWEST_FREQUENCIES} over a decade or more",
             "calibrate from a sweep of the default grid",
         )
-    return analyse(*points_of(run.column), degrees=_column(run, "degrees"))
+    degrees, preloads = _column(run, "degrees"), _column(run, "preload")
+    return analyse(*points_of(run.column), degrees=degrees, preloads=preloads)
 
 
 def film_record(

@@ -54,6 +54,7 @@ def _analysed(run: RunFile) -> tuple[ResponseCurve | None, SweepAnalysis | None]
         found = analyse(
             *points_of(column),
             degrees=column("degrees"),
+            preloads=column("preload"),
             loads=column("load_amplitude") if several else None,
             load_distortion=column("load_distortion") if several else None,
             film_distortion=column("voltage_distortion") if several else None,

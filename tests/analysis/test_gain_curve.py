@@ -170,6 +170,55 @@ def test_scatter_of_the_gain_alone_widens_the_intervals_and_is_stated():
     assert restless.level.covers(pvdf.level_at_one_hertz(SWEEP_FILM))
 
 
+@pytest.fixture(scope="module")
+def crept():
+    """16 films whose preload rises by 0.4 N a decade, in steps; 0.02 dB/N."""
+    films = []
+    for seed in range(1000, 1016):
+        f, response, covariance, degrees = recorded_sweep(
+            drawn_film(seed), np.random.default_rng(seed)
+        )
+        steps = np.sin(np.arange(len(f)))
+        preloads = 25 + 0.4 * (np.log10(f) - np.log10(f).mean()) + 0.1 * steps
+        response = response * 10 ** (0.02 * (preloads - 25) / 20)
+        truth = line_slope(drawn_film(seed)[1])
+        films.append(((f, response, covariance), degrees, preloads, truth))
+    return films
+
+
+def test_what_the_preload_does_to_the_gain_is_found_and_taken_out(crept):
+    effects, slopes = [], []
+    for points, degrees, preloads, truth in crept:
+        analysis = analyse(*points, degrees=degrees, preloads=preloads)
+        effects.append(analysis.fit.preload_effect)
+        slopes.append((analysis.slopes.slope, truth))
+    assert sum(effect.covers(0.02) for effect in effects) >= 13
+    assert np.mean([e.value for e in effects]) == pytest.approx(0.02, abs=0.003)
+    assert sum(slope.covers(truth) for slope, truth in slopes) >= 13
+    assert "changes with it by" in " ".join(analysis.sentences())
+    assert analysis.as_dict()["preload_effect"]["unit"] == "dB/N"
+
+
+def test_without_the_preloads_it_would_pass_for_slope(crept):
+    covered = 0
+    for points, degrees, _, truth in crept:
+        covered += analyse(*points, degrees=degrees).slopes.slope.covers(truth)
+    assert covered <= 8
+
+
+def test_a_preload_that_never_changed_is_no_parameter(default_film):
+    points = default_sweep()
+    plain = default_film
+    same = analyse(*points, preloads=np.full(len(points[0]), 25.0))
+    assert same.fit.preload_effect is None
+    assert same.sentences() == plain.sentences()
+
+
+def test_preloads_of_another_sweep_are_refused():
+    with pytest.raises(CurveError, match="preloads: 3 values"):
+        analyse(*default_sweep(), preloads=[25, 25, 24])
+
+
 def test_a_film_that_does_not_saturate_has_no_corner_and_its_report_is_json():
     analysis = analyse(*curve_of(FilmModel(-78.0, 0.0).response, error_dB=0.1))
     assert analysis.corner.low > 20e3

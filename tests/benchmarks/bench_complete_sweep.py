@@ -21,6 +21,7 @@ from measured import heading, row, target
 
 from rig.analysis.gain_curve import analyse
 from rig.analysis.response_curve import points_of
+from rig.model.film_clamp import FilmClampSettings, preload_gain
 from rig.model.front_end import FrontEndSettings
 from rig.model.vibrator import drawn_film, true_response, vibrator_line
 from rig.recording.runfile import RunFile
@@ -68,9 +69,11 @@ def time_and_load(run, seed):
 
 
 def residuals(run, seed):
-    """Normalised residuals (n, 3) in the order of QUANTITIES."""
+    """Normalised residuals (n, 3) in the order of QUANTITIES; the truth is that of the film at the
+    preload which the point had."""
     column = run.column
     truth = true_response(column("frequency"), *drawn_film(seed))
+    truth = truth * preload_gain(FilmClampSettings(), column("preload"))
     pairs = (
         (column("response_real") - truth.real, np.sqrt(column("response_var_real"))),
         (column("response_imag") - truth.imag, np.sqrt(column("response_var_imag"))),
@@ -125,7 +128,11 @@ def test_20_films_through_the_wire(rig, daq):
             frequencies.append(run.column("frequency"))
             scores.append(residuals(run, seed))
             spreads.append(scores[-1][:, 2].std())
-            analysis = analyse(*points_of(run.column), degrees=run.column("degrees"))
+            analysis = analyse(
+                *points_of(run.column),
+                degrees=run.column("degrees"),
+                preloads=run.column("preload"),
+            )
             judged.append(beside_truth(seed, analysis))
         file.unlink()
 
