@@ -156,21 +156,13 @@ def fit_line(forces: ArrayLike, readings: ArrayLike, standard_errors: ArrayLike)
 
 
 @dataclass(frozen=True, eq=False)
-class ForceFit:
-    """Zero and matrix of a three-axis sensor; force = matrix (reading - zero)."""
+class WeighingFit:
+    """What the fit of a sensor to known forces leaves over."""
 
-    zero: Reals
-    """mV/V, (3,)."""
-    zero_error: Reals
-    matrix: Reals
-    """N/(mV/V), (3, 3)."""
-    matrix_error: Reals
     residuals: Reals
-    """Force computed from the readings less the known one, N, (n, 3)."""
-    crosstalk_percent: float
-    """What a force seems to be along another axis, each bridge read for itself; the largest."""
+    """Force computed from the readings less the known one, N, (n,) or (n, axes)."""
     coverage: float
-    """Standard errors that make the 95 % intervals: the largest of the three channels."""
+    """Standard errors that make the 95 % intervals; of several channels the largest."""
 
     @property
     def residual_rms(self) -> float:
@@ -181,6 +173,20 @@ class ForceFit:
     def largest_residual(self) -> float:
         """N."""
         return float(np.abs(self.residuals).max())
+
+
+@dataclass(frozen=True, eq=False)
+class ForceFit(WeighingFit):
+    """Zero and matrix of a three-axis sensor; force = matrix (reading - zero)."""
+
+    zero: Reals
+    """mV/V, (3,)."""
+    zero_error: Reals
+    matrix: Reals
+    """N/(mV/V), (3, 3)."""
+    matrix_error: Reals
+    crosstalk_percent: float
+    """What a force seems to be along another axis, each bridge read for itself; the largest."""
 
     def half_widths(self) -> Reals:
         """Of the 95 % intervals of the matrix."""
@@ -246,26 +252,13 @@ def fit_force(
 
 
 @dataclass(frozen=True, eq=False)
-class CellFit:
+class CellFit(WeighingFit):
     """Zero and sensitivity of a load cell."""
 
     zero: Estimate
     """V."""
     sensitivity: Estimate
     """V/N."""
-    residuals: Reals
-    """Load computed from the readings less the known one, N, (n,)."""
-    coverage: float
-
-    @property
-    def residual_rms(self) -> float:
-        """N."""
-        return math.sqrt(float(np.square(self.residuals).mean()))
-
-    @property
-    def largest_residual(self) -> float:
-        """N."""
-        return float(np.abs(self.residuals).max())
 
     def coefficients(self, loads: Sequence[float], means: Sequence[Mean]) -> dict[str, Any]:
         """What the fit of these readings gives to the cell's record, by its field names."""

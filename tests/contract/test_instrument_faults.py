@@ -217,6 +217,20 @@ def test_a_film_that_is_not_connected_is_told(rig):
     assert rig.outputs() == [True, False]
 
 
+def test_a_load_that_is_never_steady_is_told_when_the_time_of_its_point_is_over(rig):
+    """The load cell's channel also carries 0.3 N at 283 Hz: a beat no two short records agree on,
+    for as long as hundreds of them take."""
+    beat = "[load_cell_input]\nmains_amplitude_mV = 30.0\nmains_frequency_Hz = 283.0\n"
+    asked = ("--frequencies", "300", "--longest-point", "12s")
+    ended = rig.sweep(*asked, "--world", rig.world(beat))
+
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert error.startswith("error: generator: load at 300 Hz: ")
+    assert "N after 12 s, 1 N wanted; two records in a row never agreed on it; look for" in error
+    assert rig.outputs() == [True, False]
+
+
 def test_a_saturated_input_is_told_and_the_points_before_it_are_kept(rig):
     ended = rig.sweep(*FREQUENCIES, "--world", rig.world("film_gain = 500\n"))
 

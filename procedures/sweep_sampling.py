@@ -1,0 +1,305 @@
+"""Records of load cell and film at one condition: how long, on which ranges, and the tones in them.
+
+A record lasts as long as the noise of those before it says, in whole cycles, and longer where that
+tells a mains line that matters from the tone. A range that turns out too small is left for a larger
+one. What a fit shows is learned at once, and refused where nothing can come of it.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from procedures.sweep import CHANNELS, LISTEN_S
+from rig.analysis.levelling import (
+    HARDLY,
+    RecordNeeds,
+    affordable_inflation,
+    range_for,
+    record_samples,
+)
+from rig.analysis.response import DB_PER_RELATIVE, Response, complex_response
+from rig.analysis.sine_fit import SineFit, fit_sine, mains_lines
+from rig.errors import InstrumentError
+from rig.instruments import Acquisition, InputChannel, Record
+from rig.runner.trip import TripError
+
+if TYPE_CHECKING:
+    from procedures.sweep import Condition, Settings
+    from procedures.sweep_memory import Memory
+    from rig.runner.run import Run
+
+NO_SIGNAL_ERRORS = 5.0
+"""A tone whose amplitude is below this many standard errors is none."""
+FIRST_LOOK = 3.0
+"""The first record at a frequency has to show the gain within so many times the target only."""
+HARMLESS = 0.2
+"""A mains line that bends the gain by less than this share of the target is not fitted."""
+MAINS_LINES = 5
+LISTEN_MARGIN = 2.0
+"""Of a range over the largest value that was heard."""
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """One record and what the fits make of it."""
+
+    record: Record
+    load: SineFit
+    """In newtons."""
+    voltage: SineFit
+    """In volts."""
+    response: Response
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the record."""
+        return self.load.n / self.load.rate_Hz
+
+
+def listen(run: Run) -> None:
+    """Before anything vibrates: the noise of both channels, and the mains in them."""
+    memory: Memory = run.state
+    settings, daq = run.settings, run.bench.daq
+    rate = settings.slowest_rate_S_s if settings.rate_S_s is None else settings.rate_S_s
+    ranges = daq.ranges_V()
+    channels = tuple(InputChannel(name, max(ranges)) for name in CHANNELS)
+    while True:
+        record = daq.acquire(Acquisition(channels, rate, round(LISTEN_S * rate)))
+        fitting = tuple(
+            InputChannel(name, range_for(abs(record.volts(name)).max(), ranges, LISTEN_MARGIN))
+            for name in CHANNELS
+        )
+        if fitting == channels:
+            break
+        channels = fitting
+    first, *others = mains_lines(settings.mains_Hz)
+    for name in CHANNELS:
+        volts = record.volts(name) / volts_per_unit(run, name)
+        found = fit_sine(volts, rate, first, interference=others)
+        memory.mains[name].learn(found, settings.mains_Hz)
+        memory.learn_noise(name, found)
+
+
+def volts_per_unit(run: Run, channel: str) -> float:
+    """What a channel's tone is measured by: the load in newtons, the film in volts."""
+    return run.bench.load_cell.sensitivity_V_N if channel == "load_cell" else 1.0
+
+
+class Sampling:
+    """The records of one point, one after the other."""
+
+    def __init__(self, run: Run, condition: Condition):
+        self.run, self.condition = run, condition
+        self.memory: Memory = run.state
+        self.settings: Settings = run.settings
+        self.physics_s = 0.0
+        """Time that went into waiting and sampling, and not into commands and computing."""
+        self.largest_load_N = 0.0
+        self._ranges: dict[str, float] = {}
+        """Input ranges that turned out too small, by channel: larger ones are taken."""
+
+    def wait(self, seconds: float) -> None:
+        """Let what was changed settle."""
+        self.physics_s += seconds
+        self.run.clock.sleep(seconds)
+
+    def take(self, needs: RecordNeeds, only_load: bool) -> Sampled:
+        """One record more; one that was too large for its range is taken again on a larger.
+
+        One that `only_load` is wanted of spends nothing on the mains, and the film learns nothing
+        from it.
+        """
+        daq, f = self.run.bench.daq, self.condition.frequency_Hz
+        while True:
+            acquisition = self._acquisition(needs, only_load)
+            record = daq.acquire(acquisition)
+            self.physics_s += acquisition.samples / acquisition.rate_S_s
+            if not self._overloaded(record):
+                break
+        load = self._fit(record, "load_cell", needs, only_load)
+        voltage = self._fit(record, "film", needs, only_load)
+        self.largest_load_N = max(self.largest_load_N, load.amplitude)
+        refuse_no_load(load)
+        self.memory.vibrator.learn(f, load.amplitude / self.memory.drive_V)
+        refuse_overload(self.run, load)
+        response = complex_response(voltage, load)
+        if shows(voltage) and not only_load:
+            self.memory.film.learn(f, abs(response.value))
+        return Sampled(record, load, voltage, response)
+
+    # --- how long -------------------------------------------------------------------------------
+
+    def first_look(self) -> RecordNeeds:
+        """What a record needs that only has to tell whether it has settled."""
+        own = self.settings
+        return self._needs(FIRST_LOOK * own.target_error_dB, self._error_of_one_second_dB())
+
+    def missing_after(self, sampled_s: float) -> RecordNeeds:
+        """What the next record needs to reach the target together with so much that is kept."""
+        own, target = self.settings, self.settings.target_error_dB
+        error = self._error_of_one_second_dB()
+        if error is not None:
+            missing_s = (error / target) ** 2 - sampled_s
+            shortest_s = own.shortest_at(self.condition.frequency_Hz)
+            target = error / math.sqrt(max(missing_s, shortest_s))
+        return self._needs(target, error)
+
+    @functools.cached_property
+    def whole_length_s(self) -> float:
+        """Length of the one record that would reach the target by itself, as known at first."""
+        f = self.condition.frequency_Hz
+        rate = self.settings.rate_at(f)
+        return record_samples(f, rate, self.missing_after(0.0), self._all_mains()) / rate
+
+    def _needs(self, target_dB: float, error_dB: float | None) -> RecordNeeds:
+        own = self.settings
+        shortest_s = own.shortest_at(self.condition.frequency_Hz)
+        return RecordNeeds(shortest_s, own.longest_point_s, target_dB, error_dB)
+
+    def _error_of_one_second_dB(self) -> float | None:  # noqa: N802 - the unit keeps its capital
+        """Standard error of the gain from one second; None while film or noise are unknown."""
+        lo, memory = self.condition.load_N, self.memory
+        film = memory.film.at(self.condition.frequency_Hz)
+        if film is None or not memory.error_of_one_second:
+            return None
+        load_error = memory.error_of_one_second["load_cell"] / lo
+        film_error = memory.error_of_one_second["film"] / (film * lo)
+        return DB_PER_RELATIVE * math.hypot(load_error, film_error)
+
+    # --- how ------------------------------------------------------------------------------------
+
+    def _acquisition(self, needs: RecordNeeds, only_load: bool) -> Acquisition:
+        f = self.condition.frequency_Hz
+        rate = self.settings.rate_at(f)
+        samples = record_samples(f, rate, needs, [] if only_load else self._all_mains())
+        ranges = self.run.bench.daq.ranges_V()
+        channels = []
+        for name in CHANNELS:
+            size = self._expected(name)
+            if name == "load_cell":
+                size = max(size, self.largest_load_N)
+            suits = [r for r in ranges if r > self._ranges.get(name, 0.0)] or [max(ranges)]
+            amplitude_V = size * volts_per_unit(self.run, name)
+            channels.append(InputChannel(name, range_for(amplitude_V, suits)))
+        return Acquisition(tuple(channels), rate, samples)
+
+    def _expected(self, channel: str) -> float:
+        """Amplitude of a channel in its unit; 0 for a film of which nothing is known."""
+        lo = self.condition.load_N
+        if channel == "load_cell":
+            return lo
+        return (self.memory.film.at(self.condition.frequency_Hz) or 0.0) * lo
+
+    def _overloaded(self, record: Record) -> bool:
+        """Whether a channel stood at the end of its range, and there is a larger one to take."""
+        again = False
+        for name, range_V in zip(record.scaling.channels, record.scaling.range_V, strict=True):
+            if not record.clipped(name):
+                continue
+            if range_V >= max(self.run.bench.daq.ranges_V()):
+                refuse_saturation(record, name, range_V, self.condition.frequency_Hz)
+            self._ranges[name] = range_V
+            again = True
+        return again
+
+    # --- the tones in it ------------------------------------------------------------------------
+
+    def _fit(self, record: Record, channel: str, needs: RecordNeeds, only_load: bool) -> SineFit:
+        mains_Hz = self.settings.mains_Hz
+        duration_s = len(record.counts) / record.scaling.rate_S_s
+        strong = self.strong_mains(channel)
+        limit = HARDLY  # a line that hardly matters is fitted where that costs hardly anything
+        if strong and not only_load:
+            limit = affordable_inflation(needs, duration_s)
+        lines: Sequence[float] = mains_lines(mains_Hz, MAINS_LINES)
+        if not strong and duration_s * mains_Hz < 1:
+            lines = ()  # less than a period of weak mains is as good as an offset
+        found = fit_sine(
+            record.volts(channel) / volts_per_unit(self.run, channel),
+            record.scaling.rate_S_s,
+            self.condition.frequency_Hz,
+            interference=lines,
+            delay_s=record.delay_s(channel),
+            largest_inflation=limit,
+        )
+        self.memory.mains[channel].learn(found, mains_Hz)
+        return found
+
+    def strong_mains(self, channel: str) -> list[float]:
+        """The mains lines that could matter to a channel, in Hz."""
+        own = self.settings
+        harmless = HARMLESS * own.target_error_dB / DB_PER_RELATIVE * self._expected(channel)
+        return self.memory.mains[channel].strong(own.mains_Hz, MAINS_LINES, harmless)
+
+    def _all_mains(self) -> list[float]:
+        return sorted({line for channel in CHANNELS for line in self.strong_mains(channel)})
+
+
+# --- what can be wrong --------------------------------------------------------------------------
+
+
+def shows(tone: SineFit) -> bool:
+    """Whether a tone is more than noise."""
+    return tone.amplitude > NO_SIGNAL_ERRORS * tone.standard_error
+
+
+def refuse_no_load(load: SineFit) -> None:
+    """A vibrator that does not drive, or a load cell that does not see it."""
+    if not shows(load):
+        remedy = "check generator, vibrator amplifier and load cell, and their cables"
+        raise _only_noise(load, "load_cell", "load", "N", remedy)
+
+
+def refuse_silence(voltage: SineFit) -> None:
+    """A film that is torn, unclamped or not connected gives noise."""
+    if not shows(voltage):
+        remedy = "check that the film is clamped, whole and connected to its amplifier"
+        raise _only_noise(voltage, "film", "signal", "V", remedy)
+
+
+def _only_noise(tone: SineFit, device: str, what: str, unit: str, remedy: str) -> InstrumentError:
+    return InstrumentError(
+        device,
+        f"{what} at {tone.frequency_Hz:g} Hz",
+        f"{tone.amplitude:.2g} {unit} with a standard error of {tone.standard_error:.2g} {unit} "
+        "is no more than noise",
+        remedy,
+    )
+
+
+def refuse_overload(run: Run, load: SineFit) -> None:
+    """The load may not exceed what film and cell stand."""
+    limit = run.bench.load_cell.max_load_N
+    if load.amplitude > limit:
+        raise TripError(
+            f"load {load.amplitude:.3g} N at {load.frequency_Hz:g} Hz is over the limit of "
+            f"{limit:g} N of the load cell",
+            "choose a smaller load",
+        )
+
+
+def refuse_saturation(record: Record, channel: str, range_V: float, frequency_Hz: float) -> None:
+    """A clipped sine fits beautifully and wrongly."""
+    raise InstrumentError(
+        "daq",
+        f"channel {channel} at {frequency_Hz:g} Hz",
+        f"{record.clipped(channel)} of {len(record.counts)} samples are at the end of the "
+        f"{range_V:g} V range",
+        "choose a smaller load, or a smaller gain of the amplifier",
+    )
+
+
+def warn_of_mains(run: Run, found: SineFit, strong: Sequence[float]) -> None:
+    """A strong mains line that could not be told from the tone."""
+    for line in set(found.unresolved_Hz) & set(strong):
+        run.event(
+            "warning",
+            "mains",
+            f"{found.frequency_Hz:g} Hz is too close to the mains line at {line:g} Hz for a record "
+            f"of {found.n / found.rate_Hz:.3g} s: what the mains adds cannot be told from the "
+            "signal",
+        )

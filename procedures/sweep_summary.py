@@ -1,0 +1,92 @@
+"""What the readings of a sweep show together: its curve, figures of it, and the film's model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rig.analysis.response_curve import CurveError, ResponseCurve
+from rig.runner.points import Reading
+
+FEWEST_FOR_A_MODEL = 12
+"""Frequencies, for the film's model to be fitted."""
+
+
+def curve_of(readings: Sequence[Reading]) -> ResponseCurve:
+    """The readings as the analysis takes them; CurveError where they are no curve."""
+    return ResponseCurve.of(*_responses(readings))
+
+
+def figures(readings: Sequence[Reading]) -> dict[str, Any]:
+    """Range, gain near 200 Hz and how well it is known, deviations of the load; of one reading at
+    least."""
+    frequencies = [float(r["frequency_Hz"] or 0) for r in readings]
+    errors = sorted(float(r["gain_standard_error_dB"] or 0) for r in readings)
+    middle = min(readings, key=lambda r: abs(math.log(float(r["frequency_Hz"] or 1) / 200)))
+    return {
+        "points": len(readings),
+        "lowest_frequency_Hz": min(frequencies),
+        "highest_frequency_Hz": max(frequencies),
+        "gain_near_200_Hz_dB": middle["gain_dB"],
+        "gain_near_200_Hz_at_Hz": middle["frequency_Hz"],
+        "median_gain_standard_error_dB": errors[len(errors) // 2],
+        "largest_gain_standard_error_dB": errors[-1],
+        "largest_deviation_of_load_percent": 100
+        * max(
+            abs(float(r["load_amplitude_N"] or 0) / float(r["load_set_N"] or 1) - 1)
+            for r in readings
+        ),
+        "largest_load_N": max(float(r["largest_load_N"] or 0) for r in readings),
+    }
+
+
+def model(readings: Sequence[Reading], several_loads: bool) -> dict[str, Any]:
+    """What the analysis of the gain curve says, with its dependence on the load where several were
+    asked for; nothing for a sweep too short for it."""
+    if len({reading["frequency_Hz"] for reading in readings}) < FEWEST_FOR_A_MODEL:
+        return {}
+    from rig.analysis.gain_curve import analyse  # takes long: never while something is switched on
+
+    def of_loads(name: str) -> npt.NDArray[np.float64] | None:
+        return _column(readings, name) if several_loads else None
+
+    frequencies, responses, covariances, degrees = _responses(readings)
+    try:
+        found = analyse(
+            frequencies,
+            responses,
+            covariances,
+            degrees=degrees,
+            loads=of_loads("load_amplitude_N"),
+            load_distortion=of_loads("load_distortion"),
+            film_distortion=of_loads("voltage_distortion"),
+        )
+    except CurveError:
+        return {}
+    return {"analysis": found.sentences(), "model": found.as_dict()}
+
+
+def _responses(
+    readings: Sequence[Reading],
+) -> tuple[
+    npt.NDArray[np.float64],
+    npt.NDArray[np.complex128],
+    npt.NDArray[np.float64],
+    npt.NDArray[np.float64],
+]:
+    """Frequencies (n,) in Hz, responses (n,) in V/N, their covariances (n, 2, 2), degrees (n,)."""
+    covariances = np.empty((len(readings), 2, 2))
+    covariances[:, 0, 0] = _column(readings, "response_var_real")
+    covariances[:, 1, 1] = _column(readings, "response_var_imag")
+    covariances[:, 0, 1] = covariances[:, 1, 0] = _column(readings, "response_cov_real_imag")
+    real, imaginary = (_column(readings, f"response_{part}_V_N") for part in ("real", "imag"))
+    frequencies, degrees = _column(readings, "frequency_Hz"), _column(readings, "degrees")
+    return frequencies, real + 1j * imaginary, covariances, degrees
+
+
+def _column(readings: Sequence[Reading], name: str) -> npt.NDArray[np.float64]:
+    return np.array([float(reading[name] or 0) for reading in readings])

@@ -1,0 +1,288 @@
+"""One point of a sweep: a drive that gives the load, records until the gain is known.
+
+The drive is foretold from what the vibrator did at frequencies nearby, and corrected where the load
+is not the one asked for. No time constant is assumed: records count once two in a row agree, and
+where ringing was seen to sink, its own decay tells how much longer to wait. A record that the noise
+makes long anyway averages over all ringing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from procedures.contact import felt_N
+from procedures.sweep_layout import reading_of
+from procedures.sweep_sampling import Sampled, Sampling, refuse_silence, warn_of_mains
+from rig.analysis.levelling import AGREEMENT_SIGMAS, RecordNeeds, agreement, combined
+from rig.errors import InstrumentError
+
+if TYPE_CHECKING:
+    from procedures.sweep import Condition, Settings
+    from procedures.sweep_memory import Memory
+    from rig.analysis.sine_fit import SineFit
+    from rig.runner.points import Reading
+    from rig.runner.run import Run
+
+# --- the drive ---
+CAUTION = 0.1
+"""Share of the wanted load at a frequency of which nothing is known."""
+SURE = 0.003
+"""Relative error of the last prediction of the load from which the next one is trusted."""
+LOOK_BEFORE_S = 0.1
+"""A record that long is not begun with a drive that may be wrong: a short one tells first."""
+KEPT_WITHIN = 0.75
+"""Of the tolerance of the load: from there on the drive is corrected."""
+FAR_OFF = 0.25
+"""Relative error of a load after which the corrected drive is not trusted either."""
+BOLDEST_CORRECTION = 20.0
+"""Of the drive in one step, upwards, whatever the load cell says: it may be half unplugged."""
+LARGEST_CORRECTION = 1.4
+"""Of the drive in one step where it was foretold from nearby: more is a bad record."""
+
+# --- waits after a change ---
+LARGE_STEP = 1.5
+"""Ratio of the drive now to the drive before beyond which no record averages over the ringing."""
+LEAP = 1.1
+"""Ratio of two frequencies in a row beyond which everything rings anew."""
+LEAP_S = 0.02
+"""Wait after that, where a record is too short to average over it."""
+LONG_RECORD_S = 0.03
+"""A record that has to be as long averages over all ringing: one is enough after a wait."""
+VERY_LONG_RECORD_S = 0.15
+"""One as long needs no wait either."""
+RINGING_S = 0.015
+"""That wait after a change of frequency."""
+CORRECTED_S = 0.008
+"""And after a mere correction of the drive."""
+
+# --- what counts as settled ---
+AGREEMENT = 8e-4
+"""Relative difference of two records in a row, beyond their noise, that counts as settled."""
+CLEAR_RINGING = 2.0
+"""A first difference so many times what agrees is ringing and not noise."""
+SILENCE_S = 2.0
+"""Time at a point after which a film that shows nothing is told."""
+
+FITTED_PARAMETERS = 7
+"""Of a record, taken for all: offset, the tone, two mains lines."""
+STATIC_S = 0.05
+"""Least stretch of the force that a reading's preload is the mean of."""
+
+
+class Taking:
+    """One point under way: the drive, the records that count, and what is asked of them."""
+
+    def __init__(self, run: Run, condition: Condition):
+        self.run, self.condition = run, condition
+        self.memory: Memory = run.state
+        self.settings: Settings = run.settings
+        self.kept: list[Sampled] = []
+        """Records in a row at the present drive."""
+        self._sampling = Sampling(run, condition)
+        self._begun_s = run.clock.now()
+        self._driven_s = 0.0
+        """When the drive was changed."""
+        self._seen_ringing: tuple[float, float] | None = None
+        """When two records in a row first disagreed since, and by how much."""
+        self._outlasted = False
+        """Whether it has been waited for that ringing to die away."""
+        self._leapt = False
+        """Whether the drive was changed so much that what rings is large beside the tone."""
+        self._foretold = False
+        """Whether the drive was foretold from frequencies nearby."""
+        self._looking = False
+        """Whether the next record only has to tell the load: its prediction is not trusted."""
+        self._latest_N = math.nan
+        """Load of the latest record; NaN before the first."""
+
+    # --- the phases -----------------------------------------------------------------------------
+
+    def follow_preload(self) -> None:
+        """Follow the film's creep before anything is changed."""
+        self.memory.follow_preload(self.run)
+
+    def drive_as_foretold(self) -> None:
+        """With the drive that should give the load, or a share of it where nothing is known; then
+        the wait that was asked for."""
+        f, lo = self.condition.frequency_Hz, self.condition.load_N
+        gain = self.memory.vibrator.at(f)
+        costly = self._averages() and self._sampling.whole_length_s > LOOK_BEFORE_S
+        self._looking = self.memory.surprise > SURE and costly
+        if gain is None:
+            self._drive(self.settings.first_amplitude_V)
+        else:
+            self._foretold = self.memory.vibrator.near(f)
+            self._drive((1.0 if self._foretold else CAUTION) * lo / gain)
+        self._sampling.wait(self.settings.settling_s)
+
+    def sample(self) -> None:
+        """One record more at the present drive."""
+        sampled = self._sampling.take(self._needs(), only_load=self._looking)
+        self.kept.append(sampled)
+        if math.isnan(self._latest_N):
+            self.memory.surprise = abs(sampled.load.amplitude / self.condition.load_N - 1)
+        self._latest_N = sampled.load.amplitude
+
+    def is_over(self) -> bool:
+        """Whether load and film are steady and the gain is known well enough; if they are not, the
+        drive is corrected or what rings is waited for. A point that takes too long is over where
+        it is steady, and InstrumentError where it never was."""
+        late = self.run.clock.now() - self._begun_s > self.settings.longest_point_s
+        if self._is_level() and self._is_settled():
+            if self._sampling.physics_s > SILENCE_S:
+                refuse_silence(self.kept[-1].voltage)
+            return self._is_known() or late
+        if late:
+            self._refuse_restless()
+        return False
+
+    def reading(self) -> Reading:
+        """Record what counts, and what it shows."""
+        run, condition, kept, sampling = self.run, self.condition, self.kept, self._sampling
+        for sampled in kept:
+            run.emit("waveform", sampled.record)
+        last = kept[-1]
+        refuse_silence(last.voltage)
+        warn_of_mains(run, last.voltage, sampling.strong_mains("film"))
+        self.memory.learn_noise("load_cell", last.load)
+        self.memory.learn_noise("film", last.voltage)
+        response = combined([sampled.response for sampled in kept])
+        return reading_of(response, last.load, last.voltage, run.elapsed_s()) | {
+            "load_set_N": condition.load_N,
+            "repeat": condition.repeat,
+            "drive_V": self.memory.drive_V,
+            "degrees": sum(sampled.load.n - FITTED_PARAMETERS for sampled in kept),
+            "records": len(kept),
+            "taken_s": run.clock.now() - self._begun_s,
+            "physics_s": sampling.physics_s,
+            "largest_load_N": sampling.largest_load_N,
+            "preload_N": felt_N(run, max(STATIC_S, 1 / condition.frequency_Hz)),
+        }
+
+    # --- the drive ------------------------------------------------------------------------------
+
+    def _drive(self, amplitude_V: float) -> None:
+        memory, f, clock = self.memory, self.condition.frequency_Hz, self.run.clock
+        self.run.bench.generator.sine(f, amplitude_V)
+        changed = f != memory.frequency_Hz
+        leapt = not 1 / LEAP < f / memory.frequency_Hz < LEAP
+        ratio = amplitude_V / memory.drive_V
+        self._leapt = self._leapt or not 1 / LARGE_STEP < ratio < LARGE_STEP
+        memory.change_vibration(f, amplitude_V, clock.now())
+        self.kept.clear()
+        if leapt and not self._averages():
+            self._sampling.wait(LEAP_S)
+        self._driven_s = clock.now()
+        self._seen_ringing = None
+        self._outlasted = False
+        if self._averages() and self._sampling.whole_length_s < VERY_LONG_RECORD_S:
+            self._sampling.wait(RINGING_S if changed else CORRECTED_S)
+
+    def _is_level(self) -> bool:
+        """Whether the load is the one asked for; if it is not, the drive is corrected."""
+        lo = self.condition.load_N
+        load = self.kept[-1].load
+        if abs(load.amplitude / lo - 1) <= self._tolerance(load):
+            return True
+        self._looking = self._looking and abs(load.amplitude / lo - 1) > FAR_OFF
+        correction = min(lo / load.amplitude, BOLDEST_CORRECTION)
+        if self._foretold:
+            correction = min(max(correction, 1 / LARGEST_CORRECTION), LARGEST_CORRECTION)
+        self._drive(self.memory.drive_V * correction)
+        return False
+
+    def _tolerance(self, load: SineFit) -> float:
+        """Most of what a kept point may be off; the noise of a short record is no deviation."""
+        noise = 2 * load.standard_error / self.condition.load_N
+        return min(max(KEPT_WITHIN * 1e-2 * self.settings.load_tolerance_percent, noise), 5e-2)
+
+    # --- settling -------------------------------------------------------------------------------
+
+    def _averages(self) -> bool:
+        """Whether one record averages over all ringing."""
+        return self._sampling.whole_length_s >= LONG_RECORD_S and not self._leapt
+
+    def _needs(self) -> RecordNeeds:
+        """How long the next record has to be: what is missing after those that are kept."""
+        if not self.kept and not (self._outlasted or self._averages()):
+            return self._sampling.first_look()
+        return self._sampling.missing_after(sum(sampled.duration_s for sampled in self.kept))
+
+    def _is_settled(self) -> bool:
+        """Whether the last two records agree; those before are forgotten where they do not."""
+        if self._looking:  # it was too short to count
+            self._looking = False
+            self.kept.clear()
+            return False
+        if self._averages() or self._outlasted:
+            return True
+        if len(self.kept) < 2:
+            return False
+        before, last = (sampled.response for sampled in self.kept[-2:])
+        now = self.run.clock.now()
+        if self._agree():
+            self._outlast_ringing(now, agreement(before, last, AGREEMENT), abs(last.value))
+            return bool(self.kept)
+        if self._seen_ringing is None:
+            self._seen_ringing = (now, abs(before.value - last.value))
+        del self.kept[:-1]
+        return False
+
+    def _agree(self) -> bool:
+        """Whether load and response of the last two records are the same within their noise."""
+        before, last = self.kept[-2:]
+        difference_N = abs(before.load.amplitude - last.load.amplitude)
+        noise_N = AGREEMENT_SIGMAS * math.hypot(
+            before.load.standard_error, last.load.standard_error
+        )
+        if difference_N > 3 * AGREEMENT * last.load.amplitude + noise_N:
+            return False
+        visible = agreement(before.response, last.response, AGREEMENT)
+        return abs(before.response.value - last.response.value) <= visible
+
+    def _outlast_ringing(self, now: float, visible: float, size: float) -> None:
+        """Where ringing was seen to sink below what can be seen, wait until it matters no more.
+
+        It took so long from the first difference to less than ``visible``: that tells the longest
+        time constant it may have.
+        """
+        if self._seen_ringing is None:
+            return
+        since_s, first = self._seen_ringing
+        self._seen_ringing = None
+        if first > CLEAR_RINGING * visible and visible > AGREEMENT * size:
+            constant_s = (now - since_s) / math.log(first / visible)
+            rest_s = constant_s * math.log(visible / (AGREEMENT * size))
+            under_way_s = self.kept[-1].duration_s / 2  # in the next one
+            self._sampling.wait(max(min(rest_s, now - self._driven_s) - under_way_s, 0.0))
+            self.kept.clear()
+            self._outlasted = True
+
+    def _is_known(self) -> bool:
+        """Whether the gain's standard error is below the target: without the first record, which
+        may hold the end of the ringing, if that does."""
+        target = self.settings.target_error_dB
+        for kept in (self.kept[1:], self.kept):
+            if not kept:
+                continue
+            together = combined([sampled.response for sampled in kept])
+            if together.gain_standard_error_dB <= target:
+                self.kept = list(kept)
+                return self._load_is_right()
+        return False
+
+    def _load_is_right(self) -> bool:
+        """Whether the records' mean load is within the tolerance: their noise averages out."""
+        mean = sum(s.load.amplitude for s in self.kept) / len(self.kept)
+        return abs(mean / self.condition.load_N - 1) <= 1e-2 * self.settings.load_tolerance_percent
+
+    def _refuse_restless(self) -> None:
+        """The time limit is over, and the load was never right and steady."""
+        raise InstrumentError(
+            "generator",
+            f"load at {self.condition.frequency_Hz:g} Hz",
+            f"{self._latest_N:.4g} N after {self.settings.longest_point_s:g} s, "
+            f"{self.condition.load_N:g} N wanted; two records in a row never agreed on it",
+            "look for something loose in the vibrator's line, or allow more time and tolerance",
+        )
