@@ -254,8 +254,10 @@ def _id_of(reading: Reading) -> str:
 
 
 def import_ahead() -> None:
-    """What a point needs and takes long to import: never while something is switched on."""
-    import procedures.sweep_taking  # noqa: F401
+    """What a sweep needs and takes long to import: never while something is switched on."""
+    import scipy.special  # noqa: F401
+
+    import rig.analysis.gain_curve  # noqa: F401
 
 
 def arm(run: Run) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from rig.analysis.response_curve import CurveError, ResponseCurve
+from procedures.sweep_layout import LAYOUT
+from rig.analysis.response_curve import CurveError, ResponseCurve, points_of
 from rig.runner.points import Reading
 
 FEWEST_FOR_A_MODEL = 12
@@ -18,7 +20,11 @@ FEWEST_FOR_A_MODEL = 12
 
 def curve_of(readings: Sequence[Reading]) -> ResponseCurve:
     """The readings as the analysis takes them; CurveError where they are no curve."""
-    return ResponseCurve.of(*_responses(readings))
+    return ResponseCurve.of(
+        *points_of(partial(_column, readings)),
+        degrees=_column(readings, "degrees"),
+        preloads=_column(readings, "preload"),
+    )
 
 
 def figures(readings: Sequence[Reading]) -> dict[str, Any]:
@@ -54,14 +60,12 @@ def model(readings: Sequence[Reading], several_loads: bool) -> dict[str, Any]:
     def of_loads(name: str) -> npt.NDArray[np.float64] | None:
         return _column(readings, name) if several_loads else None
 
-    frequencies, responses, covariances, degrees = _responses(readings)
     try:
         found = analyse(
-            frequencies,
-            responses,
-            covariances,
-            degrees=degrees,
-            loads=of_loads("load_amplitude_N"),
+            *points_of(partial(_column, readings)),
+            degrees=_column(readings, "degrees"),
+            preloads=_column(readings, "preload"),
+            loads=of_loads("load_amplitude"),
             load_distortion=of_loads("load_distortion"),
             film_distortion=of_loads("voltage_distortion"),
         )
@@ -70,23 +74,7 @@ def model(readings: Sequence[Reading], several_loads: bool) -> dict[str, Any]:
     return {"analysis": found.sentences(), "model": found.as_dict()}
 
 
-def _responses(
-    readings: Sequence[Reading],
-) -> tuple[
-    npt.NDArray[np.float64],
-    npt.NDArray[np.complex128],
-    npt.NDArray[np.float64],
-    npt.NDArray[np.float64],
-]:
-    """Frequencies (n,) in Hz, responses (n,) in V/N, their covariances (n, 2, 2), degrees (n,)."""
-    covariances = np.empty((len(readings), 2, 2))
-    covariances[:, 0, 0] = _column(readings, "response_var_real")
-    covariances[:, 1, 1] = _column(readings, "response_var_imag")
-    covariances[:, 0, 1] = covariances[:, 1, 0] = _column(readings, "response_cov_real_imag")
-    real, imaginary = (_column(readings, f"response_{part}_V_N") for part in ("real", "imag"))
-    frequencies, degrees = _column(readings, "frequency_Hz"), _column(readings, "degrees")
-    return frequencies, real + 1j * imaginary, covariances, degrees
-
-
 def _column(readings: Sequence[Reading], name: str) -> npt.NDArray[np.float64]:
-    return np.array([float(reading[name] or 0) for reading in readings])
+    """A column of the run's table, (n,)."""
+    source = LAYOUT.column(name).source
+    return np.array([float(reading[source] or 0) for reading in readings])

@@ -115,7 +115,9 @@ def perform(
             results = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rig-dry-run-")))
         else:
             start_log(results)
-        plan, clock, started, recorded_toml = bench_for(request, procedure.FIXTURES[0])
+        plan, clock, started, recorded_toml = bench_for(
+            request, procedure.FIXTURES[0], getattr(procedure, "import_ahead", _nothing)
+        )
         from rig.runner.execution import execute
         from rig.runner.jobs import Job
 
@@ -143,11 +145,17 @@ def perform(
     raise typer.Exit(int(outcome.code))
 
 
+def _nothing() -> None:
+    """What a procedure imports ahead that does not say."""
+
+
 def bench_for(
-    request: Request, fixture: Fixture = "film-clamp"
+    request: Request,
+    fixture: Fixture = "film-clamp",
+    meanwhile: Callable[[], None] = _nothing,
 ) -> tuple[BenchPlan, Clock, RunningBench | None, str | None]:
     """The bench file's plan with a wall clock, or a started simulated bench, on which `fixture` is
-    mounted, with its own clock."""
+    mounted, with its own clock. `meanwhile` is called while that one boots."""
     path = request.bench or (BENCH_FILE if BENCH_FILE.exists() else None)
     started = None
     if path is None or request.dry_run:
@@ -167,6 +175,7 @@ def bench_for(
             say(f"SIMULATED bench ({path}): nothing here is measured")
         return real, WallClock(), None, None
     _import_ahead()
+    meanwhile()
     ready = started.ready()
     why = "a rehearsal" if request.dry_run else "no bench.toml"
     say(f"SIMULATED bench ({why}, seed {request.seed}): nothing here is measured")
