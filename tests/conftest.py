@@ -159,13 +159,14 @@ class Rig:
         """Every state the generator's output went through, in order."""
         return [entry["value"] for entry in self.log() if entry["what"] == "ch1.on"]
 
-    def await_world(self, what: str, value: object = None) -> None:
-        """Wait until the World's log says that `what` happened."""
+    def await_world(self, what: str, value: object = None, count: int = 1) -> None:
+        """Wait until the World's log says that `what` has happened so often."""
         deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
-            for entry in self.log() if self.world_log.exists() else []:
-                if entry["what"] == what and value in (None, entry["value"]):
-                    return
+            log = self.log() if self.world_log.exists() else []
+            seen = sum(x["what"] == what and value in (None, x["value"]) for x in log)
+            if seen >= count:
+                return
             time.sleep(0.05)
         raise AssertionError(f"the World's log never said {what}")
 
