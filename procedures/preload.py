@@ -11,8 +11,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from procedures.contact import (
+    TARE_S,
+    UNLOAD_DEADLINE_S,
+    CLEAR_mm,
+    TRAVEL_mm_s,
+    come_close,
+    contact_range_mm,
+    felt_N,
+    nothing_felt,
+    park,
+    refuse_early_contact,
+    tare_in_free_air,
+    unload,
+)
 from rig.bench import FixtureSettings, require
-from rig.errors import ConfigurationError, InstrumentError, LimitError
+from rig.errors import InstrumentError, LimitError
 from rig.runner.trip import TripError
 
 if TYPE_CHECKING:
@@ -25,13 +39,8 @@ LOOK_AROUND_S = 0.02
 """Of an approach, between two looks at the force; the limit is watched all the time."""
 LOOK_S = 0.005
 """Stretch of force that a tick looks at."""
-TARE_S = 0.2
-"""Rest before the sensor is zeroed, and stretch that the zero is the mean of."""
 CONTACT_N = 0.4
 """Force that means contact: far above the sensor's noise, far below the preload."""
-CLEAR_mm = 0.3
-"""Where the slow approach begins, before the earliest contact."""
-TRAVEL_mm_s = 10.0
 APPROACH_mm_s = 0.5
 RISE_N_s = 25.0
 """How fast the force may rise."""
@@ -48,7 +57,6 @@ PATIENCE_S = 15.0
 """From contact to a held force, at most."""
 HOME_AND_PARK_S = 1.0
 """Expected of homing and the first parking; the stage may stand anywhere."""
-UNLOAD_DEADLINE_S = 20.0
 
 
 @dataclass
@@ -70,7 +78,7 @@ class Preload:
         """Bring the mean force of the latest stretch back where the film has crept; one small move
         at most, and whether there was one. The stretch has to be of whole periods of what
         vibrates."""
-        missing_N = self.target_N - float(run.force.mean_N(stretch_s)[2])
+        missing_N = self.target_N - felt_N(run, stretch_s)
         if abs(missing_N) <= CLOSE * self.target_N:
             return False
         if abs(missing_N) > 0.2 * self.target_N:
@@ -97,23 +105,18 @@ def refuse_impossible(preload_N: float, load_N: float, share: float) -> None:
 def press(run: Run, target_N: float) -> Preload:
     """Bring the film under `target_N` and hold it; the way back is armed before the first move."""
     bench = run.bench
-    fixture, stage = bench.settings.fixture, bench.stage_z
-    first_mm, last_mm = fixture.contact_from_mm, fixture.contact_to_mm
-    if first_mm is None or last_mm is None:
-        raise ConfigurationError(
-            f"{bench.plan.source}: [fixture] does not say where contact has to be felt",
-            "add contact_from_mm and contact_to_mm, positions of the z stage",
-        )
+    first_mm, last_mm = contact_range_mm(bench)
     run.stream_force(FORCE_RATE_S_S)
     run.force.watch(bench.force_sensor.reach()["force"].high)
-    run.arm("preload", lambda: _unload(run), deadline_s=UNLOAD_DEADLINE_S, at_once=stage.make_safe)
-    stage.stop()
-    if not stage.homed():
-        stage.home()
-    stage.move_to(fixture.parked_mm, TRAVEL_mm_s)
-    run.clock.sleep(2 * TARE_S)
-    run.force.tare(TARE_S)
-    _travel(run, first_mm - CLEAR_mm, TRAVEL_mm_s, first_mm)
+    run.arm(
+        "preload",
+        lambda: unload(run, "film"),
+        deadline_s=UNLOAD_DEADLINE_S,
+        at_once=bench.stage_z.make_safe,
+    )
+    park(run)
+    tare_in_free_air(run)
+    come_close(run, CONTACT_N, LOOK_S, LOOK_AROUND_S)
     contact_mm = _approach(run, first_mm, last_mm)
     return _press_from(run, contact_mm, target_N)
 
@@ -136,30 +139,6 @@ def duration_s(fixture: FixtureSettings, target_N: float) -> float:
     )
 
 
-def _travel(run: Run, position_mm: float, speed_mm_s: float, first_mm: float) -> None:
-    """Go where nothing may be felt yet."""
-    stage = run.bench.stage_z
-    stage.start_move(position_mm, speed_mm_s)
-    while stage.moving():
-        run.clock.sleep(LOOK_AROUND_S)
-        _refuse_contact(run, first_mm)
-    stage.stop()
-
-
-def _refuse_contact(run: Run, first_mm: float) -> None:
-    force_N = float(abs(_recent(run)))
-    if force_N > CONTACT_N:
-        run.bench.stage_z.stop()
-        here_mm = run.bench.stage_z.position_mm()
-        raise InstrumentError(
-            "stage_z",
-            "approach",
-            f"{force_N:.2g} N are felt at {here_mm:.2f} mm, before any contact can be "
-            f"(contact_from_mm = {first_mm:g} mm)",
-            "look what is in the way; correct [fixture] if contact belongs there",
-        )
-
-
 def _approach(run: Run, first_mm: float, last_mm: float) -> float:
     """Go on slowly until something is felt; where that was."""
     stage = run.bench.stage_z
@@ -168,19 +147,15 @@ def _approach(run: Run, first_mm: float, last_mm: float) -> float:
     while moving:
         run.clock.sleep(LOOK_AROUND_S)
         here_mm = stage.position_mm()
-        if _recent(run) > CONTACT_N:
+        force_N = felt_N(run, LOOK_S)
+        if force_N > CONTACT_N:
             if here_mm < first_mm:
-                _refuse_contact(run, first_mm)
+                refuse_early_contact(run, force_N, CONTACT_N)
             return here_mm
         moving = stage.moving()
     stage.stop()
-    raise InstrumentError(
-        "stage_z",
-        "approach",
-        f"no contact is felt down to {last_mm:g} mm (contact_to_mm): "
-        f"{_recent(run):.2g} N, contact means {CONTACT_N:g} N",
-        "check that the film is clamped and the force sensor connected; correct [fixture]",
-    )
+    check = "the film is clamped and the force sensor connected"
+    raise nothing_felt(run, felt_N(run, LOOK_S), CONTACT_N, check)
 
 
 def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload:
@@ -191,7 +166,7 @@ def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload:
     stiffness, largest_N = FIRST_STIFFNESS_N_mm, 0.0
     target_mm = contact_mm
     while clock.now() - start_s < PATIENCE_S:
-        force_N = _recent(run)
+        force_N = felt_N(run, LOOK_S)
         largest_N = max(largest_N, force_N)
         here_mm = stage.position_mm()
         pressed_mm = here_mm - contact_mm
@@ -207,7 +182,7 @@ def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload:
                 target_N,
                 contact_mm,
                 stiffness,
-                float(run.force.mean_N(HOLD_S)[2]),
+                felt_N(run, HOLD_S),
                 max(0.0, largest_N / target_N - 1),
                 held_since_s - start_s,
                 target_mm,
@@ -220,8 +195,8 @@ def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload:
     raise InstrumentError(
         "stage_z",
         "preload",
-        f"{_recent(run):.3g} N after {PATIENCE_S:g} s, {target_N:g} N wanted; the stage stands at "
-        f"{stage.position_mm():.3f} mm",
+        f"{felt_N(run, LOOK_S):.3g} N after {PATIENCE_S:g} s, {target_N:g} N wanted; the stage "
+        f"stands at {stage.position_mm():.3f} mm",
         "look at the film and its clamp",
     )
 
@@ -230,29 +205,3 @@ def _speed(stiffness_N_mm: float, missing_N: float) -> float:
     """Full rise far away, then what covers the rest in a few ticks."""
     rise_N_s = min(RISE_N_s, max(abs(missing_N) / (5 * TICK_S), 1.0))
     return min(APPROACH_mm_s, rise_N_s / stiffness_N_mm)
-
-
-def _recent(run: Run) -> float:
-    """Force along z over the last few milliseconds."""
-    return float(run.force.mean_N(LOOK_S)[2])
-
-
-def _unload(run: Run) -> None:
-    """Stop, whatever happens; then away from the film, if the drive still can.
-
-    A drive that has a fault or has lost its place stands where it is. That is safe, and said.
-    """
-    stage = run.bench.stage_z
-    stage.stop()
-    try:
-        stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
-    except InstrumentError as error:
-        stage.stop()  # one answer lost on the way does not stop it
-        run.fail(
-            InstrumentError(
-                "stage_z",
-                "unload",
-                f"the stage stands and the film may still be pressed: {error.one_line()}",
-                "look at the stage; then start again, or move it away by hand",
-            )
-        )

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.signal  # noqa: F401 - the decimator's, imported before anything moves
 
-from procedures.slip_trial import FORCE_RATE_S_S, STRIPS, TRAVEL_mm_s
+from procedures.contact import (
+    CLEAR_mm,
+    TRAVEL_mm_s,
+    come_close,
+    contact_range_mm,
+    felt_N,
+    nothing_felt,
+    refuse_early_contact,
+    tare_in_free_air,
+)
+from procedures.slip_trial import FORCE_RATE_S_S, STRIPS
 from rig.analysis.clock_offset import ClockOffsetError, Series, clock_offset
 from rig.analysis.decimation import Decimator
 from rig.analysis.friction import FrictionError, friction
@@ -29,13 +39,10 @@ if TYPE_CHECKING:
     from rig.runner.points import Reading
     from rig.runner.run import Run
 
-TARE_S = 0.2
 LOOK_S = 0.004
 """Stretch of force that a tick looks at: shorter is noisier, longer is later."""
 CONTACT_N = 0.1
 """Force that means contact: ten times the sensor's noise over a look."""
-CLEAR_mm = 0.3
-"""Where the slow approach begins, before the earliest contact."""
 SLOWEST_mm_s = 0.01
 SLOWEST_SEARCH_mm_s = 0.05
 """Slowest search for contact that is waited for."""
@@ -106,16 +113,10 @@ class Trial:
         """Up, to the place where the slide begins, and zero the force in free air."""
         self.z.move_to(self.fixture.parked_mm, TRAVEL_mm_s)
         self.x.move_to(self.settings.start_mm, TRAVEL_mm_s)
-        self.run.clock.sleep(2 * TARE_S)
-        self.run.force.tare(TARE_S)
+        tare_in_free_air(self.run)
         self._z_commanded = self.fixture.parked_mm
         self._x_commanded = self.settings.start_mm
-        first_mm = self._contact_from_mm()
-        self.z.start_move(first_mm - CLEAR_mm, TRAVEL_mm_s)
-        while self.z.moving():
-            self.run.clock.sleep(1 / self.settings.tick_Hz)
-            self._refuse_contact(self._force_N(), first_mm)
-        self.z.stop()
+        come_close(self.run, CONTACT_N, LOOK_S, 1 / self.settings.tick_Hz)
 
     def record(self) -> None:
         """Begin to record: strips, forces and positions."""
@@ -136,7 +137,8 @@ class Trial:
     def press(self) -> None:
         """Down until the plate is felt, on until the force is there, no faster than it allows; the
         contact's stiffness is learnt on the way. Then rest under the servo."""
-        settings, first_mm, last_mm = self.settings, self._contact_from_mm(), self._contact_to_mm()
+        settings = self.settings
+        first_mm, last_mm = contact_range_mm(self.bench)
         tick_s = 1 / settings.tick_Hz
         down = Approach(
             settings.normal_force_N, tick_s, DELAY_S, FORCE_AGE_S, self._acceleration_mm_s2()
@@ -152,7 +154,7 @@ class Trial:
                 touched = True
                 self.contact_mm = here_mm
                 if here_mm < first_mm:
-                    self._refuse_contact(force_N, first_mm)
+                    refuse_early_contact(self.run, force_N, CONTACT_N)
             arrived = step.touched and step.speed_mm_s == 0
             braking_mm = step.speed_mm_s**2 / (2 * self._acceleration_mm_s2())
             target_mm = here_mm + 3 * step.speed_mm_s * tick_s + braking_mm
@@ -248,7 +250,7 @@ class Trial:
         self.taken.volts.append(volts)
 
     def _force_N(self) -> float:  # noqa: N802 - the unit keeps its capital
-        return float(self.run.force.mean_N(LOOK_S)[2])
+        return felt_N(self.run, LOOK_S)
 
     def _move_z(self, position_mm: float, speed_mm_s: float) -> None:
         reach = self.z.reach()
@@ -258,28 +260,8 @@ class Trial:
 
     # --- what can be wrong ----------------------------------------------------------------------
 
-    def _contact_from_mm(self) -> float:
-        assert self.fixture.contact_from_mm is not None, "arm() has looked"
-        return self.fixture.contact_from_mm
-
-    def _contact_to_mm(self) -> float:
-        assert self.fixture.contact_to_mm is not None, "arm() has looked"
-        return self.fixture.contact_to_mm
-
     def _acceleration_mm_s2(self) -> float:
         return self.settings.acceleration_mm_s2
-
-    def _refuse_contact(self, force_N: float, first_mm: float) -> None:
-        if abs(force_N) <= CONTACT_N:
-            return
-        self.z.stop()
-        raise InstrumentError(
-            "stage_z",
-            "approach",
-            f"{force_N:.2g} N are felt at {self.z.position_mm():.2f} mm, before any contact can be "
-            f"(contact_from_mm = {first_mm:g} mm)",
-            "look what is in the way; correct [fixture] if contact belongs there",
-        )
 
     def _refuse_no_force(self, touched: bool) -> None:
         here_mm, force_N = self.z.position_mm(), self._force_N()
@@ -290,14 +272,8 @@ class Trial:
                 f"{force_N:.3g} N at {here_mm:.3f} mm, {self.settings.normal_force_N:g} N wanted",
                 "look at the skin and the plate; correct contact_to_mm if it may go further",
             )
-        raise InstrumentError(
-            "stage_z",
-            "approach",
-            f"no contact is felt down to {self._contact_to_mm():g} mm (contact_to_mm): "
-            f"{force_N:.2g} N",
-            "check that the plate lies on the force sensor and that the sensor is connected; "
-            "correct [fixture]",
-        )
+        check = "the plate lies on the force sensor and that the sensor is connected"
+        raise nothing_felt(self.run, force_N, CONTACT_N, check)
 
     # --- what it shows --------------------------------------------------------------------------
 

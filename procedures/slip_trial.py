@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, model_validator
 
 from procedures import slip_layout
+from procedures.contact import UNLOAD_DEADLINE_S, contact_range_mm, park, unload
 from rig.bench import Fixture
-from rig.errors import ConfigurationError, InstrumentError, RigError
+from rig.errors import RigError
 from rig.instruments import Acquisition, InputChannel
 from rig.runner.points import Move, Point, Reading
 from rig.settings import Settings as BaseSettings
@@ -35,8 +36,6 @@ STREAMS = slip_layout.STREAMS
 STRIPS = ("strip_1", "strip_2")
 FORCE_RATE_S_S = 1000.0
 """Frames of the force sensor (paper 4.1)."""
-TRAVEL_mm_s = 10.0
-LIFT_DEADLINE_S = 20.0
 
 
 class Settings(BaseSettings):
@@ -158,22 +157,14 @@ def arm(run: Run) -> None:
     """Watch the force; have the way up and the ends of everything known before anything moves."""
     bench, settings = run.bench, run.settings
     z, x, daq = bench.stage_z, bench.stage_x, bench.daq
-    fixture = bench.settings.fixture
-    if fixture.contact_from_mm is None or fixture.contact_to_mm is None:
-        raise ConfigurationError(
-            f"{bench.plan.source}: [fixture] does not say where contact has to be felt",
-            "add contact_from_mm and contact_to_mm, positions of the z stage",
-        )
+    contact_range_mm(bench)  # a fixture that does not say it is refused before anything happens
     run.stream_force(FORCE_RATE_S_S)
     run.force.watch(settings.largest_force_N)
     run.arm("acquisition", daq.stop)  # the last to be ended: a DAQ that hangs keeps no skin pressed
     run.arm("slide", x.stop, at_once=x.make_safe)
-    run.arm("normal force", lambda: _lift(run), LIFT_DEADLINE_S, at_once=z.make_safe)
-    for stage in (z, x):
-        stage.stop()
-    if not z.homed():
-        z.home()
-    z.move_to(fixture.parked_mm, TRAVEL_mm_s)
+    run.arm("normal force", lambda: _lift(run), UNLOAD_DEADLINE_S, at_once=z.make_safe)
+    x.stop()
+    park(run)
     if not x.homed():  # only now: the skin is clear of everything
         x.home()
 
@@ -194,17 +185,8 @@ def take(run: Run, point: Point) -> Reading:
 
 def _lift(run: Run) -> None:
     """Stop, x first; then away from the plate, if the drive still can."""
-    x, z = run.bench.stage_x, run.bench.stage_z
     try:
-        x.stop()
+        run.bench.stage_x.stop()
     except RigError as error:  # its own off says so, too: up is what matters here
         run.event("warning", "slide-not-stopped", error.one_line())
-    z.stop()
-    try:
-        z.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
-    except InstrumentError as error:
-        run.event(
-            "warning",
-            "not-lifted",
-            f"the stage stands and the skin may still be pressed: {error.one_line()}",
-        )
+    unload(run, "skin")

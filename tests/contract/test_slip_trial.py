@@ -115,6 +115,47 @@ def test_contact_in_the_wrong_place_ends_in_one_line(rig, contact_mm, said):
     assert_off_the_plate(rig)
 
 
+STANDS = "the stage stands and the skin may still be pressed: stage_z: "
+
+
+def test_a_drive_that_fails_on_the_last_way_up_fails_the_run(rig):
+    """Its tasks: parked twice, close to the plate, pressed, lifted; the sixth makes the bench safe.
+    The trial was over by then and is kept."""
+    world = rig.world('stage_z_troubles = [{ kind = "fault", move = 6 }]\n')
+    ended = rig.run(*arguments(rig, *SHORT, "--world", world))
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert error.startswith(f"error: stage_z: unload: {STANDS}")
+    assert "or move it away by hand" in error
+    assert "NOT SAFE" not in ended.stderr
+    assert ended.object["points_done"] == 1
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert run.outcome.status == "failed"
+        assert run.point_ids() == ["trial-001"]
+
+
+def test_a_drive_that_fails_in_a_slide_leaves_the_skin_pressed_and_says_so(rig):
+    """The cause first; that the skin may still be pressed is what came of it."""
+    world = rig.world('stage_z_troubles = [{ kind = "fault", move = 4, after_s = 10.0 }]\n')
+    slow = ("--distance", "2mm", "--speed", "0.3mm/s")
+    ended = rig.run(*arguments(rig, *slow, "--world", world))
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert error.startswith("error: stage_z: ")
+    assert STANDS not in error
+    assert STANDS in "\n".join(ended.object["warnings"])
+    assert "switched off: force stream, acquisition, slide, normal force" in ended.stderr
+    for stage in ("stage_z", "stage_x"):
+        motion = [e["what"] for e in moves(rig, stage) if e["what"] in ("move", "at-rest")]
+        assert motion[-1] == "at-rest", stage
+    story = [e["what"] for e in rig.log() if e["what"] in ("touch-down", "slip", "lift-off")]
+    assert story[0] == "touch-down"
+    assert "slip" in story
+    assert "lift-off" not in story
+
+
 def test_a_force_over_the_limit_lifts_off_and_ends_the_run_after_one_retake(rig):
     ended = rig.run(*arguments(rig, *SHORT, "--largest-force", "4.02N"))
     assert ended.code == 4, ended.stderr

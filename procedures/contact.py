@@ -1,0 +1,119 @@
+"""To the thing that is pressed and away from it: what every procedure does with z around contact.
+
+The stage waits where it is clear of everything, the force sensor is zeroed there in free air, and
+the way to just above the earliest contact is quick. The fixture says where contact may be felt:
+earlier, something is in the way; no later, there is nothing to press. How contact is searched for
+and the force brought up is each procedure's own; the way back is the same again, at every exit.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rig.errors import ConfigurationError, InstrumentError
+
+if TYPE_CHECKING:
+    from rig.bench import Bench
+    from rig.runner.run import Run
+
+TRAVEL_mm_s = 10.0
+CLEAR_mm = 0.3
+"""Where the quick way ends, before the earliest contact."""
+TARE_S = 0.2
+"""Stretch of force that the zero is the mean of; the rest before it is twice as long."""
+UNLOAD_DEADLINE_S = 20.0
+
+
+def contact_range_mm(bench: Bench) -> tuple[float, float]:
+    """Positions of the z stage between which contact has to be felt, in mm; ConfigurationError
+    where the bench file does not say."""
+    fixture = bench.settings.fixture
+    if fixture.contact_from_mm is None or fixture.contact_to_mm is None:
+        raise ConfigurationError(
+            f"{bench.plan.source}: [fixture] does not say where contact has to be felt",
+            "add contact_from_mm and contact_to_mm, positions of the z stage",
+        )
+    return fixture.contact_from_mm, fixture.contact_to_mm
+
+
+def park(run: Run) -> None:
+    """Stop z, find its reference if that is not known, and go where it is clear of everything."""
+    stage = run.bench.stage_z
+    stage.stop()
+    if not stage.homed():
+        stage.home()
+    stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
+
+
+def tare_in_free_air(run: Run) -> None:
+    """Zero the force sensor once what has moved is at rest."""
+    run.clock.sleep(2 * TARE_S)
+    run.force.tare(TARE_S)
+
+
+def come_close(run: Run, contact_N: float, look_s: float, every_s: float) -> None:
+    """Go to just above the earliest contact; a force of more than `contact_N` ends it.
+
+    The force is the mean of `look_s`, looked at every `every_s`; its limit is watched all the time.
+    """
+    stage = run.bench.stage_z
+    first_mm, _ = contact_range_mm(run.bench)
+    stage.start_move(first_mm - CLEAR_mm, TRAVEL_mm_s)
+    while stage.moving():
+        run.clock.sleep(every_s)
+        refuse_early_contact(run, felt_N(run, look_s), contact_N)
+    stage.stop()
+
+
+def felt_N(run: Run, look_s: float) -> float:  # noqa: N802 - the unit keeps its capital
+    """Mean force along z over the latest `look_s`, in N; what presses is positive."""
+    return float(run.force.mean_N(look_s)[2])
+
+
+def refuse_early_contact(run: Run, force_N: float, contact_N: float) -> None:
+    """Stop, and InstrumentError, where a force of either sign means contact before there can be
+    any."""
+    if abs(force_N) <= contact_N:
+        return
+    stage = run.bench.stage_z
+    stage.stop()
+    raise InstrumentError(
+        "stage_z",
+        "approach",
+        f"{force_N:.2g} N are felt at {stage.position_mm():.2f} mm, before any contact can be "
+        f"(contact_from_mm = {contact_range_mm(run.bench)[0]:g} mm)",
+        "look what is in the way; correct [fixture] if contact belongs there",
+    )
+
+
+def nothing_felt(run: Run, force_N: float, contact_N: float, check: str) -> InstrumentError:
+    """That the way to the latest contact is over; `check` names what to look at."""
+    return InstrumentError(
+        "stage_z",
+        "approach",
+        f"no contact is felt down to {contact_range_mm(run.bench)[1]:g} mm (contact_to_mm): "
+        f"{force_N:.2g} N, contact means {contact_N:g} N",
+        f"check that {check}; correct [fixture]",
+    )
+
+
+def unload(run: Run, pressed: str) -> None:
+    """Stop z, whatever happens; then away from what is pressed, if the drive still can.
+
+    A drive that has a fault or has lost its place stands where it is. That is safe, and said: the
+    run has failed (exit 3). What the stop itself raises is raised: then it is not safe.
+    """
+    stage = run.bench.stage_z
+    stage.stop()
+    try:
+        stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
+    except InstrumentError as error:
+        stage.stop()  # one answer lost on the way does not stop it
+        run.fail(
+            InstrumentError(
+                "stage_z",
+                "unload",
+                f"the stage stands and the {pressed} may still be pressed: {error.one_line()}",
+                "look at the stage; then start again, or move it away by hand",
+            )
+        )
