@@ -207,6 +207,7 @@ class GsvLink:
             self._open_port()
             self._write(STOP_TRANSMISSION, b"")
             self._synchronise()
+        self.discard()
 
     def request(self, command: Command, parameters: bytes = b"") -> bytes:
         """Send a request and return the data of its answer; InstrumentError for an error code, a

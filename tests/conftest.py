@@ -58,6 +58,7 @@ class Running:
             stderr=subprocess.PIPE,
             text=True,
         )
+        self.name = arguments[0]
         self._lines: list[str] = []
         self._news = threading.Condition()
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -88,6 +89,12 @@ class Running:
         code = self.process.wait(PATIENCE_S)
         self._reader.join(PATIENCE_S)
         return Finished(code, stdout, "".join(self._lines))
+
+    def told(self, state: str) -> str:
+        """What it is, its `state` and exit code, and its stderr."""
+        self._reader.join(PATIENCE_S)
+        lines = "".join(self._lines)
+        return f"rig {self.name} {state}, exit code {self.process.returncode}; stderr:\n{lines}"
 
     def _read(self) -> None:
         assert self.process.stderr is not None
@@ -152,13 +159,14 @@ class Rig:
         """Every state the generator's output went through, in order."""
         return [entry["value"] for entry in self.log() if entry["what"] == "ch1.on"]
 
-    def await_world(self, what: str, value: object = None) -> None:
-        """Wait until the World's log says that `what` happened."""
+    def await_world(self, what: str, value: object = None, count: int = 1) -> None:
+        """Wait until the World's log says that `what` has happened so often."""
         deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
-            for entry in self.log() if self.world_log.exists() else []:
-                if entry["what"] == what and value in (None, entry["value"]):
-                    return
+            log = self.log() if self.world_log.exists() else []
+            seen = sum(x["what"] == what and value in (None, x["value"]) for x in log)
+            if seen >= count:
+                return
             time.sleep(0.05)
         raise AssertionError(f"the World's log never said {what}")
 
@@ -168,11 +176,14 @@ class Rig:
         return path
 
     def close(self) -> None:
-        """End what a test left running."""
+        """End what a test left running, and print what every command said: a test that fails shows
+        it."""
         for running in self._started:
-            if running.process.poll() is None:
+            ended = running.process.poll() is not None
+            if not ended:
                 running.process.kill()
                 running.process.wait()
+            print(running.told("ended" if ended else "was left running"))
 
 
 @pytest.fixture

@@ -206,7 +206,8 @@ class _Loop:
         return float(told(self.job.settings, self.bench.settings.fixture)) if told else 0.0
 
     def _arm(self) -> None:
-        self.job.procedure.arm(self.run)
+        with self.run.first_cause():
+            self.job.procedure.arm(self.run)
 
     def _disturbable(self, act: Callable[[], T]) -> T:
         """Do it; after a hold, when the bench is armed again, do it anew."""
@@ -231,7 +232,8 @@ class _Loop:
         self.run.event("warning", "hold", hold.message)
         failures = self.run.arming.make_safe(self.guard.beat, watch_on=True)
         if failures:
-            raise RigError("; ".join(f"{f.name}: {f.reason}" for f in failures)) from hold
+            reasons = "; ".join(f"{f.name}: {f.reason}" for f in failures)
+            raise RigError(reasons, None, ExitCode.INSTRUMENT) from hold
         self.reporter.event("warning", f"hold: {hold.message}; the bench is safe")
         while self.run.holds.active:
             self.bench.clock.sleep(HOLD_LOOK_S)
@@ -275,15 +277,14 @@ class _Loop:
         self.bench.clock.announce(self.job.run_number, zlib.crc32(point.id.encode()))
         self.recorder.put_point_begin(point.id, {"time": self.run.elapsed_s()})
         try:
-            reading = self.job.procedure.take(self.run, point)
-            self.run.check_watchers()  # also what came and went within its last blocking call
+            with self.run.first_cause():
+                reading = self.job.procedure.take(self.run, point)
+                self.run.check_watchers()  # also what came and went within its last blocking call
             if self._spare and (reason := self._invalid(reading)):
                 raise _InvalidError(reason)
         except BaseException as error:
             with contextlib.suppress(RigError):  # the first cause is on its way
                 self.recorder.put_point_discard(point.id, str(error))
-            if isinstance(error, RigError):
-                self.run.check_trip()  # came before whatever a blocked call made of it
             raise
         self.recorder.put_point_keep(point.id, reading)
         return reading

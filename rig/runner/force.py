@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rig.clock import Clock
-from rig.errors import InstrumentError
+from rig.errors import InstrumentError, RigError
 from rig.instruments import ForceFrames, ForceSensor
 from rig.runner.holds import Holds
 from rig.runner.reader import StreamReader
@@ -41,17 +41,19 @@ class ForceMonitor:
     """Streams a force sensor, keeps the last frames, and watches every one of them."""
 
     def __init__(
-        self, sensor: ForceSensor, clock: Clock, holds: Holds, act: Callable[[str], list[str]]
+        self, sensor: ForceSensor, clock: Clock, holds: Holds, act: Callable[[], list[str]]
     ):
         self._sensor, self._clock, self._holds, self._act = sensor, clock, holds, act
         self._limit_N = float("inf")
-        self._trip: TripError | None = None
+        self._trip: RigError | None = None
+        """Why the bench was made safe from the reader's thread."""
         self._rate = 0.0
         self._recent: deque[ForceFrames] = deque(maxlen=BATCHES_KEPT)
         self._lock = threading.Lock()
         self._frames_before = 0
         """Number of the frame after the last one that was forgotten on purpose."""
-        self._last_frame_s = 0.0
+        self._last_frame_s: float | None = None
+        """None until the stream has begun."""
         self._usual = 0.0
         self._missing_since_s: float | None = None
         self._looked_s = 0.0
@@ -65,9 +67,10 @@ class ForceMonitor:
     def start(self, rate_S_s: float) -> None:
         """Begin to stream and to watch; no limit is in force yet."""
         self._unfollow = self._clock.follow_stream("force_sensor", self._bytes_handled)
-        self._last_frame_s = self._looked_s = self._clock.now()
+        self._looked_s = self._clock.now()
         self._reader.start()  # first: frames may come although the answer to the start is lost
         self._rate = self._sensor.start(rate_S_s)
+        self._last_frame_s = self._clock.now()
 
     def stop(self) -> None:
         """End reading and streaming."""
@@ -145,10 +148,15 @@ class ForceMonitor:
         self._watch_silence()
 
     def check_trip(self) -> None:
-        """Raise a trip that nobody has seen."""
+        """Raise why the bench was made safe at once, where nobody has seen it yet."""
         if self._trip is not None:
             trip, self._trip = self._trip, None
             raise trip
+
+    def settle(self) -> None:
+        """Wait until what the reader's thread is about is done and known to `check_trip`; not from
+        a wait of the bench clock, which may hold what the thread needs."""
+        self._reader.settle()
 
     # --- the reader's thread ------------------------------------------------------------------
 
@@ -184,14 +192,15 @@ class ForceMonitor:
 
     def _watch_force(self, frames: ForceFrames) -> None:
         if frames.saturated.any():
-            self._act("force channel saturated")
-            raise InstrumentError(
+            failed = self._make_safe()
+            self._trip = InstrumentError(
                 "force_sensor",
                 "stream",
                 f"{int(frames.saturated.sum())} of {len(frames)} frames are saturated: the force "
-                "is beyond what the amplifier can measure",
+                f"is beyond what the amplifier can measure{failed}",
                 "unload the sensor; check its zero, its cable and the input range",
             )
+            raise self._trip
         sizes = np.abs(frames.force_N)
         largest = float(sizes.max())
         self.largest_N = max(self.largest_N, largest)
@@ -200,11 +209,16 @@ class ForceMonitor:
         axis = AXES[int(sizes.max(axis=0).argmax())]
         what = f"force along {axis} of {largest:.3g} N is over the limit of {self._limit_N:g} N"
         self._limit_N = float("inf")  # one trip is one: armed again by the next watch
-        failures = self._act(what)
-        failed = f"; not switched off at once: {'; '.join(failures)}" if failures else ""
-        self._trip = TripError(what + failed, "find out what pressed before going on")
+        self._trip = TripError(what + self._make_safe(), "find out what pressed before going on")
+
+    def _make_safe(self) -> str:
+        """Make the bench safe at once; what failed, to be added to the reason."""
+        failures = self._act()
+        return f"; not switched off at once: {'; '.join(failures)}" if failures else ""
 
     def _watch_silence(self) -> None:
+        if self._last_frame_s is None:
+            return
         silent_s = self._clock.now() - self._last_frame_s
         if silent_s > LOST_S:
             raise InstrumentError(
@@ -226,13 +240,14 @@ class ForceMonitor:
             return
         since = self._missing_since_s = self._missing_since_s or now
         if now - since > GAP_S:
-            self._act("gap in the force stream")
-            raise InstrumentError(
+            failed = self._make_safe()
+            self._trip = InstrumentError(
                 "force_sensor",
                 "stream",
-                f"{missing:.0f} frames are missing: the stream has a gap",
+                f"{missing:.0f} frames are missing: the stream has a gap{failed}",
                 "check the cable and the load of the computer; choose a lower rate",
             )
+            raise self._trip
 
     def _latest(self, seconds: float) -> list[tuple[ForceFrames, int]]:
         """The latest batches, oldest first, and how many frames of each lie within `seconds`.

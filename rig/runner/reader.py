@@ -50,10 +50,14 @@ class StreamReader(Generic[Sample]):
         self._stopping = threading.Event()
         self._lock = threading.Lock()
         self._handled_bytes = source.bytes_consumed
+        self._turned = threading.Condition()
+        self._turns = 0
+        self._running = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
         """Begin reading."""
+        self._running = True
         self._thread.start()
 
     def stop(self) -> None:
@@ -66,6 +70,13 @@ class StreamReader(Generic[Sample]):
         """Raise what ended the thread, if anything did."""
         if self._failure is not None:
             raise self._failure
+
+    def settle(self) -> None:
+        """Wait until the read that is under way has been handled, whatever its watchers do, and
+        what it met is known to `check`; nothing where the thread does not run."""
+        with self._turned:
+            turns = self._turns
+            self._turned.wait_for(lambda: self._turns != turns or not self._running)
 
     def bytes_handled(self) -> int:
         """Bytes whose samples the watchers have seen: what a slaved clock waits for.
@@ -90,5 +101,14 @@ class StreamReader(Generic[Sample]):
                     for watcher in self._watchers:
                         watcher(samples)
                 self._handled_bytes = self._source.bytes_consumed
+                self._turn()
         except BaseException as failure:  # noqa: BLE001 - raised again by check()
             self._failure = failure
+        finally:
+            self._turn(running=False)
+
+    def _turn(self, running: bool = True) -> None:
+        with self._turned:
+            self._turns += 1
+            self._running = running
+            self._turned.notify_all()

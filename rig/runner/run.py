@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy.typing as npt
 
 from rig.bench import Bench
 from rig.clock import Clock
-from rig.errors import RigError
+from rig.errors import InstrumentTimeoutError, RigError
 from rig.instruments import Record, Scaling
 from rig.recording.recorder import Recorder
 from rig.runner.arming import OFF_DEADLINE_S, Arming
@@ -83,7 +84,9 @@ class Run:
         armed."""
         if self._force is not None:
             self._force.stop()
-        monitor = ForceMonitor(self.bench.force_sensor, self.clock, self.holds, self._stop_at_once)
+        monitor = ForceMonitor(
+            self.bench.force_sensor, self.clock, self.holds, self._arming.act_at_once
+        )
 
         def off() -> None:
             if self._force is monitor:
@@ -95,10 +98,22 @@ class Run:
         self._force = monitor
         return monitor
 
-    def check_trip(self) -> None:
-        """Raise the trip that a watcher has met, if there is one that nobody has seen."""
-        if self._force is not None:
-            self._force.check_trip()
+    @contextlib.contextmanager
+    def first_cause(self) -> Iterator[None]:
+        """Around what may be disturbed: what a watcher made the bench safe over, and a hold during
+        which an instrument was not heard in time, come before what a disturbed call made of it.
+
+        For the outermost level only: it waits for what the watcher is about.
+        """
+        try:
+            yield
+        except RigError as error:
+            if self._force is not None:
+                self._force.settle()
+                self._force.check_trip()
+            if isinstance(error, InstrumentTimeoutError):
+                self.holds.check()
+            raise
 
     def check_watchers(self) -> None:
         """Raise what the force reader or a hold wants to be known."""
@@ -169,10 +184,6 @@ class Run:
                 "message": message,
             }
         )
-
-    def _stop_at_once(self, why: str) -> list[str]:
-        """From a watcher's thread."""
-        return self._arming.act_at_once()
 
     def fail(self, error: RigError) -> None:
         """The run has failed, and what is under way goes on: a clean-up that could only be done in

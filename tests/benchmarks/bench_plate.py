@@ -63,7 +63,7 @@ def test_trial():
         said = process.ready()
         clock = SlavedClock(ControlLink(said["control_port"]))
         bench = connect(parse_bench(said["bench_toml"], "the simulated bench"), clock)
-        force = ForceMonitor(bench.force_sensor, clock, Holds(), lambda why: [])
+        force = ForceMonitor(bench.force_sensor, clock, Holds(), lambda: [])
         force.start(1000.0)
         for stage in (bench.stage_z, bench.stage_x):
             stage.home()

@@ -144,17 +144,25 @@ def test_a_hold_makes_safe_and_the_point_is_retaken_when_it_is_over(rig):
     )  # fmt: skip
     rig.await_world("ch1.on", True)
     sweep.send(signal.SIGTSTP)
-    sweep.wait_for("the bench is safe")
-    assert rig.outputs() == [True, False]
+    sweep.wait_for("hold: paused by the operator; the bench is safe")
+    safe = rig.outputs()
+    assert safe[-1] is False
     sweep.send(signal.SIGTSTP)
     ended = sweep.finish()
     serving.send(signal.SIGINT)
     serving.finish()
     assert ended.code == 0, ended.stderr
-    assert rig.outputs() == [True, False, True, False]
+    assert_switched_off_between(rig, more_than=safe)
     with RunFile.open(rig.only("*.h5")) as run:
         assert run.point_ids() == ["2Hz-1N", "300Hz-1N"]
         assert b"hold" in run.entry["events/code"][()].tolist()
+
+
+def assert_switched_off_between(rig, more_than=(True, False)):
+    """In real time a busy computer may add a hold: on again more often, but never without off."""
+    outputs = rig.outputs()
+    assert len(outputs) > len(more_than)
+    assert outputs == [True, False] * (len(outputs) // 2)
 
 
 def silence(at, count):
@@ -238,10 +246,43 @@ def test_a_hold_that_came_and_went_within_one_blocking_call_is_acted_on(rig):
 
     assert ended.code == 0, ended.stderr
     assert "hold: the force sensor is silent; the bench is safe" in ended.stderr
-    assert rig.outputs() == [True, False, True, False]
+    assert_switched_off_between(rig)
     with RunFile.open(rig.only("*.h5")) as run:
         assert run.point_ids() == ["300Hz-1N", "600Hz-1N"]
-        assert held(run) == 1
+        assert held(run) >= 1
+
+
+def test_a_hold_that_came_and_went_while_a_call_timed_out_has_the_point_retaken(rig):
+    """In real time: the DAQ's answer is lost; Ctrl-Z twice while its reader waits for it."""
+    path = rig.folder / "a-bench.toml"
+    lost = (
+        f'[[fault]]\ndevice = "daq"\nkind = "silence"\nat = {LISTENING + 1}\ncommand = "WAV:DATA"\n'
+    )
+    serving = rig.start(
+        "simulate", "--write", str(path), "--world-log", str(rig.world_log),
+        "--fault", rig.fault(lost),
+    )  # fmt: skip
+    serving.wait_for("Ctrl-C ends it")
+    patient = re.sub(r"(\[daq\][^[]*timeout_s = )[0-9.]+", r"\g<1>3.0", path.read_text())
+    patient = patient.replace("communication_timeout_ms = 1000", "communication_timeout_ms = 10000")
+    patient = patient.replace("\n[simulation]", "heartbeat_timeout_s = 30.0\n\n[simulation]", 1)
+    path.write_text(patient)
+    sweep = rig.start("sweep", "--bench", str(path), "--json", "--no-figures", *SHORT)
+    rig.await_world("acquisition", "digitize", count=LISTENING + 1)
+    time.sleep(1.0)
+    for _ in range(2):
+        sweep.send(signal.SIGTSTP)
+        time.sleep(0.2)
+    ended = sweep.finish()
+    serving.send(signal.SIGINT)
+    serving.finish()
+
+    assert ended.code == 0, ended.stderr
+    assert "hold: paused by the operator; the bench is safe" in ended.stderr
+    assert ended.errors == []
+    assert_switched_off_between(rig)
+    with RunFile.open(rig.only("*.h5")) as run:
+        assert run.point_ids() == ["300Hz-1N", "600Hz-1N"]
 
 
 @pytest.mark.parametrize(

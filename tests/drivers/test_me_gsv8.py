@@ -137,6 +137,15 @@ def test_connecting_to_old_firmware_stops_identifies_and_only_reads_what_is_righ
         amplifier.close()
 
 
+def test_frames_that_came_while_connecting_belong_to_no_stream() -> None:
+    eight = "AA 17 B0" + 8 * " 3F 80 00 00" + " 85"
+    (stop, stopped), *others = OLD
+    with playing((stop, f"{eight} {eight} {stopped}"), *others) as port:
+        amplifier = connected(port)
+        assert amplifier.read() is None
+        amplifier.close()
+
+
 def test_firmware_1_56_gets_the_crc_switched_on_and_on_every_frame() -> None:
     exchanges = (
         *HELLO,

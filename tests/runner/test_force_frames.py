@@ -46,7 +46,7 @@ def sensor() -> Sensor:
 
 @pytest.fixture
 def monitor(sensor: Sensor) -> ForceMonitor:
-    return ForceMonitor(sensor, Clock(), Holds(), lambda _: [])  # type: ignore[arg-type]
+    return ForceMonitor(sensor, Clock(), Holds(), lambda: [])  # type: ignore[arg-type]
 
 
 def feed(monitor: ForceMonitor, sensor: Sensor, *batches: ForceFrames) -> None:

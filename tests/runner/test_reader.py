@@ -142,6 +142,30 @@ def test_what_ends_the_thread_is_raised_at_every_look(
     assert reader.latest(1) == [13 if where == "watcher" else 12], "what came before is kept"
 
 
+def test_who_lets_the_reader_settle_knows_what_a_watcher_was_about(
+    source: Source, started: Started
+) -> None:
+    acting, gate = threading.Event(), threading.Event()
+    error = InstrumentError("force", "stream", "saturated")
+
+    def act(samples: Sequence[int]) -> None:
+        acting.set()
+        gate.wait(PATIENCE_S)
+        raise error
+
+    reader = started(act)
+    source.put([1])
+    assert acting.wait(PATIENCE_S)
+    threading.Timer(0.05, gate.set).start()
+    reader.check()
+    reader.settle()
+    assert gate.is_set()
+    for _ in range(2):  # a thread that has ended is settled
+        with pytest.raises(InstrumentError, match="saturated"):
+            reader.check()
+        reader.settle()
+
+
 def test_stopping_ends_the_thread_and_may_be_repeated(source: Source, started: Started) -> None:
     reader = started()
     source.put([1])
