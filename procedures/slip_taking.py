@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.signal  # noqa: F401 - the decimator's, imported before anything moves
 
-from procedures.slip_trial import FORCE_RATE_S_S, STRIPS, TRAVEL_mm_s
-from rig.analysis.clock_offset import ClockOffsetError, Series, clock_offset
+from procedures.slip_trial import DELAY_S, FORCE_RATE_S_S, STRIPS, TRAVEL_mm_s
+from rig.analysis import clock_offset as clocks
 from rig.analysis.decimation import Decimator
 from rig.analysis.friction import FrictionError, friction
 from rig.bench import require
 from rig.errors import InstrumentError
 from rig.instruments import Acquisition, InputChannel
-from rig.runner.approach import Approach
+from rig.runner.approach import Approach, search_speed_mm_s
 from rig.runner.loop import tick_loop
-from rig.runner.servo import ForceServo, settings_from
+from rig.runner.servo import ContactShift, ForceServo, settings_from
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -41,9 +41,13 @@ SLOWEST_SEARCH_mm_s = 0.05
 """Slowest search for contact that is waited for."""
 BOTTOM_mm = 0.002
 """So near to contact_to_mm is there."""
-DELAY_S = 0.005
-"""From a command to the first force that shows it: link 1 ms, half a frame, half a look, the age of
-the newest frame, the rubber's relaxation."""
+NEAR_mm = 0.06
+"""Where the slow search begins, before the place at which a trial of the series has felt contact."""
+TAP = 0.15
+"""Of the normal force: what the tap lets go. The clocks need a twentieth (`clock_offset`)."""
+TAP_mm_s = 1.0
+TAP_S = 0.04
+"""From the way back to the way on, and until the servo takes over."""
 FORCE_AGE_S = 0.003
 """How much older the force of a look is than the position read with it."""
 MOVING_EVERY = 5
@@ -53,8 +57,9 @@ MISSING_S = 0.05
 SERVO_SEEN = 5
 """Frames over which the error of the force is averaged."""
 DECIMATED_Hz = 1000.0
-TOUCH_SEEN_S, TOUCH_FELT_S = (0.2, 0.5), (0.5, 0.8)
-"""Before and after the touch-down: what the two clocks are compared by."""
+CLOCKS_SEEN_S, CLOCKS_SEARCHED_S = 0.1, 0.2
+"""What the two clocks are compared by reaches so far beyond touch-down and tap; and how far apart
+they are taken to be at most."""
 FRICTION_COLUMNS = (
     "static_friction",
     "static_friction_error",
@@ -83,24 +88,41 @@ class _Taken:
     frames: int = 0
 
 
+@dataclass
+class Series:
+    """What the trials of a series have taught the ones that follow."""
+
+    contact_mm: float | None = None
+    """Position of z at which the plate was felt last."""
+    shift: ContactShift | None = None
+    """What the first slide, which had none to go by, has shown."""
+
+
 class Trial:
     """One trial under way."""
 
-    def __init__(self, run: Run, number: int):
-        self.run, self.number = run, number
+    def __init__(self, run: Run, number: int, series: Series):
+        self.run, self.number, self.series = run, number, series
         self.settings: Settings = run.settings
         self.bench = run.bench
         self.z, self.x = run.bench.stage_z, run.bench.stage_x
         self.fixture = run.bench.settings.fixture
         self.taken = _Taken()
         self.begun_s = self.contact_mm = self.stiffness_N_mm = 0.0
-        self.largest_N = 0.0
-        self.slide_from_s = self.slide_to_s = 0.0
-        self._z_commanded = self._x_commanded = 0.0
+        self.tapped_s = self.slide_from_s = self.slide_to_s = 0.0
+        self._recording = False
+        self._z_mm = self._z_commanded = self._x_commanded = 0.0
         self._first_frame = 0
         self._statistics: list[LoopStatistics] = []
 
     # --- the phases -----------------------------------------------------------------------------
+
+    def rehearse(self) -> None:
+        """The same without a record: the servo learns what the slide does to the normal force."""
+        self.make_ready()
+        self.press()
+        self.slide()
+        self.lift()
 
     def make_ready(self) -> None:
         """Up, to the place where the slide begins, and zero the force in free air."""
@@ -127,43 +149,23 @@ class Trial:
         self.begun_s = self.run.clock.now()
         self._begun_us = round(1e6 * self.begun_s)
         self._first_frame = self.run.force.frames_seen
+        self._recording = True
 
     def end_record(self) -> None:
         """Take what has still come, and end the acquisition."""
         self._collect_streams()
+        self._recording = False
         self.bench.daq.stop()
 
     def press(self) -> None:
         """Down until the plate is felt, on until the force is there, no faster than it allows; the
-        contact's stiffness is learnt on the way. Then rest under the servo."""
-        settings, first_mm, last_mm = self.settings, self._contact_from_mm(), self._contact_to_mm()
-        tick_s = 1 / settings.tick_Hz
+        contact's stiffness is learnt on the way. A tap, then rest under the servo."""
+        settings, tick_s = self.settings, 1 / self.settings.tick_Hz
         down = Approach(
-            settings.normal_force_N, tick_s, DELAY_S, FORCE_AGE_S, self._acceleration_mm_s2()
+            settings.normal_force_N, tick_s, DELAY_S, FORCE_AGE_S, settings.acceleration_mm_s2
         )
-        touched = arrived = False
-
-        def look(tick: Tick) -> bool:
-            nonlocal touched, arrived
-            force_N = self._collect()
-            here_mm = self.taken.position[-1][1]
-            step = down.step(tick.began_s, here_mm, force_N)
-            if step.touched and not touched:
-                touched = True
-                self.contact_mm = here_mm
-                if here_mm < first_mm:
-                    self._refuse_contact(force_N, first_mm)
-            arrived = step.touched and step.speed_mm_s == 0
-            braking_mm = step.speed_mm_s**2 / (2 * self._acceleration_mm_s2())
-            target_mm = here_mm + 3 * step.speed_mm_s * tick_s + braking_mm
-            self._move_z(min(target_mm, last_mm), max(step.speed_mm_s, SLOWEST_mm_s))
-            return not arrived and (touched or here_mm < last_mm - BOTTOM_mm)
-
-        search_s = (last_mm - first_mm + CLEAR_mm) / SLOWEST_SEARCH_mm_s
-        self._loop(search_s + PATIENCE_S, look)
-        if not arrived:
-            self.z.stop()
-            self._refuse_no_force(touched)
+        self._go_near()
+        self._go_down(down)
         self.stiffness_N_mm = down.stiffness_N_mm
         self._servo = ForceServo(
             settings_from(
@@ -171,10 +173,65 @@ class Trial:
                 self.stiffness_N_mm,
                 tick_s,
                 DELAY_S,
-                self._acceleration_mm_s2(),
+                settings.acceleration_mm_s2,
             )
         )
+        self._tap()
         self._loop(settings.rest_s, self._hold)
+
+    def _go_near(self) -> None:
+        """To shortly before the place where a trial of this series has felt the plate. A plate that
+        is met on the way is pressed with the normal force at most."""
+        if self.series.contact_mm is None:
+            return
+        near_mm, settings = self.series.contact_mm - NEAR_mm, self.settings
+        speed_mm_s = search_speed_mm_s(
+            settings.normal_force_N, DELAY_S + 1 / settings.tick_Hz, settings.acceleration_mm_s2
+        )
+        self._move_z(near_mm, speed_mm_s)
+
+        def look(tick: Tick) -> bool:
+            felt = self._collect() > CONTACT_N
+            if felt:
+                self._move_z(self._z_mm, speed_mm_s)
+            return not felt and self._z_mm < near_mm - BOTTOM_mm
+
+        self._loop(abs(near_mm - self._z_mm) / speed_mm_s + PATIENCE_S, look)
+
+    def _go_down(self, down: Approach) -> None:
+        """Slowly until the plate is felt, and on until the force is there."""
+        first_mm, last_mm = self._contact_from_mm(), self._contact_to_mm()
+        touched = arrived = False
+
+        def look(tick: Tick) -> bool:
+            nonlocal touched, arrived
+            force_N = self._collect()
+            here_mm = self._z_mm
+            step = down.step(tick.began_s, here_mm, force_N)
+            if step.touched and not touched:
+                touched = True
+                self.contact_mm = self.series.contact_mm = here_mm
+                if here_mm < first_mm:
+                    self._refuse_contact(force_N, first_mm)
+            arrived = step.arrived
+            self._move_z(min(here_mm + step.ahead_mm, last_mm), step.speed_mm_s)
+            return not arrived and (touched or here_mm < last_mm - BOTTOM_mm)
+
+        search_s = (last_mm - first_mm + CLEAR_mm) / SLOWEST_SEARCH_mm_s
+        self._loop(search_s + PATIENCE_S, look)
+        if not arrived:
+            self.z.stop()
+            self._refuse_no_force(touched)
+
+    def _tap(self) -> None:
+        """Let go a little and press on again: a force that only rises would not tell how far the
+        clocks of force sensor and DAQ are apart."""
+        here_mm = self._z_commanded
+        back_mm = TAP * self.settings.normal_force_N / self.stiffness_N_mm
+        for position_mm in (here_mm - back_mm, here_mm):
+            self._move_z(position_mm, TAP_mm_s)
+            self._loop(TAP_S, self._look_on)
+        self.tapped_s = self.run.clock.now() - self.begun_s
 
     def slide(self) -> None:
         """Slide under the held force to the end, and a moment longer."""
@@ -182,8 +239,8 @@ class Trial:
         self.slide_from_s = self.run.clock.now() - self.begun_s
         self._x_commanded = settings.end_mm
         self.x.start_move(settings.end_mm, settings.speed_mm_s)
-        self._sliding = True
-        ramp_s = 2 * settings.speed_mm_s / self._acceleration_mm_s2()
+        self._servo.slide_begins(self.series.shift)
+        ramp_s = 2 * settings.speed_mm_s / settings.acceleration_mm_s2
         longest_s = settings.distance_mm / settings.speed_mm_s + ramp_s + 1.0
 
         def hold(tick: Tick) -> bool:
@@ -192,7 +249,8 @@ class Trial:
 
         self._loop(longest_s, hold)
         self.slide_to_s = self.run.clock.now() - self.begun_s
-        self._sliding = False
+        if self.series.shift is None:
+            self.series.shift = self._servo.shift
         self.x.stop()
         self._loop(AFTER_S, self._hold)
 
@@ -212,16 +270,25 @@ class Trial:
         self._move_z(self._z_commanded + step.increment_mm, step.speed_mm_s)
         return True
 
+    def _look_on(self, tick: Tick) -> bool:
+        """Leave z to itself."""
+        self._collect()
+        return True
+
     def _collect(self) -> float:
-        """Take and record what DAQ, force sensor and stages say; the latest force along z."""
-        self._collect_streams()
-        here = (self.z.position_mm(), self.x.position_mm(), self._z_commanded, self._x_commanded)
+        """Look where z is, and record what DAQ, force sensor and stages say, if there is a record;
+        the latest force along z."""
+        self._z_mm = self.z.position_mm()
+        if self._recording:
+            self._collect_streams()
+            self._record_position()
+        return self._force_N()
+
+    def _record_position(self) -> None:
+        here = (self._z_mm, self.x.position_mm(), self._z_commanded, self._x_commanded)
         row, taken = np.array([here]), self.taken
         self.run.put("position", len(taken.position), row, self.settings.tick_Hz, units="mm")
         taken.position.append((self.run.clock.now() - self.begun_s, *here))
-        force_N = self._force_N()
-        self.largest_N = max(self.largest_N, force_N)
-        return force_N
 
     def _collect_streams(self) -> None:
         run, taken = self.run, self.taken
@@ -265,9 +332,6 @@ class Trial:
     def _contact_to_mm(self) -> float:
         assert self.fixture.contact_to_mm is not None, "arm() has looked"
         return self.fixture.contact_to_mm
-
-    def _acceleration_mm_s2(self) -> float:
-        return self.settings.acceleration_mm_s2
 
     def _refuse_contact(self, force_N: float, first_mm: float) -> None:
         if abs(force_N) <= CONTACT_N:
@@ -365,14 +429,19 @@ class Trial:
         """Of the force sensor's clock against the DAQ's, from the touch-down that both saw."""
         volts = np.concatenate(self.taken.volts).sum(axis=1)
         touch_s = float(np.argmax(force[:, 0] > CONTACT_N)) / FORCE_RATE_S_S
-        seen = _stretch(volts, DECIMATED_Hz, touch_s, TOUCH_SEEN_S)
-        felt = _stretch(force[:, 0], FORCE_RATE_S_S, touch_s, TOUCH_FELT_S)
+        begin_s = touch_s - CLOCKS_SEEN_S
+        end_s = min(self.tapped_s + CLOCKS_SEEN_S, self.slide_from_s)
+        wider_s = CLOCKS_SEARCHED_S + CLOCKS_SEEN_S
+        seen = _stretch(volts, DECIMATED_Hz, begin_s, end_s)
+        felt = _stretch(force[:, 0], FORCE_RATE_S_S, begin_s - wider_s, end_s + wider_s)
         half_frame_s = 0.5 / FORCE_RATE_S_S
         try:
-            found = clock_offset(
-                Series(*felt, delay_s=half_frame_s), Series(*seen, self._decimator.delay_s)
+            found = clocks.clock_offset(
+                clocks.Series(*felt, delay_s=half_frame_s),
+                clocks.Series(*seen, self._decimator.delay_s),
+                CLOCKS_SEARCHED_S,
             )
-        except ClockOffsetError as error:
+        except clocks.ClockOffsetError as error:
             self.run.event("warning", "clock-offset", f"trial {self.number}: {error.one_line()}")
             return {"clock_offset_s": None, "clock_offset_error_s": None}
         offset = found.offset
@@ -400,12 +469,11 @@ class Trial:
 
 
 def _stretch(
-    values: npt.NDArray[np.float64], rate_Hz: float, at_s: float, around_s: tuple[float, float]
+    values: npt.NDArray[np.float64], rate_Hz: float, begin_s: float, end_s: float
 ) -> tuple[npt.NDArray[np.float64], float, float]:
-    """Values from so long before an instant to so long after; their rate; when they begin."""
-    first = max(0, round((at_s - around_s[0]) * rate_Hz))
-    last = round((at_s + around_s[1]) * rate_Hz)
-    return values[first:last], rate_Hz, first / rate_Hz
+    """Values from one instant to another; their rate; when they begin."""
+    first = max(0, round(begin_s * rate_Hz))
+    return values[first : round(end_s * rate_Hz)], rate_Hz, first / rate_Hz
 
 
 def _smoothed(force_N: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

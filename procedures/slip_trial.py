@@ -37,6 +37,14 @@ FORCE_RATE_S_S = 1000.0
 """Frames of the force sensor (paper 4.1)."""
 TRAVEL_mm_s = 10.0
 LIFT_DEADLINE_S = 20.0
+DELAY_S = 0.005
+"""From a command to the first force that shows it: link 1 ms, half a frame, half a look, the age of
+the newest frame, the rubber's relaxation."""
+UNREHEARSED_mm = 0.02
+"""Travel within delay and tick up to which the servo holds the force through a slide that it has
+not seen, whatever the friction (decision 0035)."""
+SEARCH_S, NEAR_SEARCH_S = 8.5, 3.5
+"""Expected of the way to the held force and back: the first time, and where contact is known."""
 
 
 class Settings(BaseSettings):
@@ -70,6 +78,8 @@ class Settings(BaseSettings):
     """Force along any axis at which everything stops."""
     tick_Hz: float = Field(default=100.0, ge=20, le=500)
     """Ticks of the servo."""
+    rehearsal: Literal["auto", "always", "never"] = "auto"
+    """A first slide without a record, from which the servo learns; auto: where it is needed."""
     rate_S_s: float = Field(default=10e3, ge=10e3, le=50e3)
     """Sampling rate of the strips; a whole multiple of 1000."""
     range_V: float = Field(default=1.25, gt=0)
@@ -89,6 +99,13 @@ class Settings(BaseSettings):
         return self
 
     @property
+    def rehearsed(self) -> bool:
+        """Whether a series begins with a slide that only teaches the servo."""
+        if self.rehearsal != "auto":
+            return self.rehearsal == "always"
+        return self.speed_mm_s * (DELAY_S + 1 / self.tick_Hz) > UNREHEARSED_mm
+
+    @property
     def along(self) -> int:
         """Sign of the slide."""
         return 1 if self.direction == "+x" else -1
@@ -104,7 +121,8 @@ class Settings(BaseSettings):
 
 def points(settings: Settings) -> tuple[Point, ...]:
     """One point a trial."""
-    slide_s = settings.distance_mm / settings.speed_mm_s
+    slide_s = settings.distance_mm / settings.speed_mm_s + settings.rest_s
+    first_s = SEARCH_S + settings.rehearsed * (slide_s + NEAR_SEARCH_S)
     block = round(settings.rate_S_s / settings.tick_Hz)
     channels = tuple(InputChannel(name, settings.range_V) for name in STRIPS)
     return tuple(
@@ -118,7 +136,7 @@ def points(settings: Settings) -> tuple[Point, ...]:
                 Move("stage_x.speed", settings.speed_mm_s),
             ),
             acquisitions=(Acquisition(channels, settings.rate_S_s, block),),
-            duration_s=slide_s + settings.rest_s + 6.0,
+            duration_s=slide_s + (first_s if number == 1 else NEAR_SEARCH_S),
         )
         for number in range(1, settings.trials + 1)
     )
@@ -180,9 +198,12 @@ def arm(run: Run) -> None:
 
 def take(run: Run, point: Point) -> Reading:
     """One trial: down, hold, rest, slide, up; then what it shows."""
-    from procedures.slip_taking import Trial
+    from procedures.slip_taking import Series, Trial
 
-    trial = Trial(run, int(point.condition))
+    series = run.state = run.state or Series()
+    if run.settings.rehearsed and series.shift is None:
+        Trial(run, int(point.condition), series).rehearse()
+    trial = Trial(run, int(point.condition), series)
     trial.make_ready()
     trial.record()
     trial.press()
