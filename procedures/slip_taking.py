@@ -42,7 +42,7 @@ SLOWEST_SEARCH_mm_s = 0.05
 BOTTOM_mm = 0.002
 """So near to contact_to_mm is there."""
 NEAR_mm = 0.06
-"""Where the slow search begins, before the place at which a trial of the series has felt contact."""
+"""Where the slow search begins, before the place at which contact has been felt already."""
 TAP = 0.15
 """Of the normal force: what the tap lets go. The clocks need a twentieth (`clock_offset`)."""
 TAP_mm_s = 1.0
