@@ -1,8 +1,7 @@
-"""One slip trial: its phases, what every tick records, and what it shows in the end."""
+"""One slip trial under way: its phases, and what every tick records and does."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -10,30 +9,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.signal  # noqa: F401 - the decimator's, imported before anything moves
 
-from procedures.slip_trial import DELAY_S, FORCE_RATE_S_S, STRIPS, TRAVEL_mm_s
-from rig.analysis import clock_offset as clocks
+from procedures.slip_reading import AFTER_S, CONTACT_N, DECIMATED_Hz, Taken, reading_of
+from procedures.slip_trial import DELAY_S, FORCE_RATE_S_S, TRAVEL_mm_s
 from rig.analysis.decimation import Decimator
-from rig.analysis.friction import FrictionError, friction
-from rig.bench import require
+from rig.analysis.load_rate import LoadScale, amplifier_dB, load_scale, load_scale_of_record
+from rig.bench import STRIPS, require
 from rig.errors import InstrumentError
 from rig.instruments import Acquisition, InputChannel
 from rig.runner.approach import Approach, search_speed_mm_s
 from rig.runner.loop import tick_loop
+from rig.runner.ramp import ForceRamp
 from rig.runner.servo import ContactShift, ForceServo, settings_from
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from procedures.slip_trial import Settings
-    from rig.runner.loop import LoopStatistics, Tick
+    from rig.runner.loop import Tick
     from rig.runner.points import Reading
     from rig.runner.run import Run
 
 TARE_S = 0.2
 LOOK_S = 0.004
 """Stretch of force that a tick looks at: shorter is noisier, longer is later."""
-CONTACT_N = 0.1
-"""Force that means contact: ten times the sensor's noise over a look."""
 CLEAR_mm = 0.3
 """Where the slow approach begins, before the earliest contact."""
 SLOWEST_mm_s = 0.01
@@ -50,42 +48,12 @@ TAP_S = 0.04
 """From the way back to the way on, and until the servo takes over."""
 FORCE_AGE_S = 0.003
 """How much older the force of a look is than the position read with it."""
+SLID_ON_mm = 0.3
+"""How far a slide goes on after a ramp, for the kinetic coefficient."""
 MOVING_EVERY = 5
 """Ticks between two looks whether x has arrived."""
-MISSING_S = 0.05
-"""Samples or frames of so long may be under way when a record ends."""
-SERVO_SEEN = 5
-"""Frames over which the error of the force is averaged."""
-DECIMATED_Hz = 1000.0
-CLOCKS_SEEN_S, CLOCKS_SEARCHED_S = 0.1, 0.2
-"""What the two clocks are compared by reaches so far beyond touch-down and tap; and how far apart
-they are taken to be at most."""
-FRICTION_COLUMNS = (
-    "static_friction",
-    "static_friction_error",
-    "kinetic_friction",
-    "kinetic_friction_error",
-)
 PATIENCE_S = 10.0
 """From contact to a held force, at most."""
-AFTER_S = 0.1
-"""What is still recorded after the slide."""
-
-
-@dataclass
-class _Taken:
-    """What a trial has recorded so far, for what is computed from it."""
-
-    volts: list[npt.NDArray[np.float64]] = field(default_factory=list)
-    """Strips at 1 kHz, (n, 2) each."""
-    force: list[npt.NDArray[np.float64]] = field(default_factory=list)
-    """F_n, F_t, F_y, (n, 3) each."""
-    position: list[tuple[float, float, float, float, float]] = field(default_factory=list)
-    """Time, z, x, z commanded, x commanded."""
-    rows: int = 0
-    """Of the strips."""
-    signal_rows: int = 0
-    frames: int = 0
 
 
 @dataclass
@@ -96,6 +64,28 @@ class Series:
     """Position of z at which the plate was felt last."""
     shift: ContactShift | None = None
     """What the first slide, which had none to go by, has shown."""
+    scales: dict[str, LoadScale] = field(default_factory=dict)
+    """Of the strips that are calibrated."""
+
+
+def series_on(run: Run) -> Series:
+    """What is known before the first trial: the strips' calibrations; those missing are told."""
+    skin, scales = run.bench.skin, dict[str, LoadScale]()
+    for strip in STRIPS:
+        record = run.bench.strip_calibrations.get(strip)
+        if record is not None:
+            scales[strip] = load_scale_of_record(record, skin.amplifier_gain)
+        elif strip in skin.b_dB:
+            level_dB = skin.b_dB[strip] + amplifier_dB(skin.amplifier_gain)
+            scales[strip] = load_scale(level_dB, skin.b_error_dB[strip])
+    if missing := [strip for strip in STRIPS if strip not in scales]:
+        run.event(
+            "warning",
+            "calibration",
+            f"{' and '.join(missing)} of the skin: not calibrated, so volts are not told as load "
+            "rate; name the records in [calibrations] of the bench file",
+        )
+    return Series(scales=scales)
 
 
 class Trial:
@@ -107,13 +97,11 @@ class Trial:
         self.bench = run.bench
         self.z, self.x = run.bench.stage_z, run.bench.stage_x
         self.fixture = run.bench.settings.fixture
-        self.taken = _Taken()
-        self.begun_s = self.contact_mm = self.stiffness_N_mm = 0.0
-        self.tapped_s = self.slide_from_s = self.slide_to_s = 0.0
+        self.taken = Taken(number)
         self._recording = False
-        self._z_mm = self._z_commanded = self._x_commanded = 0.0
+        self._z_mm = self._z_commanded = self._x_mm = self._x_commanded = 0.0
+        self._tangential_N = 0.0
         self._first_frame = 0
-        self._statistics: list[LoopStatistics] = []
 
     # --- the phases -----------------------------------------------------------------------------
 
@@ -146,8 +134,8 @@ class Trial:
         block = round(settings.rate_S_s / settings.tick_Hz)
         channels = tuple(InputChannel(name, settings.range_V) for name in STRIPS)
         self.bench.daq.start(Acquisition(channels, settings.rate_S_s, block))
-        self.begun_s = self.run.clock.now()
-        self._begun_us = round(1e6 * self.begun_s)
+        self.taken.begun_s = self.run.clock.now()
+        self.taken.filter_delay_s = self._decimator.delay_s
         self._first_frame = self.run.force.frames_seen
         self._recording = True
 
@@ -166,11 +154,11 @@ class Trial:
         )
         self._go_near()
         self._go_down(down)
-        self.stiffness_N_mm = down.stiffness_N_mm
+        self.taken.stiffness_N_mm = down.stiffness_N_mm
         self._servo = ForceServo(
             settings_from(
                 settings.normal_force_N,
-                self.stiffness_N_mm,
+                down.stiffness_N_mm,
                 tick_s,
                 DELAY_S,
                 settings.acceleration_mm_s2,
@@ -210,7 +198,7 @@ class Trial:
             step = down.step(tick.began_s, here_mm, force_N)
             if step.touched and not touched:
                 touched = True
-                self.contact_mm = self.series.contact_mm = here_mm
+                self.taken.contact_mm = self.series.contact_mm = here_mm
                 if here_mm < first_mm:
                     self._refuse_contact(force_N, first_mm)
             arrived = step.arrived
@@ -227,32 +215,63 @@ class Trial:
         """Let go a little and press on again: a force that only rises would not tell how far the
         clocks of force sensor and DAQ are apart."""
         here_mm = self._z_commanded
-        back_mm = TAP * self.settings.normal_force_N / self.stiffness_N_mm
+        back_mm = TAP * self.settings.normal_force_N / self.taken.stiffness_N_mm
         for position_mm in (here_mm - back_mm, here_mm):
             self._move_z(position_mm, TAP_mm_s)
             self._loop(TAP_S, self._look_on)
-        self.tapped_s = self.run.clock.now() - self.begun_s
+        self.taken.tapped_s = self._since_s()
 
     def slide(self) -> None:
-        """Slide under the held force to the end, and a moment longer."""
-        settings = self.settings
-        self.slide_from_s = self.run.clock.now() - self.begun_s
+        """Drag the skin along x under the held normal force, and hold it a moment longer."""
+        settings, taken = self.settings, self.taken
+        taken.slide_from_s = self._since_s()
         self._x_commanded = settings.end_mm
-        self.x.start_move(settings.end_mm, settings.speed_mm_s)
-        self._servo.slide_begins(self.series.shift)
-        ramp_s = 2 * settings.speed_mm_s / settings.acceleration_mm_s2
-        longest_s = settings.distance_mm / settings.speed_mm_s + ramp_s + 1.0
-
-        def hold(tick: Tick) -> bool:
-            self._hold(tick)
-            return tick.number % MOVING_EVERY != 0 or self.x.moving()
-
-        self._loop(longest_s, hold)
-        self.slide_to_s = self.run.clock.now() - self.begun_s
+        if settings.loading == "ramp":
+            self._ramp()
+        else:
+            self.x.start_move(settings.end_mm, settings.speed_mm_s)
+            self._servo.slide_begins(self.series.shift)
+            self._loop(settings.longest_slide_s, self._still_moving)
+        taken.slide_to_s = self._since_s()
         if self.series.shift is None:
             self.series.shift = self._servo.shift
         self.x.stop()
         self._loop(AFTER_S, self._hold)
+
+    def _still_moving(self, tick: Tick) -> bool:
+        """Hold, until x has arrived."""
+        self._hold(tick)
+        return tick.number % MOVING_EVERY != 0 or self.x.moving()
+
+    def _ramp(self) -> None:
+        """Have the tangential force rise until the skin slips as a whole and a little further, or
+        to where the ramp is to end."""
+        settings, along = self.settings, self.settings.along
+        tick_s = 1 / settings.tick_Hz
+        ramp = ForceRamp(settings.ramp_N_s, settings.speed_mm_s, tick_s, DELAY_S, FORCE_AGE_S)
+        first_mm, first_N = self._x_mm, self._tangential_N
+        slipped_mm = speed_mm_s = 0.0
+
+        def pull(tick: Tick) -> bool:
+            nonlocal slipped_mm, speed_mm_s
+            since_s = tick.began_s - begin_s
+            travel_mm = along * (self._x_mm - first_mm)
+            asked_mm_s = ramp.step(since_s, travel_mm, along * (self._tangential_N - first_N))
+            if asked_mm_s != speed_mm_s:
+                speed_mm_s = asked_mm_s
+                self.x.start_move(settings.end_mm, speed_mm_s)
+            if ramp.follows:
+                self.taken.ramp_to_s = self._since_s()
+            if not ramp.slipped:
+                slipped_mm = travel_mm
+            if ramp.slipped and travel_mm - slipped_mm > SLID_ON_mm:
+                return False
+            reached = ramp.wanted_N(since_s) >= settings.ramp_to_N and not ramp.slipped
+            return self._still_moving(tick) and not reached
+
+        begin_s = self.run.clock.now()
+        self._servo.slide_begins(self.series.shift)
+        self._loop(settings.longest_slide_s, pull)
 
     def lift(self) -> None:
         """Off the plate."""
@@ -262,7 +281,12 @@ class Trial:
     # --- a tick ---------------------------------------------------------------------------------
 
     def _loop(self, longest_s: float, on_tick: Callable[[Tick], bool]) -> None:
-        self._statistics.append(tick_loop(self.run, self.settings.tick_Hz, longest_s, on_tick))
+        done = tick_loop(self.run, self.settings.tick_Hz, longest_s, on_tick)
+        self.taken.loops.append(done)
+
+    def _since_s(self) -> float:
+        """Since the record began."""
+        return self.run.clock.now() - self.taken.begun_s
 
     def _hold(self, tick: Tick) -> bool:
         """Move z by what the force asks for."""
@@ -276,19 +300,21 @@ class Trial:
         return True
 
     def _collect(self) -> float:
-        """Look where z is, and record what DAQ, force sensor and stages say, if there is a record;
-        the latest force along z."""
-        self._z_mm = self.z.position_mm()
+        """Look at stages and force, and record what they and the DAQ say if there is a record; the
+        latest force along z."""
+        self._z_mm, self._x_mm = self.z.position_mm(), self.x.position_mm()
         if self._recording:
             self._collect_streams()
             self._record_position()
-        return self._force_N()
+        force_N = self.run.force.mean_N(LOOK_S)
+        self._tangential_N = float(force_N[0])
+        return float(force_N[2])
 
     def _record_position(self) -> None:
-        here = (self._z_mm, self.x.position_mm(), self._z_commanded, self._x_commanded)
+        here = (self._z_mm, self._x_mm, self._z_commanded, self._x_commanded)
         row, taken = np.array([here]), self.taken
         self.run.put("position", len(taken.position), row, self.settings.tick_Hz, units="mm")
-        taken.position.append((self.run.clock.now() - self.begun_s, *here))
+        taken.position.append((self._since_s(), *here))
 
     def _collect_streams(self) -> None:
         run, taken = self.run, self.taken
@@ -366,117 +392,9 @@ class Trial:
     # --- what it shows --------------------------------------------------------------------------
 
     def reading(self) -> Reading:
-        """Figures of the trial, and why it does not count if it does not."""
-        settings, taken = self.settings, self.taken
-        force = np.concatenate(taken.force)
-        t = np.arange(len(force)) / FORCE_RATE_S_S
-        held = (t >= self.slide_from_s) & (t <= self.slide_to_s)
-        error = 100 * (_smoothed(force[:, 0])[held] / settings.normal_force_N - 1)
-        ticks = sum(loop.ticks for loop in self._statistics)
-        late = sum(loop.late for loop in self._statistics)
-        reading: Reading = {
-            "trial": self.number,
-            "normal_force_set_N": settings.normal_force_N,
-            "speed_mm_s": settings.speed_mm_s,
-            "direction": float(settings.along),
-            "contact_mm": self.contact_mm,
-            "stiffness_N_mm": self.stiffness_N_mm,
-            "overshoot_percent": 100 * max(0.0, self._overshoot(force, t)),
-            "normal_force_N": float(force[held, 0].mean()),
-            "force_error_rms_percent": float(np.sqrt(np.mean(error**2))),
-            "force_error_peak_percent": float(np.abs(error).max()),
-            "slide_from_s": self.slide_from_s,
-            "slide_to_s": self.slide_to_s,
-            "samples": taken.rows,
-            "frames": taken.frames,
-            "ticks": ticks,
-            "late_ticks": late,
-            "largest_lateness_s": max(loop.largest_lateness_s for loop in self._statistics),
-            "filter_delay_s": self._decimator.delay_s,
-        }
-        self.run.check_stop()  # computing takes a while: still alive
-        reading |= self._friction(force[held])
-        self.run.check_stop()
-        reading |= self._clock_offset(force)
-        self.run.check_stop()
-        if truth := self.run.clock.truth():
-            reading["simulated_truth"] = json.dumps({**truth, "record_begun_us": self._begun_us})
-        reading["invalid"] = "; ".join(self._doubts(reading, late / max(ticks, 1)))
-        return reading
-
-    def _overshoot(self, force: npt.NDArray[np.float64], t: npt.NDArray[np.float64]) -> float:
-        before = t < self.slide_from_s
-        return float(_smoothed(force[:, 0])[before].max()) / self.settings.normal_force_N - 1
-
-    def _friction(self, force: npt.NDArray[np.float64]) -> Reading:
-        times = np.array([row[0] for row in self.taken.position])
-        x = np.array([row[2] for row in self.taken.position])
-        t = self.slide_from_s + np.arange(len(force)) / FORCE_RATE_S_S
-        travel = np.abs(np.interp(t, times, x) - self.settings.start_mm)
-        try:
-            found = friction(force[:, 0], np.abs(force[:, 1]), travel)
-        except FrictionError as error:
-            self.run.event("warning", "friction", f"trial {self.number}: {error.one_line()}")
-            return dict.fromkeys(FRICTION_COLUMNS)
-        return {
-            "static_friction": found.static.value,
-            "static_friction_error": found.static.standard_error,
-            "kinetic_friction": found.kinetic.value,
-            "kinetic_friction_error": found.kinetic.standard_error,
-        }
-
-    def _clock_offset(self, force: npt.NDArray[np.float64]) -> Reading:
-        """Of the force sensor's clock against the DAQ's, from the touch-down that both saw."""
-        volts = np.concatenate(self.taken.volts).sum(axis=1)
-        touch_s = float(np.argmax(force[:, 0] > CONTACT_N)) / FORCE_RATE_S_S
-        begin_s = touch_s - CLOCKS_SEEN_S
-        end_s = min(self.tapped_s + CLOCKS_SEEN_S, self.slide_from_s)
-        wider_s = CLOCKS_SEARCHED_S + CLOCKS_SEEN_S
-        seen = _stretch(volts, DECIMATED_Hz, begin_s, end_s)
-        felt = _stretch(force[:, 0], FORCE_RATE_S_S, begin_s - wider_s, end_s + wider_s)
-        half_frame_s = 0.5 / FORCE_RATE_S_S
-        try:
-            found = clocks.clock_offset(
-                clocks.Series(*felt, delay_s=half_frame_s),
-                clocks.Series(*seen, self._decimator.delay_s),
-                CLOCKS_SEARCHED_S,
-            )
-        except clocks.ClockOffsetError as error:
-            self.run.event("warning", "clock-offset", f"trial {self.number}: {error.one_line()}")
-            return {"clock_offset_s": None, "clock_offset_error_s": None}
-        offset = found.offset
-        return {"clock_offset_s": offset.value, "clock_offset_error_s": offset.standard_error}
-
-    def _doubts(self, reading: Reading, late: float) -> list[str]:
-        settings = self.settings
-        doubts = []
-        for name, limit in (
-            ("force_error_rms_percent", settings.force_error_rms_percent),
-            ("force_error_peak_percent", settings.force_error_peak_percent),
-        ):
-            value = float(reading[name] or 0)
-            if value > limit:
-                words = name.removesuffix("_percent").replace("_", " ")
-                doubts.append(f"{words} {value:.2g} % is above {limit:g} %")
-        if 100 * late > settings.late_ticks_percent:
-            doubts.append(f"{100 * late:.2g} % of the ticks were late")
-        span_s = self.slide_to_s + AFTER_S
-        for name, rate in (("samples", settings.rate_S_s), ("frames", FORCE_RATE_S_S)):
-            missing = span_s * rate - float(reading[name] or 0)
-            if missing > MISSING_S * rate:
-                doubts.append(f"{missing:.0f} {name} are missing")
-        return doubts
-
-
-def _stretch(
-    values: npt.NDArray[np.float64], rate_Hz: float, begin_s: float, end_s: float
-) -> tuple[npt.NDArray[np.float64], float, float]:
-    """Values from one instant to another; their rate; when they begin."""
-    first = max(0, round(begin_s * rate_Hz))
-    return values[first : round(end_s * rate_Hz)], rate_Hz, first / rate_Hz
-
-
-def _smoothed(force_N: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Mean of `SERVO_SEEN` frames: the error of a servo is not the sensor's noise."""
-    kernel = np.full(SERVO_SEEN, 1 / SERVO_SEEN)
-    return np.convolve(np.pad(force_N, SERVO_SEEN // 2, mode="edge"), kernel, "valid")
+        """Load rates, figures of the trial, and why it does not count if it does not."""
+        taken, scales = self.taken, self.series.scales
+        if scales:
+            rates = taken.load_rates(scales)
+            self.run.put("load_rate", 0, rates, DECIMATED_Hz, units="N/s")
+        return reading_of(self.run, taken) | taken.load_scales(scales)

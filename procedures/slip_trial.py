@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, model_validator
 
 from procedures import slip_layout
-from rig.bench import Fixture
+from rig.bench import STRIPS, Fixture
 from rig.errors import ConfigurationError, InstrumentError, RigError
 from rig.instruments import Acquisition, InputChannel
 from rig.runner.points import Move, Point, Reading
@@ -32,7 +32,6 @@ FIGURE = "slip_trial"
 LAYOUT = slip_layout.LAYOUT
 STREAMS = slip_layout.STREAMS
 
-STRIPS = ("strip_1", "strip_2")
 FORCE_RATE_S_S = 1000.0
 """Frames of the force sensor (paper 4.1)."""
 TRAVEL_mm_s = 10.0
@@ -43,8 +42,9 @@ the newest frame, the rubber's relaxation."""
 UNREHEARSED_mm = 0.02
 """Travel within delay and tick up to which the servo holds the force through a slide that it has
 not seen, whatever the friction (decision 0035)."""
-SEARCH_S, NEAR_SEARCH_S = 8.5, 3.5
-"""Expected of the way to the held force and back: the first time, and where contact is known."""
+WAY_S, SEARCHED_mm = 3.5, 0.6
+"""Expected of the way to the held force and back where the place of the contact is known, and of
+the slow search where it is not."""
 
 
 class Settings(BaseSettings):
@@ -52,10 +52,16 @@ class Settings(BaseSettings):
 
     normal_force_N: float = Field(default=4.0, gt=0)
     """Normal force, held by the servo (paper 2.2: all nine ridges touch at 4 N)."""
+    loading: Literal["slide", "ramp"] = "slide"
+    """What drags the skin: a slide at constant speed, or a tangential force that rises evenly."""
     speed_mm_s: float = Field(default=0.5, gt=0)
-    """Speed of the slide."""
+    """Speed of the slide; of a ramp, its limit and the speed after gross slip."""
     distance_mm: float = Field(default=1.0, gt=0)
-    """Length of the slide."""
+    """Length of the slide; of a ramp, the longest."""
+    ramp_N_s: float = Field(default=2.0, gt=0)
+    """Rate at which a ramp has the tangential force rise."""
+    ramp_to_N: float = Field(default=10.0, gt=0)
+    """Tangential force at which a ramp ends where nothing has slipped."""
     direction: Literal["+x", "-x"] = "+x"
     """Direction of the slide."""
     start_mm: float = 10.0
@@ -84,7 +90,7 @@ class Settings(BaseSettings):
     """Sampling rate of the strips; a whole multiple of 1000."""
     range_V: float = Field(default=1.25, gt=0)
     """Input range of the strips' channels, bipolar."""
-    item: str = ""
+    object: str = ""
     """What lies in the place of the plate."""
 
     @model_validator(mode="after")
@@ -94,9 +100,21 @@ class Settings(BaseSettings):
                 f"normal_force_N {self.normal_force_N:g} is not below largest_force_N "
                 f"{self.largest_force_N:g}"
             )
+        if self.loading == "ramp" and self.ramp_to_N >= self.largest_force_N:
+            raise ValueError(
+                f"ramp_to_N {self.ramp_to_N:g} is not below largest_force_N "
+                f"{self.largest_force_N:g}"
+            )
         if self.rate_S_s % 1000:
             raise ValueError(f"rate_S_s {self.rate_S_s:g} is not a whole multiple of 1000")
         return self
+
+    @property
+    def longest_slide_s(self) -> float:
+        """What a slide or a ramp may take at most."""
+        ramps_s = 2 * self.speed_mm_s / self.acceleration_mm_s2
+        rise_s = self.ramp_to_N / self.ramp_N_s if self.loading == "ramp" else 0.0
+        return rise_s + self.distance_mm / self.speed_mm_s + ramps_s + 1.0
 
     @property
     def rehearsed(self) -> bool:
@@ -121,8 +139,13 @@ class Settings(BaseSettings):
 
 def points(settings: Settings) -> tuple[Point, ...]:
     """One point a trial."""
-    slide_s = settings.distance_mm / settings.speed_mm_s + settings.rest_s
-    first_s = SEARCH_S + settings.rehearsed * (slide_s + NEAR_SEARCH_S)
+    from rig.runner.approach import TOUCH, search_speed_mm_s
+
+    tick_s, trial_s = 1 / settings.tick_Hz, settings.longest_slide_s + settings.rest_s + WAY_S
+    search_mm_s = search_speed_mm_s(
+        TOUCH * settings.normal_force_N, DELAY_S + tick_s, settings.acceleration_mm_s2
+    )
+    first_s = SEARCHED_mm / search_mm_s + settings.rehearsed * trial_s
     block = round(settings.rate_S_s / settings.tick_Hz)
     channels = tuple(InputChannel(name, settings.range_V) for name in STRIPS)
     return tuple(
@@ -136,7 +159,7 @@ def points(settings: Settings) -> tuple[Point, ...]:
                 Move("stage_x.speed", settings.speed_mm_s),
             ),
             acquisitions=(Acquisition(channels, settings.rate_S_s, block),),
-            duration_s=slide_s + (first_s if number == 1 else NEAR_SEARCH_S),
+            duration_s=trial_s + (first_s if number == 1 else 0.0),
         )
         for number in range(1, settings.trials + 1)
     )
@@ -182,6 +205,9 @@ def arm(run: Run) -> None:
             f"{bench.plan.source}: [fixture] does not say where contact has to be felt",
             "add contact_from_mm and contact_to_mm, positions of the z stage",
         )
+    from procedures.slip_taking import series_on
+
+    run.state = run.state or series_on(run)
     run.stream_force(FORCE_RATE_S_S)
     run.force.watch(settings.largest_force_N)
     run.arm("acquisition", daq.stop)  # the last to be ended: a DAQ that hangs keeps no skin pressed
@@ -200,7 +226,7 @@ def take(run: Run, point: Point) -> Reading:
     """One trial: down, hold, rest, slide, up; then what it shows."""
     from procedures.slip_taking import Series, Trial
 
-    series = run.state = run.state or Series()
+    series: Series = run.state
     if run.settings.rehearsed and series.shift is None:
         Trial(run, int(point.condition), series).rehearse()
     trial = Trial(run, int(point.condition), series)
