@@ -35,6 +35,14 @@ STREAMS = (
         "N",
     ),
     StreamPlan(
+        "ticks",
+        "clock",
+        ("elapsed",),
+        "Times of the positions, since the record began",
+        "<f8",
+        "s",
+    ),
+    StreamPlan(
         "position",
         "stage_z, stage_x",
         ("z", "x", "z_commanded", "x_commanded"),

@@ -312,9 +312,10 @@ class Trial:
 
     def _record_position(self) -> None:
         here = (self._z_mm, self._x_mm, self._z_commanded, self._x_commanded)
-        row, taken = np.array([here]), self.taken
-        self.run.put("position", len(taken.position), row, self.settings.tick_Hz, units="mm")
-        taken.position.append((self._since_s(), *here))
+        taken, now_s = self.taken, self._since_s()
+        self.run.put("ticks", len(taken.position), np.array([[now_s]]), None, units="s")
+        self.run.put("position", len(taken.position), np.array([here]), None, units="mm")
+        taken.position.append((now_s, *here))
 
     def _collect_streams(self) -> None:
         run, taken = self.run, self.taken
