@@ -50,6 +50,8 @@ FORCE_AGE_S = 0.003
 """How much older the force of a look is than the position read with it."""
 SLID_ON_mm = 0.3
 """How far a slide goes on after a ramp, for the kinetic coefficient."""
+CLOCKS_DIFFER = 1e-3
+"""Far more than the clocks of DAQ and computer do: a block is asked for when it may be there."""
 MOVING_EVERY = 5
 """Ticks between two looks whether x has arrived."""
 PATIENCE_S = 10.0
@@ -131,9 +133,8 @@ class Trial:
         """Begin to record: strips, forces and positions."""
         settings = self.settings
         self._decimator = Decimator(settings.rate_S_s, len(STRIPS))
-        block = round(settings.rate_S_s / settings.tick_Hz)
         channels = tuple(InputChannel(name, settings.range_V) for name in STRIPS)
-        self.bench.daq.start(Acquisition(channels, settings.rate_S_s, block))
+        self.bench.daq.start(Acquisition(channels, settings.rate_S_s, settings.block_samples))
         self.taken.begun_s = self.run.clock.now()
         self.taken.filter_delay_s = self._decimator.delay_s
         self._first_frame = self.run.force.frames_seen
@@ -141,7 +142,7 @@ class Trial:
 
     def end_record(self) -> None:
         """Take what has still come, and end the acquisition."""
-        self._collect_streams()
+        self._collect_streams(due=True)
         self._recording = False
         self.bench.daq.stop()
 
@@ -317,9 +318,16 @@ class Trial:
         self.run.put("position", len(taken.position), np.array([here]), None, units="mm")
         taken.position.append((now_s, *here))
 
-    def _collect_streams(self) -> None:
+    def _block_due(self) -> bool:
+        """Whether the DAQ may have another block, its clock running ahead of ours perhaps."""
+        settings = self.settings
+        most = self._since_s() * settings.rate_S_s * (1 + CLOCKS_DIFFER)
+        return self.taken.rows + settings.block_samples <= most
+
+    def _collect_streams(self, due: bool = False) -> None:
+        """What force sensor and DAQ have sent; `due`: whatever our clock says."""
         run, taken = self.run, self.taken
-        while (record := self.bench.daq.read()) is not None:
+        while (due or self._block_due()) and (record := self.bench.daq.read()) is not None:
             run.emit("strips", record)
             taken.rows += len(record.counts)
             volts = np.stack([record.volts(name) for name in STRIPS], axis=1)

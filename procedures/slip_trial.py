@@ -110,6 +110,11 @@ class Settings(BaseSettings):
         return self
 
     @property
+    def block_samples(self) -> int:
+        """Of the DAQ: what comes within a tick."""
+        return round(self.rate_S_s / self.tick_Hz)
+
+    @property
     def longest_slide_s(self) -> float:
         """What a slide or a ramp may take at most."""
         ramps_s = 2 * self.speed_mm_s / self.acceleration_mm_s2
@@ -146,7 +151,6 @@ def points(settings: Settings) -> tuple[Point, ...]:
         TOUCH * settings.normal_force_N, DELAY_S + tick_s, settings.acceleration_mm_s2
     )
     first_s = SEARCHED_mm / search_mm_s + settings.rehearsed * trial_s
-    block = round(settings.rate_S_s / settings.tick_Hz)
     channels = tuple(InputChannel(name, settings.range_V) for name in STRIPS)
     return tuple(
         Point(
@@ -158,7 +162,7 @@ def points(settings: Settings) -> tuple[Point, ...]:
                 Move("stage_x.position", settings.end_mm),
                 Move("stage_x.speed", settings.speed_mm_s),
             ),
-            acquisitions=(Acquisition(channels, settings.rate_S_s, block),),
+            acquisitions=(Acquisition(channels, settings.rate_S_s, settings.block_samples),),
             duration_s=trial_s + (first_s if number == 1 else 0.0),
         )
         for number in range(1, settings.trials + 1)

@@ -8,7 +8,7 @@ to look. Only the height at which the skin touches is the World's own.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -55,8 +55,27 @@ def shown(v_d, first_s, slide_s, whole_slip_s):
     )
 
 
-def measured_and_modelled(run, point, reading, skin, contact_mm):
-    """What the file's v_d shows, and what the model's does under the measured motion."""
+@dataclass(frozen=True)
+class Compared:
+    """A trial beside the model under the motion that it measured."""
+
+    measured: Shown
+    modelled: Shown
+    slip_order: list[int]
+    """Ridges in the order in which they slipped as a whole in the World."""
+    static_coefficient: float
+    """Of the model's contact as a whole: its largest F_t / F_n."""
+
+    def ratios(self):
+        """Measured by modelled, by name."""
+        return {
+            f.name: getattr(self.measured, f.name) / getattr(self.modelled, f.name)
+            for f in fields(Shown)
+        }
+
+
+def compare(run, point, reading, skin, contact_mm=12.4):
+    """What a trial's v_d shows, and what the model's does under the measured motion."""
     series = {w.stream: w for w in run.waveforms(point)}
     truth = json.loads(reading["simulated_truth"])
     begun_us = truth["record_begun_us"]
@@ -77,5 +96,11 @@ def measured_and_modelled(run, point, reading, skin, contact_mm):
     volts = chain.advance(block.stress_MPa[:, :, 1])
     decimated = Decimator(1 / STEP_s, 2).add(volts)
     v_d = decimated[:, 0] - decimated[:, 1]
-    modelled = shown(v_d, first_s - delay_s, slide_s, whole_s)
-    return measured, modelled, whole_s
+    sliding = time > slide_s
+    static = (block.tangential_force_N[sliding] / block.normal_force_N[sliding]).max()
+    return Compared(
+        measured,
+        shown(v_d, first_s - delay_s, slide_s, whole_s),
+        (np.argsort(whole_s) + 1).tolist(),
+        float(static),
+    )
