@@ -102,7 +102,7 @@ class Trial:
         self.taken = Taken(number)
         self._recording = False
         self._z_mm = self._z_commanded = self._x_mm = self._x_commanded = 0.0
-        self._tangential_N = 0.0
+        self._tangential_N = self._next_tick_s = 0.0
         self._first_frame = 0
 
     # --- the phases -----------------------------------------------------------------------------
@@ -225,54 +225,56 @@ class Trial:
     def slide(self) -> None:
         """Drag the skin along x under the held normal force, and hold it a moment longer."""
         settings, taken = self.settings, self.taken
-        taken.slide_from_s = self._since_s()
         self._x_commanded = settings.end_mm
-        if settings.loading == "ramp":
-            self._ramp()
-        else:
-            self.x.start_move(settings.end_mm, settings.speed_mm_s)
-            self._servo.slide_begins(self.series.shift)
-            self._loop(settings.longest_slide_s, self._still_moving)
+        pull = self._ramp() if settings.loading == "ramp" else self._steadily
+        self._await_tick()
+        taken.slide_from_s = self._since_s()
+        self._servo.slide_begins(self.series.shift)
+        self._loop(settings.longest_slide_s, pull)
         taken.slide_to_s = self._since_s()
         if self.series.shift is None:
             self.series.shift = self._servo.shift
         self.x.stop()
         self._loop(AFTER_S, self._hold)
 
-    def _still_moving(self, tick: Tick) -> bool:
-        """Hold, until x has arrived."""
+    def _steadily(self, tick: Tick) -> bool:
+        """Have x slide to its end; hold F_n."""
         self._hold(tick)
-        return tick.number % MOVING_EVERY != 0 or self.x.moving()
+        if tick.number == 0:
+            self.x.start_move(self.settings.end_mm, self.settings.speed_mm_s)
+        return self._still_moving(tick)
 
-    def _ramp(self) -> None:
+    def _ramp(self) -> Callable[[Tick], bool]:
         """Have the tangential force rise until the skin slips as a whole and a little further, or
-        to where the ramp is to end."""
+        to where the ramp is to end; hold F_n."""
         settings, along = self.settings, self.settings.along
         tick_s = 1 / settings.tick_Hz
         ramp = ForceRamp(settings.ramp_N_s, settings.speed_mm_s, tick_s, DELAY_S, FORCE_AGE_S)
-        first_mm, first_N = self._x_mm, self._tangential_N
+        first_mm, first_N, begin_s = self._x_mm, self._tangential_N, 0.0
         slipped_mm = speed_mm_s = 0.0
 
         def pull(tick: Tick) -> bool:
-            nonlocal slipped_mm, speed_mm_s
-            since_s = tick.began_s - begin_s
-            travel_mm = along * (self._x_mm - first_mm)
+            nonlocal begin_s, slipped_mm, speed_mm_s
+            self._hold(tick)
+            if tick.number == 0:
+                begin_s = tick.began_s
+            since_s, travel_mm = tick.began_s - begin_s, along * (self._x_mm - first_mm)
             asked_mm_s = ramp.step(since_s, travel_mm, along * (self._tangential_N - first_N))
             if asked_mm_s != speed_mm_s:
                 speed_mm_s = asked_mm_s
                 self.x.start_move(settings.end_mm, speed_mm_s)
             if ramp.follows:
                 self.taken.ramp_to_s = self._since_s()
-            if not ramp.slipped:
-                slipped_mm = travel_mm
-            if ramp.slipped and travel_mm - slipped_mm > SLID_ON_mm:
-                return False
-            reached = ramp.wanted_N(since_s) >= settings.ramp_to_N and not ramp.slipped
-            return self._still_moving(tick) and not reached
+            if ramp.slipped:
+                return travel_mm - slipped_mm <= SLID_ON_mm and self._still_moving(tick)
+            slipped_mm = travel_mm
+            return ramp.wanted_N(since_s) < settings.ramp_to_N and self._still_moving(tick)
 
-        begin_s = self.run.clock.now()
-        self._servo.slide_begins(self.series.shift)
-        self._loop(settings.longest_slide_s, pull)
+        return pull
+
+    def _still_moving(self, tick: Tick) -> bool:
+        """Whether x has not arrived; looked at now and then."""
+        return (tick.number + 1) % MOVING_EVERY != 0 or self.x.moving()
 
     def lift(self) -> None:
         """Off the plate."""
@@ -282,8 +284,15 @@ class Trial:
     # --- a tick ---------------------------------------------------------------------------------
 
     def _loop(self, longest_s: float, on_tick: Callable[[Tick], bool]) -> None:
-        done = tick_loop(self.run, self.settings.tick_Hz, longest_s, on_tick)
+        self._await_tick()
+        begin_s, tick_Hz = self.run.clock.now(), self.settings.tick_Hz
+        done = tick_loop(self.run, tick_Hz, longest_s, on_tick)
+        self._next_tick_s = begin_s + done.ticks / tick_Hz
         self.taken.loops.append(done)
+
+    def _await_tick(self) -> None:
+        """Until the next tick is due: one loop follows another as one tick the other."""
+        self.run.clock.sleep(max(0.0, self._next_tick_s - self.run.clock.now()))
 
     def _since_s(self) -> float:
         """Since the record began."""
