@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.signal  # noqa: F401 - the decimator's, imported before anything moves
 
 from procedures.slip_reading import AFTER_S, CONTACT_N, DECIMATED_Hz, Taken, reading_of
 from procedures.slip_trial import DELAY_S, FORCE_RATE_S_S, TRAVEL_mm_s

@@ -196,6 +196,12 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
 
 def import_ahead() -> None:
     """What a trial needs and takes seconds to import: never while something is switched on."""
+    import scipy.interpolate
+    import scipy.ndimage
+    import scipy.optimize
+    import scipy.signal
+    import scipy.special  # noqa: F401
+
     import procedures.slip_taking  # noqa: F401
 
 
