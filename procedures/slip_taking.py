@@ -34,8 +34,6 @@ LOOK_S = 0.004
 CLEAR_mm = 0.3
 """Where the slow approach begins, before the earliest contact."""
 SLOWEST_mm_s = 0.01
-SLOWEST_SEARCH_mm_s = 0.05
-"""Slowest search for contact that is waited for."""
 BOTTOM_mm = 0.002
 """So near to contact_to_mm is there."""
 NEAR_mm = 0.06
@@ -184,7 +182,8 @@ class Trial:
                 self._move_z(self._z_mm, speed_mm_s)
             return not felt and self._z_mm < near_mm - BOTTOM_mm
 
-        self._loop(abs(near_mm - self._z_mm) / speed_mm_s + PATIENCE_S, look)
+        way_mm = near_mm - self._contact_from_mm() + CLEAR_mm
+        self._loop(way_mm / speed_mm_s + PATIENCE_S, look)
 
     def _go_down(self, down: Approach) -> None:
         """Slowly until the plate is felt, and on until the force is there."""
@@ -205,7 +204,7 @@ class Trial:
             self._move_z(min(here_mm + step.ahead_mm, last_mm), step.speed_mm_s)
             return not arrived and (touched or here_mm < last_mm - BOTTOM_mm)
 
-        search_s = (last_mm - first_mm + CLEAR_mm) / SLOWEST_SEARCH_mm_s
+        search_s = (last_mm - first_mm + CLEAR_mm) / down.search_mm_s
         self._loop(search_s + PATIENCE_S, look)
         if not arrived:
             self.z.stop()
