@@ -309,6 +309,7 @@ mounted = "plate"
 [skin]
 name = "skin 2"
 b_dB = { strip_1 = -62.5 }
+b_error_dB = { strip_1 = 0.2 }
 [daq]
 driver = "keysight-u2300a"
 resource = "TCPIP::192.168.0.13::INSTR"
