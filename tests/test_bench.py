@@ -323,6 +323,11 @@ def test_a_skin_is_described_with_what_is_known_of_its_strips() -> None:
     assert skin.b_dB == {"strip_1": -62.5}, "the other strip is not calibrated"
 
 
+def test_a_level_without_its_error_is_refused() -> None:
+    assert "name the same strips" in refused(PLATE.replace("b_error_dB = { strip_1 = 0.2 }\n", ""))
+    assert "b_error_dB is below 0" in refused(PLATE.replace("0.2 }", "-0.2 }"))
+
+
 def test_a_strip_that_is_not_wired_or_not_known_is_refused() -> None:
     assert "wires no strip_2" in refused(PLATE.replace(", strip_2 = 102", ""))
     assert "strip_3" in refused(PLATE.replace("{ strip_1 = -", "{ strip_3 = -"))
