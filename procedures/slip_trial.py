@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, model_validator
 
 from procedures import slip_layout
-from procedures.contact import UNLOAD_DEADLINE_S, contact_range_mm, park, unload
+from procedures.contact import contact_range_mm, park, unload
 from rig.bench import STRIPS, Fixture
 from rig.errors import RigError
 from rig.instruments import Acquisition, InputChannel
@@ -205,9 +205,9 @@ def import_ahead() -> None:
 
 
 def arm(run: Run) -> None:
-    """Watch the force; have the way up and the ends of everything known before anything moves."""
+    """Watch the force; have the end of everything known before it begins; park."""
     bench, settings = run.bench, run.settings
-    z, x, daq = bench.stage_z, bench.stage_x, bench.daq
+    x, daq = bench.stage_x, bench.daq
     contact_range_mm(bench)  # a fixture that does not say it is refused before anything happens
     from procedures.slip_taking import series_on
 
@@ -216,9 +216,8 @@ def arm(run: Run) -> None:
     run.force.watch(settings.largest_force_N)
     run.arm("acquisition", daq.stop)  # the last to be ended: a DAQ that hangs keeps no skin pressed
     run.arm("slide", x.stop, at_once=x.make_safe)
-    run.arm("normal force", lambda: _lift(run), UNLOAD_DEADLINE_S, at_once=z.make_safe)
     x.stop()
-    park(run)
+    park(run, "normal force", lambda: _lift(run))
     if not x.homed():  # only now: the skin is clear of everything
         x.home()
 
