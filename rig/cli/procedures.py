@@ -18,7 +18,7 @@ from rig.cli.options import parameters, settings_from
 from rig.cli.outcome import reported, say, start_log
 
 if TYPE_CHECKING:
-    from rig.bench import BenchPlan, Fixture, RunningBench
+    from rig.bench import BenchFactory, BenchPlan, Fixture, RunningBench
     from rig.clock import Clock
     from rig.recording.contents import JournalContents
     from rig.runner.procedure import Procedure
@@ -195,7 +195,8 @@ def _start_simulated(request: Request, fixture: Fixture) -> RunningBench:
     from importlib.metadata import entry_points
 
     (entry,) = entry_points(group="rig.benches", name="simulated")
-    started: RunningBench = entry.load().start(
+    factory: BenchFactory = entry.load()
+    return factory.start(
         {
             "fixture": fixture,
             "seed": request.seed,
@@ -204,7 +205,6 @@ def _start_simulated(request: Request, fixture: Fixture) -> RunningBench:
             "world_log": _text(request.world_log),
         }
     )
-    return started
 
 
 def _refuse_simulation_options(request: Request, path: Path | None) -> None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from rig.cli.outcome import reported, say
 from rig.errors import ConfigurationError, UnsafeError
+
+if TYPE_CHECKING:
+    from rig.bench import BenchFactory
 
 
 def simulate(
@@ -40,7 +43,8 @@ def simulate(
 
         options = {"world": world, "fault": fault, "world_log": world_log}
         paths = {name: None if path is None else str(path) for name, path in options.items()}
-        entry.load().serve({"fixture": fixture, "seed": seed, **paths}, ready)
+        factory: BenchFactory = entry.load()
+        factory.serve({"fixture": fixture, "seed": seed, **paths}, ready)
         say("the simulated bench has ended")
 
 
