@@ -77,6 +77,9 @@ TELEGRAM = 111
 LARGEST_COUNT = 2**31 - 1
 """Positions travel as signed 32-bit integers; speeds are held to the same."""
 POLL_S = 0.002
+JUST_SEEN_S = 0.002
+"""As short as the way of an answer: who asks where the axis is and at once sends it on has the
+drive's state before him."""
 ARRIVAL_POLL_S = 0.02
 KEEP_ALIVES_PER_TIMEOUT = 10
 """How often the communication time-out is fed within its length."""
@@ -288,7 +291,8 @@ class Axis:
         """Begin to move there, or change the target of the motion under way.
 
         A running task is changed by one read, which ends a motion that met a fault, the torque
-        limit or somebody else's stop, and one write. LimitError outside `reach`.
+        limit or somebody else's stop, and one write; what was read within `JUST_SEEN_S` before is
+        not read again. LimitError outside `reach`.
         """
         own = self._settings
         reach = self.reach()
@@ -299,7 +303,8 @@ class Axis:
             self._prepare_task()
         else:
             self._refuse_if_made_safe("move")
-            self._require_task(self._look())
+            just_seen = self._clock.now() - self._seen_at_s < JUST_SEEN_S
+            self._require_task(self._seen if just_seen else self._look())
         target = round(position_mm / own.position_unit_mm)
         distance = abs(target - self._seen.position) * own.position_unit_mm
         ramps = 4 * own.max_speed_mm_s / min(own.acceleration_mm_s2, own.deceleration_mm_s2)

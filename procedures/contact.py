@@ -8,6 +8,7 @@ and the force brought up is each procedure's own; the way back is the same again
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from rig.errors import ConfigurationError, InstrumentError
@@ -36,12 +37,18 @@ def contact_range_mm(bench: Bench) -> tuple[float, float]:
     return fixture.contact_from_mm, fixture.contact_to_mm
 
 
-def park(run: Run) -> None:
-    """Stop z, find its reference if that is not known, and go where it is clear of everything."""
+def park(run: Run, name: str, way_back: Callable[[], None]) -> None:
+    """Stop z, find its reference if that is not known, and go where it is clear of everything.
+
+    `way_back` is armed as `name` once it has somewhere to go: a stage without a reference can only
+    be stopped, and has pressed nothing yet.
+    """
     stage = run.bench.stage_z
+    run.arm(name, stage.stop, at_once=stage.make_safe)
     stage.stop()
     if not stage.homed():
         stage.home()
+    run.arm(name, way_back, UNLOAD_DEADLINE_S, at_once=stage.make_safe)
     stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
 
 

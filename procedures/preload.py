@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 from procedures.contact import (
     TARE_S,
-    UNLOAD_DEADLINE_S,
     CLEAR_mm,
     TRAVEL_mm_s,
     come_close,
@@ -103,18 +102,12 @@ def refuse_impossible(preload_N: float, load_N: float, share: float) -> None:
 
 
 def press(run: Run, target_N: float) -> Preload:
-    """Bring the film under `target_N` and hold it; the way back is armed before the first move."""
+    """Bring the film under `target_N` and hold it; the way back is armed before it is touched."""
     bench = run.bench
     first_mm, last_mm = contact_range_mm(bench)
     run.stream_force(FORCE_RATE_S_S)
     run.force.watch(bench.force_sensor.reach()["force"].high)
-    run.arm(
-        "preload",
-        lambda: unload(run, "film"),
-        deadline_s=UNLOAD_DEADLINE_S,
-        at_once=bench.stage_z.make_safe,
-    )
-    park(run)
+    park(run, "preload", lambda: unload(run, "film"))
     tare_in_free_air(run)
     come_close(run, CONTACT_N, LOOK_S, LOOK_AROUND_S)
     contact_mm = _approach(run, first_mm, last_mm)

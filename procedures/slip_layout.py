@@ -16,6 +16,14 @@ STREAMS = (
         "V",
     ),
     StreamPlan(
+        "load_rate",
+        "computed from signals",
+        ("strip_1", "strip_2"),
+        "Rate of load on the strips, where they are calibrated",
+        "<f8",
+        "N/s",
+    ),
+    StreamPlan(
         "bridges", "force_sensor", ("x", "y", "z"), "Force sensor, bridges as sent", "<f4", "mV/V"
     ),
     StreamPlan(
@@ -25,6 +33,14 @@ STREAMS = (
         "Normal force, tangential force along x and force along y",
         "<f8",
         "N",
+    ),
+    StreamPlan(
+        "ticks",
+        "clock",
+        ("elapsed",),
+        "Times of the positions, since the record began",
+        "<f8",
+        "s",
     ),
     StreamPlan(
         "position",
@@ -56,6 +72,13 @@ LAYOUT = Layout(
         Column("kinetic_friction_error", "kinetic_friction_error", "", "Standard error"),
         Column("clock_offset", "clock_offset_s", "s", "DAQ's clock behind the force's (s)"),
         Column("clock_offset_error", "clock_offset_error_s", "s", "Standard error (s)"),
+        Column("load_scale_1", "load_scale_1_N_s_V", "N/s/V", "Load rate of S1 by volt (N/s/V)"),
+        Column("load_scale_1_error", "load_scale_1_error_N_s_V", "N/s/V", "Standard error (N/s/V)"),
+        Column("load_scale_2", "load_scale_2_N_s_V", "N/s/V", "Load rate of S2 by volt (N/s/V)"),
+        Column("load_scale_2_error", "load_scale_2_error_N_s_V", "N/s/V", "Standard error (N/s/V)"),
+        Column("load_rate_flat_to", "load_rate_flat_to_Hz", "Hz", "Load rates flat up to (Hz)"),
+        Column("ramp_error_rms", "ramp_error_rms_N", "N", "Error of the tangential ramp, rms (N)"),
+        Column("ramp_to", "ramp_to_s", "s", "End of the ramp, since the record's begin (s)"),
         Column("slide_from", "slide_from_s", "s", "Begin of the slide, since the record's (s)"),
         Column("slide_to", "slide_to_s", "s", "End of the slide, since the record's (s)"),
         Column("samples", "samples", "", "Rows of the strips"),

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, model_validator
 
 from procedures import slip_layout
-from procedures.contact import UNLOAD_DEADLINE_S, contact_range_mm, park, unload
-from rig.bench import Fixture
+from procedures.contact import contact_range_mm, park, unload
+from rig.bench import STRIPS, Fixture
 from rig.errors import RigError
 from rig.instruments import Acquisition, InputChannel
 from rig.runner.points import Move, Point, Reading
@@ -33,9 +33,17 @@ FIGURE = "slip_trial"
 LAYOUT = slip_layout.LAYOUT
 STREAMS = slip_layout.STREAMS
 
-STRIPS = ("strip_1", "strip_2")
 FORCE_RATE_S_S = 1000.0
 """Frames of the force sensor (paper 4.1)."""
+DELAY_S = 0.005
+"""From a command to the first force that shows it: link 1 ms, half a frame, half a look, the age of
+the newest frame, the rubber's relaxation."""
+UNREHEARSED_mm = 0.02
+"""Travel within delay and tick up to which the servo holds the force through a slide that it has
+not seen, whatever the friction (decision 0035)."""
+WAY_S, SEARCHED_mm = 3.5, 0.6
+"""Expected of the way to the held force and back where the place of the contact is known, and of
+the slow search where it is not."""
 
 
 class Settings(BaseSettings):
@@ -43,10 +51,16 @@ class Settings(BaseSettings):
 
     normal_force_N: float = Field(default=4.0, gt=0)
     """Normal force, held by the servo (paper 2.2: all nine ridges touch at 4 N)."""
+    loading: Literal["slide", "ramp"] = "slide"
+    """What drags the skin: a slide at constant speed, or a tangential force that rises evenly."""
     speed_mm_s: float = Field(default=0.5, gt=0)
-    """Speed of the slide."""
+    """Speed of the slide; of a ramp, its limit and the speed after gross slip."""
     distance_mm: float = Field(default=1.0, gt=0)
-    """Length of the slide."""
+    """Length of the slide; of a ramp, the longest."""
+    ramp_N_s: float = Field(default=2.0, gt=0)
+    """Rate at which a ramp has the tangential force rise."""
+    ramp_to_N: float = Field(default=10.0, gt=0)
+    """Tangential force at which a ramp ends where nothing has slipped."""
     direction: Literal["+x", "-x"] = "+x"
     """Direction of the slide."""
     start_mm: float = 10.0
@@ -69,11 +83,13 @@ class Settings(BaseSettings):
     """Force along any axis at which everything stops."""
     tick_Hz: float = Field(default=100.0, ge=20, le=500)
     """Ticks of the servo."""
+    rehearsal: Literal["auto", "always", "never"] = "auto"
+    """A first slide without a record, from which the servo learns; auto: where it is needed."""
     rate_S_s: float = Field(default=10e3, ge=10e3, le=50e3)
     """Sampling rate of the strips; a whole multiple of 1000."""
     range_V: float = Field(default=1.25, gt=0)
     """Input range of the strips' channels, bipolar."""
-    item: str = ""
+    object: str = ""
     """What lies in the place of the plate."""
 
     @model_validator(mode="after")
@@ -83,9 +99,33 @@ class Settings(BaseSettings):
                 f"normal_force_N {self.normal_force_N:g} is not below largest_force_N "
                 f"{self.largest_force_N:g}"
             )
+        if self.loading == "ramp" and self.ramp_to_N >= self.largest_force_N:
+            raise ValueError(
+                f"ramp_to_N {self.ramp_to_N:g} is not below largest_force_N "
+                f"{self.largest_force_N:g}"
+            )
         if self.rate_S_s % 1000:
             raise ValueError(f"rate_S_s {self.rate_S_s:g} is not a whole multiple of 1000")
         return self
+
+    @property
+    def block_samples(self) -> int:
+        """Of the DAQ: what comes within a tick."""
+        return round(self.rate_S_s / self.tick_Hz)
+
+    @property
+    def longest_slide_s(self) -> float:
+        """What a slide or a ramp may take at most."""
+        ramps_s = 2 * self.speed_mm_s / self.acceleration_mm_s2
+        rise_s = self.ramp_to_N / self.ramp_N_s if self.loading == "ramp" else 0.0
+        return rise_s + self.distance_mm / self.speed_mm_s + ramps_s + 1.0
+
+    @property
+    def rehearsed(self) -> bool:
+        """Whether a series begins with a slide that only teaches the servo."""
+        if self.rehearsal != "auto":
+            return self.rehearsal == "always"
+        return self.speed_mm_s * (DELAY_S + 1 / self.tick_Hz) > UNREHEARSED_mm
 
     @property
     def along(self) -> int:
@@ -103,8 +143,13 @@ class Settings(BaseSettings):
 
 def points(settings: Settings) -> tuple[Point, ...]:
     """One point a trial."""
-    slide_s = settings.distance_mm / settings.speed_mm_s
-    block = round(settings.rate_S_s / settings.tick_Hz)
+    from rig.runner.approach import TOUCH, search_speed_mm_s
+
+    tick_s, trial_s = 1 / settings.tick_Hz, settings.longest_slide_s + settings.rest_s + WAY_S
+    search_mm_s = search_speed_mm_s(
+        TOUCH * settings.normal_force_N, DELAY_S + tick_s, settings.acceleration_mm_s2
+    )
+    first_s = SEARCHED_mm / search_mm_s + settings.rehearsed * trial_s
     channels = tuple(InputChannel(name, settings.range_V) for name in STRIPS)
     return tuple(
         Point(
@@ -116,8 +161,8 @@ def points(settings: Settings) -> tuple[Point, ...]:
                 Move("stage_x.position", settings.end_mm),
                 Move("stage_x.speed", settings.speed_mm_s),
             ),
-            acquisitions=(Acquisition(channels, settings.rate_S_s, block),),
-            duration_s=slide_s + settings.rest_s + 6.0,
+            acquisitions=(Acquisition(channels, settings.rate_S_s, settings.block_samples),),
+            duration_s=trial_s + (first_s if number == 1 else 0.0),
         )
         for number in range(1, settings.trials + 1)
     )
@@ -150,30 +195,41 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
 
 def import_ahead() -> None:
     """What a trial needs and takes seconds to import: never while something is switched on."""
+    import scipy.interpolate
+    import scipy.ndimage
+    import scipy.optimize
+    import scipy.signal
+    import scipy.special  # noqa: F401
+
     import procedures.slip_taking  # noqa: F401
 
 
 def arm(run: Run) -> None:
-    """Watch the force; have the way up and the ends of everything known before anything moves."""
+    """Watch the force; have the end of everything known before it begins; park."""
     bench, settings = run.bench, run.settings
-    z, x, daq = bench.stage_z, bench.stage_x, bench.daq
+    x, daq = bench.stage_x, bench.daq
     contact_range_mm(bench)  # a fixture that does not say it is refused before anything happens
+    from procedures.slip_taking import series_on
+
+    run.state = run.state or series_on(run)
     run.stream_force(FORCE_RATE_S_S)
     run.force.watch(settings.largest_force_N)
     run.arm("acquisition", daq.stop)  # the last to be ended: a DAQ that hangs keeps no skin pressed
     run.arm("slide", x.stop, at_once=x.make_safe)
-    run.arm("normal force", lambda: _lift(run), UNLOAD_DEADLINE_S, at_once=z.make_safe)
     x.stop()
-    park(run)
+    park(run, "normal force", lambda: _lift(run))
     if not x.homed():  # only now: the skin is clear of everything
         x.home()
 
 
 def take(run: Run, point: Point) -> Reading:
     """One trial: down, hold, rest, slide, up; then what it shows."""
-    from procedures.slip_taking import Trial
+    from procedures.slip_taking import Series, Trial
 
-    trial = Trial(run, int(point.condition))
+    series: Series = run.state
+    if run.settings.rehearsed and series.shift is None:
+        Trial(run, int(point.condition), series).rehearse()
+    trial = Trial(run, int(point.condition), series)
     trial.make_ready()
     trial.record()
     trial.press()

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -91,7 +91,20 @@ class SkinSettings(Settings):
     ridge: int = Field(default=3, ge=1)
     """The ridge that holds the strips, 1 is the leftmost."""
     b_dB: dict[Strip, float] = Field(default_factory=dict)
-    """Calibrated b (paper eq. 2) by strip, without the amplifier's gain; none until calibrated."""
+    """Calibrated b (paper eq. 2) by strip, without the amplifier's gain; none until calibrated. A
+    calibration record in use replaces it."""
+    b_error_dB: dict[Strip, float] = Field(default_factory=dict)
+    """Standard error of each b."""
+    films: dict[Strip, str] = Field(default_factory=dict)
+    """Label of the film in each strip: a calibration record has to be of it."""
+
+    @model_validator(mode="after")
+    def _every_level_has_its_error(self) -> Self:
+        if self.b_dB.keys() != self.b_error_dB.keys():
+            raise ValueError("b_dB and b_error_dB have to name the same strips")
+        if any(error < 0 for error in self.b_error_dB.values()):
+            raise ValueError("b_error_dB is below 0")
+        return self
 
 
 class FixtureSettings(Settings):
@@ -205,6 +218,8 @@ class Bench:
     plan: BenchPlan
     clock: Clock
     instruments: dict[str, Instrument]
+    strip_calibrations: dict[Strip, FilmCalibration] = field(default_factory=dict)
+    """Records in use for the skin's strips."""
 
     @property
     def settings(self) -> BenchSettings:
@@ -441,6 +456,11 @@ def apply_calibrations(
         calibrated = {"sensitivity_V_N": cell.sensitivity_V_N.value}
         part = bench.load_cell.model_copy(update=calibrated)
         bench.plan = replace(plan, settings=plan.settings.model_copy(update={"load_cell": part}))
+    for strip in STRIPS:
+        file = getattr(files, strip)
+        if file is not None:
+            film = bench.skin.films.get(strip, "")
+            bench.strip_calibrations[strip] = used(file, FilmCalibration, film)
     return entries, warnings
 
 

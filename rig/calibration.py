@@ -72,6 +72,10 @@ class CalibrationFiles(Settings):
     """Record of the force sensor, by ``rig calibrate force``."""
     load_cell: Path | None = None
     """Record of the load cell, by ``rig calibrate load-cell``."""
+    strip_1: Path | None = None
+    """Record of the film in strip S1 of the skin, by ``rig calibrate pvdf``."""
+    strip_2: Path | None = None
+    """Record of the film in strip S2."""
     expiry_warning_days: float = Field(default=EXPIRY_WARNING_DAYS, ge=0)
     """A record that expires within so many days gives a warning."""
 

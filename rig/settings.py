@@ -24,6 +24,7 @@ UNIT_BY_SUFFIX: dict[str, str] = {
     "N_V": "N/V",
     "N_mm": "N/mm",
     "mm_s2": "mm/s^2",
+    "N_s": "N/s",
     "mm_s": "mm/s",
     "deg_s": "deg/s",
     "dB_decade": "dB/decade",

@@ -25,6 +25,7 @@ from rig.model.trials import SlideSettings, Trial, slide
 
 RIG = [sys.executable, "-c", "from rig.cli import main; main()"]
 PATIENCE_S = 120.0
+GUARD_PATIENCE_S = 30.0
 
 
 @dataclass
@@ -169,6 +170,17 @@ class Rig:
                 return
             time.sleep(0.05)
         raise AssertionError(f"the World's log never said {what}")
+
+    def guard_report(self) -> dict[str, Any] | None:
+        """The guard's last word, once it has compiled; None where it has not said it in time."""
+        deadline = time.monotonic() + GUARD_PATIENCE_S
+        while time.monotonic() < deadline:
+            for path in self.results.rglob("*.guard.json"):
+                report: dict[str, Any] = json.loads(path.read_text())
+                if "file" in report:
+                    return report
+            time.sleep(0.05)
+        return None
 
     def only(self, pattern: str) -> Path:
         """The one file below the results folder that matches."""

@@ -309,6 +309,7 @@ mounted = "plate"
 [skin]
 name = "skin 2"
 b_dB = { strip_1 = -62.5 }
+b_error_dB = { strip_1 = 0.2 }
 [daq]
 driver = "keysight-u2300a"
 resource = "TCPIP::192.168.0.13::INSTR"
@@ -320,6 +321,11 @@ def test_a_skin_is_described_with_what_is_known_of_its_strips() -> None:
     skin = Bench(parse_bench(PLATE, "bench.toml"), WallClock(), {}).skin
     assert (skin.name, skin.amplifier_gain, skin.ridge) == ("skin 2", 1000.0, 3)
     assert skin.b_dB == {"strip_1": -62.5}, "the other strip is not calibrated"
+
+
+def test_a_level_without_its_error_is_refused() -> None:
+    assert "name the same strips" in refused(PLATE.replace("b_error_dB = { strip_1 = 0.2 }\n", ""))
+    assert "b_error_dB is below 0" in refused(PLATE.replace("0.2 }", "-0.2 }"))
 
 
 def test_a_strip_that_is_not_wired_or_not_known_is_refused() -> None:

@@ -341,9 +341,10 @@ class _Instruments:
         plate = options.fixture == "plate"
         self._link = settings.generator_link
         self.generator = None if plate else _generator(world, faults)
-        self.daq = HislipServer(
-            KeysightU2300A(settings.daq_model, world, world), faults=WireFaults(faults, "daq")
+        daq = KeysightU2300A(
+            settings.daq_model, world, world, buffer_samples=settings.daq_buffer_samples
         )
+        self.daq = HislipServer(daq, faults=WireFaults(faults, "daq"))
         self.drives = _plate_drives(world) if plate else _clamp_drives(world)
         self.stages = [
             ModbusTcpServer(drive, faults=WireFaults(faults, drive.settings.name))

@@ -158,13 +158,22 @@ def volts_of_codes(
 class KeysightU2300A(ScpiInstrument):
     """The unit's SCPI core over the World's input terminals, which are named as its channels are.
 
-    ``model`` is a key of `MODELS`; ``name`` is the unit's name in the World's log.
+    ``model`` is a key of `MODELS`; ``name`` is the unit's name in the World's log;
+    ``buffer_samples`` is what its buffer holds, all channels together.
     """
 
     BLOCK_TERMINATOR = b""
 
-    def __init__(self, model: str, port: AnalogueInputPort, log: LogPort, name: str = "daq"):
+    def __init__(
+        self,
+        model: str,
+        port: AnalogueInputPort,
+        log: LogPort,
+        name: str = "daq",
+        buffer_samples: int = BUFFER_SAMPLES,
+    ):
         self.model = MODELS[model]
+        self._buffer_samples = buffer_samples
         self._port = port
         self._log = log
         self._name = name
@@ -318,10 +327,10 @@ class KeysightU2300A(ScpiInstrument):
         return LOWEST_RATE_S_s, self.model.highest_rate(len(self._scan))
 
     def _points_bounds(self) -> tuple[int, int]:
-        return 1, BUFFER_SAMPLES // len(self._scan)
+        return 1, self._buffer_samples // len(self._scan)
 
     def _block_bounds(self) -> tuple[int, int]:
-        return SMALLEST_BLOCK, BUFFER_SAMPLES // len(self._scan)
+        return SMALLEST_BLOCK, self._buffer_samples // len(self._scan)
 
     def _known(self, channels: tuple[int, ...]) -> tuple[int, ...]:
         if not all(channel in self._inputs for channel in channels):
@@ -347,7 +356,7 @@ class KeysightU2300A(ScpiInstrument):
             raise ScpiError(-224, "a scan names each channel once, and one at least")
         if self._rate > self.model.highest_rate(len(channels)):
             raise ScpiError(-221, "sampling rate too high for the scan list")
-        if max(self._points, self._block_points) * len(channels) > BUFFER_SAMPLES:
+        if max(self._points, self._block_points) * len(channels) > self._buffer_samples:
             raise ScpiError(-221, "too many points for the scan list")
         self._scan = channels
 
@@ -403,7 +412,7 @@ class KeysightU2300A(ScpiInstrument):
         if acquisition is None or not acquisition.continuous or acquisition.lost:
             return acquisition
         unread = acquisition.taken(self._port.now_us) - acquisition.read
-        if unread * len(acquisition.channels) > BUFFER_SAMPLES:
+        if unread * len(acquisition.channels) > self._buffer_samples:
             acquisition = self._acquisition = replace(acquisition, lost=True)
             self._log.log(self._name, "acquisition", "overrun", "itself")
         return acquisition

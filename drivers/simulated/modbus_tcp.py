@@ -11,12 +11,12 @@ Source: Modbus Application Protocol Specification V1.1b3; Modbus Messaging on TC
 
 from __future__ import annotations
 
-import asyncio
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Protocol, cast
+from typing import Protocol
 
-from drivers.simulated.faults import FaultPlan, WireFaults
+from drivers.simulated.faults import WireFaults
+from drivers.simulated.tcp import TcpPeer, TcpServer
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
 MOST_READ, MOST_WRITTEN, MOST_WRITTEN_WITH_READ = 125, 123, 121
@@ -190,11 +190,8 @@ def frame(transaction: int, unit: int, pdu: bytes) -> bytes:
 # --- the server ------------------------------------------------------------------------------
 
 
-class ModbusTcpServer:
-    """Listens on ``host`` for any number of clients; commands are logged as ``modbus#n``.
-
-    ``port`` 0 takes any free one, which `port` then tells.
-    """
+class ModbusTcpServer(TcpServer):
+    """A device on Modbus TCP; commands are logged as ``modbus#n``."""
 
     def __init__(
         self,
@@ -203,73 +200,34 @@ class ModbusTcpServer:
         port: int = 0,
         faults: WireFaults | None = None,
     ):
+        super().__init__(host, port, faults)
         self.device = device
-        self.faults = faults if faults is not None else WireFaults(FaultPlan(), "")
-        self.transports: set[asyncio.Transport] = set()
-        self._host = host
-        self._port = port
-        self._server: asyncio.Server | None = None
-        self._connections = 0
 
-    @property
-    def port(self) -> int:
-        """The TCP port listened on."""
-        return self._port
-
-    async def start(self) -> None:
-        """Begin to listen. Raises OSError when the port is taken."""
-        loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(lambda: _Peer(self), self._host, self._port)
-        self._port = self._server.sockets[0].getsockname()[1]
-
-    async def close(self) -> None:
-        """Stop listening and drop every connection."""
-        server, self._server = self._server, None
-        if server is not None:
-            server.close()
-        for transport in list(self.transports):
-            transport.abort()
-        if server is not None:
-            await server.wait_closed()
-
-    def next_name(self) -> str:
-        """A name for a new connection, numbered from 1."""
-        self._connections += 1
-        return f"modbus#{self._connections}"
+    def _accept(self) -> TcpPeer:
+        return _ModbusPeer(self)
 
 
-class _Peer(asyncio.Protocol):
-    """One connection; asyncio sets TCP_NODELAY on it."""
-
+class _ModbusPeer(TcpPeer):
     def __init__(self, server: ModbusTcpServer):
-        self._server = server
+        super().__init__(server)
+        self._device = server.device
         self._link = server.faults.link()
         self._splitter = FrameSplitter()
-        self._by = server.next_name()
-        self._transport: asyncio.Transport | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)
-        self._server.transports.add(self._transport)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if self._transport is not None:
-            self._server.transports.discard(self._transport)
+        self._by = f"modbus#{server.next_number()}"
 
     def data_received(self, data: bytes) -> None:
-        assert self._transport is not None
         try:
             frames = self._splitter.feed(data)
         except FrameError:
-            self._transport.abort()
+            self.abort()
             return
         for transaction, unit, pdu in frames:
             if unit not in UNITS:
                 continue  # nobody there: silence
-            reply = frame(transaction, unit, reply_to(pdu, self._server.device, self._by))
+            reply = frame(transaction, unit, reply_to(pdu, self._device, self._by))
             delivery = self._link.exchange(describe(pdu), reply, transaction)
             for one in delivery.replies:
-                self._transport.write(one.data)
+                self.send(one.data)
             if delivery.close:
-                self._transport.close()
+                self.close()
                 return

@@ -1,26 +1,22 @@
-"""Small TCP servers that put a SCPI core on the network: raw socket and HiSLIP.
+"""SCPI on the network: raw socket and HiSLIP.
 
-They may move bytes between connections and cores, number the connections for the World's log, and
-let `WireFaults` disturb the replies. They may not know an instrument, and never wait for one: the
-core answers at once. Everything runs in the event loop that called ``start``.
+These servers may move bytes between connections and cores, name the connections for the World's
+log, and let `WireFaults` disturb the replies. They may not know an instrument, and never wait for
+one: the core answers at once.
 """
 
 from __future__ import annotations
 
 import asyncio
-from abc import ABC, abstractmethod
-from typing import cast
 
 from drivers.simulated import hislip
-from drivers.simulated.faults import FaultPlan, FaultyLink, WireFaults
+from drivers.simulated.faults import FaultyLink, WireFaults
 from drivers.simulated.scpi import MessageSplitter, ScpiInstrument
-
-MAX_UNSENT_BYTES = 256 << 20
-"""A client that lets so much pile up unread is disconnected."""
+from drivers.simulated.tcp import TcpPeer, TcpServer
 
 
-class _TcpServer(ABC):
-    """Listens on ``host``; ``port`` 0 takes any free one, which `port` then tells."""
+class _ScpiServer(TcpServer):
+    """One instrument on the network."""
 
     def __init__(
         self,
@@ -29,84 +25,21 @@ class _TcpServer(ABC):
         port: int = 0,
         faults: WireFaults | None = None,
     ):
+        super().__init__(host, port, faults)
         self.instrument = instrument
-        self.faults = faults if faults is not None else WireFaults(FaultPlan(), "")
-        self.transports: set[asyncio.Transport] = set()
-        self._host = host
-        self._port = port
-        self._server: asyncio.Server | None = None
-        self._connections = 0
-
-    @property
-    def port(self) -> int:
-        """The TCP port listened on."""
-        return self._port
-
-    async def start(self) -> None:
-        """Begin to listen. Raises OSError when the port is taken."""
-        loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(self._accept, self._host, self._port)
-        self._port = self._server.sockets[0].getsockname()[1]
-
-    async def close(self) -> None:
-        """Stop listening and drop every connection."""
-        if self._server is not None:
-            self._server.close()
-        for transport in list(self.transports):
-            transport.abort()
-        if self._server is not None:
-            await self._server.wait_closed()
-            self._server = None
-
-    def next_number(self) -> int:
-        """A number for a new connection, from 1."""
-        self._connections += 1
-        return self._connections
-
-    @abstractmethod
-    def _accept(self) -> asyncio.Protocol: ...
-
-
-class _Peer(asyncio.Protocol):
-    """One TCP connection; asyncio sets TCP_NODELAY on it."""
-
-    def __init__(self, server: _TcpServer):
-        self._transports = server.transports
-        self.transport: asyncio.Transport | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self.transport = cast(asyncio.Transport, transport)
-        self._transports.add(self.transport)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if self.transport is not None:
-            self._transports.discard(self.transport)
-
-    def send(self, data: bytes) -> None:
-        """Queue bytes for the client; drop a client that never reads."""
-        if self.transport is None or self.transport.is_closing():
-            return
-        self.transport.write(data)
-        if self.transport.get_write_buffer_size() > MAX_UNSENT_BYTES:
-            self.transport.abort()
-
-    def close(self) -> None:
-        """Close once everything is sent."""
-        if self.transport is not None:
-            self.transport.close()
 
 
 # --- raw socket ------------------------------------------------------------------------------
 
 
-class ScpiSocketServer(_TcpServer):
+class ScpiSocketServer(_ScpiServer):
     """SCPI over a raw TCP socket: messages end with LF. Commands are logged as ``socket#n``."""
 
-    def _accept(self) -> asyncio.Protocol:
+    def _accept(self) -> TcpPeer:
         return _SocketPeer(self)
 
 
-class _SocketPeer(_Peer):
+class _SocketPeer(TcpPeer):
     def __init__(self, server: ScpiSocketServer):
         super().__init__(server)
         self._instrument = server.instrument
@@ -127,7 +60,7 @@ class _SocketPeer(_Peer):
 # --- HiSLIP ----------------------------------------------------------------------------------
 
 
-class HislipServer(_TcpServer):
+class HislipServer(_ScpiServer):
     """SCPI over HiSLIP. Commands are logged as ``hislip#n``, n being the session's number."""
 
     def __init__(
@@ -142,7 +75,7 @@ class HislipServer(_TcpServer):
         self.peers: dict[hislip.Connection, _HislipPeer] = {}
         self._links: dict[hislip.Session, FaultyLink] = {}
 
-    def _accept(self) -> asyncio.Protocol:
+    def _accept(self) -> TcpPeer:
         return _HislipPeer(self)
 
     def carry_out(self, events: list[hislip.Event]) -> None:
@@ -187,7 +120,7 @@ def _by(session: hislip.Session) -> str:
     return f"hislip#{session.number}"
 
 
-class _HislipPeer(_Peer):
+class _HislipPeer(TcpPeer):
     def __init__(self, server: HislipServer):
         super().__init__(server)
         self._server = server

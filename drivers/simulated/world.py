@@ -85,6 +85,8 @@ class WorldSettings(Settings):
     """What is to befall the z drive."""
     daq_model: Literal["U2331A", "U2542A"] = "U2331A"
     """Which DAQ the bench has."""
+    daq_buffer_samples: int = Field(default=8_000_000, ge=1)
+    """What its buffer holds, all channels together."""
     generator_link: Literal["socket", "hislip"] = "socket"
     """How the generator is reached."""
 

@@ -24,6 +24,7 @@ broken lines lead away, and `LEAST_s`; without a way back also `UNREVERSED_s`.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +46,10 @@ KNOTS = (
 )
 """Shares of the largest force between which P is straight. The offset is the middle set's; how
 far the others' lie from it is part of the error."""
+STEP_s = 0.004
+"""Between the offsets that are tried before the nearest is looked for finely."""
+THINNED = 4
+"""Of the grid, for that: the Gaussian leaves nothing in between."""
 MAINS_Hz = 50.0
 MEMORY = 4.0
 """Widths of the Gaussian over which residuals are taken to be correlated."""
@@ -106,7 +111,8 @@ def clock_offset(force_N: Series, volts: Series, within_s: float = 0.2) -> Clock
             "record both from before the touch-down until after it",
         )
     fits = [_Fit(touch, time, seen, knots) for knots in KNOTS]
-    offsets = [fit.best(within_s) for fit in fits]
+    near_s = _Fit(touch, time[::THINNED], seen[::THINNED], KNOTS[1]).nearest(within_s)
+    offsets = [fit.best(near_s, within_s) for fit in fits]
     offset = offsets[1]
     residual, error = fits[1].error(offset)
     error = math.hypot(error, LEAST_s, max(abs(other - offset) for other in offsets))
@@ -143,14 +149,14 @@ def _volts_on_grid(volts: Series) -> tuple[Reals, Reals]:
     if not time.size:
         raise ClockOffsetError(f"{values.size} samples of volts are too few")
     own = start + np.arange(values.size) / volts.rate_Hz
-    return time, _cubic(own, _gaussian(values, volts.rate_Hz, 0), time)
+    return time, _cubic(own, _gaussian(values, volts.rate_Hz, 0))(time)
 
 
-def _cubic(x: Reals, y: Reals, at: Reals) -> Reals:
+def _cubic(x: Reals, y: Reals) -> Callable[[Reals], Reals]:
     from scipy.interpolate import CubicSpline
 
-    result: Reals = np.asarray(CubicSpline(x, y)(at), dtype=np.float64)
-    return result
+    spline: Callable[[Reals], Reals] = CubicSpline(x, y)
+    return spline
 
 
 class _Force:
@@ -160,7 +166,8 @@ class _Force:
         values = np.asarray(series.values, dtype=np.float64)
         self._time = series.first_s - series.delay_s + np.arange(values.size) / series.rate_Hz
         self._force = _gaussian(values, series.rate_Hz, 0)
-        self._rate = _gaussian(values, series.rate_Hz, 1)
+        self._force_at = _cubic(self._time, self._force)
+        self._rate_at = _cubic(self._time, _gaussian(values, series.rate_Hz, 1))
         edge = 4 * WIDTH_s
         self.first_s = float(self._time[0]) + edge
         self.last_s = float(self._time[-1]) - edge
@@ -174,8 +181,8 @@ class _Force:
 
     def columns(self, time: Reals, knots: tuple[float, ...]) -> Reals:
         """dF/dt times each hat function of F: (n, knots)."""
-        force = np.clip(_cubic(self._time, self._force, time) / self.largest_N, 0.0, 1.0)
-        rate = _cubic(self._time, self._rate, time)
+        force = np.clip(self._force_at(time) / self.largest_N, 0.0, 1.0)
+        rate = self._rate_at(time)
         hats = [np.interp(force, knots, row) for row in np.eye(len(knots))]
         return np.column_stack([rate * hat for hat in hats])
 
@@ -186,16 +193,18 @@ class _Fit:
         turn = 2 * np.pi * MAINS_Hz * time
         self._still = np.column_stack([np.ones(time.size), np.cos(turn), np.sin(turn)])
 
-    def best(self, within_s: float) -> float:
-        """Offset of the least residual."""
+    def nearest(self, within_s: float) -> float:
+        """Offset of the least residual, to half of `STEP_s`."""
+        coarse = np.arange(-within_s, within_s + 1e-9, STEP_s)
+        return float(coarse[int(np.argmin([self._cost(float(offset)) for offset in coarse]))])
+
+    def best(self, near_s: float, within_s: float) -> float:
+        """Offset of the least residual next to `near_s`."""
         from scipy.optimize import minimize_scalar
 
-        coarse = np.arange(-within_s, within_s + 1e-9, 0.004)
-        costs = [self._cost(float(offset)) for offset in coarse]
-        k = int(np.argmin(costs))
-        low, high = coarse[max(k - 1, 0)], coarse[min(k + 1, coarse.size - 1)]
+        low, high = max(near_s - STEP_s, -within_s), min(near_s + STEP_s, within_s)
         found = minimize_scalar(
-            self._cost, bounds=(float(low), float(high)), method="bounded", options={"xatol": 1e-7}
+            self._cost, bounds=(low, high), method="bounded", options={"xatol": 1e-7}
         )
         return float(found.x)
 

@@ -33,32 +33,29 @@ FLAT = 0.01
 """What the pole may take within the stated band."""
 
 
-@dataclass(frozen=True, eq=False)
-class LoadRate:
-    """A strip's volts as a rate of load."""
+@dataclass(frozen=True)
+class LoadScale:
+    """What turns a strip's volts into a rate of load."""
 
-    rate_N_s: Reals
-    """(n,), without the volts' offset."""
     N_s_per_V: Estimate
     """The factor, signed; its error is common to all samples."""
     flat_to_Hz: float
     """Up to here the film's pole takes less than 1 %."""
 
-    def scale_error(self, rate_N_s: float) -> float:
+    def rate_N_s(self, volts: ArrayLike, zero_V: float = 0.0) -> Reals:  # noqa: N802
+        """Rate of load (n,) from volts (n,), with `zero_V` what they are at rest."""
+        rate: Reals = (np.asarray(volts, dtype=np.float64) - zero_V) * self.N_s_per_V.value
+        return rate
+
+    def error_N_s(self, rate_N_s: float) -> float:  # noqa: N802 - the unit keeps its capital
         """Standard error of a rate, N/s, from the calibration alone."""
         return abs(rate_N_s) * self.N_s_per_V.standard_error / abs(self.N_s_per_V.value)
 
 
-def load_rate(
-    volts: ArrayLike,
-    b_dB: float,
-    b_error_dB: float,
-    *,
-    polarity: int = 1,
-    corner_Hz: float = math.inf,
-    zero_V: float = 0.0,
-) -> LoadRate:
-    """Rate of load from volts (n,), with `zero_V` what they are at rest.
+def load_scale(
+    b_dB: float, b_error_dB: float, *, polarity: int = 1, corner_Hz: float = math.inf
+) -> LoadScale:
+    """Scale of a strip of level `b_dB`, dB re 1 V/N at 1 Hz with the gain of its amplifier.
 
     ValueError for a level that is no number or an error below zero.
     """
@@ -71,16 +68,10 @@ def load_rate(
     size = Estimate.of_logarithm(math.log(abs(factor)), b_error_dB / DB_PER_RELATIVE, "N/(V s)")
     if polarity < 0:
         size = Estimate(-size.value, size.standard_error, -size.high, -size.low, size.unit)
-    rate: Reals = (np.asarray(volts, dtype=np.float64) - zero_V) * factor
-    return LoadRate(rate, size, corner_Hz * math.sqrt((1 - FLAT) ** -2 - 1))
+    return LoadScale(size, corner_Hz * math.sqrt((1 - FLAT) ** -2 - 1))
 
 
-def load_rate_of_record(
-    volts: ArrayLike,
-    record: FilmCalibration,
-    amplifier_gain: float | None = None,
-    zero_V: float = 0.0,
-) -> LoadRate:
+def load_scale_of_record(record: FilmCalibration, amplifier_gain: float | None = None) -> LoadScale:
     """The same through a calibration record; b's error holds noise, load cell and the model's.
 
     `amplifier_gain` is that of the volts. ConfigurationError where it is given and the record does
@@ -93,9 +84,12 @@ def load_rate_of_record(
                 f"the record of film {record.sensor!r} does not say its amplifier's gain",
                 "calibrate it from a run whose bench file states the gain",
             )
-        level += 20 * math.log10(amplifier_gain / record.amplifier_gain)
+        level += amplifier_dB(amplifier_gain / record.amplifier_gain)
     error = math.hypot(math.sqrt(record.covariance[0][0]), record.gain_model_error_dB)
     corner_Hz = 1 / record.inverse_corner_s if record.inverse_corner_s > 0 else math.inf
-    return load_rate(
-        volts, level, error, polarity=record.polarity, corner_Hz=corner_Hz, zero_V=zero_V
-    )
+    return load_scale(level, error, polarity=record.polarity, corner_Hz=corner_Hz)
+
+
+def amplifier_dB(gain: float) -> float:  # noqa: N802 - the unit keeps its capital
+    """What a gain adds to a level, dB."""
+    return 20 * math.log10(gain)

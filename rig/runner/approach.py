@@ -129,7 +129,8 @@ class Approach:
         self._ahead_s = max(AHEAD_s, 3 * tick_s)
         self._acceleration = acceleration_mm_s2
         self._delay_s = delay_s + tick_s
-        self._search_mm_s = search_speed_mm_s(TOUCH * target_N, self._delay_s, acceleration_mm_s2)
+        self.search_mm_s = search_speed_mm_s(TOUCH * target_N, self._delay_s, acceleration_mm_s2)
+        """Speed of the search for contact."""
         self._stiffness = ContactStiffness(force_age_s)
         self._touched = False
         self._latest_N = 0.0
@@ -144,7 +145,7 @@ class Approach:
         """What to do, given where the axis is and the mean force of the latest milliseconds."""
         self._latest_N = force_N
         if not self._touched and force_N < TOUCH / 2 * self.target_N:
-            return self._go(self._search_mm_s)
+            return self._go(self.search_mm_s)
         self._touched = True
         self._stiffness.add(time_s, position_mm, force_N)
         missing_N = self.target_N - force_N

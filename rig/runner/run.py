@@ -150,13 +150,14 @@ class Run:
         stream: str,
         first_index: int,
         rows: npt.NDArray[Any],
-        rate_Hz: float,
+        rate_Hz: float | None,
         scale: Sequence[float] | None = None,
         units: str = "",
     ) -> None:
         """Record rows (n, channels) of a stream that is no converter's: values = scale times rows.
 
-        ``first_index`` counts the stream's rows; the rows' type is the stream's.
+        ``first_index`` counts the stream's rows; the rows' type is the stream's. ``rate_Hz`` is
+        None where they are not equally spaced.
         """
         index = self._streams[stream]
         channels = rows.shape[1]

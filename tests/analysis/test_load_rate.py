@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.analysis.load_rate import load_rate, load_rate_of_record
+from rig.analysis.load_rate import load_scale, load_scale_of_record
 from rig.calibration import FilmCalibration
 from rig.errors import ConfigurationError
 from rig.model.pvdf import corner_frequency, level_at_one_hertz
@@ -57,59 +57,59 @@ def test_a_known_rate_comes_back() -> None:
     force = 3.0 * time + 0.02 * np.sin(2 * np.pi * 30 * time)
     truth = 3.0 + 0.02 * 2 * np.pi * 30 * np.cos(2 * np.pi * 30 * time)
     circuit = TransducerSettings().circuit
-    found = load_rate(
-        volts_of(force), level_at_one_hertz(circuit), 0.05, corner_Hz=corner_frequency(circuit)
-    )
+    scale = load_scale(level_at_one_hertz(circuit), 0.05, corner_Hz=corner_frequency(circuit))
+    found = scale.rate_N_s(volts_of(force))
     # what is left is the circuit's and the step's delay of 75 µs on a slope of 710 N/s²
-    np.testing.assert_allclose(found.rate_N_s[50:], truth[50:], atol=0.07)
-    assert found.rate_N_s[50:].mean() == pytest.approx(truth[50:].mean(), rel=1e-3)
-    assert found.flat_to_Hz > 400.0
+    np.testing.assert_allclose(found[50:], truth[50:], atol=0.07)
+    assert found[50:].mean() == pytest.approx(truth[50:].mean(), rel=1e-3)
+    assert scale.flat_to_Hz > 400.0
 
 
 def test_the_error_of_b_is_that_of_every_rate() -> None:
     """0.0868 dB are 1 %."""
-    found = load_rate([0.01, -0.02], -30.0, 0.0868)
-    assert found.rate_N_s == pytest.approx(np.array([0.01, -0.02]) * 2 * math.pi * 10**1.5)
-    assert found.scale_error(-5.0) == pytest.approx(0.05, rel=1e-3)
-    assert found.N_s_per_V.standard_error / found.N_s_per_V.value == pytest.approx(0.01, rel=1e-3)
-    assert found.N_s_per_V.covers(2 * math.pi * 10 ** (30.15 / 20))
-    assert not found.N_s_per_V.covers(2 * math.pi * 10 ** (30.2 / 20))
+    scale = load_scale(-30.0, 0.0868)
+    found = scale.rate_N_s([0.01, -0.02])
+    assert found == pytest.approx(np.array([0.01, -0.02]) * 2 * math.pi * 10**1.5)
+    assert scale.error_N_s(-5.0) == pytest.approx(0.05, rel=1e-3)
+    assert scale.N_s_per_V.standard_error / scale.N_s_per_V.value == pytest.approx(0.01, rel=1e-3)
+    assert scale.N_s_per_V.covers(2 * math.pi * 10 ** (30.15 / 20))
+    assert not scale.N_s_per_V.covers(2 * math.pi * 10 ** (30.2 / 20))
 
 
 def test_the_zero_is_taken_off_and_the_polarity_turns_the_sign() -> None:
-    plus = load_rate([0.3, 0.4], -30.0, 0.1, zero_V=0.3)
-    minus = load_rate([0.3, 0.4], -30.0, 0.1, zero_V=0.3, polarity=-1)
-    assert plus.rate_N_s[0] == 0.0
-    assert minus.rate_N_s == pytest.approx(-plus.rate_N_s)
+    plus, minus = load_scale(-30.0, 0.1), load_scale(-30.0, 0.1, polarity=-1)
+    rates = plus.rate_N_s([0.3, 0.4], zero_V=0.3)
+    assert rates[0] == 0.0
+    assert minus.rate_N_s([0.3, 0.4], zero_V=0.3) == pytest.approx(-rates)
     factor = minus.N_s_per_V
     assert factor.low < factor.value < factor.high < 0
-    assert minus.scale_error(2.0) == plus.scale_error(2.0)
+    assert minus.error_N_s(2.0) == plus.error_N_s(2.0)
 
 
 def test_the_stated_band_is_where_the_pole_takes_one_percent() -> None:
-    found = load_rate([0.0], -30.0, 0.1, corner_Hz=2000.0)
-    assert 1 / math.hypot(1, found.flat_to_Hz / 2000.0) == pytest.approx(0.99)
+    scale = load_scale(-30.0, 0.1, corner_Hz=2000.0)
+    assert 1 / math.hypot(1, scale.flat_to_Hz / 2000.0) == pytest.approx(0.99)
 
 
 def test_a_record_is_scaled_to_the_amplifier_of_the_volts() -> None:
-    found = load_rate_of_record([1.0], record(), amplifier_gain=1000.0)
-    assert found.rate_N_s[0] == pytest.approx(2 * math.pi * 10 ** (30 / 20) / 1000)
+    scale = load_scale_of_record(record(), amplifier_gain=1000.0)
+    assert scale.N_s_per_V.value == pytest.approx(2 * math.pi * 10 ** (30 / 20) / 1000)
     # 0.03 dB of b and 0.04 dB of the model are 0.05 dB
-    assert found.scale_error(1.0) == pytest.approx(0.05 * math.log(10) / 20, rel=1e-6)
-    assert found.flat_to_Hz == pytest.approx(2000 * math.sqrt(0.99**-2 - 1))
-    same = load_rate_of_record([1.0], record())
-    assert same.rate_N_s[0] == pytest.approx(1000 * found.rate_N_s[0])
-    turned = load_rate_of_record([1.0], record(polarity=-1, inverse_corner_s=0.0))
-    assert turned.rate_N_s[0] == -same.rate_N_s[0]
+    assert scale.error_N_s(1.0) == pytest.approx(0.05 * math.log(10) / 20, rel=1e-6)
+    assert scale.flat_to_Hz == pytest.approx(2000 * math.sqrt(0.99**-2 - 1))
+    same = load_scale_of_record(record())
+    assert same.N_s_per_V.value == pytest.approx(1000 * scale.N_s_per_V.value)
+    turned = load_scale_of_record(record(polarity=-1, inverse_corner_s=0.0))
+    assert turned.N_s_per_V.value == -same.N_s_per_V.value
     assert turned.flat_to_Hz == math.inf
 
 
 def test_a_record_without_its_gain_is_not_scaled() -> None:
     with pytest.raises(ConfigurationError, match="does not say its amplifier's gain"):
-        load_rate_of_record([1.0], record(amplifier_gain=None), amplifier_gain=1000.0)
+        load_scale_of_record(record(amplifier_gain=None), amplifier_gain=1000.0)
 
 
 @pytest.mark.parametrize(("b_dB", "error"), [(math.nan, 0.1), (-30.0, -0.1)])
 def test_a_level_that_is_no_number_is_refused(b_dB: float, error: float) -> None:
     with pytest.raises(ValueError, match="must be numbers"):
-        load_rate([1.0], b_dB, error)
+        load_scale(b_dB, error)

@@ -230,18 +230,6 @@ def read_file(file):
     return samples, kept
 
 
-def guard_report(here):
-    """The guard's last word, or None if there was no guard to say it."""
-    deadline = time.monotonic() + GUARD_PATIENCE_S
-    while time.monotonic() < deadline:
-        for path in here.results.rglob("*.guard.json"):
-            report = json.loads(path.read_text())
-            if "file" in report:
-                return report
-        time.sleep(0.02)
-    return None
-
-
 def seconds_to_off(path):
     """From the owner's end to the output's, in the World's time, which is then real."""
     entries = [json.loads(line) for line in path.read_text().splitlines()]
@@ -290,7 +278,7 @@ def test_kill(rig):
             if len(columns(files[0])[0]) != len(GRID):
                 problems.append(f"{where}: points are missing")
         else:
-            report = guard_report(here)
+            report = here.guard_report()
             journals = list(here.results.rglob("*.rigj"))
             endings["guard reported" if report else "no guard reported"] += 1
             if report and not report["safe"]:

@@ -1,11 +1,8 @@
-"""What recording and compiling cost, and what kill -9 leaves: prints figures, judges no times.
+"""What recording and compiling cost: prints figures, judges no times.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_recording.py``.
 """
 
-import random
-import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -89,36 +86,3 @@ def test_compile_of_a_long_sweep(tmp_path):
     wall = time.perf_counter() - start
     size, raw = file.stat().st_size / 1e6, path.stat().st_size / 1e6
     print(f"\n2000 points of 2 x 4000 samples: {wall:.1f} s, {raw:.0f} MB to {size:.0f} MB")
-
-
-WRITER = """
-import sys
-sys.path.insert(0, sys.argv[2])
-import recorded_run as run
-from rig.recording import JournalWriter, Recorder
-recorder = Recorder(JournalWriter.create(sys.argv[1], run.header()))
-recorder.put_point_begin("p", {})
-for n in range(10**6):
-    recorder.put_block(0, 100 * n, 0.01 * n, run.samples(n % 7, 100))
-    if n % 5 == 4:
-        recorder.barrier()
-        print(100 * (n + 1), flush=True)
-"""
-
-
-def test_many_kills(tmp_path):
-    kills, lost = 60, 0
-    chance = random.Random(0)
-    for kill in range(kills):
-        path = tmp_path / f"{kill}.rigj"
-        command = [sys.executable, "-c", WRITER, str(path), str(Path(run.__file__).parent)]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-            heard = [process.stdout.readline()]
-            time.sleep(chance.uniform(0.0, 0.2))
-            process.send_signal(signal.SIGKILL)
-            heard += process.stdout.readlines()
-        acknowledged = max(int(line) for line in heard if line.endswith("\n"))
-        rows = sum(segment.rows for segment in read_journal(path).segments)
-        lost += rows < acknowledged
-    print(f"\n{kills} kills -9: {lost} journals lost an acknowledged sample")
-    assert lost == 0

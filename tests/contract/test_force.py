@@ -206,6 +206,20 @@ def test_a_force_sensor_that_is_silent_for_a_while_is_a_hold(rig, case):
         assert run.column("preload").min() > 24, "pressed anew, though it creeps"
 
 
+def test_a_force_sensor_that_is_silent_while_the_stage_is_homed_is_a_hold(rig):
+    """There is no way back yet to a place that nobody knows, and nothing is pressed."""
+    ended = rig.sweep(*SHORT, "--fault", rig.fault(silence(3, 60)))
+
+    assert ended.code == 0, ended.stderr
+    assert "hold: the force sensor is silent; the bench is safe" in ended.stderr
+    stage = [line["what"] for line in rig.log() if line["device"] == "stage_z"]
+    assert stage.count("homing") == 2
+    assert rest(rig) == pytest.approx(5.0, abs=0.02)
+    with RunFile.open(rig.only("*.h5")) as run:
+        assert run.point_ids() == ["300Hz-1N", "600Hz-1N"]
+        assert held(run) == 1
+
+
 def test_a_force_sensor_that_stays_silent_ends_the_run(rig):
     asked = ("--frequencies", "2,3,300", "--order", "descending")
     ended = rig.sweep(*asked, "--fault", rig.fault(silence(740, 0)))

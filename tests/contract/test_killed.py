@@ -18,24 +18,13 @@ PATIENCE_S = 30.0
 SIXTY_POINTS = ("--frequencies", ",".join(str(f) for f in range(300, 6300, 100)))
 
 
-def guard_report(rig) -> dict:
-    """The guard's final report, once it has compiled."""
-    deadline = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        for path in rig.results.rglob("*.guard.json"):
-            report = json.loads(path.read_text())
-            if "file" in report:
-                return report
-        time.sleep(0.05)
-    raise AssertionError("the guard never reported")
-
-
 def test_a_killed_run_is_made_safe_compiled_and_can_be_resumed(rig):
     running = rig.start_sweep(*SIXTY_POINTS)
     running.wait_for(r"^20/60 ")
     running.send(signal.SIGKILL)
     running.process.wait()
-    report = guard_report(rig)
+    report = rig.guard_report()
+    assert report is not None, "the guard never reported"
 
     assert report["safe"] is True
     rig.await_world("ch1.on", False)
@@ -58,7 +47,8 @@ def test_a_run_that_hangs_is_ended_and_made_safe_by_the_guard(rig):
     running = rig.start_sweep(*SIXTY_POINTS)
     running.wait_for(r"^20/60 ")
     running.send(signal.SIGSTOP)
-    report = guard_report(rig)
+    report = rig.guard_report()
+    assert report is not None, "the guard never reported"
 
     assert running.process.wait(PATIENCE_S) == -signal.SIGKILL
     assert report["safe"] is True

@@ -243,6 +243,7 @@ def test_a_retarget_is_one_read_and_one_write() -> None:
         axis.start_move(20.0, 25.0)
         it.wire.heard()
         for target in (21.0, 22.5, 5.0):
+            it.clock.sleep(0.01)
             axis.start_move(target, 25.0)
         image = "047f 9100 c000 0100"
         assert it.wire.heard() == [
@@ -252,6 +253,20 @@ def test_a_retarget_is_one_read_and_one_write() -> None:
             f"write 0: {image} 22500 at 25000",
             "read 100 x28",
             f"write 0: {image} 5000 at 25000",
+        ]
+
+
+def test_a_retarget_right_after_a_look_is_one_write() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(20.0, 25.0)
+        it.clock.sleep(0.01)
+        it.wire.heard()
+        axis.position_mm()
+        axis.start_move(21.0, 25.0)
+        assert it.wire.heard() == [
+            "read 100 x28",
+            "write 0: 047f 9100 c000 0100 21000 at 25000",
         ]
 
 

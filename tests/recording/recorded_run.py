@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -157,3 +159,25 @@ def write_run(path: Path, order: tuple[int, ...] = (3, 0, 4, 1, 2), **changes: A
         journal.end(end(points=len(order)))
         journal.sync()
     return path
+
+
+WRITER = """
+import sys
+sys.path.insert(0, sys.argv[2])
+import recorded_run as run
+from rig.recording import JournalWriter, Recorder
+recorder = Recorder(JournalWriter.create(sys.argv[1], run.header()))
+recorder.put_point_begin("p", {})
+for n in range(10**6):
+    recorder.put_block(0, 100 * n, 0.01 * n, run.samples(n % 7, 100))
+    if n % 5 == 4:
+        recorder.barrier()
+        print(100 * (n + 1), flush=True)
+"""
+
+
+def start_writer(path: Path) -> subprocess.Popen[str]:
+    """A process that writes to a new journal until it is killed; every line that it prints is how
+    many rows are acknowledged."""
+    command = [sys.executable, "-c", WRITER, str(path), str(Path(__file__).parent)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)

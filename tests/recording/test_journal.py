@@ -375,25 +375,10 @@ def test_a_torn_end_of_zeros_or_garbage_is_cut_off_on_resume(tmp_path: Path, tai
 
 # Kills and full disks
 
-WRITER = """
-import sys
-sys.path.insert(0, sys.argv[2])
-import recorded_run as run
-from rig.recording import JournalWriter, Recorder
-recorder = Recorder(JournalWriter.create(sys.argv[1], run.header()))
-recorder.put_point_begin("p", {})
-for n in range(10**6):
-    recorder.put_block(0, 100 * n, 0.01 * n, run.samples(n % 7, 100))
-    if n % 5 == 4:
-        recorder.barrier()
-        print(100 * (n + 1), flush=True)
-"""
-
 
 def kill_a_writer(path: Path, lines: int) -> int:
     """Start a writer, kill -9 it after so many acknowledgements; the rows it knew were safe."""
-    command = [sys.executable, "-c", WRITER, str(path), str(Path(__file__).parent)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with run.start_writer(path) as process:
         assert process.stdout is not None
         heard = [process.stdout.readline() for _ in range(lines)]
         process.send_signal(signal.SIGKILL)

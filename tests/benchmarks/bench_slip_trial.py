@@ -1,0 +1,236 @@
+"""The slip trial through the whole wire: true to the model, on force, in time, without a loss.
+
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_slip_trial.py``; alone on the machine:
+the real-time part means nothing beside other load.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+from measured import heading, row, target
+
+from procedures import slip_taking, slip_trial
+from rig.bench import read_bench
+from rig.clock import WallClock
+from rig.recording.runfile import RunFile
+from rig.runner import loop
+from rig.runner.execution import execute
+from rig.runner.jobs import Job
+from rig.runner.stopping import StopFlag
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "contract"))
+from slip_model import compare
+
+pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(7200)]
+
+SEEDS = range(1, 6)
+TRIALS = 200
+RATE_Hz = 500.0
+BESIDE_S = 20.0
+"""How long the bare loop runs beside the trials."""
+
+
+def take(rig, *given, friction=None):
+    """One run of the command; its ending and how long it took."""
+    own = ("--world-log", str(rig.world_log), "--json")
+    if friction is not None:
+        static, kinetic = friction
+        coefficients = f"{{ static_coefficient = {static}, kinetic_coefficient = {kinetic} }}"
+        own += ("--world", rig.world(f"contact.friction = {coefficients}\n"))
+    begin = time.perf_counter()
+    ended = rig.run("slip-trial", *own, *given)
+    return ended, time.perf_counter() - begin
+
+
+def file_of(rig, ended):
+    """The run file."""
+    return rig.folder / ended.object["file"]
+
+
+def test_five_seeds_show_what_the_model_shows(rig, skin8):
+    heading("rig slip-trial --seed S --distance 0.6mm, S = 1..5; measured by modelled")
+    kinetics, statics = [], []
+    for seed in SEEDS:
+        ended, _ = take(rig, "--no-figures", "--seed", str(seed), "--distance", "0.6mm")
+        assert ended.code == 0, ended.stderr
+        with RunFile.open(file_of(rig, ended)) as run:
+            (reading,) = run.readings()
+            found = compare(run, "trial-001", reading, skin8)
+        ratios = found.ratios()
+        print(f"seed {seed}: " + ", ".join(f"{k} {v:.3f}" for k, v in ratios.items()))
+        assert ratios == pytest.approx(dict.fromkeys(ratios, 1.0), abs=0.2)
+        assert found.slip_order == [1, 9, 2, 3, 8, 4, 7, 5, 6]
+        kinetics.append(reading["kinetic_friction"] / 0.65)
+        statics.append(reading["static_friction"] / found.static_coefficient)
+    row("kinetic friction by the World's", kinetics, "", 4)
+    row("static friction by the modelled contact's", statics, "", 4)
+    assert kinetics == pytest.approx([1.0] * len(kinetics), abs=0.03)
+    assert statics == pytest.approx([1.0] * len(statics), abs=0.03)
+
+
+CORNERS = [
+    (static, ratio, force_N, speed_mm_s, tick_Hz)
+    for static, ratio in ((0.3, 0.95), (1.2, 0.7), (1.2, 0.95))
+    for force_N in (2.0, 8.0)
+    for speed_mm_s, tick_Hz in ((0.3, 100), (1.3, 100), (6.0, 100), (2.8, 500), (6.0, 500))
+]
+"""Each tick at its fastest slide without a rehearsal, and at the fastest of all."""
+
+
+def test_the_force_is_held_in_the_corners(rig):
+    heading("rig slip-trial over friction, force, speed and ticks: errors of F_n in the slide")
+    print("mu_s ratio  F_n   mm/s   Hz     rms %  peak %  overshoot %  invalid")
+    missed = []
+    for static, ratio, force_N, speed_mm_s, tick_Hz in CORNERS:
+        distance_mm = 0.09 * static * force_N + 0.25 + 0.1 * speed_mm_s
+        ended, _ = take(
+            rig, "--no-figures", "--normal-force", f"{force_N}", "--speed", f"{speed_mm_s}",
+            "--tick", f"{tick_Hz}", "--distance", f"{distance_mm:.3f}", "--rest", "0.2",
+            friction=(static, static * ratio),
+        )  # fmt: skip
+        assert ended.code in (0, 5), ended.stderr
+        with RunFile.open(file_of(rig, ended)) as run:
+            (reading,) = run.readings()
+        errors = [
+            reading[f"{name}_percent"]
+            for name in ("force_error_rms", "force_error_peak", "overshoot")
+        ]
+        condition = f"{static:4g} {ratio:5g} {force_N:4g} {speed_mm_s:6g} {tick_Hz:4g}"
+        told = "   ".join(f"{error:7.2f}" for error in errors)
+        print(f"{condition}  {told}   {reading['invalid']}", flush=True)
+        if errors[0] > 2 or errors[1] > 5 or errors[2] > 10:
+            missed.append(condition)
+    target("corners missed", len(missed), 0, "")
+    assert not missed
+
+
+def test_a_trial_from_command_to_figure(rig):
+    heading("rig slip-trial --distance 1mm --speed 0.5mm/s, whole process with its figure")
+    walls, benches = [], []
+    for _ in range(4):
+        ended, wall = take(rig, "--distance", "1mm", "--speed", "0.5mm/s")
+        assert ended.code == 0, ended.stderr
+        walls.append(wall)
+        benches.append(ended.object["duration_s"])
+    row("bench time", benches[1:], "s", 2)
+    target("command to figure, warm", row("wall, warm", walls[1:], "s", 2), 5.0, "s")
+
+
+def test_a_series_against_real_time(rig):
+    heading("rig slip-trial -n 20 --no-figures")
+    ended, wall = take(rig, "-n", "20", "--no-figures")
+    assert ended.code == 0, ended.stderr
+    bench = ended.object["duration_s"]
+    print(f"bench time {bench:.1f} s, wall {wall:.1f} s")
+    target("times real time", bench / wall, 3.0, "", at_least=True)
+
+
+def test_no_sample_is_lost_or_doubled_in_200_trials(rig):
+    """Counted against the World's own clock, and no block of noise comes twice."""
+    heading(f"rig slip-trial -n {TRIALS} --distance 0.3mm --speed 1mm/s --rest 100ms")
+    ended, wall = take(
+        rig, "-n", f"{TRIALS}", "--no-figures", "--distance", "0.3mm", "--speed", "1mm/s",
+        "--rest", "100ms",
+    )  # fmt: skip
+    assert ended.code == 0, ended.stderr
+    told = [(e["t_us"], e["value"]) for e in rig.log() if e["what"] == "acquisition"]
+    assert [what for _, what in told] == ["run", "stop"] * TRIALS
+    samples = frames = 0
+    with RunFile.open(file_of(rig, ended)) as run:
+        readings = {r["trial"]: r for r in run.readings()}
+        for number in range(1, TRIALS + 1):
+            series = {w.stream: w for w in run.waveforms(f"trial-{number:03d}")}
+            begin_us, end_us = told[2 * number - 2][0], told[2 * number - 1][0]
+            strip = series["strips"].counts["strip_1"]
+            assert len(strip) == readings[number]["samples"]
+            left = 1e-6 * (end_us - begin_us) * 10_000 - len(strip)
+            assert 0 <= left < 400, f"trial {number}: {left:.0f} samples at its end"
+            blocks = strip[: len(strip) // 100 * 100].reshape(-1, 100)
+            assert len(np.unique(blocks, axis=0)) == len(blocks), f"trial {number}: doubled"
+            force = series["force"].counts["F_n"]
+            assert abs(1e-4 * len(strip) - 1e-3 * len(force)) < 0.011, f"trial {number}: frames"
+            samples, frames = samples + len(strip), frames + len(force)
+    bench = ended.object["duration_s"]
+    print(f"{samples} samples of each strip and {frames} frames, none lost or doubled")
+    print(f"bench time {bench:.0f} s, wall {wall:.0f} s: {bench / wall:.2f} times real time")
+
+
+BARE_LOOP = """
+import sys, time
+rate, seconds = float(sys.argv[1]), float(sys.argv[2])
+start, late, worst = time.monotonic(), 0, 0.0
+for k in range(round(rate * seconds)):
+    due = start + k / rate
+    rest = due - time.monotonic()
+    if rest > 0:
+        time.sleep(rest)
+    behind = time.monotonic() - due
+    late += behind > 0.5 / rate
+    worst = max(worst, behind)
+print(late, worst)
+"""
+
+
+def run_timed(folder, bench_file):
+    """Two trials at `RATE_Hz` on a bench file; leaves the work of each tick in ``work.npy``. In a
+    process of its own, which the run's guard may kill."""
+    work_s = []
+
+    def timed(run, rate_Hz, duration_s, on_tick):
+        def tick(at):
+            begin = time.perf_counter()
+            going_on = on_tick(at)
+            work_s.append(time.perf_counter() - begin)
+            return going_on
+
+        return loop.tick_loop(run, rate_Hz, duration_s, tick)
+
+    slip_taking.tick_loop = timed
+    settings = slip_trial.Settings(tick_Hz=RATE_Hz, distance_mm=2.0, trials=2)
+    job = Job(procedure=slip_trial, settings=settings, seed=0, results=folder)
+    outcome = execute(job, read_bench(bench_file), WallClock(), StopFlag(), Silent())
+    print(f"outcome: {outcome.status}", *(f.one_line() for f in outcome.failures))
+    np.save(folder / "work.npy", work_s)
+
+
+def test_ticks_in_real_time(rig):
+    """The simulated bench runs by itself, over its sockets and its pty; the bare loop beside it."""
+    heading(f"slip trial at {RATE_Hz:g} Hz in real time, recording on, beside a bare sleep loop")
+    path = rig.folder / "bench.toml"
+    serving = rig.start("simulate", "--fixture", "plate", "--write", str(path))
+    serving.wait_for("Ctrl-C ends it")
+    rig.results.mkdir()
+    run = get_context("spawn").Process(target=run_timed, args=(rig.results, path))
+    run.start()
+    beside = [sys.executable, "-c", BARE_LOOP, str(RATE_Hz), str(BESIDE_S)]
+    bare = subprocess.run(beside, stdout=subprocess.PIPE, text=True, check=True)
+    run.join()
+    serving.send(signal.SIGINT)
+    serving.finish()
+    assert run.exitcode == 0, "the machine was too slow for the simulated bench in real time"
+    work_ms = 1e3 * np.load(rig.results / "work.npy")
+    words = "p50 {:.2f}, p99 {:.2f}, p99.9 {:.2f}, most {:.2f}"
+    print("work in a tick, ms: " + words.format(*np.quantile(work_ms, [0.5, 0.99, 0.999, 1.0])))
+    bare_late, bare_worst_s = (float(x) for x in bare.stdout.split())
+    bare_share = bare_late / (BESIDE_S * RATE_Hz)
+    print(f"bare loop: {100 * bare_share:.2f} % late, worst {1e3 * bare_worst_s:.1f} ms")
+    with RunFile.open(rig.only("*.h5")) as file:
+        for reading in file.readings():
+            late = reading["late_ticks"] / reading["ticks"]
+            print(f"trial {reading['trial']}: {reading['ticks']} ticks; {reading['invalid']}")
+            target("share of late ticks", late, bare_share, "")
+
+
+class Silent:
+    """A run nobody watches."""
+
+    def __getattr__(self, name):
+        return lambda *_: None

@@ -1,0 +1,135 @@
+"""What goes wrong in a slip trial: one clear line, x stopped, the skin off the plate, data kept."""
+
+from __future__ import annotations
+
+import pytest
+
+from rig.recording.runfile import RunFile
+from rig.recording.verify import verify
+
+SHORT = ("--distance", "0.5mm", "--speed", "0.5mm/s", "--rest", "100ms")
+WORLD = "skin_mount.contact_mm = 12.05\n"
+"""Contact soon after the search begins: what is tried here comes later."""
+SLIDING_AFTER_S = 4.1
+"""Since the record began: somewhere in the slide, which lasts a second from 3.8 s on."""
+
+
+def take(rig, world="", fault="", *given):
+    """A short trial in such a World, under such a fault plan."""
+    disturbed = ("--fault", rig.fault(fault)) if fault else ()
+    return rig.run(
+        "slip-trial", "--json", "--no-figures", "--world-log", str(rig.world_log),
+        "--world", rig.world(WORLD + world), *SHORT, *disturbed, *given,
+    )  # fmt: skip
+
+
+def assert_told(ended, code, words):
+    """In one line, with a remedy."""
+    assert ended.code == code, ended.stderr
+    (error,) = ended.errors
+    assert words in error
+    assert "; " in error, "the remedy follows the cause"
+    assert "NOT SAFE" not in ended.stderr
+
+
+def last_of(rig, stage):
+    """How a stage's last motion ended: where it came to rest."""
+    seen = [e for e in rig.log() if e["device"] == stage and e["what"] in ("move", "at-rest")]
+    assert seen[-1]["what"] == "at-rest"
+    return seen[-1]["value"]
+
+
+def assert_lifted(rig):
+    """x stands, z is parked, the skin has left the plate that it had touched."""
+    last_of(rig, "stage_x")
+    assert last_of(rig, "stage_z") == pytest.approx(5.0, abs=0.01)
+    touches = [e["what"] for e in rig.log() if e["what"] in ("touch-down", "lift-off")]
+    assert touches == ["touch-down", "lift-off"]
+
+
+def assert_kept_until_sliding(rig):
+    """The discarded trial is in the file, whole up to the fault: pressed, and dragged along."""
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert run.point_ids() == []
+        kept = {w.stream: w for w in run.waveforms(status="discarded")}
+    force = kept["force"]
+    assert force.values("F_n").max() > 3.8
+    assert force.values("F_t").max() > 1.0
+    assert kept["position"].values("x")[-1] > 10.05
+    samples, frames = len(kept["strips"].counts["strip_1"]), len(force.counts["F_n"])
+    assert samples / 10 == pytest.approx(frames, abs=100), "both until the same instant"
+
+
+X_TROUBLES = {
+    "limit switch": ('kind = "fault", code = 115', "positive limit switch reached"),
+    "following error": ('kind = "fault", code = 126', "the axis did not follow"),
+    "held fast": ('kind = "jam"', "stopped by its torque limit at 10."),
+}
+
+
+@pytest.mark.parametrize("what", X_TROUBLES)
+def test_a_stage_that_fails_in_the_slide_is_told_and_the_skin_lifted(rig, what):
+    trouble, words = X_TROUBLES[what]
+    ended = take(rig, f"stage_x_troubles = [{{ {trouble}, move = 2, after_s = 0.3 }}]\n")
+    assert_told(ended, 3, words)
+    assert ended.errors[0].startswith("error: stage_x: ")
+    assert_lifted(rig)
+    assert_kept_until_sliding(rig)
+
+
+def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
+    ended = take(rig, 'stage_z_troubles = [{ kind = "fault", move = 3, after_s = 4.85 }]\n')
+    assert_told(ended, 3, "stage_z: drive fault: 126")
+    assert "the stage stands and the skin may still be pressed: stage_z: " in ended.stderr
+    last_of(rig, "stage_x")
+    assert last_of(rig, "stage_z") == pytest.approx(12.09, abs=0.01)
+    assert_kept_until_sliding(rig)
+
+
+def test_a_force_channel_that_saturates_ends_the_trial(rig):
+    """3.5 mV/V are 290 N along z: somebody hits the plate."""
+    hit = f"{{ acquisition = 0, after_s = {SLIDING_AFTER_S}, for_s = 0.02, force_N = 500.0 }}"
+    ended = take(rig, f"bumps = [{hit}]\n")
+    assert_told(ended, 3, "frames are saturated")
+    assert_lifted(rig)
+    assert_kept_until_sliding(rig)
+
+
+FRAMES = {
+    "lost whole": ("silence", 795, 8, "frames are missing: the stream has a gap"),
+    "garbled": ("garbage", 825, 1, "force_sensor: stream: "),
+}
+
+
+@pytest.mark.parametrize("what", FRAMES)
+def test_bytes_lost_on_the_serial_line_end_the_trial(rig, what):
+    """What is lost without a trace is missed by counting against time, half a second later."""
+    kind, at, batches, words = FRAMES[what]
+    plan = f'[[fault]]\ndevice = "force_sensor.stream"\nkind = "{kind}"\n'
+    ended = take(rig, "", f"{plan}at = {at}\ncount = {batches}\n")
+    assert_told(ended, 3, words)
+    assert_lifted(rig)
+    assert_kept_until_sliding(rig)
+
+
+def test_a_daq_whose_buffer_does_not_bridge_the_trial_ends_it(rig):
+    """A thousand samples are 17 ms of two strips at 30 kS/s: stopping x takes longer."""
+    ended = take(rig, "daq_buffer_samples = 1000\n", "", "--rate", "30000")
+    assert_told(ended, 3, "daq: WAV:STAT?: its buffer overran after row")
+    assert "overrun" in [e["value"] for e in rig.log() if e["what"] == "acquisition"]
+    assert_lifted(rig)
+    with RunFile.open(rig.only("*.h5")) as run:
+        kept = {w.stream: w for w in run.waveforms(status="discarded")}
+    assert kept["force"].values("F_t").max() > 2.5
+    rows = len(kept["strips"].counts["strip_1"])
+    assert f"after row {rows};" in ended.errors[0], "all that came before is kept, no more"
+
+
+def test_a_block_of_samples_that_is_lost_on_the_wire_ends_the_trial(rig):
+    fault = '[[fault]]\ndevice = "daq"\nkind = "truncate"\ncommand = "WAV:DATA"\nat = 410\n'
+    ended = take(rig, "", fault)
+    assert_told(ended, 3, "error: daq: WAV:DATA?")
+    assert_lifted(rig)
+    assert_kept_until_sliding(rig)
