@@ -71,7 +71,7 @@ def draw_trial(run: RunFile, number: int, point: str) -> Figure:
         touched = t[pressing > LEAST_FORCE * wanted]
         if touched.size:
             error.set_xlim(max(0.0, float(touched[0]) - BEFORE_S), float(t[-1]))
-        set_margins(figure, top=0.68 if doubt else 0.6, between=0.22)
+        set_margins(figure, top=0.9 if doubt else 0.72, between=0.22)
         invalid = f"\ndoes not count: {doubt}" if doubt else ""
         figure.suptitle(f"{run.header.title}: {point}\n{run.path.name}{invalid}", fontsize=9)
     return figure

@@ -92,7 +92,7 @@ def decades(axes: Axes, lowest_Hz: float, highest_Hz: float) -> None:
     numbers = FuncFormatter(lambda value, _: f"{value:g}")
     axes.xaxis.set_major_formatter(numbers)
     if highest_Hz < 10 * lowest_Hz:
-        axes.xaxis.set_major_locator(MaxNLocator(6))
+        axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10], prune="both"))
         axes.xaxis.set_minor_locator(NullLocator())
         return
     axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
