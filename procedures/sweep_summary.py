@@ -14,6 +14,8 @@ from procedures.sweep_layout import LAYOUT
 from rig.analysis.response_curve import CurveError, ResponseCurve, points_of
 from rig.runner.points import Reading
 
+NEAR_200 = 1.26
+"""Ratio to 200 Hz that is still near: a tenth of a decade, the coarse grid's step."""
 FEWEST_FOR_A_MODEL = 12
 """Frequencies, for the film's model to be fitted."""
 
@@ -28,17 +30,15 @@ def curve_of(readings: Sequence[Reading]) -> ResponseCurve:
 
 
 def figures(readings: Sequence[Reading]) -> dict[str, Any]:
-    """Range, gain near 200 Hz and how well it is known, deviations of the load; of one reading at
-    least."""
+    """Range, gain near 200 Hz if that was measured, how well gains are known, deviations of the
+    load; of one reading at least."""
     frequencies = [float(r["frequency_Hz"] or 0) for r in readings]
     errors = sorted(float(r["gain_standard_error_dB"] or 0) for r in readings)
-    middle = min(readings, key=lambda r: abs(math.log(float(r["frequency_Hz"] or 1) / 200)))
     return {
         "points": len(readings),
         "lowest_frequency_Hz": min(frequencies),
         "highest_frequency_Hz": max(frequencies),
-        "gain_near_200_Hz_dB": middle["gain_dB"],
-        "gain_near_200_Hz_at_Hz": middle["frequency_Hz"],
+        **_gain_near_200(readings),
         "median_gain_standard_error_dB": errors[len(errors) // 2],
         "largest_gain_standard_error_dB": errors[-1],
         "largest_deviation_of_load_percent": 100
@@ -72,6 +72,15 @@ def model(readings: Sequence[Reading], several_loads: bool) -> dict[str, Any]:
     except CurveError:
         return {}
     return {"analysis": found.sentences(), "model": found.as_dict()}
+
+
+def _gain_near_200(readings: Sequence[Reading]) -> dict[str, Any]:
+    """The gain nearest to 200 Hz; nothing where none was measured near it."""
+    nearest = min(readings, key=lambda r: abs(math.log(float(r["frequency_Hz"] or 1) / 200)))
+    frequency = float(nearest["frequency_Hz"] or 1)
+    if not 1 / NEAR_200 <= frequency / 200 <= NEAR_200:
+        return {}
+    return {"gain_near_200_Hz_dB": nearest["gain_dB"], "gain_near_200_Hz_at_Hz": frequency}
 
 
 def _column(readings: Sequence[Reading], name: str) -> npt.NDArray[np.float64]:

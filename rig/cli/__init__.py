@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -23,8 +24,22 @@ def main() -> None:
         build(sys.argv[1:])()
     except KeyboardInterrupt:
         sys.exit(SIGINT_CODE)
+    finally:  # what Python still clears away would answer an exception with a complaint
+        signal.signal(signal.SIGTERM, _leave_at_once)
+        signal.signal(signal.SIGHUP, _leave_at_once)
 
 
 def _leave(number: int, _: FrameType | None) -> None:
     """Before a run has begun there is nothing to make safe."""
-    sys.exit(SIGTERM_CODE if number == signal.SIGTERM else SIGHUP_CODE)
+    sys.exit(_code(number))
+
+
+def _leave_at_once(number: int, _: FrameType | None) -> None:
+    """Everything is done: what was printed is kept, and nothing else is left."""
+    with contextlib.suppress(OSError, ValueError):
+        sys.stdout.flush()
+    os._exit(_code(number))
+
+
+def _code(number: int) -> int:
+    return SIGTERM_CODE if number == signal.SIGTERM else SIGHUP_CODE

@@ -11,13 +11,14 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rig.cli.outcome import reported, say
-from rig.errors import ConfigurationError, ExitCode, LimitError, RigError
+from rig.errors import ConfigurationError, ExitCode, FoundWrongError, LimitError, RigError
 
 if TYPE_CHECKING:
     from rig.analysis.weighing import CellFit, ForceFit
@@ -33,8 +34,13 @@ HELP = "Make calibration records: a film from a sweep's file, sensors from known
 
 LARGE_CROSSTALK_PERCENT = 10.0
 """A sensor of two crossed or tilted axes."""
+MOST_DIGITS = 12
+"""After the point."""
 LARGEST_TOLERANCE_PERCENT = 5.0
 """Of weights that are worth calibrating with."""
+SHORTEST_READING_S, LONGEST_WAIT_S = 0.1, 60.0
+TEMPERATURES_degC = (-40.0, 85.0)
+"""Between which the sensors and the film work at all."""
 app = typer.Typer(
     name="calibrate",
     help=HELP,
@@ -100,8 +106,12 @@ class Wanted:
         from rig.calibration import VALID_DAYS
 
         days = VALID_DAYS[kind] if self.valid is None else _days(self.valid)
-        if self.temperature_degC is not None and not math.isfinite(self.temperature_degC):
-            raise ConfigurationError("--temperature: has to be a number")
+        low, high = TEMPERATURES_degC
+        if self.temperature_degC is not None and not low <= self.temperature_degC <= high:
+            raise ConfigurationError(
+                f"--temperature {self.temperature_degC:g}: has to be {low:g} to {high:g} degC, "
+                "that of the room"
+            )
         return {
             "date": date,
             "valid_until": date + timedelta(days=days),
@@ -149,6 +159,7 @@ def pvdf(
         from rig.recording.runfile import RunFile
 
         with RunFile.open(file) as run:
+            _refuse_changed(file)
             analysis = analysed(run)
             date = datetime.fromisoformat(run.header.start_time)
             fields = wanted.fields("pvdf", date, run.header.user.name)
@@ -199,11 +210,12 @@ def force(
 
         forces = sequence(_directions(axes), _weights(options))
         fields = {**wanted.fields("force", _now()), **_conditions(options)}
+        timing, frames_s = _timing(options), _number(rate, "1/s", "--rate")
         with _at_the_bench(options, wanted, "force_sensor") as (connected, person, folder):
             amplifier = connected.force_sensor
             _refuse_heavy(options, amplifier.reach()["force"])
             scale = ForceScale(
-                amplifier, connected.clock, _timing(options), _rate(rate, amplifier.reach()["rate"])
+                amplifier, connected.clock, timing, _rate(frames_s, amplifier.reach()["rate"])
             )
             means = weigh(forces, scale, person, connected.clock)
             fields["sensor"] = sensor or amplifier.identity.serial_number
@@ -257,15 +269,14 @@ def load_cell(
         forces = sequence([DIRECTIONS["+z"]], _weights(options))
         range_V = _number(input_range, "V", "--range")
         fields = {**wanted.fields("load-cell", _now()), **_conditions(options)}
+        timing = _timing(options)
         with _at_the_bench(options, wanted, "daq") as (connected, person, folder):
             cell = connected.load_cell
             _refuse_heavy(options, Reach(0.0, cell.max_load_N, "N", "load cell"))
             _refuse_out_of_range(max(_weights(options)) * cell.sensitivity_V_N, range_V)
             fields["sensor"] = sensor or _name_of_cell(connected)
             fields["simulated"] = connected.simulated
-            scale = CellScale(
-                connected.daq, connected.clock, _timing(options), range_V, cell.sensitivity_V_N
-            )
+            scale = CellScale(connected.daq, connected.clock, timing, range_V, cell.sensitivity_V_N)
             means = weigh(forces, scale, person, connected.clock)
         loads = [known[2] for known in forces]
         values = [float(mean.value[0]) for mean in means]
@@ -277,6 +288,17 @@ def load_cell(
         for line in _cell_lines(loads, fit):
             say(line)
         _finish(record, wanted, folder, [])
+
+
+def _refuse_changed(file: Path) -> None:
+    """FoundWrongError where the run file is not, byte by byte, the one that was written."""
+    from rig.recording.verify import checksum_findings
+
+    if findings := list(checksum_findings(file)):
+        raise FoundWrongError(
+            f"{file}: {'; '.join(findings)}",
+            "no record is made of a file that cannot be trusted; `rig verify` says more",
+        )
 
 
 # --- at the bench ----------------------------------------------------------------------------
@@ -374,8 +396,7 @@ def _refuse_heavy(options: WeighingOptions, reach: Reach) -> None:
         )
 
 
-def _rate(text: str, reach: Reach) -> float:
-    rate = _number(text, "1/s", "--rate")
+def _rate(rate: float, reach: Reach) -> float:
     if not reach.holds(rate):
         raise LimitError(
             f"--rate {rate:g} is outside {reach.low:g} to {reach.high:g} frames/s of the "
@@ -427,13 +448,13 @@ def _crosstalk_warning(fit: ForceFit) -> list[str]:
 def _force_lines(forces: Sequence[Vector], fit: ForceFit) -> Iterator[str]:
     yield "zero (mV/V, ± 95 %):"
     yield "  " + "  ".join(
-        f"{axis} {value:+.6f} ± {fit.coverage * error:.6f}"
+        f"{axis} {with_error(value, fit.coverage * error)}"
         for axis, value, error in zip("xyz", fit.zero, fit.zero_error, strict=True)
     )
     yield "matrix (N per mV/V, ± 95 %):"
     for row, halves in zip(fit.matrix, fit.half_widths(), strict=True):
         yield "  " + "  ".join(
-            f"{value:9.4f} ± {half:.4f}" for value, half in zip(row, halves, strict=True)
+            with_error(value, half) for value, half in zip(row, halves, strict=True)
         )
     yield "residuals (mN):"
     for known, off in zip(forces, fit.residuals, strict=True):
@@ -442,6 +463,14 @@ def _force_lines(forces: Sequence[Vector], fit: ForceFit) -> Iterator[str]:
         f"residual rms {1e3 * fit.residual_rms:.2f} mN, largest {1e3 * fit.largest_residual:.2f} "
         f"mN; crosstalk {fit.crosstalk_percent:.2f} % if the matrix were left out"
     )
+
+
+def with_error(value: float, half_width: float) -> str:
+    """A value to the second figure of its half-width, never a half-width of zero."""
+    if not (math.isfinite(half_width) and half_width > 0):
+        return f"{value:+.6g}"
+    digits = min(max(1 - math.floor(math.log10(half_width)), 0), MOST_DIGITS)
+    return f"{value:+.{digits}f} ± {half_width:.{digits}f}"
 
 
 def _cell_lines(loads: Sequence[float], fit: CellFit) -> Iterator[str]:
@@ -510,12 +539,17 @@ def _directions(text: str) -> list[Vector]:
 
 
 def _weights(options: WeighingOptions) -> list[float]:
-    weights = sorted(
+    weights = [
         _number(word, "N", "--weights") for word in options.weights.split(",") if word.strip()
-    )
-    if len(set(weights)) < 2 or weights[0] <= 0:
+    ]
+    if len(weights) < 2 or weights[0] <= 0:
         raise ConfigurationError(
             f"--weights {options.weights}: two different weights above 0 N are needed at least",
+            "for example --weights 5N,10N,20N",
+        )
+    if any(after <= before for before, after in pairwise(weights)):
+        raise ConfigurationError(
+            f"--weights {options.weights}: every weight has to be larger than the one before",
             "for example --weights 5N,10N,20N",
         )
     return weights
@@ -528,11 +562,14 @@ def _timing(options: WeighingOptions) -> Timing:
         settling_s=_number(options.settling, "s", "--settling"),
         duration_s=_number(options.duration, "s", "--duration"),
     )
-    if not (0 <= timing.settling_s <= 60 and 0.1 <= timing.duration_s <= 60):
-        raise ConfigurationError(
-            f"--settling {timing.settling_s:g} s has to be 0 to 60 s, --duration "
-            f"{timing.duration_s:g} s 0.1 to 60 s"
-        )
+    for option, value, low in (
+        ("--settling", timing.settling_s, 0.0),
+        ("--duration", timing.duration_s, SHORTEST_READING_S),
+    ):
+        if not low <= value <= LONGEST_WAIT_S:
+            raise ConfigurationError(
+                f"{option} {value:g} s: has to be {low:g} to {LONGEST_WAIT_S:g} s"
+            )
     return timing
 
 

@@ -6,14 +6,21 @@ import contextlib
 import json
 import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rig.cli.outcome import reported, say
 from rig.errors import ConfigurationError, ExitCode, FoundWrongError
+
+if TYPE_CHECKING:
+    from rig.recording.header import RunHeader
+    from rig.runner.points import Reading
+
+LONGEST_LIST = 8
+"""Numbers of a list that are shown one by one."""
 
 Files = Annotated[list[Path], typer.Argument(help="Run files (.h5) or journals (.rigj).")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
@@ -34,16 +41,10 @@ def resume(
 
         from rig.bench import entry
         from rig.cli.procedures import Request, perform
-        from rig.recording.contents import read_journal
-        from rig.recording.naming import RUN_SUFFIX, journal_path
+        from rig.recording.recover import interrupted
 
-        journal = journal_path(file) if file.suffix == RUN_SUFFIX else file
-        if not journal.exists() and journal.with_suffix(RUN_SUFFIX).exists():
-            raise ConfigurationError(f"{file}: the run is complete; there is nothing to resume")
-        contents = read_journal(journal)
+        contents = interrupted(file)
         header = contents.header
-        if contents.complete:
-            raise ConfigurationError(f"{file}: the run is complete; there is nothing to resume")
         found = entry("rig.procedures", header.procedure)
         if found is None:
             raise ConfigurationError(f"{file}: procedure {header.procedure!r} is not installed")
@@ -56,7 +57,7 @@ def resume(
             bench_file = None if world is not None else Path(header.bench_file)
             request = Request(
                 bench=bench_file,
-                results=journal.parent.parent,
+                results=contents.path.parent.parent,
                 seed=header.seed,
                 as_json=as_json,
                 figures=figures,
@@ -67,36 +68,54 @@ def resume(
             perform(procedure, settings, request, resume=contents)
 
 
-def show(files: Files, debug: Debug = False) -> None:
-    """Say what a run file holds, and draw its figure again."""
+def show(
+    files: Files,
+    figures: Annotated[bool, typer.Option(help="Draw the figures of run files again.")] = True,
+    figures_to: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the figures [that of the run file].", metavar="DIR"),
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Say what a run file or journal holds; draw a run file's figures again."""
     with reported(debug):
-        from rig.figures import draw
+        from rig.recording.contents import read_journal
+        from rig.recording.description import describe, ending_of
+        from rig.recording.file_kind import kind_of
         from rig.recording.runfile import RunFile
+        from rig.recording.verify import checksum_findings
 
         for path in files:
+            if kind_of(path) == "journal":
+                contents = read_journal(path)
+                _tell(describe(path, contents.header, ending_of(contents)))
+                _tell(_results(contents.header, [kept.reading for kept in contents.kept()]))
+                continue
             with RunFile.open(path) as run:
-                for name, value in run.summary().items():
-                    print(f"{name}: {value}")  # noqa: T201 - stdout carries data
+                for finding in checksum_findings(path):
+                    say(f"warning: {path.name}: {finding}")
+                _tell(describe(path, run.header, run.outcome))
+                readings = run.readings()
+                _tell(_results(run.header, readings))
                 figure = run.header.procedure.replace("-", "_")
-                has_points = bool(run.point_ids())
-            if has_points:
-                for drawn in draw(figure, path):
-                    print(f"figure: {drawn}")  # noqa: T201 - stdout carries data
+            if figures and readings:
+                _draw(figure, path, figures_to)
 
 
 def verify(files: Files, debug: Debug = False) -> None:
-    """Check run files: checksums, structure, completeness; exit 8 where something is wrong."""
+    """Check run files and journals: checksums, structure; say how complete the run is; exit 8 where
+    something is wrong."""
     with reported(debug):
-        from rig.recording.verify import verify as findings_of
+        from rig.recording.verify import verdict
 
         wrong = 0
         for path in files:
-            findings = findings_of(path)
-            wrong += bool(findings)
-            verdict = "; ".join(findings) if findings else "sound"
-            print(f"{path}: {verdict}")  # noqa: T201 - stdout carries data
+            found = verdict(path)
+            wrong += not found.sound
+            print(f"{path}: {found}")  # noqa: T201 - stdout carries data
         if wrong:
-            raise FoundWrongError(f"{wrong} of {len(files)} files are not sound")
+            of = f"{len(files)} files" if len(files) > 1 else "1 file"
+            raise FoundWrongError(f"{wrong} of {of} failed verification")
 
 
 def recover(files: Files, debug: Debug = False) -> None:
@@ -114,6 +133,63 @@ def recover(files: Files, debug: Debug = False) -> None:
                 failed = failed or error
         if failed is not None:
             raise typer.Exit(int(failed.code or ExitCode.INTERNAL))
+
+
+def _results(header: RunHeader, readings: Sequence[Reading]) -> dict[str, Any]:
+    """The procedure's own summary of the readings, where it is installed and still takes them."""
+    from pydantic import ValidationError
+
+    from rig.bench import entry
+
+    found = entry("rig.procedures", header.procedure)
+    if found is None or not readings:
+        return {}
+    procedure = found.load()
+    try:
+        settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
+        return dict(procedure.summarise(settings, readings))
+    except (ValidationError, KeyError):  # written by another version of the procedure
+        return {}
+
+
+def _draw(figure: str, run_file: Path, folder: Path | None) -> None:
+    """Draw the figures; a folder that does not take them costs a line, not the command."""
+    from rig.figures import draw
+
+    try:
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+        for drawn in draw(figure, run_file, folder):
+            print(f"figure: {drawn}")  # noqa: T201 - stdout carries data
+    except OSError as error:
+        say(
+            f"warning: no figure was drawn: {folder or run_file.parent} cannot be written to "
+            f"({error.strerror or error}); name another folder with --figures-to, or leave figures "
+            "out with --no-figures"
+        )
+
+
+def _tell(values: Mapping[str, Any], indent: str = "") -> None:
+    """Names and values, one a line; tables indented below their name."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            print(f"{indent}{name}:")  # noqa: T201 - stdout carries data
+            _tell(value, indent + "  ")
+        else:
+            print(f"{indent}{name}: {_told(value)}")  # noqa: T201 - stdout carries data
+
+
+def _told(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        shown = [_told(item) for item in value]
+        if len(shown) > LONGEST_LIST and not isinstance(value[0], str):
+            return f"{len(shown)} values, {shown[0]} to {shown[-1]}"
+        return "; ".join(shown) or "none"
+    return "none" if value is None else str(value)
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ nothing but errors; every figure and every summary says that it is simulated.
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -60,11 +61,21 @@ ShowSettings = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")]
 Elements = Annotated[
-    int, typer.Option("--elements", help="Elements along a ridge; at least 6.", min=2, max=40)
-]
+    int,
+    typer.Option(
+        "--elements", help="Elements along a ridge; fewer than 6 are quick and coarse.",
+        min=2, max=40,
+    ),
+]  # fmt: skip
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
+NormalForce = Annotated[str, typer.Option("--normal-force", help="F_n.", metavar="N")]
 At = Annotated[
-    list[float] | None, typer.Option("--at", help="Instants of the deformed skin; repeatable.")
+    list[str] | None,
+    typer.Option("--at", help="Instant of the deformed skin; repeatable.", metavar="s"),
+]
+AtStep = Annotated[
+    list[float] | None,
+    typer.Option("--at", help="Step of the deformed skin; repeatable.", metavar="STEP"),
 ]
 RELIEF_TITLES = {
     "normal_raised": "relief by a raised $F_n$",
@@ -82,8 +93,8 @@ def slide(
     skin_file: SkinFile = None,
     show_skin: ShowSkin = False,
     elements: Elements = 8,
-    normal_force: Annotated[float, typer.Option(help="F_n in N.")] = 4.0,
-    speed: Annotated[float, typer.Option(help="Speed in mm/s.")] = 0.5,
+    normal_force: NormalForce = "4N",
+    speed: Annotated[str, typer.Option(help="Of the plate.", metavar="mm/s")] = "0.5mm/s",
     at: At = None,
 ) -> None:
     """Press a plate on and slide it: v_d, forces, stick-slip map, deformed skin."""
@@ -92,8 +103,16 @@ def slide(
     from rig.model.trials import slide as run
 
     with reported(debug, as_json), _errors():
-        default = SlideSettings(press=PressSettings(normal_force_N=normal_force), speed_mm_s=speed)
+        default = SlideSettings(
+            press=PressSettings(normal_force_N=_number(normal_force, "N", "--normal-force")),
+            speed_mm_s=_number(speed, "mm/s", "--speed"),
+        )
         chosen = _settings(SlideSettings, settings, default)
+        if chosen.speed_mm_s == 0:
+            raise ConfigurationError(
+                "speed 0 mm/s: nothing slides", "choose a speed above 0, for example 0.5mm/s"
+            )
+        instants = _times(at)
         shape_of_skin = _settings(
             SkinSettings, skin_file, SkinSettings(elements_per_ridge=elements)
         )
@@ -103,7 +122,7 @@ def slide(
         elastic, skin = _skin(shape_of_skin)
         trial = run(skin, chosen, keep_forces=True)
         name = f"Slide at {chosen.speed_mm_s:g} mm/s under {chosen.press.normal_force_N:g} N"
-        _report(trial, chosen, elastic, skin, at, results, "skin-slide", name, as_json)
+        _report(trial, chosen, elastic, skin, instants, results, "skin-slide", name, as_json)
 
 
 @app.command()
@@ -116,8 +135,10 @@ def roll(
     skin_file: SkinFile = None,
     show_skin: ShowSkin = False,
     elements: Elements = 8,
-    normal_force: Annotated[float, typer.Option(help="F_n in N.")] = 4.0,
-    start: Annotated[float, typer.Option(help="x of the contact before the roll, mm.")] = -5.0,
+    normal_force: NormalForce = "4N",
+    start: Annotated[
+        str, typer.Option(help="x of the contact before the roll.", metavar="mm")
+    ] = "-5mm",
     shape: Annotated[str, typer.Option(help="cylinder or sphere.")] = "cylinder",
     at: At = None,
 ) -> None:
@@ -130,10 +151,11 @@ def roll(
         default = RollSettings.model_validate(
             {
                 "body": {"shape": shape},
-                "press": {"normal_force_N": normal_force},
-                "start_x_mm": start,
+                "press": {"normal_force_N": _number(normal_force, "N", "--normal-force")},
+                "start_x_mm": _number(start, "mm", "--start"),
             }
         )
+        instants = _times(at)
         chosen = _settings(RollSettings, settings, default)
         shape_of_skin = _settings(
             SkinSettings, skin_file, SkinSettings(elements_per_ridge=elements)
@@ -145,7 +167,7 @@ def roll(
         trial = run(skin, chosen, keep_forces=True)
         what = f"Roll of a {chosen.body.shape} by {chosen.angle_deg:g}°"
         name = f"{what} from x = {chosen.start_x_mm:g} mm"
-        _report(trial, chosen, elastic, skin, at, results, "skin-roll", name, as_json)
+        _report(trial, chosen, elastic, skin, instants, results, "skin-roll", name, as_json)
 
 
 @app.command()
@@ -158,7 +180,7 @@ def history(
     relief: Annotated[
         str, typer.Option(help="How step 300 relieves: normal_raised or tangential_lowered.")
     ] = "normal_raised",
-    at: At = None,
+    at: AtStep = None,
 ) -> None:
     """The paper's simulation 4.2: stress difference and its rate, stick-slip map, deformed skin."""
     from rig.model.loading_history import RELIEFS, HistorySettings, run_history
@@ -308,20 +330,45 @@ def _within(at: list[float], first: float, last: float, unit: str) -> None:
 
 
 def _save(drawn: dict[str, Figure], results: Path) -> list[Path]:
-    """Each figure as PNG and SVG below `results`."""
+    """Each figure as PNG and SVG below `results`, with a number where there are others already."""
     from rig.figures.style import save
 
     try:
         results.mkdir(parents=True, exist_ok=True)
+        number = _free_number(results, list(drawn))
         return [
             file
             for stem, figure in drawn.items()
-            for file in save(figure, results / f"{stem}.png", simulated=True)
+            for file in save(figure, results / f"{stem}{number}.png", simulated=True)
         ]
     except OSError as error:
         raise ConfigurationError(
             f"figures cannot be written to {results}: {error.strerror}", "name another --results"
         ) from error
+
+
+def _free_number(results: Path, stems: list[str]) -> str:
+    """What is added to these names so that none of them is taken: nothing, -2, -3 and so on."""
+    endings = itertools.chain([""], (f"-{number}" for number in itertools.count(2)))
+    return next(
+        added
+        for added in endings
+        if not any((results / f"{stem}{added}.png").exists() for stem in stems)
+    )
+
+
+def _times(at: list[str] | None) -> list[float] | None:
+    return [_number(text, "s", "--at") for text in at] if at else None
+
+
+def _number(text: str, unit: str, option: str) -> float:
+    """A number from an option's text, with or without its unit."""
+    from rig.cli.options import quantity
+
+    try:
+        return quantity(text, unit)
+    except ValueError as error:
+        raise ConfigurationError(f"{option} {text}: {error}", f"write it in {unit}") from error
 
 
 def _skin(settings: SkinSettings) -> tuple[ElasticSkin, CondensedSkin]:
@@ -368,7 +415,30 @@ def _print_summary(summary: dict[str, Any], files: list[Path], as_json: bool) ->
     typer.echo("simulated (model)")
     for key, value in full.items():
         if key != "simulated":
-            typer.echo(f"{key}: {value}")
+            for line in _lines(key, value):
+                typer.echo(line)
+
+
+def _lines(name: str, value: Any) -> Iterator[str]:
+    """A value for a person: a list on one line, a table one row a line, below its name."""
+    if isinstance(value, dict):
+        yield f"{name}:"
+        for key, part in value.items():
+            yield from (f"  {line}" for line in _lines(key, part))
+    elif isinstance(value, list | tuple) and value and isinstance(value[0], list):
+        yield f"{name}:"
+        yield from ("  " + "  ".join(f"{_word(cell):>10}" for cell in row) for row in value)
+    elif isinstance(value, list | tuple):
+        yield f"{name}: {', '.join(_word(item) for item in value)}"
+    else:
+        yield f"{name}: {_word(value)}"
+
+
+def _word(value: Any) -> str:
+    """None is what did not happen."""
+    if value is None:
+        return "none"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 @contextmanager

@@ -19,18 +19,19 @@ FIGURES = {
 """The functions by the figure's name: known before anything heavy is imported."""
 
 
-def draw(name: str, run_file: Path) -> list[Path]:
-    """Draw the figures of a run file beside it as PNG and SVG; returns their paths."""
+def draw(name: str, run_file: Path, folder: Path | None = None) -> list[Path]:
+    """Draw the figures of a run file as PNG and SVG, in the folder or beside it; their paths."""
     if name not in FIGURES:
         raise ConfigurationError(f"{run_file}: there is no figure for a {name}")
-    return [path for part in FIGURES[name] for path in draw_part(part, run_file)]
+    return [path for part in FIGURES[name] for path in draw_part(part, run_file, folder)]
 
 
-def draw_part(part: str, run_file: Path) -> list[Path]:
+def draw_part(part: str, run_file: Path, folder: Path | None = None) -> list[Path]:
     """Draw what one of the functions gives."""
     from rig.figures.style import save
     from rig.recording.runfile import RunFile
 
+    beside = run_file if folder is None else folder / run_file.name
     module, _, function = part.partition(":")
     draw_figures = getattr(import_module(module), function)
     with RunFile.open(run_file) as run:
@@ -38,6 +39,6 @@ def draw_part(part: str, run_file: Path) -> list[Path]:
             path
             for added, figure in draw_figures(run).items()
             for path in save(
-                figure, run_file.with_stem(run_file.stem + added), simulated=run.outcome.simulated
+                figure, beside.with_stem(beside.stem + added), simulated=run.outcome.simulated
             )
         ]

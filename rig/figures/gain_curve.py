@@ -28,6 +28,13 @@ if TYPE_CHECKING:
 ERROR_BARS = 2.0
 """Standard errors on either side."""
 CURVE_POINTS = 2000
+DROP_LABEL_SHARE = 0.18
+"""Of the axes' height: the label of a drop with the line that leads to it."""
+_EXPLAINED = {
+    "printed": "printed: eq. (4) as it stands, Ω + S",
+    "ohmic": "ohmic: eq. (4) with 1/A4 for A4, so that units agree",
+    "circuit": "circuit: Kirchhoff's laws for the circuit as drawn",
+}
 _COLOURS = {"printed": "C3", "ohmic": "C2", "circuit": "C1"}
 
 
@@ -47,7 +54,7 @@ def draw_gain(curve: ResponseCurve, analysis: SweepAnalysis, title: str = "") ->
         gain.legend(loc="upper left", frameon=False)
         _residuals(residual, curve, analysis)
         _frequency_axis(residual, curve.frequencies)
-        set_margins(figure)
+        set_margins(figure, top=0.5)
         if title:
             figure.suptitle(title, fontsize=9)
     return figure
@@ -71,16 +78,16 @@ def draw_readings(
             offset = analysis.circuit.offsets[name].value
             computed = _dB(reading(f, given))
             line = {"color": _COLOURS[name], "linewidth": 1}
-            plain.plot(f, computed, label=name, **line)
+            plain.plot(f, computed, label=_EXPLAINED[name], **line)
             label = f"{name}, {_signed(-offset, 1)} dB"
             shifted.plot(f, computed - offset, label=label, **line)
         _mark_corners(shifted, analysis)
         plain.set_title("Readings of equation (4) as they are", fontsize=9)
         shifted.set_title("The same, each shifted to the measured level", fontsize=9)
-        plain.legend(loc="lower right", frameon=False, ncols=2)
+        plain.legend(loc="lower right", frameon=False, fontsize=8)
         shifted.legend(loc="upper left", frameon=False)
         _frequency_axis(shifted, curve.frequencies)
-        set_margins(figure, top=0.5, between=0.14)
+        set_margins(figure, top=0.68, between=0.14)
         if title:
             figure.suptitle(title, fontsize=9)
     return figure
@@ -150,7 +157,12 @@ def _plain_line(axes: Axes, curve: ResponseCurve, level_dB: float) -> None:
 
 
 def _mark_drops(axes: Axes, analysis: SweepAnalysis) -> None:
-    """Frequency and depth under the bottom of each drop."""
+    """Frequency and depth under the bottom of each drop, with room for them above the axis."""
+    if not analysis.drops:
+        return
+    lowest = float(_dB(analysis.fit.model.response(_bottoms(analysis))).min())
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, (lowest - DROP_LABEL_SHARE * high) / (1 - DROP_LABEL_SHARE)), high)
     for drop in analysis.drops:
         at = drop.frequency.value
         bottom = float(_dB(analysis.fit.model.response(np.array([at])))[0])
@@ -201,15 +213,18 @@ def _mark_corners(axes: Axes, analysis: SweepAnalysis) -> None:
 
 
 def _frequency_axis(axes: Axes, frequencies: Reals) -> None:
-    decades(axes)
-    axes.set_xlim(frequencies[0] / 1.15, frequencies[-1] * 1.15)
+    decades(axes, frequencies[0], frequencies[-1])
 
 
 def _fine(curve: ResponseCurve, analysis: SweepAnalysis) -> Reals:
     """Frequencies of a smooth line, the bottoms of the drops among them."""
     grid = np.geomspace(curve.frequencies[0], curve.frequencies[-1], CURVE_POINTS)
-    bottoms = [drop.frequency.value for drop in analysis.drops]
-    return np.unique(np.concatenate([grid, bottoms]))
+    return np.unique(np.concatenate([grid, _bottoms(analysis)]))
+
+
+def _bottoms(analysis: SweepAnalysis) -> Reals:
+    """Frequencies of the drops' bottoms, (drops,)."""
+    return np.array([drop.frequency.value for drop in analysis.drops])
 
 
 def _hertz(frequency: float) -> str:

@@ -9,7 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from rig.figures.style import STYLE, set_margins
+from rig.figures.style import STYLE, legend_above, set_margins
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,6 +36,7 @@ def draw_trials(run: RunFile) -> dict[str, Figure]:
 
 def draw_trial(run: RunFile, number: int, point: str) -> Figure:
     """Signal, forces, ratio and force error over time; the slide is shaded."""
+    doubt = str(run.column("invalid")[number])
     series = {w.stream: w for w in run.waveforms(point)}
     signals, force = series["signals"], series["force"]
     begin, end = (float(run.column(name)[number]) for name in ("slide_from", "slide_to"))
@@ -50,26 +51,27 @@ def draw_trial(run: RunFile, number: int, point: str) -> Figure:
         for colour, name, label in (("C1", "v_1", "$v_1$"), ("C2", "v_2", "$v_2$")):
             volts.plot(t, mV[name], linewidth=0.5, alpha=0.5, color=colour, label=label)
         volts.set_ylabel("Signal (mV)")
-        volts.legend(loc="upper left", frameon=False, ncols=3)
         t, pressing, sideways = _time(force), force.values("F_n"), force.values("F_t")
         newtons.plot(t, pressing, linewidth=0.8, label="$F_n$")
         newtons.plot(t, sideways, linewidth=0.8, label="$F_t$")
         newtons.set_ylabel("Force (N)")
-        newtons.legend(loc="upper left", frameon=False, ncols=2)
         _ratio(ratio, t, pressing, sideways, wanted)
         _coefficients(ratio, run, number)
         held = (t >= begin) & (t <= end)
         error.plot(t[held], 100 * (pressing[held] / wanted - 1), linewidth=0.6, color="C3")
-        error.axhspan(-2, 2, color="0.5", alpha=0.12, linewidth=0)
+        _allowed(error, run)
         error.set_ylabel("$F_n$ error (%)")
-        error.set_xlabel("Time (s)")
+        error.set_xlabel("Time since the record's start (s)")
         for axes in (volts, newtons, ratio, error):
-            axes.axvspan(begin, end, color="C2", alpha=0.07, linewidth=0)
+            axes.axvspan(
+                begin, end, color="C2", alpha=0.07, linewidth=0,
+                label="the slide" if axes is volts else None,
+            )  # fmt: skip
+            legend_above(axes)
         touched = t[pressing > LEAST_FORCE * wanted]
         if touched.size:
             error.set_xlim(max(0.0, float(touched[0]) - BEFORE_S), float(t[-1]))
-        set_margins(figure, top=0.5)
-        doubt = str(run.column("invalid")[number])
+        set_margins(figure, top=0.9 if doubt else 0.72, between=0.22)
         invalid = f"\ndoes not count: {doubt}" if doubt else ""
         figure.suptitle(f"{run.header.title}: {point}\n{run.path.name}{invalid}", fontsize=9)
     return figure
@@ -100,5 +102,11 @@ def _coefficients(axes: Axes, run: RunFile, number: int) -> None:
         if np.isfinite(found):
             label = f"{name.replace('_', ' ')} {found:.3f}"
             axes.axhline(found, color=colour, linestyle="--", linewidth=0.8, label=label)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="lower left", frameon=False, ncols=2)
+
+
+def _allowed(axes: Axes, run: RunFile) -> None:
+    """The rms error beyond which a trial does not count, as a band."""
+    allowed = float(run.settings.get("force_error_rms_percent", 0.0))
+    if allowed:
+        label = f"rms up to {allowed:g} % counts"
+        axes.axhspan(-allowed, allowed, color="0.5", alpha=0.12, linewidth=0, label=label)

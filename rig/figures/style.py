@@ -21,6 +21,11 @@ STYLE: Any = {
     "figure.dpi": 150,
 }
 
+FREQUENCY_MARGIN = 1.15
+"""Ratio of the axis' ends to the first and last frequency."""
+NUMBERED_SPAN = 1e3
+"""Over so large a ratio of frequencies the numbers at 2 and 5 would touch each other."""
+
 
 def save(figure: Figure, run_file: Path, simulated: bool) -> list[Path]:
     """Write the figure as PNG and SVG beside its run file, marked where it is simulated."""
@@ -73,16 +78,49 @@ def set_margins(figure: Figure, *, top: float = 0.35, between: float = 0.08) -> 
     )
 
 
-def decades(axes: Axes) -> None:
-    """A logarithmic frequency axis with ticks at 1, 2 and 5: all nine take longer to draw than
-    everything else in the figure."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+def decades(axes: Axes, lowest_Hz: float, highest_Hz: float) -> None:
+    """A logarithmic frequency axis from `lowest_Hz` to `highest_Hz`, with a margin.
+
+    Ticks at 1, 2 and 5 (all nine take longer to draw than everything else in the figure), the
+    latter two with numbers where there is room; evenly spaced ones over less than a decade.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
     axes.set_xscale("log")
     axes.set_xlabel("Frequency (Hz)")
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.set_xlim(lowest_Hz / FREQUENCY_MARGIN, highest_Hz * FREQUENCY_MARGIN)
+    numbers = FuncFormatter(lambda value, _: f"{value:g}")
+    axes.xaxis.set_major_formatter(numbers)
+    if highest_Hz < 10 * lowest_Hz:
+        axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10], prune="both"))
+        axes.xaxis.set_minor_locator(NullLocator())
+        return
     axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    roomy = highest_Hz < NUMBERED_SPAN * lowest_Hz
+    axes.xaxis.set_minor_formatter(numbers if roomy else NullFormatter())
+
+
+def show_at_least(axes: Axes, span: float) -> None:
+    """Limits of y not closer than `span`: noise does not fill the picture of a single point."""
+    low, high = axes.get_ylim()
+    if high - low < span:
+        middle = (low + high) / 2
+        axes.set_ylim(middle - span / 2, middle + span / 2)
+
+
+def legend_above(axes: Axes) -> None:
+    """A legend in one line above the axes' right corner, where it hides nothing."""
+    handles, _ = axes.get_legend_handles_labels()
+    if handles:
+        axes.legend(
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.0),
+            ncols=len(handles),
+            frameon=False,
+            fontsize=8,
+            handlelength=1.2,
+            borderaxespad=0.1,
+        )
 
 
 def _lay_out(figure: Figure) -> None:

@@ -8,7 +8,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from rig.figures.style import STYLE, decades, set_margins
+from rig.figures.style import STYLE, decades, set_margins, show_at_least
 from rig.model.pvdf import SKIN_STRIP
 
 if TYPE_CHECKING:
@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
 REFERENCE_SLOPE_DB_DECADE = 20.0
 """First-order (stress-rate) characteristic of the paper's eq. (2), drawn for comparison."""
+REFERENCE_TO_HZ = 1000.0
+"""Points up to here decide its level."""
+LEAST_SPAN_DB, LEAST_SPAN_DEG, LEAST_DEVIATION_PERCENT = 1.0, 2.0, 0.1
+"""Axes never show less, so that a single point is not a picture of its noise."""
 
 
 def draw_data(run: RunFile) -> dict[str, Figure]:
@@ -33,7 +37,7 @@ def draw_model(run: RunFile) -> dict[str, Figure]:
         return {}
     from rig.figures.gain_curve import draw_gain, draw_linearity, draw_readings
 
-    title = run.header.title
+    title = _title(run)
     figures = {
         "-gain": draw_gain(curve, analysis, title),
         "-readings": draw_readings(curve, analysis, SKIN_STRIP, title),
@@ -65,33 +69,64 @@ def _analysed(run: RunFile) -> tuple[ResponseCurve | None, SweepAnalysis | None]
 
 
 def draw_measured(run: RunFile) -> Figure:
-    """Gain, phase and load over frequency; error bars are two standard errors."""
-    frequency = run.column("frequency")
+    """Gain, phase and deviation of the load over frequency, a colour a load; error bars are two
+    standard errors."""
+    frequency, gains, wanted = run.column("frequency"), run.column("gain"), run.column("load_set")
+    deviation = 100 * (run.column("load_amplitude") / wanted - 1)
+    loads = np.unique(wanted)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 6.4))
         gain, phase, load = figure.subplots(
             3, 1, sharex=True, gridspec_kw={"height_ratios": [3, 1.4, 1]}
         )
-        marker = {"fmt": ".", "markersize": 3, "elinewidth": 0.6, "color": "C0"}
-        gain.errorbar(frequency, run.column("gain"), 2 * run.column("gain_error"), **marker)
-        _reference(gain, frequency, run.column("gain"))
+        for number, level in enumerate(loads):
+            at = wanted == level
+            marker = {
+                "fmt": ".",
+                "markersize": 3,
+                "elinewidth": 0.6,
+                "color": f"C{number}",
+                "label": f"{level:g} N",
+            }
+            gain.errorbar(frequency[at], gains[at], 2 * run.column("gain_error")[at], **marker)
+            phase.errorbar(
+                frequency[at], run.column("phase")[at], 2 * run.column("phase_error")[at], **marker
+            )
+            load.plot(frequency[at], deviation[at], ".", markersize=3, color=marker["color"])
+        _reference(gain, frequency, gains)
         gain.set_ylabel("Gain (dB re 1 V/N)")
-        gain.legend(loc="lower right", frameon=False)
-        phase.errorbar(frequency, run.column("phase"), 2 * run.column("phase_error"), **marker)
+        gain.legend(
+            loc="lower right", frameon=False, title="load, peak (± 2 standard errors)",
+            title_fontsize=8,
+        )  # fmt: skip
         phase.set_ylabel("Phase (°)")
-        load.plot(frequency, run.column("load_amplitude"), ".", markersize=3, color="C1")
-        load.set_ylabel("Load, peak (N)")
-        load.set_ylim(bottom=0)
-        decades(load)
+        show_at_least(gain, LEAST_SPAN_DB)
+        show_at_least(phase, LEAST_SPAN_DEG)
+        _tolerance(load, run, deviation)
+        decades(load, frequency.min(), frequency.max())
         set_margins(figure, top=0.5)
-        figure.suptitle(f"{run.header.title}\n{run.path.name}", fontsize=9)
+        figure.suptitle(_title(run), fontsize=9)
     return figure
 
 
+def _title(run: RunFile) -> str:
+    return f"{run.header.title}\n{run.path.name}"
+
+
+def _tolerance(axes: mpl.axes.Axes, run: RunFile, deviation: np.ndarray) -> None:
+    """What the load may deviate by, as a band, around all that it did."""
+    allowed = float(run.settings.get("load_tolerance_percent", 0.0))
+    axes.axhspan(-allowed, allowed, color="0.5", alpha=0.12, linewidth=0)
+    axes.set_ylabel(f"Load error (%),\n± {allowed:g} % allowed" if allowed else "Load error (%)")
+    largest = max(1.3 * allowed, 1.1 * float(np.abs(deviation).max()), LEAST_DEVIATION_PERCENT)
+    axes.set_ylim(-largest, largest)
+
+
 def _reference(axes: mpl.axes.Axes, frequency: np.ndarray, gain: np.ndarray) -> None:
-    """A line of 20 dB/decade through the median of the points from 2 to 1000 Hz."""
-    inside = frequency <= 1000
-    if not inside.any():
+    """A line of 20 dB/decade through the median of the points up to 1000 Hz; none through one
+    point."""
+    inside = frequency <= REFERENCE_TO_HZ
+    if not inside.any() or frequency.min() == frequency.max():
         return
     level = np.median(gain[inside] - REFERENCE_SLOPE_DB_DECADE * np.log10(frequency[inside]))
     ends = np.array([frequency.min(), frequency.max()])
@@ -101,5 +136,5 @@ def _reference(axes: mpl.axes.Axes, frequency: np.ndarray, gain: np.ndarray) -> 
         "--",
         color="0.4",
         linewidth=0.8,
-        label="20 dB/decade",
+        label="20 dB/decade, eq. (2)",
     )

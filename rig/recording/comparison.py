@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.recording.contents import JournalContents
 from rig.recording.entry import ending, text_of
+from rig.recording.errors import in_words
 from rig.recording.layout import Plot
 from rig.recording.nexus import plain_text, plot_sources
 from rig.recording.records import to_json
@@ -39,7 +40,7 @@ def differences(contents: JournalContents, file: Path) -> list[str]:
             found += _sample_differences(entry, contents)
             return found
     except _DAMAGE as error:
-        return [f"cannot be read: {type(error).__name__}: {error}"]
+        return [in_words(error)]
 
 
 def _text_differences(entry: h5py.Group, contents: JournalContents) -> Iterator[str]:

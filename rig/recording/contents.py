@@ -84,6 +84,16 @@ class JournalContents:
         """The run finished, and the journal is sound to its last byte."""
         return self.problem is None and self.end is not None and self.end.status == "complete"
 
+    def require_continuable(self) -> None:
+        """JournalError where the journal is damaged before its end: nothing may be added to it."""
+        if self.problem and not self.torn:
+            raise JournalError(
+                self.path,
+                None,
+                f"{self.problem}; sound records follow it",
+                "the file was damaged: copy it, `rig recover` it, start a new run",
+            )
+
     def kept_ids(self) -> list[str]:
         """Ids of the kept points in the order they were kept, each once."""
         return list(self.grouping.kept)
@@ -131,7 +141,7 @@ def _read(file: BinaryIO, path: Path) -> JournalContents:
     if magic != MAGIC:
         if MAGIC.startswith(magic):
             raise JournalError(path, 0, "empty: the run ended before it recorded anything")
-        raise JournalError(path, 0, f"not a journal: it does not begin with {MAGIC.decode()}")
+        raise JournalError(path, None, f"not a journal: it does not begin with {MAGIC.decode()}")
     reader = _Reader(file)
     header = _header(reader, path)
     contents = JournalContents(path, header, Grouping(header), end_offset=reader.offset)

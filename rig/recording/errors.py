@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from rig.errors import ExitCode, FoundWrongError, RigError
+
+_MISSING = re.compile(r"object '([^']+)' doesn't exist")
 
 
 class JournalError(RigError):
@@ -36,3 +39,14 @@ class RunFileError(FoundWrongError):
     def __init__(self, path: Path | str, reason: str, hint: str | None = None) -> None:
         super().__init__(f"{path}: {reason}", hint)
         self.path = Path(path)
+        self.reason = reason
+
+
+def in_words(error: Exception) -> str:
+    """What a library's complaint about a damaged file means to the person who has the file."""
+    if isinstance(error, KeyError):
+        named = _MISSING.search(str(error))
+        return f"{named[1] if named else 'something that belongs there'} is missing"
+    if isinstance(error, OSError | RuntimeError):
+        return "it is damaged: some of its bytes cannot be read"
+    return "a value in it is not what belongs there"

@@ -180,13 +180,7 @@ class JournalWriter:
         try:
             lock_journal(path, descriptor)
             contents = read_journal(path)
-            if contents.problem and not contents.torn:
-                raise JournalError(
-                    path,
-                    contents.end_offset,
-                    f"{contents.problem}; sound records follow it",
-                    "the file was damaged: copy it, `rig recover` it, start a new run",
-                )
+            contents.require_continuable()
             os.ftruncate(descriptor, contents.end_offset)
             encoder = JournalEncoder(contents.header, contents.kept_ids())
             writer = cls(path, descriptor, encoder, contents.end_offset)

@@ -1,29 +1,62 @@
-"""Recovering: what a killed run left becomes a run file."""
+"""Recovering and resuming: the journal that a run left, found from either of its files."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from rig.recording.compiled import compile_run
-from rig.recording.errors import JournalError
-from rig.recording.naming import JOURNAL_SUFFIX, RUN_SUFFIX, journal_path
+from rig.recording.contents import JournalContents, read_journal
+from rig.recording.errors import JournalError, RunFileError
+from rig.recording.file_kind import TOLD, kind_of
+from rig.recording.naming import RUN_SUFFIX, journal_path
+from rig.recording.runfile import RunFile
 
 
-def recover(journal: Path | str) -> Path:
+def recover(file: Path | str) -> Path:
     """Compile what a journal holds; gives the run file.
 
     Takes the journal or the run file that it belongs to. The journal of a run that did not
     complete stays, so that the run can be resumed. JournalError when there is nothing to do.
     """
-    journal = Path(journal)
-    if journal.suffix == RUN_SUFFIX:
-        run_file, journal = journal, journal_path(journal)
-        if not journal.exists() and run_file.exists():
-            raise JournalError(run_file, None, "nothing to recover: its run was closed properly")
-    if journal.is_dir():
-        raise JournalError(journal, None, f"a folder; name a journal in it (*{JOURNAL_SUFFIX})")
-    if not journal.exists():
-        if journal.with_suffix(RUN_SUFFIX).exists():
-            raise JournalError(journal, None, "nothing to recover: its run was closed properly")
-        raise JournalError(journal, None, "no such journal")
-    return compile_run(journal, retire=True)
+    return compile_run(_journal_of(Path(file), "recover"), retire=True)
+
+
+def interrupted(file: Path | str) -> JournalContents:
+    """The journal of an interrupted run, from itself or from its run file, ready to be continued.
+
+    JournalError for a run that is complete, for a journal that is damaged before its end, and for
+    whatever else the file is.
+    """
+    contents = read_journal(_journal_of(Path(file), "resume"))
+    if contents.complete:
+        raise JournalError(contents.path, None, "nothing to resume: the run is complete")
+    contents.require_continuable()
+    return contents
+
+
+def _journal_of(file: Path, purpose: str) -> Path:
+    """The journal: this file, or the one beside it. JournalError says what the file is instead."""
+    beside, run_file = journal_path(file), file.with_suffix(RUN_SUFFIX)
+    kind = kind_of(file)
+    if kind == "journal":
+        return file
+    if file.suffix == RUN_SUFFIX and kind != "folder" and kind_of(beside) == "journal":
+        return beside
+    if kind == "missing" and kind_of(run_file) == "hdf5":
+        file, kind = run_file, "hdf5"
+    raise JournalError(file, None, _why_not(file, purpose) if kind == "hdf5" else TOLD[kind])
+
+
+def _why_not(file: Path, purpose: str) -> str:
+    """What keeps a file of HDF5 without a journal from being recovered or resumed."""
+    try:
+        with RunFile.open(file) as run:
+            outcome = run.outcome
+    except RunFileError as error:
+        return error.reason
+    if outcome.status == "complete":
+        return f"nothing to {purpose}: the run is {outcome.extent()}"
+    return (
+        f"cannot {purpose} it: its journal {journal_path(file).name} is not beside it; the run "
+        f"file itself is there ({outcome.extent()})"
+    )

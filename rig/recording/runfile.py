@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from rig.recording.entry import header_of, text_of
-from rig.recording.errors import RunFileError
+from rig.recording.errors import RunFileError, in_words
+from rig.recording.file_kind import TOLD, kind_of
 from rig.recording.header import RunHeader
 
 if TYPE_CHECKING:
@@ -39,6 +40,10 @@ class Outcome:
     exit: int
     duration: float
     warnings: tuple[str, ...]
+
+    def extent(self) -> str:
+        """How far the run came: ``stopped, 2 of 81 points``."""
+        return f"{self.status}, {self.points_done} of {self.points_planned} points"
 
 
 @dataclass(frozen=True)
@@ -79,13 +84,14 @@ class RunFile:
         import h5py
 
         path = Path(path)
-        if not path.is_file():
-            raise RunFileError(path, "a folder, no file" if path.is_dir() else "no such file")
+        _refuse_other_kinds(path)
         with _naming(path):
             file = h5py.File(path, "r")
         run = cls(path, file)
         try:
             with _naming(path):
+                if "entry/journal_header" not in file:
+                    raise RunFileError(path, "an HDF5 file, but not of a run: no journal header")
                 if not isinstance(run.header, RunHeader) or "outcome" not in run.entry:
                     raise ValueError("it has no outcome")
         except RunFileError:
@@ -177,23 +183,6 @@ class RunFile:
                 if data.attrs["status"] == status and point in (None, data.attrs.get("point")):
                     yield _waveform(data)
 
-    def summary(self) -> dict[str, Any]:
-        """The run in a few JSON-able values."""
-        header, outcome = self.header, self.outcome
-        return {
-            "file": str(self.path),
-            "procedure": header.procedure,
-            "title": header.title,
-            "start_time": header.start_time,
-            "status": outcome.status,
-            "reason": outcome.reason,
-            "duration_s": outcome.duration,
-            "points_planned": outcome.points_planned,
-            "points_done": outcome.points_done,
-            "simulated": outcome.simulated,
-            "warnings": list(outcome.warnings),
-        }
-
 
 _NUMBERS = ("attempt", "points_planned", "points_done", "seed", "exit")
 
@@ -204,9 +193,16 @@ def _naming(path: Path) -> Iterator[None]:
     try:
         yield
     except _DAMAGE as error:
-        reason = f"no readable run file: {type(error).__name__}: {error}".splitlines()[0][:300]
-        hint = "`rig verify` says what is wrong; compile it again if its journal is still there"
-        raise RunFileError(path, reason, hint) from error
+        hint = "`rig recover` compiles it again if its journal is still there"
+        raise RunFileError(path, f"no readable run file: {in_words(error)}", hint) from error
+
+
+def _refuse_other_kinds(path: Path) -> None:
+    kind = kind_of(path)
+    if kind == "journal":
+        raise RunFileError(path, "a journal, not a run file", "`rig recover` compiles it")
+    if kind != "hdf5":
+        raise RunFileError(path, TOLD[kind])
 
 
 def _texts(field: h5py.Dataset) -> list[str]:

@@ -1,16 +1,19 @@
-"""Verifying: everything that can be checked about a run file without its instruments."""
+"""Verifying: what can be checked about a run file or a journal without its instruments."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.recording.comparison import differences
 from rig.recording.compiled import sha256_of
 from rig.recording.contents import read_journal
+from rig.recording.description import ending_of
 from rig.recording.entry import text_of
-from rig.recording.errors import JournalError, RunFileError
+from rig.recording.errors import JournalError, RunFileError, in_words
+from rig.recording.file_kind import TOLD, kind_of
 from rig.recording.header import SIMULATED
 from rig.recording.naming import checksum_path, journal_path
 from rig.recording.nexus import plain_text, plot_sources
@@ -28,25 +31,66 @@ REQUIRED = (
 """What every run file has in ``/entry``."""
 
 
-def verify(file: Path | str) -> list[str]:
-    """Findings about a run file, one sentence each; empty if it is sound.
+@dataclass(frozen=True)
+class Verdict:
+    """What checking a file gave: findings, one sentence each, and how far the run came."""
 
-    Checks the SHA-256 beside it, every dataset's checksum, the structure, the points, the lengths,
-    the outcome, the simulated marks, and its journal if that is still there. Raises nothing for a
-    bad file, however damaged.
+    findings: tuple[str, ...]
+    extent: str
+    """``complete, 81 of 81 points``; nothing where the file does not tell."""
+
+    @property
+    def sound(self) -> bool:
+        """Nothing was found. A run that was stopped can be sound; ``extent`` says that it was."""
+        return not self.findings
+
+    def __str__(self) -> str:
+        told = "; ".join(self.findings) or "sound"
+        return f"{told} ({self.extent})" if self.extent else told
+
+
+def verify(file: Path | str) -> list[str]:
+    """Findings about a run file or a journal, one sentence each; empty if it is sound."""
+    return list(verdict(file).findings)
+
+
+def verdict(file: Path | str) -> Verdict:
+    """Check a run file or a journal; raises nothing for a bad file, however damaged.
+
+    Of a run file: the SHA-256 beside it, every dataset's checksum, the structure, the points, the
+    lengths, the outcome, the simulated marks, and its journal if that is still there. Of a journal:
+    every record's checksum, and that its records follow each other as they have to.
     """
     file = Path(file)
-    if not file.is_file():
-        return ["there is no such file"]
-    findings = list(_checksum(file))
+    kind = kind_of(file)
+    if kind == "journal":
+        return _verdict_on_journal(file)
+    if kind != "hdf5":
+        return Verdict((TOLD[kind],), "")
+    extent, findings = "", list(checksum_findings(file))
     try:
         with RunFile.open(file) as run:
             for check in _CHECKS:
                 findings += _guarded(check, run)
+            extent = run.outcome.extent()
     except RunFileError as error:
-        findings.append(error.message)
+        findings.append(error.reason)
     findings += _journal(file)
-    return findings
+    return Verdict(tuple(findings), extent)
+
+
+def _verdict_on_journal(file: Path) -> Verdict:
+    try:
+        contents = read_journal(file)
+    except JournalError as error:
+        return Verdict((error.reason,), "")
+    extent = ending_of(contents).extent()
+    if contents.end is None:
+        extent += ", never closed: `rig recover` makes its run file"
+    if contents.problem is None:
+        return Verdict((), extent)
+    where = "torn at its end" if contents.torn else "damaged, with sound records behind that"
+    return Verdict((f"{where}: {contents.problem}; what is before it can be used",), extent)
 
 
 def _guarded(check: Callable[[RunFile], Iterator[str]], run: RunFile) -> list[str]:
@@ -55,17 +99,24 @@ def _guarded(check: Callable[[RunFile], Iterator[str]], run: RunFile) -> list[st
     try:
         found.extend(check(run))
     except RunFileError as error:
-        found.append(error.message)
+        found.append(error.reason)
     except (OSError, KeyError, ValueError, RuntimeError, TypeError, AttributeError) as error:
         what = (check.__doc__ or "").split(":")[0].rstrip(".")
-        found.append(f"{what}: {type(error).__name__}: {error}")
+        found.append(f"{what}: {in_words(error)}")
     return found
 
 
-def _checksum(file: Path) -> Iterator[str]:
+def checksum_findings(file: Path) -> Iterator[str]:
+    """Whether the file is, byte by byte, the one that was written: its SHA-256, kept beside it."""
     beside = checksum_path(file)
     try:
         words = beside.read_text(encoding="utf-8", errors="replace").split()
+    except FileNotFoundError:
+        yield (
+            f"its checksum is missing ({beside.name}): nobody can tell whether a byte has changed; "
+            "copy it along with the file"
+        )
+        return
     except OSError as error:
         yield f"{beside.name}: {error.strerror or error}"
         return
@@ -85,7 +136,7 @@ def _datasets(run: RunFile) -> Iterator[str]:
         try:
             _read_all(run.entry[name])
         except (OSError, RuntimeError, ValueError) as error:
-            yield f"{name} cannot be read: {error}"
+            yield f"{name}: {in_words(error)}"
 
 
 def _is_dataset(item: object, h5py: object) -> bool:
@@ -96,7 +147,7 @@ def _read_all(dataset: h5py.Dataset) -> None:
     """Read it chunk by chunk: a hostile file can declare more than memory holds."""
     if dataset.chunks is None:
         if dataset.nbytes > 1 << 30:
-            raise ValueError(f"{dataset.nbytes} bytes in one piece")
+            raise ValueError("larger than any that is written in one piece")
         dataset[()]
         return
     for chunk in dataset.iter_chunks():
@@ -199,7 +250,7 @@ def _journal(file: Path) -> Iterator[str]:
     try:
         contents = read_journal(journal)
     except JournalError as error:
-        yield f"its journal: {error.message}"
+        yield f"its journal: {error.reason}"
         return
     for difference in differences(contents, file):
         yield f"it is not what its journal holds: {difference}"

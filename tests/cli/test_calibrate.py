@@ -26,6 +26,7 @@ from rig.calibration import (
     header_entry,
     read_calibration,
 )
+from rig.cli.calibrate import with_error
 from rig.model import pvdf
 from rig.model.vibrator import drawn_film, true_response
 from rig.recording.compiled import compile_run
@@ -180,6 +181,20 @@ def test_a_file_that_is_no_run_is_refused(rig: Any) -> None:
     ended = rig.run("calibrate", "pvdf", "none.h5")
     assert ended.code == 8
     assert "none.h5" in ended.errors[0]
+
+
+def test_a_file_with_a_changed_byte_makes_no_record(rig: Any) -> None:
+    file = sweep_file(rig.folder)
+    content = bytearray(file.read_bytes())
+    content[-2000] ^= 1
+    file.chmod(0o644)
+    file.write_bytes(content)
+    ended = rig.run("calibrate", "pvdf", file.name)
+    assert ended.code == 8, ended.stderr
+    (error,) = ended.errors
+    assert "SHA-256" in error
+    assert "rig verify" in error
+    assert not list(rig.folder.rglob("pvdf-*.json"))
 
 
 # --- sensors from weights --------------------------------------------------------------------
@@ -445,3 +460,29 @@ def test_ctrl_c_within_a_reading_ends_the_stream_and_writes_nothing(
     ]
     assert streams[-2:] == [True, False], said
     assert not list(rig.folder.rglob("*.json"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--duration", "0s"), "--duration 0 s: has to be 0.1 to 60 s"),
+        (("--settling", "2min"), "--settling 120 s: has to be 0 to 60 s"),
+        (("--rate", "fast"), "--rate fast"),
+        (("--weights", "10N,5N"), "--weights 10N,5N: every weight has to be larger"),
+        (("--temperature", "-400"), "--temperature -400: has to be -40 to 85 degC"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_before_any_bench_is_started(
+    rig: Any, arguments: tuple[str, ...], told: str
+) -> None:
+    ended = rig.run("calibrate", "force", "--yes", *arguments)
+    assert ended.code == 2
+    (error,) = ended.errors
+    assert told in error
+    assert ended.stderr.splitlines() == [error]
+
+
+def test_an_error_is_told_to_two_figures_never_as_zero() -> None:
+    assert with_error(0.0123456789, 0.0000003217) == "+0.01234568 ± 0.00000032"
+    assert with_error(-80.123, 0.05) == "-80.123 ± 0.050"
+    assert with_error(1.5, 0.0) == "+1.5"

@@ -8,6 +8,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import h5py
 import pytest
 
 from rig.recording.runfile import RunFile
@@ -88,7 +89,70 @@ def test_a_sound_file_is_shown_and_verified(rig: Any, run_file: Path) -> None:
     assert "SIMULATED" in shown.stdout or "simulated" in shown.stdout
     verified = rig.run("verify", run_file.name)
     assert verified.code == 0
-    assert verified.stdout == f"{run_file.name}: sound\n"
+    assert verified.stdout == f"{run_file.name}: sound (complete, 1 of 1 points)\n"
+
+
+def of_another_program(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["spectrum"] = [1.0, 2.0]
+
+
+def not_hdf5(path: Path) -> None:
+    path.write_text("hello\n")
+
+
+def nothing(path: Path) -> None:
+    path.touch()
+
+
+@pytest.mark.parametrize("command", CODES)
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (Path.mkdir, "a folder"),
+        (nothing, "an empty file"),
+        (not_hdf5, "not a journal and not a run file"),
+        (of_another_program, "an HDF5 file, but not of a run"),
+    ],
+)
+def test_every_command_says_what_kind_of_file_it_was_given(
+    rig: Any, command: str, make: Any, told: str
+) -> None:
+    make(rig.folder / "given.h5")
+    ended = rig.run(command, "given.h5")
+    assert ended.code == CODES[command]
+    assert told in ended.stdout + ended.stderr
+    for word in ("complete", "closed", "Error", "synchronously"):
+        assert word not in ended.stdout + ended.stderr
+
+
+def test_a_file_without_its_checksum_is_not_called_damaged(rig: Any, run_file: Path) -> None:
+    shutil.copy(run_file, rig.folder / "alone.h5")
+    verified = rig.run("verify", "alone.h5")
+    assert verified.code == 8
+    assert "its checksum is missing (alone.h5.sha256)" in verified.stdout
+    assert "copy it along" in verified.stdout
+    assert verified.errors == ["error: 1 of 1 file failed verification"]
+    shown = rig.run("show", "--no-figures", "alone.h5")
+    assert shown.code == 0
+    assert "warning: alone.h5: its checksum is missing" in shown.stderr
+
+
+def test_show_draws_where_it_is_told_to_and_lives_without_figures(rig: Any, run_file: Path) -> None:
+    for path in run_file.parent.iterdir():
+        shutil.copy(path, rig.folder)
+    elsewhere = rig.run("show", run_file.name, "--figures-to", "figures")
+    assert elsewhere.code == 0, elsewhere.stderr
+    drawn = {path.suffix for path in (rig.folder / "figures").iterdir()}
+    assert drawn == {".png", ".svg"}
+    assert not list(rig.folder.glob("*.png"))
+
+    refused = rig.run("show", run_file.name, "--figures-to", "/proc/figures")
+    assert refused.code == 0
+    assert "status: complete" in refused.stdout
+    (line,) = refused.stderr.splitlines()
+    assert "no figure was drawn: /proc/figures cannot be written to" in line
+    assert "--figures-to" in line
 
 
 def test_verify_tells_every_file_and_counts_the_wrong_ones(rig: Any, run_file: Path) -> None:
@@ -98,8 +162,8 @@ def test_verify_tells_every_file_and_counts_the_wrong_ones(rig: Any, run_file: P
     ended = rig.run("verify", "bad.h5", run_file.name)
 
     assert ended.code == 8
-    assert ended.stdout.splitlines()[-1] == f"{run_file.name}: sound"
-    assert ended.errors == ["error: 1 of 2 files are not sound"]
+    assert ended.stdout.splitlines()[-1] == f"{run_file.name}: sound (complete, 1 of 1 points)"
+    assert ended.errors == ["error: 1 of 2 files failed verification"]
 
 
 def test_a_dry_run_writes_nothing_and_tells_the_true_duration(rig: Any) -> None:

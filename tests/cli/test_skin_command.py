@@ -146,6 +146,9 @@ def test_every_figure_says_that_it_is_simulated(tmp_path: Path, monkeypatch):
             ["slide", "--normal-force", "-1"],
             "normal_force_N = -1.0: Input should be greater than 0",
         ),
+        (["slide", "--normal-force", "4s"], "--normal-force 4s: 's' does not convert to N"),
+        (["slide", "--speed", "0"], "speed 0 mm/s: nothing slides"),
+        (["slide", "--at", "soon"], "--at soon"),
         (["roll", "--shape", "cone"], "cone"),
         (["history", "--relief", "none"], "--relief none: must be one of normal_raised"),
         (["slide", "--settings", "nowhere.json"], "nowhere.json: No such file"),
@@ -155,6 +158,29 @@ def test_every_figure_says_that_it_is_simulated(tmp_path: Path, monkeypatch):
 )
 def test_what_cannot_be_is_one_error_that_says_why(arguments, words):
     assert words in refused(*arguments)
+
+
+def test_options_take_units_as_those_of_procedures_do():
+    shown = run("slide", "--show-settings", "--normal-force", "3500mN", "--speed", "0.1cm/s")
+    assert json.loads(shown)["press"]["normal_force_N"] == 3.5
+    assert json.loads(shown)["speed_mm_s"] == pytest.approx(1.0)
+    shown = run("roll", "--show-settings", "--start", "-0.6cm")
+    assert json.loads(shown)["start_x_mm"] == pytest.approx(-6.0)
+
+
+def test_earlier_figures_are_never_overwritten(tmp_path: Path):
+    small = {"skin": {"ridges": 3, "elements_per_ridge": 3, "refinement": "uniform"}, "ridge": 2}
+    file = tmp_path / "history.json"
+    file.write_text(json.dumps(small))
+    arguments = ("history", "--settings", str(file), "--results", str(tmp_path))
+    first = run(*arguments)
+    kept = (tmp_path / "skin-history-normal_raised.png").read_bytes()
+    second = run(*arguments)
+    assert "skin-history-normal_raised-deformed.svg" in first
+    assert "skin-history-normal_raised-2.png" in second
+    assert "skin-history-normal_raised-deformed-2.svg" in second
+    assert (tmp_path / "skin-history-normal_raised.png").read_bytes() == kept
+    assert "[" not in first, "no Python lists on stdout"
 
 
 def test_an_unstable_history_is_refused_with_its_limit(tmp_path: Path):

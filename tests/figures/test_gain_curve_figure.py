@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from rig.analysis.film_model import FilmModel, Notch
 from rig.analysis.gain_curve import ResponseCurve, analyse
@@ -57,6 +58,16 @@ def test_the_gain_figure_names_level_corner_slope_and_every_drop(film):
     assert "Frequency (Hz)" in written
 
 
+def test_the_labels_of_drops_lie_inside_the_axes():
+    deep = FilmModel(-72.0, 1 / 2000, (Notch(20.0, 5.0, 35.0),))
+    figure = draw_gain(*measured(deep))
+    FigureCanvasAgg(figure).draw()
+    axes = figure.axes[0]
+    frame = axes.get_window_extent()
+    for label in axes.texts:
+        assert label.get_window_extent().y0 >= frame.y0
+
+
 def test_the_readings_figure_shows_all_three_their_offsets_and_both_corners(film):
     written = texts(draw_readings(*film))
     for expected in (
@@ -65,6 +76,9 @@ def test_the_readings_figure_shows_all_three_their_offsets_and_both_corners(film
         "circuit, +17.3 dB",
         "6631 Hz",
         "found",
+        "printed: eq. (4) as it stands",
+        "ohmic: eq. (4) with 1/A4",
+        "circuit: Kirchhoff",
     ):
         assert expected in written
 

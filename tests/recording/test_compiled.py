@@ -96,7 +96,6 @@ def test_what_the_run_was_is_in_the_file(file: Path) -> None:
         assert opened.point_ids() == list(run.POINTS)
         assert list(opened.column("remark")) == ["", "µ-slip", "", "", ""]
         assert math.isnan(opened.readings()[2]["gain_error_dB"])
-        assert opened.summary()["simulated"] is True
         entry = opened.entry
         assert entry["configuration/data"][()].decode() == run.BENCH_TOML
         assert entry["parameters/load/peak_N"][()] == 1.0
@@ -277,7 +276,7 @@ def test_a_folder_that_cannot_be_written_is_a_recording_error(journal: Path) -> 
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("missing.rigj", "no such journal"),
+        ("missing.rigj", "no such file"),
         (".", "a folder"),
         ("closed.h5", "nothing to recover"),
         ("closed.rigj", "nothing to recover"),
@@ -460,7 +459,7 @@ def rename(path: str):
         (rename("data/gain_errors"), "data/gain_errors is missing"),
         (rename("events"), "events is missing"),
         (rename("outcome/seed"), "seed"),
-        (rename("journal_header"), "no readable run file"),
+        (rename("journal_header"), "not of a run"),
     ],
 )
 def test_a_changed_file_is_found_wrong(own_file: Path, act, finding: str) -> None:
@@ -495,7 +494,7 @@ def test_damaged_and_foreign_files_are_findings_never_a_crash(own_file: Path) ->
             data[at] = int(rng.integers(0, 256))
         own_file.write_bytes(data)
         assert verify(own_file)
-    assert verify(own_file.parent / "missing.h5") == ["there is no such file"]
+    assert verify(own_file.parent / "missing.h5") == ["no such file"]
 
 
 # Names and layouts

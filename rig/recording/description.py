@@ -1,0 +1,76 @@
+"""What a run file or a journal says about its run, as names and values to be shown."""
+
+from __future__ import annotations
+
+import contextlib
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from rig.recording.contents import JournalContents
+from rig.recording.entry import ending
+from rig.recording.header import Named, RunHeader
+from rig.recording.runfile import Outcome
+
+
+def describe(file: Path, header: RunHeader, outcome: Outcome) -> dict[str, Any]:
+    """The run in JSON-able values; what is empty is left out. Settings carry their units."""
+    told = {
+        "file": str(file),
+        "procedure": header.procedure,
+        "title": header.marked(header.title),
+        "start_time": header.start_time,
+        "status": outcome.status,
+        "reason": outcome.reason,
+        "points_done": outcome.points_done,
+        "points_planned": outcome.points_planned,
+        "duration_s": outcome.duration,
+        "attempt": outcome.attempt,
+        "simulated": outcome.simulated,
+        "user": _named(header.user),
+        "sample": _named(header.sample),
+        "notes": header.notes,
+        "bench": _bench(header),
+        "calibrations": [
+            f"{record.get('kind', 'calibration')} of {record.get('sensor', 'unknown')}"
+            for record in header.calibrations
+        ],
+        "program": f"{header.program.name} {header.program.version}",
+        "settings": header.settings,
+        "warnings": list(outcome.warnings),
+    }
+    return {name: value for name, value in told.items() if value not in ("", [], {}, None)}
+
+
+def ending_of(contents: JournalContents) -> Outcome:
+    """How a journal's run ended, in the words of a run file."""
+    header, end = contents.header, ending(contents)
+    planned = end.points_planned
+    return Outcome(
+        status=end.status,
+        reason=end.reason,
+        attempt=end.attempt,
+        points_planned=len(header.points) if planned is None else planned,
+        points_done=end.points_done,
+        simulated=header.simulated,
+        seed=header.seed,
+        exit=end.exit,
+        duration=end.duration_s,
+        warnings=end.warnings,
+    )
+
+
+def _named(who: Named) -> str:
+    """A person's or sample's name with whatever else is known."""
+    details = ", ".join(f"{name} {value}" for name, value in who.details().items())
+    return f"{who.name} ({details})" if details else who.name
+
+
+def _bench(header: RunHeader) -> str:
+    """The bench's name and the file that described it."""
+    name = ""
+    with contextlib.suppress(tomllib.TOMLDecodeError):
+        name = str(tomllib.loads(header.bench_toml).get("name", ""))
+    if name and header.bench_file:
+        return f"{name} ({header.bench_file})"
+    return name or header.bench_file

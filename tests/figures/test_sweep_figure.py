@@ -1,0 +1,83 @@
+"""The figure of what a sweep measured: loads apart, numbers on every axis."""
+
+import warnings
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from rig.figures.sweep import draw_measured
+
+
+def run_of(frequencies, loads=(1.0,), deviation=0.002):
+    """What the figure asks of a run file, for a film of 20 dB/decade."""
+    f, wanted = (a.ravel() for a in np.meshgrid(np.asarray(frequencies, float), loads))
+    columns = {
+        "frequency": f,
+        "gain": 20 * np.log10(f) - 77,
+        "gain_error": np.full(f.size, 0.01),
+        "phase": np.full(f.size, 90.0),
+        "phase_error": np.full(f.size, 0.1),
+        "load_set": wanted,
+        "load_amplitude": wanted * (1 + deviation),
+    }
+    return SimpleNamespace(
+        column=columns.__getitem__,
+        settings={"load_tolerance_percent": 1.0},
+        header=SimpleNamespace(title="sweep"),
+        path=Path("run.h5"),
+    )
+
+
+def legend(axes):
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def numbers(figure):
+    """Tick labels that are seen on the frequency axis."""
+    FigureCanvasAgg(figure).draw()
+    axis = figure.axes[-1].xaxis
+    low, high = axis.get_view_interval()
+    return [
+        tick.label1.get_text()
+        for minor in (False, True)
+        for tick in (axis.get_minor_ticks() if minor else axis.get_major_ticks())
+        if tick.label1.get_text() and low <= tick.get_loc() <= high
+    ]
+
+
+@pytest.mark.parametrize(
+    "frequencies", [(300, 600), (1000,), (20, 300), (5000, 20000), (310, 330), (2, 20000)]
+)
+def test_every_frequency_axis_has_several_numbers(frequencies):
+    assert len(numbers(draw_measured(run_of(frequencies)))) >= 3
+
+
+def test_loads_are_told_apart_by_colour_and_legend():
+    figure = draw_measured(run_of((20, 200, 2000), loads=(0.5, 1.0, 2.0)))
+    gain, _, load = figure.axes
+    assert legend(gain)[-3:] == ["0.5 N", "1 N", "2 N"]
+    assert len({line.get_color() for line in load.get_lines()}) == 3
+
+
+def test_a_single_point_has_no_reference_and_no_picture_of_its_noise():
+    gain = draw_measured(run_of((1000,))).axes[0]
+    assert legend(gain) == ["1 N"]
+    low, high = gain.get_ylim()
+    assert high - low >= 1.0
+
+
+def test_the_load_is_shown_as_its_error_with_the_tolerance():
+    load = draw_measured(run_of((20, 200), deviation=0.004)).axes[2]
+    np.testing.assert_allclose(load.get_lines()[0].get_ydata(), 0.4)
+    assert "± 1 % allowed" in load.get_ylabel()
+    assert load.get_ylim() == pytest.approx((-1.3, 1.3))
+
+
+def test_a_sweep_stopped_above_the_reference_draws_without_a_word():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        figure = draw_measured(run_of((20000, 17000)))
+    assert legend(figure.axes[0]) == ["1 N"]

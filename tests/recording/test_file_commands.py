@@ -1,0 +1,60 @@
+"""Commands on the files of an interrupted or damaged run, through the command line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import recorded_run as run
+
+from rig.recording.journal import JournalWriter
+
+
+def test_an_interrupted_run_is_shown_and_verified_from_both_of_its_files(rig: Any) -> None:
+    with JournalWriter.create(rig.folder / "run.rigj", run.header(notes="first try")) as writer:
+        for number in (0, 1):
+            run.take_point(writer, number)
+        writer.end(run.end("stopped", 2))
+    journal = rig.run("verify", "run.rigj")
+    assert journal.code == 0
+    assert journal.stdout == "run.rigj: sound (stopped, 2 of 5 points)\n"
+    assert rig.run("recover", "run.rigj").code == 0
+    file = rig.run("verify", "run.h5")
+    assert file.stdout == "run.h5: sound (stopped, 2 of 5 points)\n"
+    for name in ("run.rigj", "run.h5"):
+        shown = rig.run("show", "--no-figures", name)
+        assert shown.code == 0, shown.stderr
+        for line in (
+            "status: stopped",
+            "reason: operator",
+            "points_done: 2",
+            "user: A. Person (email a@example.org)",
+            "sample: strip A (thickness_um 28.0)",
+            "notes: first try",
+            "bench: bench.toml",
+            "duration_s: 7.25",
+        ):
+            assert line in shown.stdout.splitlines(), (name, shown.stdout)
+
+    (rig.folder / "run.rigj").unlink()
+    for command in ("resume", "recover"):
+        ended = rig.run(command, "run.h5")
+        assert ended.code == 2
+        assert "run.rigj is not beside it" in ended.errors[0]
+        assert "stopped, 2 of 5 points" in ended.errors[0]
+
+
+def test_a_damaged_journal_is_told_by_verify_and_refused_before_any_bench(rig: Any) -> None:
+    path = run.write_run(rig.folder / "run.rigj")
+    content = bytearray(path.read_bytes())
+    content[9000] ^= 1
+    path.write_bytes(content)
+    verified = rig.run("verify", "run.rigj")
+    assert verified.code == 8
+    assert "damaged, with sound records behind that: bad record at byte" in verified.stdout
+
+    ended = rig.run("resume", "run.rigj", "--world-log", str(rig.world_log))
+    assert ended.code == 2
+    (error,) = ended.errors
+    assert error.count("byte") == 1
+    assert ended.stderr.splitlines() == [error], "no bench was started"
+    assert not rig.world_log.exists()
