@@ -126,3 +126,43 @@ def test_an_unsafe_report_keeps_the_next_run_from_starting(rig, bench_file):
 
     assert rig.run("make-safe", "--bench", str(bench_file)).code == 0
     assert rig.run("sweep", "--bench", str(bench_file), "--frequencies", "210").code == 0
+
+
+def test_a_second_run_on_the_bench_is_refused_and_disturbs_nothing(rig, bench_file):
+    many = ",".join(str(f) for f in range(300, 6300, 100))
+    running = rig.start(
+        "sweep", "--bench", str(bench_file), "--json", "--no-figures", "--frequencies", many
+    )
+    running.wait_for("^2/60 ")
+    second = rig.run("sweep", "--bench", str(bench_file), "--json", "--results", "elsewhere")
+    assert second.code == 2, second.stderr
+    (error,) = second.object["errors"]
+    assert f"the bench simulated is in use by pid {running.process.pid} since " in error
+    assert ".rigj" in error
+    running.wait_for("^10/60 ")
+
+    running.send(signal.SIGKILL)
+    running.finish()
+    ended = refused_until_the_guard_is_done(rig, bench_file)
+    assert ended.code == 0, ended.stderr
+    (told,) = [line for line in ended.stderr.splitlines() if "guard of an earlier run" in line]
+    assert "the run ended without saying so; the bench was made safe; data: " in told
+    assert f"rig resume {rig.only('*_r001.rigj')}" in told
+    again = rig.run(*two_points(bench_file))
+    assert "guard of an earlier run" not in again.stderr
+
+
+def two_points(bench_file):
+    return (
+        "sweep", "--bench", str(bench_file), "--json", "--no-figures", "--frequencies", "210,2100"
+    )  # fmt: skip
+
+
+def refused_until_the_guard_is_done(rig, bench_file):
+    """A run on the bench of one that has just been killed."""
+    for _ in range(20):
+        ended = rig.run(*two_points(bench_file))
+        if ended.code != 2:
+            return ended
+        assert "its guard is making the bench safe" in ended.stderr
+    raise AssertionError("the guard never let go of the bench")
