@@ -31,6 +31,9 @@ ADDRESS = ("resource", "host", "port", "unit_id")
 """Settings of a driver that tell one instrument from another."""
 EVERYBODY = 0o666
 ENTRY_BYTES = 4096
+GUARD_S = 10.0
+"""How long a dead run's guard is waited for."""
+LOOK_EVERY_S = 0.1
 
 
 class BenchLock:
@@ -49,8 +52,7 @@ class BenchLock:
         try:
             for path in lock_files(plan):
                 self._files.append(_open(path))
-                if not _locked(self._files[-1]):
-                    raise _in_use(_entry_of(self._files[-1]), path)
+                _take(self._files[-1], path)
         except BaseException:
             self.release()
             raise
@@ -87,10 +89,13 @@ class BenchLock:
 
 def in_use(plan: BenchPlan) -> str | None:
     """Who has an instrument of this bench, in words; None where nobody has."""
-    try:
-        BenchLock(plan).release()
-    except ConfigurationError as error:
-        return error.message
+    for path in lock_files(plan):
+        file = _open(path)
+        try:
+            if not _locked(file):
+                return _in_use(_entry_of(file), path).message
+        finally:
+            os.close(file)
     return None
 
 
@@ -122,6 +127,16 @@ def _open(path: Path) -> int:
         ) from error
 
 
+def _take(file: int, path: Path) -> None:
+    """Take the lock; of a program that has died its guard holds it, for as long as it acts."""
+    give_up = time.monotonic() + GUARD_S
+    while not _locked(file):
+        entry = _entry_of(file)
+        if time.monotonic() > give_up or _runs(entry.get("pid")):
+            raise _in_use(entry, path)
+        time.sleep(LOOK_EVERY_S)
+
+
 def _locked(file: int) -> bool:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -141,13 +156,7 @@ def _entry_of(file: int) -> dict[str, Any]:
 
 
 def _in_use(entry: dict[str, Any], path: Path) -> ConfigurationError:
-    try:
-        bench, pid, since = str(entry["bench"]), int(entry["pid"]), str(entry["since"])
-    except (KeyError, TypeError, ValueError):
-        return ConfigurationError(
-            f"an instrument of this bench is in use by another program (lock {path})",
-            "wait until it has ended",
-        )
+    bench, pid, since = (entry.get(name, "?") for name in ("bench", "pid", "since"))
     run = f" (run {entry['file']})" if "file" in entry else ""
     if _runs(pid):
         return ConfigurationError(
@@ -155,13 +164,16 @@ def _in_use(entry: dict[str, Any], path: Path) -> ConfigurationError:
             "wait until it has ended, or end it with Ctrl-C",
         )
     return ConfigurationError(
-        f"the bench {bench} was in use by pid {pid}, which has died{run}; its guard is making the "
-        "bench safe",
-        "start again in a few seconds",
+        f"the bench {bench} was in use by pid {pid}, which has died{run}; its guard has been making "
+        f"it safe for {GUARD_S:g} s (lock {path})",
+        "look at the bench, then start again",
     )
 
 
-def _runs(pid: int) -> bool:
+def _runs(pid: object) -> bool:
+    """Whether that process is there; False for what is no number of one."""
+    if not isinstance(pid, int):
+        return False
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -94,7 +95,9 @@ def test_who_has_it_is_told_and_a_dead_one_has_nothing(tmp_path: Path) -> None:
         assert f"pid {holder.pid}" not in str(in_use(plan()))
 
 
-def test_the_guard_of_a_dead_run_holds_its_bench_until_it_is_safe(tmp_path: Path) -> None:
+def test_the_guard_of_a_dead_run_holds_its_bench_until_it_is_safe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Stands for the guard: a process that has inherited the lock of one that is gone."""
     file = tmp_path / "bench.toml"
     file.write_text(BENCH.format(name="b", generator=5025, port="/dev/ttyX"))
@@ -109,10 +112,16 @@ def test_the_guard_of_a_dead_run_holds_its_bench_until_it_is_safe(tmp_path: Path
     run.stdout.readline()
     run.wait()
     assert f"pid {run.pid}, which has died" in str(in_use(plan()))
-    run.stdin.close()  # the heir's end of input
-    run.stdout.read()
+    monkeypatch.setattr("rig.runner.lock.GUARD_S", 0.2)
+    with pytest.raises(ConfigurationError, match="its guard has been making it safe for 0.2 s"):
+        BenchLock(plan())
+    monkeypatch.setattr("rig.runner.lock.GUARD_S", 30.0)
+    ends_soon = threading.Timer(0.3, run.stdin.close)  # the heir's end of input
+    ends_soon.start()
+    with BenchLock(plan()):
+        assert run.stdout.read() == b""
+    ends_soon.join()
     run.stdout.close()
-    assert in_use(plan()) is None
 
 
 def test_a_lock_that_cannot_be_opened_refuses_the_bench() -> None:
