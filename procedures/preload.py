@@ -47,6 +47,9 @@ FIRST_STIFFNESS_N_mm = 1000.0
 """Taken for the film's until its own is known: stiffer than any, for a small first step."""
 KNOWN_AFTER_mm = 0.02
 """Compression from which the film's own stiffness is believed."""
+AHEAD_S = 0.1
+"""Of motion at the wanted speed: how far ahead of the stage its target is put at most, so that a
+program that is late does not press on, and a stiffness that came out wrong does no harm."""
 CLOSE = 0.002
 """Relative error of the force that is left alone."""
 HELD = 0.01
@@ -154,7 +157,6 @@ def _approach(run: Run, first_mm: float, last_mm: float) -> float:
 def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload:
     """From contact to the held preload: small targets ahead of the stage, as stiff as it proves."""
     stage, clock = run.bench.stage_z, run.clock
-    highest_mm = stage.reach()["position"].high
     start_s, held_since_s = clock.now(), None
     stiffness, largest_N = FIRST_STIFFNESS_N_mm, 0.0
     target_mm = contact_mm
@@ -181,9 +183,11 @@ def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload:
                 target_mm,
             )
         if abs(missing_N) > CLOSE * target_N:
-            target_mm = here_mm + missing_N / stiffness
+            speed_mm_s = _speed(stiffness, missing_N)
+            ahead_mm = AHEAD_S * speed_mm_s
+            target_mm = here_mm + min(max(missing_N / stiffness, -ahead_mm), ahead_mm)
             require("position for the preload", target_mm, stage.reach()["position"])
-            stage.start_move(min(target_mm, highest_mm), _speed(stiffness, missing_N))
+            stage.start_move(target_mm, speed_mm_s)
         clock.sleep(TICK_S)
     raise InstrumentError(
         "stage_z",
