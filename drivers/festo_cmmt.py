@@ -38,12 +38,10 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Literal, Self
-
-from pydantic import Field, model_validator
+from dataclasses import replace
 
 from drivers.cmmt_link import INPUT_IMAGE, OUTPUT_IMAGE, CmmtLink, ParameterRefusedError
+from drivers.cmmt_settings import FAULTS, Settings
 from drivers.telegram111 import (
     FULL_SCALE,
     IMAGE_REGISTERS,
@@ -60,7 +58,6 @@ from drivers.telegram111 import (
 from rig.clock import Clock, WallClock
 from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
 from rig.instruments import Identity, Reach
-from rig.settings import Settings as BaseSettings
 
 ROLES = ("stage_z", "stage_x")
 """The roles this driver can play; which one, its settings say."""
@@ -74,8 +71,6 @@ CLAMPING_TORQUE = 12168  # REAL, percent of the rated torque
 LOW_LIMIT, HIGH_LIMIT = 11584, 11585  # LINT, position units
 
 TELEGRAM = 111
-LARGEST_COUNT = 2**31 - 1
-"""Positions travel as signed 32-bit integers; speeds are held to the same."""
 POLL_S = 0.002
 JUST_SEEN_S = 0.002
 """As short as the way of an answer: who asks where the axis is and at once sends it on has the
@@ -103,105 +98,6 @@ _STOP = _POWER_OFF | Stw1.ON  # the reject bit is a zero
 _TASK = _STOP | Stw1.DO_NOT_REJECT_TASK | Stw1.ACTIVATE_TASK
 _HOME = _STOP | Stw1.DO_NOT_REJECT_TASK | Stw1.START_HOMING
 _LIMITS = PosStw2.SOFTWARE_LIMITS | PosStw2.HARDWARE_LIMITS
-
-
-@dataclass(frozen=True)
-class Fault:
-    """What a fault number means and what to do about it."""
-
-    meaning: str
-    remedy: str
-
-
-_LIMIT_REMEDY = "correct the travel limits in the bench file, or the position asked for"
-_SWITCH_REMEDY = "look at the axis, move it off the switch with the vendor's software, home again"
-FAULTS: Mapping[int, Fault] = {
-    56: Fault("the homing method is not valid", "choose another in the drive's parameters"),
-    57: Fault("homing took too long", "check the homing switch and the drive's homing time-out"),
-    58: Fault("homing searched its whole path", "check the reference switch and the search path"),
-    109: Fault("negative software limit", _LIMIT_REMEDY),
-    110: Fault("positive software limit", _LIMIT_REMEDY),
-    113: Fault("software limits contradict each other", "correct low_limit_mm and high_limit_mm"),
-    114: Fault("negative limit switch reached", _SWITCH_REMEDY),
-    115: Fault("positive limit switch reached", _SWITCH_REMEDY),
-    116: Fault("held by the negative limit switch", _SWITCH_REMEDY),
-    117: Fault("held by the positive limit switch", _SWITCH_REMEDY),
-    118: Fault("both limit switches at once", "check the switches' wiring"),
-    126: Fault("following error: the axis did not follow", "look for what blocks the axis"),
-    279: Fault("no fixed stop was found", "make diagnosis 279 a warning in the drive's parameters"),
-    280: Fault("the fixed stop was lost", "look for what gave way under the axis"),
-    294: Fault("control by PLC is not set", "end the vendor's software: it has taken control"),
-    391: Fault(
-        "communication time-out: nobody talked to the drive",
-        "the program hung or the network failed; look at the bench and start again",
-    ),
-}
-"""Numbers from the vendor's icp_map.csv, in our words."""
-
-
-class Settings(BaseSettings):
-    """Where the drive is, what its numbers mean and what the axis may do."""
-
-    driver: Literal["festo-cmmt"] = "festo-cmmt"
-    axis: Literal["z", "x"]
-    """Which axis of the bench it moves."""
-    host: str = Field(min_length=1)
-    """Address or name of the drive."""
-    port: int = Field(default=502, ge=1, le=65535)
-    """Modbus TCP port."""
-    unit_id: int = Field(default=1, ge=0, le=255)
-    """Modbus unit identifier."""
-    timeout_s: float = Field(default=0.5, gt=0, le=10)
-    """Longest wait for an answer."""
-    position_unit_mm: float = Field(default=0.001, gt=0, le=1)
-    """What one count of position is in the drive's parametrisation."""
-    speed_unit_mm_s: float = Field(default=0.001, gt=0, le=1)
-    """What one count of speed is."""
-    trust_units: bool = False
-    """Move although the drive would not tell its units, because a person has checked them."""
-    low_limit_mm: float
-    """Lowest position allowed, set in the drive too."""
-    high_limit_mm: float
-    """Highest position allowed, set in the drive too."""
-    max_speed_mm_s: float = Field(gt=0, le=1000)
-    """Fastest motion allowed."""
-    acceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
-    """Acceleration of every motion."""
-    deceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
-    """Deceleration of every motion and of a controlled stop."""
-    full_acceleration_mm_s2: float = Field(default=1000, gt=0, le=50_000)
-    """What the drive's parameters call 100 % of acceleration and deceleration."""
-    communication_timeout_ms: int = Field(default=500, ge=100, le=10_000)
-    """The drive stops by itself when nobody has talked to it for so long."""
-    torque_limit_percent: float | None = Field(default=None, gt=0, le=100)
-    """Every motion travels to a fixed stop with this clamping torque: the barrier behind the force
-    limit. Left out, the drive pushes with all it has."""
-    position_tolerance_mm: float = Field(default=0.02, gt=0, le=1)
-    """How far from its target a motion may end."""
-    homing_timeout_s: float = Field(default=60, gt=0, le=600)
-    """How long homing may take."""
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if not self.low_limit_mm < self.high_limit_mm:
-            raise ValueError("low_limit_mm has to be below high_limit_mm")
-        if max(self.acceleration_mm_s2, self.deceleration_mm_s2) > self.full_acceleration_mm_s2:
-            raise ValueError("acceleration and deceleration cannot exceed full_acceleration_mm_s2")
-        if min(self.acceleration_mm_s2, self.deceleration_mm_s2) < (
-            self.full_acceleration_mm_s2 / FULL_SCALE
-        ):
-            raise ValueError("acceleration or deceleration is below the drive's resolution")
-        farthest_mm = max(abs(self.low_limit_mm), abs(self.high_limit_mm))
-        if farthest_mm / self.position_unit_mm > LARGEST_COUNT:
-            raise ValueError("low_limit_mm and high_limit_mm do not fit the drive's counts")
-        if self.max_speed_mm_s / self.speed_unit_mm_s > LARGEST_COUNT:
-            raise ValueError("max_speed_mm_s does not fit the drive's counts")
-        return self
-
-    @property
-    def role(self) -> str:
-        """The role it plays on the bench."""
-        return f"stage_{self.axis}"
 
 
 class Axis:

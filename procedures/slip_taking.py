@@ -56,6 +56,8 @@ SLID_ON_mm = 0.3
 """How far a slide goes on after a ramp, for the kinetic coefficient."""
 CLOCKS_DIFFER = 1e-3
 """Far more than the clocks of DAQ and computer do: a block is asked for when it may be there."""
+BLOCKS_A_TICK = 4
+"""Of the DAQ at most, one being due: a loop that is late has the force to look at as well."""
 MOVING_EVERY = 5
 """Ticks between two looks whether x has arrived."""
 PATIENCE_S = 10.0
@@ -140,7 +142,8 @@ class Trial:
 
     def end_record(self) -> None:
         """Take what has still come, and end the acquisition."""
-        self._collect_streams(due=True)
+        self._collect_rest()
+        self._collect_frames()
         self._recording = False
         self.bench.daq.stop()
 
@@ -313,7 +316,8 @@ class Trial:
         latest force along z."""
         self._z_mm, self._x_mm = self.z.position_mm(), self.x.position_mm()
         if self._recording:
-            self._collect_streams()
+            self._collect_blocks()
+            self._collect_frames()
             self._record_position()
         force_N = self.run.force.mean_N(LOOK_S)
         self._tangential_N = float(force_N[0])
@@ -326,20 +330,37 @@ class Trial:
         self.run.put("position", len(taken.position), np.array([here]), None, units="mm")
         taken.position.append((now_s, *here))
 
-    def _block_due(self) -> bool:
-        """Whether the DAQ may have another block, its clock running ahead of ours perhaps."""
-        settings = self.settings
-        most = self._since_s() * settings.rate_S_s * (1 + CLOCKS_DIFFER)
-        return self.taken.rows + settings.block_samples <= most
+    def _rows_by_now(self) -> float:
+        """How many rows the DAQ may have sampled, its clock running ahead of ours perhaps."""
+        return self._since_s() * self.settings.rate_S_s * (1 + CLOCKS_DIFFER)
 
-    def _collect_streams(self, due: bool = False) -> None:
-        """What force sensor and DAQ have sent; `due`: whatever our clock says."""
+    def _take_block(self) -> bool:
+        """A block of the DAQ; whether it had one."""
+        record = self.bench.daq.read()
+        if record is None:
+            return False
+        self.run.emit("strips", record)
+        self.taken.rows += len(record.counts)
+        volts = np.stack([record.volts(name) for name in STRIPS], axis=1)
+        self._signals(self._decimator.add(volts))
+        return True
+
+    def _collect_blocks(self) -> None:
+        """Those that may be there, of many a few."""
+        for _ in range(BLOCKS_A_TICK):
+            due = self.taken.rows + self.settings.block_samples <= self._rows_by_now()
+            if not due or not self._take_block():
+                return
+
+    def _collect_rest(self) -> None:
+        """Every block of what has been sampled until now, each a sign of life."""
+        sampled = self._rows_by_now()
+        while self.taken.rows < sampled and self._take_block():
+            self.run.check_stop()
+
+    def _collect_frames(self) -> None:
+        """What the force sensor has sent."""
         run, taken = self.run, self.taken
-        while (due or self._block_due()) and (record := self.bench.daq.read()) is not None:
-            run.emit("strips", record)
-            taken.rows += len(record.counts)
-            volts = np.stack([record.volts(name) for name in STRIPS], axis=1)
-            self._signals(self._decimator.add(volts))
         frames = run.force.frames_since(self._first_frame + taken.frames)
         if frames is not None:
             first, taken.frames = taken.frames, taken.frames + len(frames)

@@ -36,10 +36,10 @@ STREAMS = slip_layout.STREAMS
 
 FORCE_RATE_S_S = 1000.0
 """Frames of the force sensor (paper 4.1)."""
-DELAY_S = 0.005
-"""From a command to the first force that shows it: link 1 ms, half a frame, half a look, the age of
-the newest frame, the rubber's relaxation."""
-UNREHEARSED_mm = 0.02
+DELAY_S = 0.004
+"""From a command to the first force that shows it: link 1 ms, half a frame, half a look, the
+rubber's relaxation. Two milliseconds too much ring at 500 Hz (decision 0038)."""
+UNREHEARSED_mm = 0.0175
 """Travel within delay and tick up to which the servo holds the force through a slide that it has
 not seen, whatever the friction (decision 0035)."""
 WAY_S, SEARCHED_mm = 3.5, 0.6

@@ -156,11 +156,6 @@ class Path:
         """When the motion planned so far ends."""
         return self._starts[-1]
 
-    @property
-    def rests_at_mm(self) -> float:
-        """Where it ends."""
-        return self._stretches[-1].position_mm
-
     def at(self, t_s: float) -> tuple[float, float]:
         """Position and velocity; before the kept history, its first state."""
         index = max(bisect_right(self._starts, t_s) - 1, 0)
@@ -272,10 +267,6 @@ class Axis:
         """A controlled stop."""
         self.settle(now_us)
         self._brake(now_us, deceleration_mm_s2)
-
-    def quick_stop(self, now_us: int) -> None:
-        """Stop as hard as the drive can."""
-        self.stop(now_us, self.mechanics.quick_deceleration_mm_s2)
 
     # --- what can be seen of it ---------------------------------------------------------------
 

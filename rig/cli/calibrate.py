@@ -323,7 +323,8 @@ def _at_the_bench(
         world_log=options.world_log,
     )
     with StopFlag() as stop, contextlib.ExitStack() as at_the_end:
-        plan, clock, started, _ = bench_for(request)
+        bench = bench_for(request, at_the_end)
+        plan, clock, started = bench.plan, bench.clock, bench.started
         if started is not None:
             at_the_end.callback(started.wait)
         from rig import bench as benches

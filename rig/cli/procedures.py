@@ -18,9 +18,10 @@ from rig.cli.options import parameters, settings_from
 from rig.cli.outcome import reported, say, start_log
 
 if TYPE_CHECKING:
-    from rig.bench import BenchPlan, Fixture, RunningBench
+    from rig.bench import BenchFactory, BenchPlan, Fixture, RunningBench
     from rig.clock import Clock
     from rig.recording.contents import JournalContents
+    from rig.runner.lock import BenchLock
     from rig.runner.procedure import Procedure
     from rig.settings import Settings
 
@@ -115,8 +116,8 @@ def perform(
             results = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rig-dry-run-")))
         else:
             start_log(results)
-        plan, clock, started, recorded_toml = bench_for(
-            request, procedure.FIXTURES[0], getattr(procedure, "import_ahead", _nothing)
+        bench = bench_for(
+            request, stack, procedure.FIXTURES[0], getattr(procedure, "import_ahead", _nothing)
         )
         from rig.runner.execution import execute
         from rig.runner.jobs import Job
@@ -131,13 +132,14 @@ def perform(
             notes=request.notes,
             resume=resume,
             allow_expired=request.allow_expired,
-            recorded_toml=recorded_toml,
+            recorded_toml=bench.recorded_toml,
+            lock=bench.lock,
         )
         drawn = procedure.FIGURE if request.figures and not request.dry_run else None
         reporter = stack.enter_context(ConsoleReporter(procedure.NAME, drawn))
-        outcome = execute(job, plan, clock, stop, reporter)
-        if started is not None:
-            started.wait()
+        outcome = execute(job, bench.plan, bench.clock, stop, reporter)
+        if bench.started is not None:
+            bench.started.wait()
         if request.dry_run:
             finish_dry_run(outcome, request.as_json)
         else:
@@ -149,13 +151,29 @@ def _nothing() -> None:
     """What a procedure imports ahead that does not say."""
 
 
+@dataclass(frozen=True)
+class ChosenBench:
+    """The bench that a command works on, not yet connected."""
+
+    plan: BenchPlan
+    clock: Clock
+    lock: BenchLock | None = None
+    """On its instruments, unless they are this command's own."""
+    started: RunningBench | None = None
+    """The simulated bench that was started for this command."""
+    recorded_toml: str | None = None
+    """Its bench file without the process's port numbers."""
+
+
 def bench_for(
     request: Request,
+    at_the_end: ExitStack,
     fixture: Fixture = "film-clamp",
     meanwhile: Callable[[], None] = _nothing,
-) -> tuple[BenchPlan, Clock, RunningBench | None, str | None]:
-    """The bench file's plan with a wall clock, or a started simulated bench, on which `fixture` is
-    mounted, with its own clock. `meanwhile` is called while that one boots."""
+) -> ChosenBench:
+    """The bench file's plan with a wall clock, locked until `at_the_end`, or a started simulated
+    bench, on which `fixture` is mounted, with its own clock. `meanwhile` is called before anything
+    is connected, while that one boots."""
     path = request.bench or (BENCH_FILE if BENCH_FILE.exists() else None)
     started = None
     if path is None or request.dry_run:
@@ -164,16 +182,22 @@ def bench_for(
         )  # it boots while this process goes on importing
     from rig.bench import parse_bench, read_bench, rehearsal
     from rig.clock import ControlLink, SlavedClock, WallClock
-    from rig.runner.guard import refuse_unsafe
+    from rig.runner.guard import GUARD_SUFFIX, refuse_unsafe, report_path
+    from rig.runner.lock import BenchLock
 
     real = read_bench(path) if path is not None else None
     if started is None:
         assert real is not None
         _refuse_simulation_options(request, path)
+        lock = at_the_end.enter_context(BenchLock(real))
+        _tell_killed(report_path(request.results, real.settings.name))
         refuse_unsafe(request.results, real.settings.name)
         if real.settings.simulation is not None:
             say(f"SIMULATED bench ({path}): nothing here is measured")
-        return real, WallClock(), None, None
+        _import_ahead()
+        meanwhile()
+        return ChosenBench(real, WallClock(), lock)
+    _tell_killed(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
     _import_ahead()
     meanwhile()
     ready = started.ready()
@@ -182,7 +206,16 @@ def bench_for(
     plan = parse_bench(ready["bench_toml"], "the simulated bench")
     if real is not None:
         plan = rehearsal(real, plan)
-    return plan, SlavedClock(ControlLink(ready["control_port"])), started, ready["recorded_toml"]
+    clock = SlavedClock(ControlLink(ready["control_port"]))
+    return ChosenBench(plan, clock, None, started, ready["recorded_toml"])
+
+
+def _tell_killed(*reports: Path) -> None:
+    from rig.runner.guard import tell_killed
+
+    for report in reports:
+        if (told := tell_killed(report)) is not None:
+            say(told)
 
 
 def _import_ahead() -> None:
@@ -195,7 +228,8 @@ def _start_simulated(request: Request, fixture: Fixture) -> RunningBench:
     from importlib.metadata import entry_points
 
     (entry,) = entry_points(group="rig.benches", name="simulated")
-    started: RunningBench = entry.load().start(
+    factory: BenchFactory = entry.load()
+    return factory.start(
         {
             "fixture": fixture,
             "seed": request.seed,
@@ -204,7 +238,6 @@ def _start_simulated(request: Request, fixture: Fixture) -> RunningBench:
             "world_log": _text(request.world_log),
         }
     )
-    return started
 
 
 def _refuse_simulation_options(request: Request, path: Path | None) -> None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from rig.cli.outcome import reported, say
 from rig.errors import ConfigurationError, UnsafeError
+
+if TYPE_CHECKING:
+    from rig.bench import BenchFactory
 
 
 def simulate(
@@ -40,7 +43,8 @@ def simulate(
 
         options = {"world": world, "fault": fault, "world_log": world_log}
         paths = {name: None if path is None else str(path) for name, path in options.items()}
-        entry.load().serve({"fixture": fixture, "seed": seed, **paths}, ready)
+        factory: BenchFactory = entry.load()
+        factory.serve({"fixture": fixture, "seed": seed, **paths}, ready)
         say("the simulated bench has ended")
 
 
@@ -64,12 +68,24 @@ def make_safe(
     ),
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Bring every instrument of a bench to rest, whatever state it was left in."""
+    """Bring every instrument of a bench to rest, whatever state it was left in.
+
+    A run on it is not waited for: it fails when its instruments do what it has not told them.
+    """
     with reported(debug):
         from rig.bench import read_bench
         from rig.runner.guard import make_bench_safe, report_path
+        from rig.runner.lock import in_use
 
+        if not bench.exists():
+            raise ConfigurationError(
+                f"there is no bench file {bench}",
+                "name the one of the bench with --bench; the simulated bench that a command starts "
+                "for itself makes itself safe",
+            )
         plan = read_bench(bench)
+        if (user := in_use(plan)) is not None:
+            say(f"{user}; it is made safe all the same, and what runs on it will fail")
         failures = make_bench_safe(plan.text, plan.source)
         if failures:
             raise UnsafeError(

@@ -43,7 +43,7 @@ def draw_gain(curve: ResponseCurve, analysis: SweepAnalysis, title: str = "") ->
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 6.2))
         gain, residual = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3.4, 1]})
-        _measured(gain, curve)
+        _points(gain, curve.frequencies, curve.gains_dB, curve.gain_errors_dB, "measured")
         f = _fine(curve, analysis)
         model = analysis.fit.model
         gain.plot(f, _dB(model.response(f)), color="C1", linewidth=1, label=_fitted(analysis))
@@ -72,7 +72,7 @@ def draw_readings(
         plain, shifted = figure.subplots(2, 1, sharex=True)
         f = _fine(curve, analysis)
         for axes in (plain, shifted):
-            _measured(axes, curve)
+            _points(axes, curve.frequencies, curve.gains_dB, curve.gain_errors_dB, "measured")
             axes.set_ylabel("Gain (dB re 1 V/N)")
         for name, reading in READINGS.items():
             offset = analysis.circuit.offsets[name].value
@@ -98,15 +98,12 @@ def draw_linearity(linearity: LoadLinearity, title: str = "") -> Figure:
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 3.4), layout="constrained")
         axes = figure.subplots()
-        axes.errorbar(
+        _points(
+            axes,
             linearity.frequencies,
             linearity.slopes,
-            ERROR_BARS * linearity.slope_errors,
-            fmt=".",
-            markersize=3,
-            elinewidth=0.6,
-            color="C0",
-            label=f"each frequency, ± {ERROR_BARS:g} standard errors",
+            linearity.slope_errors,
+            "each frequency",
         )
         mean = linearity.slope
         axes.axhline(mean.value, color="C1", linewidth=1, label=f"mean: {mean} of load")
@@ -120,16 +117,17 @@ def draw_linearity(linearity: LoadLinearity, title: str = "") -> Figure:
     return figure
 
 
-def _measured(axes: Axes, curve: ResponseCurve) -> None:
+def _points(axes: Axes, frequencies: Reals, values: Reals, errors: Reals, what: str) -> None:
+    """One point a frequency, with its error bars."""
     axes.errorbar(
-        curve.frequencies,
-        curve.gains_dB,
-        ERROR_BARS * curve.gain_errors_dB,
+        frequencies,
+        values,
+        ERROR_BARS * errors,
         fmt=".",
         markersize=3,
         elinewidth=0.6,
         color="C0",
-        label=f"measured, ± {ERROR_BARS:g} standard errors",
+        label=f"{what}, ± {ERROR_BARS:g} standard errors",
         zorder=3,
     )
 

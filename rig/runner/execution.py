@@ -115,7 +115,11 @@ class _Loop:
         self.job, self.bench, self.points, self.journal = job, bench, points, journal
         self.stop, self.reporter, self.outcome = stop, reporter, outcome
         self.recorder = Recorder(journal.writer)
-        self.guard = GuardLink(bench.plan, journal.path, job.guard_report(bench, journal))
+        held: tuple[int, ...] = ()
+        if job.lock is not None:
+            job.lock.tell_run(journal.path)
+            held = job.lock.files
+        self.guard = GuardLink(bench.plan, journal.path, job.guard_report(bench, journal), held)
         self.readings = dict(journal.kept)
         self.run = Run(
             job.settings,

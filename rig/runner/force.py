@@ -27,11 +27,11 @@ AXES = "xyz"
 STALE_S = 0.25
 """No frame for longer is a hold: the force is not known."""
 LOST_S = 5.0
-"""No frame for longer ends the run."""
+"""No frame for longer, or some missing for longer, ends the run."""
 MISSING_FRAMES = 25
-"""Frames that bench time says are due beyond the usual before the stream is taken to have a gap."""
-GAP_S = 0.5
-"""How long they have to be missing: late frames arrive."""
+"""Frames that bench time says are due beyond the usual: they are late, or the stream has a gap."""
+LATE_S = 0.5
+"""Missing for longer is a hold: late frames arrive."""
 DRIFT = 1e-3
 """How fast the usual number follows: well above two clocks' disagreement."""
 BATCHES_KEPT = 20_000
@@ -232,14 +232,17 @@ class ForceMonitor:
 
     def _watch_gap(self, now: float) -> None:
         missing = self._sensor.frames_behind - self._usual
-        follow = DRIFT * self._rate * (now - self._looked_s)
+        drift = DRIFT * self._rate * (now - self._looked_s)
         self._looked_s = now
-        self._usual += min(max(missing, -follow), follow) if missing > 0 else missing
         if missing < MISSING_FRAMES:
+            self._usual += min(missing, drift)
             self._missing_since_s = None
+            self._holds.end(_LATE)
             return
         since = self._missing_since_s = self._missing_since_s or now
-        if now - since > GAP_S:
+        if now - since > LATE_S:
+            self._holds.begin(_LATE)
+        if now - since > LOST_S:
             failed = self._make_safe()
             self._trip = InstrumentError(
                 "force_sensor",
@@ -252,15 +255,11 @@ class ForceMonitor:
     def _latest(self, seconds: float) -> list[tuple[ForceFrames, int]]:
         """The latest batches, oldest first, and how many frames of each lie within `seconds`.
 
-        Right after a start or a tare there are none yet: it waits for them as long as a silence is
-        no hold.
+        Right after a start or a tare there are none yet: it waits for them, as long as the silence
+        does not end the run.
         """
-        give_up_s = self._clock.now() + STALE_S
         while not (batches := self._kept(max(1, round(seconds * self._rate)))):
-            if self._clock.now() >= give_up_s:
-                raise InstrumentError(
-                    "force_sensor", "stream", "no frame has come yet", "check the amplifier"
-                )
+            self.check_stream()
             self._clock.sleep(1 / self._rate)
         return batches
 
@@ -276,3 +275,4 @@ class ForceMonitor:
 
 
 _STALE = "the force sensor is silent"
+_LATE = "the force sensor's frames are late"

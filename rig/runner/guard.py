@@ -21,6 +21,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from rig.bench import BenchPlan
 
 
+GUARD_SUFFIX = ".guard.json"
+"""Of a report beside its run, where the bench ended with the run."""
 TAKE_OVER_S = 30.0
 """How long a run waits for its guard's second try: several of the links' time-outs."""
 
@@ -36,6 +39,32 @@ TAKE_OVER_S = 30.0
 def report_path(results: Path, bench_name: str) -> Path:
     """Where the guard of a bench leaves its report."""
     return results / f"guard-{bench_name}.json"
+
+
+def tell_killed(path: Path) -> str | None:
+    """What the guard whose report this is did when its run died, in a sentence; once.
+
+    Not of a guard that is still at it, nor of one that could not make the bench safe: that is
+    `refuse_unsafe`'s to tell.
+    """
+    try:
+        report = json.loads(path.read_text())
+        if report["safe"] is not True or report.get("told") or "file" not in report:
+            return None
+        told = (
+            f"the guard of an earlier run had to act at {report['time']}: {report['cause']}; "
+            f"the bench was made safe; data: {report['file']}; go on with: rig resume "
+            f"{report['journal']}"
+        )
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    _mark_told(path, report)
+    return told
+
+
+def _mark_told(path: Path, report: dict[str, Any]) -> None:
+    with contextlib.suppress(OSError):
+        _write(path, report | {"told": True})
 
 
 def refuse_unsafe(results: Path, bench_name: str) -> None:
@@ -65,7 +94,8 @@ def refuse_unsafe(results: Path, bench_name: str) -> None:
 class GuardLink:
     """The run's side: starts the guard and keeps it informed."""
 
-    def __init__(self, plan: BenchPlan, journal: Path, report: Path):
+    def __init__(self, plan: BenchPlan, journal: Path, report: Path, held: Sequence[int] = ()):
+        """`held`: files that the guard keeps open as long as it lives, the bench's locks."""
         self._report = report.resolve()
         order = {
             "run_pid": os.getpid(),
@@ -81,6 +111,7 @@ class GuardLink:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
+            pass_fds=held,
         )
         self._tell(json.dumps(order))
 
@@ -112,6 +143,7 @@ class GuardLink:
         except (subprocess.TimeoutExpired, OSError, ValueError) as error:
             return f"the guard did not report: {error}"
         if report["safe"]:
+            _mark_told(self._report, report)
             return "the guard then made the bench safe"
         return f"the guard could not make the bench safe either: {report['failures']}"
 

@@ -21,7 +21,8 @@ from rig.recording.contents import JournalContents
 from rig.recording.errors import RecordingError
 from rig.recording.journal import JournalWriter
 from rig.recording.naming import journal_path, next_run_path
-from rig.runner.guard import report_path
+from rig.runner.guard import GUARD_SUFFIX, report_path
+from rig.runner.lock import BenchLock
 from rig.runner.outcome import Outcome
 from rig.runner.points import Point, Reading
 from rig.runner.procedure import Procedure
@@ -86,6 +87,8 @@ class Job:
     """The records in use, as the header carries them."""
     recorded_toml: str | None = None
     """The bench file as it is recorded, where the connected one holds a process's port numbers."""
+    lock: BenchLock | None = None
+    """On the bench's instruments; none where they are this command's own."""
 
     def fingerprint(self, bench_toml: str) -> str:
         """What has to be equal for a run to be resumed."""
@@ -95,7 +98,7 @@ class Job:
         """Where the guard reports: beside the run where the bench ends with it, else in the place
         at which the next run on that bench looks."""
         if self.recorded_toml is not None:
-            return journal.path.with_suffix(".guard.json")
+            return journal.path.with_suffix(GUARD_SUFFIX)
         return report_path(self.results, bench.settings.name)
 
     def open_journal(self, bench: Bench, points: Sequence[Point]) -> Journal:

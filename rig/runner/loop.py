@@ -3,7 +3,8 @@
 Tick k is due at start + k / rate on the run's clock, whatever the ticks before it took; a tick that
 overran its period is followed by the next at once, and none is left out. Waiting is the clock's:
 stop requests, keep-alives and watchers are looked at in every slice, and once before every tick,
-also where there is nothing to wait for.
+also where there is nothing to wait for: a late loop is a sign of life. One that stays behind for
+longer than a stall of the computer explains controls nothing any more and ends.
 """
 
 from __future__ import annotations
@@ -14,9 +15,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from rig.clock import Clock
+from rig.errors import ExitCode, RigError
 
 LATE = 0.5
 """Share of a period from which a tick counts as late."""
+BEHIND_S = 0.1
+"""Lateness that a loop works off again after a stall."""
+BEHIND_FOR_S = 1.0
+"""How long it may be behind by more than that before it is said not to keep up."""
 HIGHEST_RATE_Hz = 500.0
 """Faster than this, the clock's wake-ups and a link of a millisecond are most of a period."""
 
@@ -56,6 +62,20 @@ class LoopStatistics:
     """Whether a tick ended the loop."""
 
 
+class TooSlowError(RigError):
+    """Computer or links do not keep a loop's rate; what it controls is left to the run's exit."""
+
+    code = ExitCode.INSTRUMENT
+
+    def __init__(self, rate_Hz: float, largest_s: float, behind_s: float):
+        super().__init__(
+            f"the computer or a link to an instrument cannot keep {rate_Hz:g} Hz: for "
+            f"{behind_s:.1f} s every tick was late by more than {BEHIND_S * 1e3:.0f} ms, the worst "
+            f"by {largest_s * 1e3:.0f} ms",
+            "end other programs, or ask for fewer ticks and samples a second",
+        )
+
+
 class LoopRun(Protocol):
     """What the loop needs of a run."""
 
@@ -79,7 +99,8 @@ def tick_loop(
     """Call `on_tick` at `rate_Hz` for `duration_s`, or until it returns False.
 
     There are ``duration_s * rate_Hz`` ticks (rounded), the first at once. Whatever a tick, a
-    watcher or a stop request raises ends the loop. ValueError for a rate of nothing, above
+    watcher or a stop request raises ends the loop. TooSlowError where every tick of more than
+    `BEHIND_FOR_S` was late by more than `BEHIND_S`. ValueError for a rate of nothing, above
     `HIGHEST_RATE_Hz` or a duration that is no number.
     """
     if not 0 < rate_Hz <= HIGHEST_RATE_Hz:
@@ -91,6 +112,7 @@ def tick_loop(
     start_s = clock.now()
     ticks = late = 0
     largest_s = total_s = 0.0
+    behind_since_s: float | None = None
     going_on = True
     while going_on and ticks < planned:
         due_s = start_s + ticks / rate_Hz
@@ -104,6 +126,12 @@ def tick_loop(
         late += tick.late_s > LATE / rate_Hz
         largest_s = max(largest_s, tick.late_s)
         total_s += tick.late_s
+        if tick.late_s <= BEHIND_S:
+            behind_since_s = None
+        elif behind_since_s is None:
+            behind_since_s = tick.began_s
+        elif tick.began_s - behind_since_s > BEHIND_FOR_S:
+            raise TooSlowError(rate_Hz, largest_s, tick.began_s - behind_since_s)
         going_on = on_tick(tick)
         ticks += 1
     mean_s = total_s / ticks if ticks else 0.0

@@ -151,8 +151,8 @@ def test_no_sample_is_lost_or_doubled_in_200_trials(rig):
             begin_us, end_us = told[2 * number - 2][0], told[2 * number - 1][0]
             strip = series["strips"].counts["strip_1"]
             assert len(strip) == readings[number]["samples"]
-            left = 1e-6 * (end_us - begin_us) * 10_000 - len(strip)
-            assert 0 <= left < 400, f"trial {number}: {left:.0f} samples at its end"
+            left = (end_us - begin_us) // 100 - len(strip)  # 10 kS/s
+            assert 0 <= left < 400, f"trial {number}: {left} samples at its end"
             blocks = strip[: len(strip) // 100 * 100].reshape(-1, 100)
             assert len(np.unique(blocks, axis=0)) == len(blocks), f"trial {number}: doubled"
             force = series["force"].counts["F_n"]

@@ -126,3 +126,33 @@ def test_an_unsafe_report_keeps_the_next_run_from_starting(rig, bench_file):
 
     assert rig.run("make-safe", "--bench", str(bench_file)).code == 0
     assert rig.run("sweep", "--bench", str(bench_file), "--frequencies", "210").code == 0
+
+
+def test_a_second_run_on_the_bench_is_refused_and_disturbs_nothing(rig, bench_file):
+    many = ",".join(str(f) for f in range(300, 6300, 100))
+    running = rig.start(
+        "sweep", "--bench", str(bench_file), "--json", "--no-figures", "--frequencies", many
+    )
+    running.wait_for("^2/60 ")
+    second = rig.run("sweep", "--bench", str(bench_file), "--json", "--results", "elsewhere")
+    assert second.code == 2, second.stderr
+    (error,) = second.object["errors"]
+    assert f"the bench simulated is in use by pid {running.process.pid} since " in error
+    assert ".rigj" in error
+    running.wait_for("^10/60 ")
+
+    running.send(signal.SIGKILL)
+    running.finish()
+    ended = rig.run(*two_points(bench_file))  # it waits until the guard is done
+    assert ended.code == 0, ended.stderr
+    (told,) = [line for line in ended.stderr.splitlines() if "guard of an earlier run" in line]
+    assert "the run ended without saying so; the bench was made safe; data: " in told
+    assert f"rig resume {rig.only('*_r001.rigj')}" in told
+    again = rig.run(*two_points(bench_file))
+    assert "guard of an earlier run" not in again.stderr
+
+
+def two_points(bench_file):
+    return (
+        "sweep", "--bench", str(bench_file), "--json", "--no-figures", "--frequencies", "210,2100"
+    )  # fmt: skip

@@ -29,8 +29,10 @@ class Sensor:
 
 
 class Clock:
+    now_s = 0.0
+
     def now(self) -> float:
-        return 0.0
+        return self.now_s
 
 
 def frames(first: int, count: int) -> ForceFrames:
@@ -84,6 +86,45 @@ def test_forgotten_frames_are_an_error(
     feed(monitor, sensor, frames(0, 10), frames(10, 10), frames(20, 10))
     with pytest.raises(InstrumentError, match="5 frames from number 5 on are no longer kept"):
         monitor.frames_since(5)
+
+
+def follow(monitor: ForceMonitor, sensor: Sensor, clock: Clock, seconds: float) -> None:
+    """A batch every 10 ms, and what the watchers make of it."""
+    for _ in range(round(seconds / 0.01)):
+        clock.now_s += 0.01
+        feed(monitor, sensor, frames(0, 10))
+
+
+def test_frames_that_are_late_are_a_hold_until_they_come(sensor: Sensor) -> None:
+    clock, holds = Clock(), Holds()
+    monitor = ForceMonitor(sensor, clock, holds, lambda: [])  # type: ignore[arg-type]
+    follow(monitor, sensor, clock, 1.0)
+    sensor.frames_behind = 40.0
+    follow(monitor, sensor, clock, 0.45)
+    assert holds.count == 0
+    follow(monitor, sensor, clock, 4.0)
+    assert holds.active == ("the force sensor's frames are late",)
+    sensor.frames_behind = 3.0
+    follow(monitor, sensor, clock, 0.01)
+    assert holds.active == ()
+    assert holds.count == 1
+
+
+def test_frames_that_do_not_come_are_a_gap_over_which_the_bench_is_made_safe(
+    sensor: Sensor,
+) -> None:
+    clock, acts = Clock(), list[float]()
+
+    def act() -> list[str]:
+        acts.append(clock.now_s)
+        return []
+
+    monitor = ForceMonitor(sensor, clock, Holds(), act)  # type: ignore[arg-type]
+    follow(monitor, sensor, clock, 1.0)
+    sensor.frames_behind = 26.0
+    with pytest.raises(InstrumentError, match="26 frames are missing: the stream has a gap"):
+        follow(monitor, sensor, clock, 20.0)
+    assert acts == [pytest.approx(6.0, abs=0.05)]
 
 
 def test_a_tare_forgets_what_was_and_goes_on_counting(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rig.clock import Clock, WallClock
-from rig.runner.loop import Tick, tick_loop
+from rig.errors import ExitCode
+from rig.runner.loop import BEHIND_FOR_S, Tick, TooSlowError, tick_loop
 
 
 class HandClock(Clock):
@@ -125,6 +126,42 @@ def test_a_stop_request_is_seen_although_every_tick_overruns(run: HandRun) -> No
     with pytest.raises(KeyboardInterrupt):
         tick_loop(run, 100.0, 1.0, on_tick)
     assert len(done) == 7
+
+
+def test_a_loop_that_is_late_all_the_time_gives_signs_of_life_and_ends_in_one_line(
+    run: HandRun,
+) -> None:
+    """14 ms are lost with every tick: the eighth is the first to be behind by more than 0.1 s."""
+    lives: list[float] = []
+    run.clock.each_slice(lambda: lives.append(run.clock.now()))
+    began: list[float] = []
+
+    def on_tick(tick: Tick) -> bool:
+        began.append(run.clock.now())
+        run.clock.spend(0.024)
+        return True
+
+    with pytest.raises(TooSlowError) as raised:
+        tick_loop(run, 100.0, 10.0, on_tick)
+    assert set(began) <= set(lives)
+    assert began[8] - 3.7 == pytest.approx(0.192)
+    assert 3.7 + 0.192 + BEHIND_FOR_S - 0.024 < began[-1] <= 3.7 + 0.192 + BEHIND_FOR_S
+    assert raised.value.message == (
+        "the computer or a link to an instrument cannot keep 100 Hz: for 1.0 s every tick was "
+        "late by more than 100 ms, the worst by 700 ms"
+    )
+    assert raised.value.code == ExitCode.INSTRUMENT
+
+
+def test_a_stall_of_the_computer_is_worked_off(run: HandRun) -> None:
+    def on_tick(tick: Tick) -> bool:
+        run.clock.spend(1.5 if tick.number == 3 else 0.003)
+        return True
+
+    statistics = tick_loop(run, 100.0, 5.0, on_tick)
+    assert statistics.ticks == 500
+    assert statistics.late > 200
+    assert statistics.duration_s == pytest.approx(4.993)
 
 
 def test_nothing_is_asked_of_a_loop_of_no_duration(run: HandRun) -> None:

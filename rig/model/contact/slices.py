@@ -75,7 +75,6 @@ class SlicedStepper:
                 "use a cylinder"
             )
         self.slice_mm = extent / body.slices
-        self.places_mm = (np.arange(body.slices) + 0.5) * self.slice_mm
         self._largest_N = largest_force_N
         roller = Cylinder(radius_mm=body.radius_mm)
         self._slices = [

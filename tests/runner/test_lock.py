@@ -1,0 +1,130 @@
+"""One program at a time on an instrument, whoever it is and whatever became of the one before."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from rig.bench import BenchPlan, parse_bench
+from rig.errors import ConfigurationError, ExitCode
+from rig.runner.lock import BenchLock, in_use, lock_files
+
+BENCH = """
+name = "{name}"
+[fixture]
+mounted = "film-clamp"
+[generator]
+driver = "keysight-33500b"
+resource = "TCPIP::127.0.0.1::{generator}::SOCKET"
+max_amplitude_V = 5.0
+[force_sensor]
+driver = "me-gsv8"
+port = "{port}"
+"""
+
+HOLDER = """
+import sys
+from pathlib import Path
+from rig.bench import read_bench
+from rig.runner.lock import BenchLock
+lock = BenchLock(read_bench(Path(sys.argv[1])))
+lock.tell_run(Path("/data/run.rigj"))
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture(autouse=True)
+def locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder for locks of this test's own."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+
+
+def plan(name: str = "b", generator: int = 5025, port: str = "/dev/ttyX") -> BenchPlan:
+    return parse_bench(BENCH.format(name=name, generator=generator, port=port), "bench.toml")
+
+
+def test_a_bench_is_one_programs_and_then_anybodys() -> None:
+    with BenchLock(plan()):
+        assert in_use(plan()) is not None
+    assert in_use(plan()) is None
+
+
+def test_benches_that_share_one_instrument_exclude_each_other() -> None:
+    with BenchLock(plan("b")), pytest.raises(ConfigurationError, match="bench b is in use by pid"):
+        BenchLock(plan("another", generator=5026))
+    with BenchLock(plan("b")), BenchLock(plan("c", generator=5026, port="/dev/ttyY")):
+        assert in_use(plan("d", generator=5026)) is not None
+
+
+def test_a_refused_lock_keeps_nothing() -> None:
+    """The first of its instruments is free, the second is not."""
+    both = plan()
+    free, taken = lock_files(both)
+    with BenchLock(plan(generator=1)), BenchLock(plan(port="/dev/ttyZ")):
+        assert free != taken
+        assert in_use(both) is not None
+    with BenchLock(both):
+        assert in_use(plan(port="/dev/ttyZ")) is not None
+
+
+def test_who_has_it_is_told_and_a_dead_one_has_nothing(tmp_path: Path) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text(BENCH.format(name="b", generator=5025, port="/dev/ttyX"))
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(file)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert holder.stdout is not None
+    assert holder.stdin is not None
+    assert holder.stdout.readline() == b"held\n"
+    with pytest.raises(ConfigurationError) as refused:
+        BenchLock(plan())
+    assert refused.value.code == ExitCode.USAGE
+    assert f"the bench b is in use by pid {holder.pid} since 20" in refused.value.message
+    assert "(run /data/run.rigj)" in refused.value.message
+    holder.kill()
+    holder.wait()
+    holder.stdin.close()
+    holder.stdout.close()
+    with BenchLock(plan()):
+        assert f"pid {holder.pid}" not in str(in_use(plan()))
+
+
+def test_the_guard_of_a_dead_run_holds_its_bench_until_it_is_safe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stands for the guard: a process that has inherited the lock of one that is gone."""
+    file = tmp_path / "bench.toml"
+    file.write_text(BENCH.format(name="b", generator=5025, port="/dev/ttyX"))
+    heir = "import subprocess; p = subprocess.Popen(['cat'], pass_fds=lock.files); "
+    text = HOLDER.replace("sys.stdin.read()", heir + "print(p.pid, flush=True)")
+    run = subprocess.Popen(
+        [sys.executable, "-c", text, str(file)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert run.stdin is not None
+    assert run.stdout is not None
+    assert run.stdout.readline() == b"held\n"
+    run.stdout.readline()
+    run.wait()
+    assert f"pid {run.pid}, which has died" in str(in_use(plan()))
+    monkeypatch.setattr("rig.runner.lock.GUARD_S", 0.2)
+    with pytest.raises(ConfigurationError, match="its guard has been making it safe for 0.2 s"):
+        BenchLock(plan())
+    monkeypatch.setattr("rig.runner.lock.GUARD_S", 30.0)
+    ends_soon = threading.Timer(0.3, run.stdin.close)  # the heir's end of input
+    ends_soon.start()
+    with BenchLock(plan()):
+        assert run.stdout.read() == b""
+    ends_soon.join()
+    run.stdout.close()
+
+
+def test_a_lock_that_cannot_be_opened_refuses_the_bench() -> None:
+    lock_files(plan())[0].mkdir()
+    with pytest.raises(ConfigurationError, match="cannot be opened: Is a directory"):
+        BenchLock(plan())
