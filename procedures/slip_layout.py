@@ -70,6 +70,7 @@ LAYOUT = Layout(
         Column("static_friction_error", "static_friction_error", "", "Standard error"),
         Column("kinetic_friction", "kinetic_friction", "", "Kinetic friction coefficient"),
         Column("kinetic_friction_error", "kinetic_friction_error", "", "Standard error"),
+        Column("no_friction", "no_friction", "", "Why there are no coefficients", "text"),
         Column("clock_offset", "clock_offset_s", "s", "DAQ's clock behind the force's (s)"),
         Column("clock_offset_error", "clock_offset_error_s", "s", "Standard error (s)"),
         Column("load_scale_1", "load_scale_1_N_s_V", "N/s/V", "Load rate of S1 by volt (N/s/V)"),

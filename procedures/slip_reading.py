@@ -167,8 +167,9 @@ def _friction(
         found = friction(force[:, 0], np.abs(force[:, 1]), travel)
     except FrictionError as error:
         run.event("warning", "friction", f"trial {taken.number}: {error.one_line()}")
-        return dict.fromkeys(FRICTION_COLUMNS)
+        return {**dict.fromkeys(FRICTION_COLUMNS), "no_friction": error.one_line()}
     return {
+        "no_friction": "",
         "static_friction": found.static.value,
         "static_friction_error": found.static.standard_error,
         "kinetic_friction": found.kinetic.value,

@@ -11,6 +11,7 @@ force asks for. Whatever ends a trial, x stops first, then z goes up.
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -174,7 +175,8 @@ def invalid(settings: Settings, reading: Reading) -> str:
 
 
 def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, Any]:
-    """Friction, servo and how many trials count."""
+    """Friction and servo, means of the trials that count and their standard deviations, how many
+    count, and why trials have no friction coefficients."""
     counting = [r for r in readings if not r["invalid"]]
     found: dict[str, Any] = {"trials": len(readings), "valid_trials": len(counting)}
     for name in (
@@ -186,7 +188,14 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
     ):
         values = [float(value) for r in counting if (value := r[name]) is not None]
         if values:
-            found[f"mean_{name}"] = sum(values) / len(values)
+            found[f"mean_{name}"] = statistics.fmean(values)
+        if len(values) > 1:
+            found[f"standard_deviation_{name}"] = statistics.stdev(values)
+    reasons = [str(why) for r in readings if (why := r.get("no_friction"))]
+    if reasons:
+        found["no_friction"] = [
+            f"{len(reasons)} of {len(readings)} trials give no friction coefficients: {reasons[0]}"
+        ]
     return found
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import textwrap
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -61,6 +64,34 @@ def refused(text: str) -> str:
 def changed(old: str, new: str) -> str:
     assert old in GOOD
     return GOOD.replace(old, new)
+
+
+README = Path(__file__).parents[1] / "README.md"
+
+
+def examples() -> dict[str, str]:
+    """The bench files that the README shows, by what is mounted."""
+    blocks = re.findall(r"(?:^(?: {4}.*)?\n)+", README.read_text(encoding="utf-8"), re.MULTILINE)
+    found = [textwrap.dedent(block) for block in blocks if "[fixture]" in block]
+    return {tomllib.loads(text)["fixture"]["mounted"]: text for text in found}
+
+
+@pytest.mark.parametrize(
+    ("fixture", "roles"),
+    [
+        ("film-clamp", {"generator", "daq", "stage_z", "force_sensor"}),
+        ("plate", {"daq", "stage_z", "stage_x", "force_sensor"}),
+    ],
+)
+def test_the_readmes_bench_files_have_all_that_their_procedure_needs(
+    fixture: str, roles: set[str]
+) -> None:
+    plan = parse_bench(examples()[fixture], "README.md")
+    assert {part.role for part in plan.instruments} == roles
+    assert plan.settings.fixture.contact_from_mm is not None
+    assert plan.settings.fixture.contact_to_mm is not None
+    part = plan.settings.film if fixture == "film-clamp" else plan.settings.skin
+    assert part is not None
 
 
 # --- the file --------------------------------------------------------------------------------

@@ -3,6 +3,7 @@ with their ratio, and how well the normal force was held."""
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
@@ -21,6 +22,8 @@ TRIALS_SHOWN = 20
 """Trials that get a figure of their own; the file holds them all."""
 BEFORE_S = 0.3
 """What is shown before the force is felt; the file holds all of it."""
+REASON_WIDTH = 80
+"""Characters of a line that fits into a panel."""
 LEAST_FORCE = 0.1
 """Share of the normal force from which F_t / F_n is drawn."""
 
@@ -102,6 +105,10 @@ def _coefficients(axes: Axes, run: RunFile, number: int) -> None:
         if np.isfinite(found):
             label = f"{name.replace('_', ' ')} {found:.3f}"
             axes.axhline(found, color=colour, linestyle="--", linewidth=0.8, label=label)
+    why = str(run.column("no_friction")[number]) if "no_friction" in run.columns() else ""
+    if why:
+        told = textwrap.fill(f"no friction coefficients: {why}", REASON_WIDTH)
+        axes.text(0.02, 0.9, told, transform=axes.transAxes, va="top", fontsize=8)
 
 
 def _allowed(axes: Axes, run: RunFile) -> None:

@@ -73,3 +73,19 @@ def test_a_command_that_does_not_exist_is_a_usage_error() -> None:
     assert shown.returncode == 2
     assert "swoop" in shown.stderr
     assert "Traceback" not in shown.stderr
+
+
+def test_a_signal_while_python_clears_up_ends_the_command_without_a_complaint() -> None:
+    program = (
+        "import atexit, os, signal, sys\n"
+        "atexit.register(os.kill, os.getpid(), signal.SIGTERM)\n"
+        "sys.argv = ['rig', '--help']\n"
+        "from rig.cli import main\n"
+        "main()\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 143
+    assert ended.stderr == ""
+    assert "Usage: rig" in ended.stdout

@@ -1,0 +1,38 @@
+"""What a series of slip trials is summed up to."""
+
+from __future__ import annotations
+
+import pytest
+
+from procedures.slip_trial import Settings, summarise
+
+
+def reading(static: float | None, **changes: object) -> dict[str, object]:
+    return {
+        "invalid": "",
+        "static_friction": static,
+        "kinetic_friction": None,
+        "force_error_rms_percent": 0.2,
+        "force_error_peak_percent": 1.0,
+        "overshoot_percent": 0.3,
+        "no_friction": "",
+    } | changes
+
+
+def test_a_series_has_means_and_standard_deviations_of_the_trials_that_count() -> None:
+    trials = [reading(0.6), reading(0.8), reading(9.0, invalid="late ticks")]
+    found = summarise(Settings(), trials)
+    assert found["valid_trials"] == 2
+    assert found["mean_static_friction"] == pytest.approx(0.7)
+    assert found["standard_deviation_static_friction"] == pytest.approx(0.1 * 2**0.5)
+    assert "mean_kinetic_friction" not in found
+
+
+def test_a_single_trial_has_no_standard_deviation() -> None:
+    assert not any("deviation" in name for name in summarise(Settings(), [reading(0.6)]))
+
+
+def test_why_a_trial_has_no_friction_coefficients_is_said() -> None:
+    trials = [reading(0.6), reading(None, no_friction="the slide is too short; slide further")]
+    (told,) = summarise(Settings(), trials)["no_friction"]
+    assert told.startswith("1 of 2 trials give no friction coefficients: the slide is too short")
