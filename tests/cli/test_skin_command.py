@@ -144,7 +144,7 @@ def test_every_figure_says_that_it_is_simulated(tmp_path: Path, monkeypatch):
     [
         (
             ["slide", "--normal-force", "-1"],
-            "normal_force_N = -1.0: Input should be greater than 0",
+            "normal_force_N = -1.0 N: has to be above 0 N",
         ),
         (["roll", "--shape", "cone"], "cone"),
         (["history", "--relief", "none"], "--relief none: must be one of normal_raised"),
