@@ -29,7 +29,7 @@ from rig.calibration import (
     require_valid,
 )
 from rig.clock import Clock
-from rig.errors import ConfigurationError, LimitError, RigError
+from rig.errors import ConfigurationError, LimitError, RigError, SeveralFailuresError
 from rig.instruments import (
     DataAcquisition,
     DriverModule,
@@ -171,6 +171,16 @@ class BenchPlan:
     source: str
     """Where it came from, for messages and the run file."""
 
+    def require_fixture(self, *accepted: Fixture) -> None:
+        """Refuse the run where another fixture is mounted."""
+        mounted = self.settings.fixture.mounted
+        if mounted not in accepted:
+            raise ConfigurationError(
+                f"the bench has the {mounted} mounted, this procedure needs "
+                f"{' or '.join(accepted)}",
+                f"mount it and correct [fixture] in {self.source}",
+            )
+
 
 class GuardedGenerator:
     """A signal generator that refuses values outside the bench's limits at every call."""
@@ -284,16 +294,6 @@ class Bench:
             limits["load_cell.load"] = Reach(0.0, largest, "N", "load cell")
         return limits
 
-    def require_fixture(self, *accepted: Fixture) -> None:
-        """Refuse the run where another fixture is mounted."""
-        mounted = self.settings.fixture.mounted
-        if mounted not in accepted:
-            raise ConfigurationError(
-                f"the bench has the {mounted} mounted, this procedure needs "
-                f"{' or '.join(accepted)}",
-                f"mount it and correct [fixture] in {self.plan.source}",
-            )
-
     def close(self) -> None:
         """Let go of every link, each in isolation."""
         _close_all(self.instruments)
@@ -389,11 +389,19 @@ def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
     return replace(simulated, settings=settings, instruments=tuple(instruments))
 
 
-def connect(plan: BenchPlan, clock: Clock) -> Bench:
-    """Connect to every instrument; where some fail, all failures are told and none stays open."""
+def connect(plan: BenchPlan, clock: Clock, before_each: Callable[[], None] = lambda: None) -> Bench:
+    """Connect to every instrument; where some fail, all failures are told and none stays open.
+
+    What `before_each` raises, before an instrument is connected, ends it at once.
+    """
     instruments: dict[str, Instrument] = {}
     failures: list[RigError] = []
     for part in plan.instruments:
+        try:
+            before_each()
+        except BaseException:
+            _close_all(instruments)
+            raise
         try:
             instrument = part.driver.connect(part.settings, clock)
         except RigError as error:
@@ -408,10 +416,7 @@ def connect(plan: BenchPlan, clock: Clock) -> Bench:
             clock.each_slice(instrument.keep_alive)
     if failures:
         _close_all(instruments)
-        if len(failures) == 1:
-            raise failures[0]
-        first = failures[0]
-        raise RigError("; ".join(f.message for f in failures), first.hint, first.code)
+        raise failures[0] if len(failures) == 1 else SeveralFailuresError(failures)
     return Bench(plan, clock, instruments)
 
 
@@ -553,4 +558,8 @@ class RunningBench(Protocol):
 
     def wait(self, timeout_s: float = 5.0) -> None:
         """Wait for the process to end."""
+        ...
+
+    def abandon(self) -> None:
+        """End the process, to which nothing has been connected."""
         ...

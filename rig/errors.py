@@ -6,6 +6,7 @@ to do about it. Only the command line decides how they are shown.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
@@ -46,6 +47,22 @@ class RigError(Exception):
         """Message and hint as one line, the form in which a person reads it."""
         text = f"{self.message}; {self.hint}" if self.hint else self.message
         return " ".join(text.split())
+
+    def parts(self) -> tuple[RigError, ...]:
+        """The failures it consists of, each told for itself: this one."""
+        return (self,)
+
+
+class SeveralFailuresError(RigError):
+    """Failures that have nothing to do with each other; the first one's exit code counts."""
+
+    def __init__(self, errors: Sequence[RigError]):
+        super().__init__("; ".join(error.message for error in errors), code=errors[0].code)
+        self.errors = tuple(errors)
+
+    def parts(self) -> tuple[RigError, ...]:
+        """Each of them."""
+        return self.errors
 
 
 class ConfigurationError(RigError):
@@ -96,19 +113,51 @@ class FoundWrongError(RigError):
     code = ExitCode.FOUND_WRONG
 
 
+_WORDS = {
+    "greater_than": "has to be above {gt:g}{unit}",
+    "greater_than_equal": "has to be at least {ge:g}{unit}",
+    "less_than": "has to be below {lt:g}{unit}",
+    "less_than_equal": "has to be at most {le:g}{unit}",
+    "finite_number": "has to be a finite number",
+    "float_parsing": "has to be a number",
+    "float_type": "has to be a number",
+    "int_parsing": "has to be a whole number",
+    "int_from_float": "has to be a whole number",
+    "int_type": "has to be a whole number",
+    "bool_parsing": "has to be true or false",
+    "bool_type": "has to be true or false",
+    "string_type": "has to be text",
+    "string_too_short": "has to have at least {min_length} characters",
+    "tuple_type": "has to be a list",
+    "list_type": "has to be a list",
+    "too_short": "has to have at least {min_length} values, not {actual_length}",
+    "too_long": "has to have at most {max_length} values, not {actual_length}",
+    "literal_error": "has to be {expected}",
+    "extra_forbidden": "unknown key",
+    "missing": "missing",
+}
+"""Kinds of pydantic's findings in a person's words; its own are shown for the others."""
+_SHORT = 60
+
+
 def _finding(item: Any) -> str:
+    """One of pydantic's findings: key, value with unit, and the limit in words."""
+    from rig.settings import unit_of
+
     key = ".".join(str(part) for part in item["loc"])
-    value = item.get("input")
-    kind = item["type"]
-    if kind == "extra_forbidden":
-        return f"{key}: unknown key"
-    if kind == "missing":
-        return f"{key}: missing"
-    message = str(item["msg"])
-    message = message.removeprefix("Value error, ")
+    name = next((part for part in reversed(item["loc"]) if isinstance(part, str)), "")
+    unit = f" {known}" if (known := unit_of(name)) else ""
+    kind, value = item["type"], item.get("input")
+    if kind in _WORDS:
+        message = _WORDS[kind].format(**item.get("ctx", {}), unit=unit)
+    else:
+        message = str(item["msg"]).removeprefix("Value error, ")
     if not key:
         return message
     shown = repr(value)
-    if isinstance(value, (dict, list, tuple)) or len(shown) > 60:
+    if kind in ("missing", "extra_forbidden") or len(shown) > _SHORT:
         return f"{key}: {message}"
-    return f"{key} = {shown}: {message}"
+    if isinstance(value, (dict, list, tuple)):
+        return f"{key}: {message}"
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return f"{key} = {shown}{unit if number else ''}: {message}"

@@ -325,10 +325,9 @@ def test_a_part_that_the_bench_has_not_is_named_when_it_is_asked_for(part: str) 
 
 def test_the_wrong_fixture_is_refused() -> None:
     plan = parse_bench('name = "bare"\n[fixture]\nmounted = "plate"\n', "bare.toml")
-    bench = Bench(plan, WallClock(), {})
-    bench.require_fixture("film-clamp", "plate")
+    plan.require_fixture("film-clamp", "plate")
     with pytest.raises(ConfigurationError, match=r"has the plate mounted.*needs film-clamp"):
-        bench.require_fixture("film-clamp")
+        plan.require_fixture("film-clamp")
 
 
 # --- the plate -------------------------------------------------------------------------------

@@ -215,6 +215,11 @@ class StartedBench:
             if pipe is not None:
                 pipe.close()
 
+    def abandon(self) -> None:
+        """End the process, which nobody needs: it may still be making its skin."""
+        self._process.kill()
+        self.wait()
+
 
 def start(options: dict[str, Any]) -> StartedBench:
     """Start a slaved bench; `options` are fields of `Options`."""

@@ -19,9 +19,12 @@ def main() -> None:
     # disturb the loop that holds a force.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        from rig.cli.app import build
+        from rig.cli.streams import outlast_readers
 
-        build(sys.argv[1:])()
+        outlast_readers()
+        from rig.cli.app import perform
+
+        perform(sys.argv[1:])
     except KeyboardInterrupt:
         sys.exit(SIGINT_CODE)
     finally:  # what Python still clears away would answer an exception with a complaint

@@ -9,6 +9,7 @@ docstring, read from the source.
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
@@ -17,6 +18,8 @@ from pathlib import Path
 import typer
 
 from rig.cli import calibrate, files, simulate, skin
+from rig.cli.outcome import report
+from rig.errors import ConfigurationError
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "resume": files.resume,
@@ -27,11 +30,27 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "make-safe": simulate.make_safe,
 }
 
-HELP = """Tactile bench controller: sweeps, slide and roll trials, and their files.
+HELP = """Tactile bench controller: sweeps, slip trials, calibrations, and their files.
 
 Without a bench file (--bench FILE, or bench.toml here) a command runs on the simulated bench and
 says so.
 """
+
+
+def perform(arguments: Sequence[str]) -> None:
+    """Perform a command line and end the process with its exit code.
+
+    With ``--json`` stdout carries an object for one that cannot be understood, too.
+    """
+    if "--json" not in arguments:
+        build(arguments)(arguments)
+        return
+    try:
+        code = build(arguments)(arguments, standalone_mode=False)
+    except typer.TyperException as error:
+        hint = "see rig --help"
+        code = report(ConfigurationError(error.format_message(), hint), as_json=True)
+    sys.exit(code)
 
 
 def build(arguments: Sequence[str]) -> typer.Typer:

@@ -312,6 +312,7 @@ def _at_the_bench(
     folder for the record, which takes one."""
     from rig.calibration import require_folder
     from rig.cli.procedures import Request, bench_for
+    from rig.cli.streams import say_at_once
     from rig.cli.weigh import Person
     from rig.runner.stopping import StopFlag
 
@@ -322,8 +323,9 @@ def _at_the_bench(
         world=options.world,
         world_log=options.world_log,
     )
-    with StopFlag() as stop, contextlib.ExitStack() as at_the_end:
-        bench = bench_for(request, at_the_end)
+    with StopFlag(say_at_once) as stop, contextlib.ExitStack() as at_the_end:
+        with stop.nothing_connected():
+            bench = bench_for(request, at_the_end)
         plan, clock, started = bench.plan, bench.clock, bench.started
         if started is not None:
             at_the_end.callback(started.wait)

@@ -83,9 +83,11 @@ def parse(text: str, annotation: Any, unit: str | None) -> Any:
     """An option's text as a value for a field of this type; ValueError says what is wrong."""
     arguments = typing.get_args(annotation)
     if typing.get_origin(annotation) is tuple:
-        items = [item for item in text.split(",") if item.strip()]
-        if not items:
+        if not text.strip():
             raise ValueError("the list is empty; leave the option out for its default")
+        items = text.split(",")
+        if not all(item.strip() for item in items):
+            raise ValueError("a value is missing between two commas or at an end")
         return tuple(parse(item, arguments[0], unit) for item in items)
     if type(None) in arguments:
         if text.strip().lower() == "none":

@@ -8,7 +8,6 @@ import logging
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -18,11 +17,19 @@ log = logging.getLogger("rig")
 log.addHandler(logging.NullHandler())
 
 
+class _Log(logging.FileHandler):
+    """A log that cannot be written disturbs nobody: it opens its file with its first record."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        with contextlib.suppress(OSError):
+            super().emit(record)
+
+
 def start_log(results: Path) -> None:
     """Keep warnings, errors and tracebacks in ``rig.log`` beside the results, where possible."""
     with contextlib.suppress(OSError):
         results.mkdir(parents=True, exist_ok=True)
-        handler = logging.FileHandler(results / "rig.log", delay=True)
+        handler = _Log(results / "rig.log", delay=True)
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
         log.addHandler(handler)
     log.propagate = False
@@ -38,32 +45,37 @@ def reported(debug: bool = False, as_json: bool = False) -> Iterator[None]:
     try:
         yield
     except RigError as error:
-        tell_failure(error, debug)
-        if as_json:
-            print(json.dumps(_nothing_done(error)))  # noqa: T201 - stdout carries data
-        raise typer.Exit(int(error.code)) from None
+        raise typer.Exit(report(error, debug, as_json)) from None
     except KeyboardInterrupt:
         say("stopped by SIGINT; nothing was left running")
         raise typer.Exit(int(ExitCode.SIGINT)) from None
-    except BrokenPipeError:
-        raise typer.Exit(int(ExitCode.INTERNAL)) from None
 
 
-def _nothing_done(error: RigError) -> dict[str, Any]:
-    return {
-        "file": None,
-        "outcome": "failed",
-        "exit": int(error.code),
-        "simulated": None,
-        "summary": {},
-        "errors": [error.one_line()],
-    }
+def report(error: RigError, debug: bool = False, as_json: bool = False) -> int:
+    """Tell why a command has not begun; its exit code."""
+    stopped = error.code in (ExitCode.SIGHUP, ExitCode.SIGINT, ExitCode.SIGTERM)
+    if stopped:
+        say(error.one_line())
+    else:
+        tell_failure(error, debug)
+    if as_json:
+        nothing_done: dict[str, object] = {
+            "file": None,
+            "outcome": "stopped" if stopped else "failed",
+            "exit": int(error.code),
+            "simulated": None,
+            "summary": {},
+            "errors": [one.one_line() for one in error.parts()],
+        }
+        print(json.dumps(nothing_done))  # noqa: T201 - stdout carries data
+    return int(error.code)
 
 
 def tell_failure(error: RigError, debug: bool = False) -> None:
     """One failure as one line on stderr, its traceback in the log."""
-    log.error("%s", error.one_line(), exc_info=error)
-    say(f"error: {error.one_line()}")
+    for part in error.parts():
+        log.error("%s", part.one_line(), exc_info=part)
+        say(f"error: {part.one_line()}")
     if debug:
         import traceback
 

@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from rig.settings import Settings
 
 BENCH_FILE = Path("bench.toml")
+STARTING: dict[Fixture, str] = {
+    "film-clamp": "film in its clamp",
+    "plate": "skin above its plate; the first time on a computer it takes up to two minutes",
+}
 LIBRARIES_OF_LINKS = ("pyvisa_py.highlevel", "pymodbus.client", "serial")
 """What the simulated bench's drivers import when they connect."""
 
@@ -107,18 +111,20 @@ def perform(
 ) -> None:
     """Run a procedure on the bench that was asked for and end the process with its exit code."""
     from rig.cli.report import ConsoleReporter, finish, finish_dry_run
+    from rig.cli.streams import say_at_once
     from rig.runner.stopping import StopFlag
 
     with ExitStack() as stack:
-        stop = stack.enter_context(StopFlag())  # from here on, a signal ends things in order
+        # From here on, a signal ends things in order.
+        stop = stack.enter_context(StopFlag(say_at_once))
         results = request.results
         if request.dry_run:
             results = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rig-dry-run-")))
         else:
             start_log(results)
-        bench = bench_for(
-            request, stack, procedure.FIXTURES[0], getattr(procedure, "import_ahead", _nothing)
-        )
+        import_ahead = getattr(procedure, "import_ahead", _nothing)
+        with stop.nothing_connected():
+            bench = bench_for(request, stack, procedure.FIXTURES[0], import_ahead)
         from rig.runner.execution import execute
         from rig.runner.jobs import Job
 
@@ -177,26 +183,54 @@ def bench_for(
     path = request.bench or (BENCH_FILE if BENCH_FILE.exists() else None)
     started = None
     if path is None or request.dry_run:
-        started = _start_simulated(
-            request, fixture
-        )  # it boots while this process goes on importing
-    from rig.bench import parse_bench, read_bench, rehearsal
-    from rig.clock import ControlLink, SlavedClock, WallClock
-    from rig.runner.guard import GUARD_SUFFIX, refuse_unsafe, report_path
+        say(f"starting the simulated bench ({STARTING.get(fixture, fixture)}) ...")
+        # It boots while this process goes on importing.
+        started = _start_simulated(request, fixture)
+    try:
+        from rig.bench import read_bench
+
+        real = read_bench(path) if path is not None else None
+        if started is not None:
+            return _simulated_bench(request, started, real, meanwhile)
+    except BaseException:
+        if started is not None:
+            started.abandon()
+        raise
+    assert path is not None
+    assert real is not None
+    return _real_bench(request, at_the_end, path, real, meanwhile)
+
+
+def _real_bench(
+    request: Request,
+    at_the_end: ExitStack,
+    path: Path,
+    plan: BenchPlan,
+    meanwhile: Callable[[], None],
+) -> ChosenBench:
+    from rig.clock import WallClock
+    from rig.runner.guard import refuse_unsafe, report_path
     from rig.runner.lock import BenchLock
 
-    real = read_bench(path) if path is not None else None
-    if started is None:
-        assert real is not None
-        _refuse_simulation_options(request, path)
-        lock = at_the_end.enter_context(BenchLock(real))
-        _tell_killed(report_path(request.results, real.settings.name))
-        refuse_unsafe(request.results, real.settings.name)
-        if real.settings.simulation is not None:
-            say(f"SIMULATED bench ({path}): nothing here is measured")
-        _import_ahead()
-        meanwhile()
-        return ChosenBench(real, WallClock(), lock)
+    _refuse_simulation_options(request, path)
+    lock = at_the_end.enter_context(BenchLock(plan))
+    _tell_killed(report_path(request.results, plan.settings.name))
+    refuse_unsafe(request.results, plan.settings.name)
+    if plan.settings.simulation is not None:
+        say(f"SIMULATED bench ({path}): nothing here is measured")
+    say(f"connecting to {', '.join(part.role for part in plan.instruments)} ...")
+    _import_ahead()
+    meanwhile()
+    return ChosenBench(plan, WallClock(), lock)
+
+
+def _simulated_bench(
+    request: Request, started: RunningBench, real: BenchPlan | None, meanwhile: Callable[[], None]
+) -> ChosenBench:
+    from rig.bench import parse_bench, rehearsal
+    from rig.clock import ControlLink, SlavedClock
+    from rig.runner.guard import GUARD_SUFFIX
+
     _tell_killed(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
     _import_ahead()
     meanwhile()

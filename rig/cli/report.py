@@ -119,7 +119,7 @@ class ConsoleReporter:
 def finish(
     procedure: Procedure, outcome: Outcome, as_json: bool, reporter: ConsoleReporter, debug: bool
 ) -> None:
-    """Failures, what was done to the bench, where the data are, how to go on."""
+    """Failures, figures, what was done to the bench, where the data are and, last, how to go on."""
     for failure in outcome.failures:
         if outcome.status != "stopped":
             tell_failure(failure, debug)
@@ -130,12 +130,16 @@ def finish(
     for warning in outcome.warnings:
         say(f"warning: {warning}")
     drawn = reporter.drawn(debug) if outcome.file is not None else []
-    say(closing_line(procedure.NAME, outcome))
     for figure in drawn:
         say(f"figure: {figure}")
     if as_json:
         print(json.dumps(as_object(outcome, drawn)))  # noqa: T201 - stdout carries data
-        return
+    else:
+        _tell_summary(outcome)
+    say(closing_line(procedure.NAME, outcome))
+
+
+def _tell_summary(outcome: Outcome) -> None:
     for name, value in outcome.summary.items():
         if isinstance(value, list):
             for sentence in value:
@@ -143,7 +147,7 @@ def finish(
         elif not isinstance(value, dict):  # tables are for --json
             say(f"  {name}: {value:.6g}" if isinstance(value, float) else f"  {name}: {value}")
     if outcome.file is not None:
-        print(outcome.file)  # noqa: T201 - stdout carries data
+        print(outcome.file, flush=True)  # noqa: T201 - stdout carries data
 
 
 def finish_dry_run(outcome: Outcome, as_json: bool) -> None:

@@ -22,13 +22,14 @@ from rig.bench import Bench, BenchPlan
 from rig.clock import Clock
 from rig.errors import ExitCode, RigError
 from rig.recording.compiled import compile_run
+from rig.recording.contents import read_journal
 from rig.recording.recorder import Recorder
 from rig.runner.arming import BEAT_EVERY_S
 from rig.runner.guard import GuardLink
 from rig.runner.holds import HoldError, PauseSwitch
 from rig.runner.jobs import Job, Journal
 from rig.runner.outcome import Outcome
-from rig.runner.points import Point, Reading, check_points
+from rig.runner.points import Point, Reading, check_points, require_roles
 from rig.runner.run import Run
 from rig.runner.stopping import StopFlag, StopRequestedError
 from rig.runner.trip import TripError
@@ -68,10 +69,14 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
     """Run a job on a bench from connecting to the compiled file. Never raises a RigError: what
     went wrong is in the outcome."""
     outcome = Outcome("failed", ExitCode.INTERNAL)
+    outcome.simulated = plan.settings.simulation is not None
     getattr(job.procedure, "import_ahead", lambda: None)()
     try:
-        stop.check()
-        bench = benches.connect(plan, clock)
+        plan.require_fixture(*job.procedure.FIXTURES)
+        points = job.procedure.points(job.settings)
+        outcome.points_planned = len(points)
+        require_roles(points, plan)
+        bench = benches.connect(plan, clock, stop.check)
     except RigError as error:
         clock.close()
         return _failed(outcome, error)
@@ -80,9 +85,6 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
         try:
             now = datetime.now().astimezone()
             job.calibrations, warnings = benches.apply_calibrations(bench, now, job.allow_expired)
-            points = job.procedure.points(job.settings)
-            outcome.points_planned = len(points)
-            bench.require_fixture(*job.procedure.FIXTURES)
             check_points(points, bench)
             stop.check()
             journal = job.open_journal(bench, points)
@@ -331,6 +333,8 @@ class _Loop:
             self.recorder.put_end(self.journal.end(outcome, self.run.elapsed_s()))
         with self._storing():
             self.recorder.close()
+        if outcome.status == "failed":
+            self._count_what_is_kept()
         with self._storing():
             outcome.file = compile_run(self.journal.path, retire=True)
             if outcome.points_done:
@@ -338,6 +342,14 @@ class _Loop:
         if self.journal.path.exists():
             outcome.journal = self.journal.path
         outcome.summary = self.job.procedure.summarise(self.job.settings, self._in_order())
+
+    def _count_what_is_kept(self) -> None:
+        """Where the disk failed, only the points that the journal holds have been kept."""
+        with contextlib.suppress(RigError, OSError):
+            kept = {point.id for point in read_journal(self.journal.path).kept()}
+            for lost in self.readings.keys() - kept:
+                del self.readings[lost]
+            self.outcome.points_done = len(self.readings)
 
     @contextlib.contextmanager
     def _storing(self) -> Iterator[None]:
@@ -362,7 +374,7 @@ class _Loop:
 def _failed(outcome: Outcome, error: RigError) -> Outcome:
     outcome.status = "stopped" if isinstance(error, StopRequestedError) else "failed"
     outcome.code = error.code
-    outcome.failures.append(error)
+    outcome.failures.extend(error.parts())
     return outcome
 
 

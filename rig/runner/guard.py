@@ -217,7 +217,7 @@ def make_bench_safe(bench_toml: str, source: str) -> dict[str, str]:
         try:
             part.driver.make_safe(part.settings)
         except RigError as error:
-            failures[part.role] = error.one_line()
+            failures[part.role] = error.one_line().removeprefix(f"{part.role}: ")
         except Exception as error:  # noqa: BLE001 - the other instruments still have to be reached
             failures[part.role] = f"{type(error).__name__}: {error}"
     return failures

@@ -164,8 +164,8 @@ def _in_use(entry: dict[str, Any], path: Path) -> ConfigurationError:
             "wait until it has ended, or end it with Ctrl-C",
         )
     return ConfigurationError(
-        f"the bench {bench} was in use by pid {pid}, which has died{run}; its guard has been making "
-        f"it safe for {GUARD_S:g} s (lock {path})",
+        f"the bench {bench} was in use by pid {pid}, which has died{run}; its guard has been "
+        f"making it safe for {GUARD_S:g} s (lock {path})",
         "look at the bench, then start again",
     )
 

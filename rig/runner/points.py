@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rig.bench import Bench, require
+from rig.bench import Bench, BenchPlan, require
 from rig.errors import ConfigurationError, LimitError
 from rig.instruments import Acquisition
 
@@ -36,6 +36,23 @@ class Point:
     """Every acquisition it will ask of the DAQ, checked before the first motion."""
     duration_s: float = 0.0
     """Bench time it is expected to take."""
+
+
+def require_roles(points: Sequence[Point], plan: BenchPlan) -> None:
+    """Refuse, before anything is connected, a bench without what the points ask of it: its
+    instruments, and its load cell where they load it."""
+    needed = {move.quantity.split(".")[0] for point in points for move in point.moves}
+    if any(point.acquisitions for point in points):
+        needed.add("daq")
+    there = {part.role for part in plan.instruments}
+    if plan.settings.load_cell is not None:
+        there.add("load_cell")
+    if missing := sorted(needed - there):
+        tables = " and ".join(f"[{role}]" for role in missing)
+        raise ConfigurationError(
+            f"{plan.source}: this procedure needs what the bench has not: {', '.join(missing)}",
+            f"add {tables}, or name another bench with --bench",
+        )
 
 
 def check_points(points: Sequence[Point], bench: Bench, taken: Iterable[str] = ()) -> None:

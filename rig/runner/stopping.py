@@ -1,11 +1,14 @@
 """Stop requests: a signal sets a flag, the next look at the flag ends the run in order.
 
-Handlers do nothing but remember. What a second signal changes is the text, never the clean-up.
+Handlers remember and say so, nothing else. What a second signal changes is the text, never the
+clean-up. Only while nothing is connected yet does a signal end what is going on there and then.
 """
 
 from __future__ import annotations
 
+import contextlib
 import signal
+from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Self
 
@@ -18,26 +21,45 @@ STOP_SIGNALS = {
 }
 
 
+NOTICE = "stopping: making the bench safe, then keeping the data ..."
+NOTICE_AGAIN = "stopping already: the bench is made safe and the data are kept first ..."
+
+
 class StopRequestedError(RigError):
     """Somebody asked the run to end; its code names the signal."""
 
-    def __init__(self, signal_number: signal.Signals):
-        super().__init__(f"stopped by {signal_number.name}", None, STOP_SIGNALS[signal_number])
+    def __init__(self, signal_number: signal.Signals, when: str = ""):
+        text = f"stopped by {signal_number.name}{when}"
+        super().__init__(text, None, STOP_SIGNALS[signal_number])
         self.signal = signal_number
 
 
 class StopFlag:
-    """Remembers stop signals while it is entered (main thread only)."""
+    """Remembers stop signals while it is entered (main thread only).
 
-    def __init__(self) -> None:
+    `tell` gets a line for the person who waits, from within the signal's handler: it may interrupt
+    anything.
+    """
+
+    def __init__(self, tell: Callable[[str], None] = lambda text: None) -> None:
         self.requested: signal.Signals | None = None
-        self.times = 0
+        self._tell = tell
+        self._nothing_connected = False
         self._previous: dict[signal.Signals, object] = {}
 
     def check(self) -> None:
         """Raise StopRequestedError where a stop was asked for."""
         if self.requested is not None:
             raise StopRequestedError(self.requested)
+
+    @contextlib.contextmanager
+    def nothing_connected(self) -> Iterator[None]:
+        """Within it a signal raises StopRequestedError wherever the program is."""
+        self._nothing_connected = True
+        try:
+            yield
+        finally:
+            self._nothing_connected = False
 
     def __enter__(self) -> Self:
         for number in STOP_SIGNALS:
@@ -49,6 +71,11 @@ class StopFlag:
             signal.signal(number, handler)  # type: ignore[arg-type]
 
     def _remember(self, number: int, _: FrameType | None) -> None:
-        self.times += 1
-        if self.requested is None:
+        again = self.requested is not None
+        if not again:
             self.requested = signal.Signals(number)
+        if not self._nothing_connected:
+            self._tell(NOTICE_AGAIN if again else NOTICE)
+        elif not again:
+            when = " before anything was connected; nothing was left running"
+            raise StopRequestedError(signal.Signals(number), when)

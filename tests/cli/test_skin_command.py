@@ -144,7 +144,7 @@ def test_every_figure_says_that_it_is_simulated(tmp_path: Path, monkeypatch):
     [
         (
             ["slide", "--normal-force", "-1"],
-            "normal_force_N = -1.0: Input should be greater than 0",
+            "normal_force_N = -1.0 N: has to be above 0 N",
         ),
         (["slide", "--normal-force", "4s"], "--normal-force 4s: 's' does not convert to N"),
         (["slide", "--speed", "0"], "speed 0 mm/s: nothing slides"),

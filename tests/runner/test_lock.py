@@ -113,7 +113,7 @@ def test_the_guard_of_a_dead_run_holds_its_bench_until_it_is_safe(
     run.wait()
     assert f"pid {run.pid}, which has died" in str(in_use(plan()))
     monkeypatch.setattr("rig.runner.lock.GUARD_S", 0.2)
-    with pytest.raises(ConfigurationError, match="its guard has been making it safe for 0.2 s"):
+    with pytest.raises(ConfigurationError, match=r"its guard has been making it safe for 0\.2 s"):
         BenchLock(plan())
     monkeypatch.setattr("rig.runner.lock.GUARD_S", 30.0)
     ends_soon = threading.Timer(0.3, run.stdin.close)  # the heir's end of input
