@@ -13,6 +13,13 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
 
+MOST_FINDINGS = 20
+"""Told of one file at once: who wrote it needs no more, who did not shall not fill the terminal."""
+LONGEST_NAME = 60
+"""Characters of a key or a value in a message."""
+LONGEST_REASON = 300
+
+
 class ExitCode(IntEnum):
     """What the process tells its caller; the numbers are part of the interface."""
 
@@ -58,7 +65,10 @@ class ConfigurationError(RigError):
         cls, error: ValidationError, source: str, hint: str | None = None
     ) -> ConfigurationError:
         """All of a pydantic error's findings in one message, each with key, value and reason."""
-        findings = [_finding(item) for item in error.errors()]
+        found = error.errors()
+        findings = [_finding(item) for item in found[:MOST_FINDINGS]]
+        if len(found) > MOST_FINDINGS:
+            findings.append(f"and {len(found) - MOST_FINDINGS} more")
         return cls(f"{source}: " + "; ".join(findings), hint)
 
 
@@ -97,18 +107,22 @@ class FoundWrongError(RigError):
 
 
 def _finding(item: Any) -> str:
-    key = ".".join(str(part) for part in item["loc"])
+    key = ".".join(shortened(str(part)) for part in item["loc"])
     value = item.get("input")
     kind = item["type"]
     if kind == "extra_forbidden":
         return f"{key}: unknown key"
     if kind == "missing":
         return f"{key}: missing"
-    message = str(item["msg"])
-    message = message.removeprefix("Value error, ")
+    message = str(item["msg"]).removeprefix("Value error, ")
+    message = shortened(message, LONGEST_REASON)
     if not key:
         return message
-    shown = repr(value)
-    if isinstance(value, (dict, list, tuple)) or len(shown) > 60:
+    if isinstance(value, (dict, list, tuple)) or len(shown := repr(value)) > LONGEST_NAME:
         return f"{key}: {message}"
     return f"{key} = {shown}: {message}"
+
+
+def shortened(text: str, longest: int = LONGEST_NAME) -> str:
+    """A text from a file as a message can quote it: not longer than `longest` characters."""
+    return text if len(text) <= longest else text[: longest - 3] + "..."

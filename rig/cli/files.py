@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import tempfile
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from rig.cli.outcome import reported, say
+from rig.cli.outcome import printable, reported, say
 from rig.errors import ConfigurationError, ExitCode, FoundWrongError
 
 Files = Annotated[list[Path], typer.Argument(help="Run files (.h5) or journals (.rigj).")]
@@ -35,7 +34,7 @@ def resume(
         from rig.bench import entry
         from rig.cli.procedures import Request, perform
         from rig.recording.contents import read_journal
-        from rig.recording.naming import RUN_SUFFIX, journal_path
+        from rig.recording.naming import RUN_SUFFIX, journal_path, results_of
 
         journal = journal_path(file) if file.suffix == RUN_SUFFIX else file
         if not journal.exists() and journal.with_suffix(RUN_SUFFIX).exists():
@@ -52,11 +51,11 @@ def resume(
             settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
         except ValidationError as error:
             raise ConfigurationError.from_validation(error, str(file)) from error
-        with _world_of(header.bench_toml) as world:
+        with _world_of(header.bench_toml, str(file)) as world:
             bench_file = None if world is not None else Path(header.bench_file)
             request = Request(
                 bench=bench_file,
-                results=journal.parent.parent,
+                results=results_of(journal),
                 seed=header.seed,
                 as_json=as_json,
                 figures=figures,
@@ -76,7 +75,7 @@ def show(files: Files, debug: Debug = False) -> None:
         for path in files:
             with RunFile.open(path) as run:
                 for name, value in run.summary().items():
-                    print(f"{name}: {value}")  # noqa: T201 - stdout carries data
+                    print(printable(f"{name}: {value}"))  # noqa: T201 - stdout carries data
                 figure = run.header.procedure.replace("-", "_")
                 has_points = bool(run.point_ids())
             if has_points:
@@ -94,7 +93,7 @@ def verify(files: Files, debug: Debug = False) -> None:
             findings = findings_of(path)
             wrong += bool(findings)
             verdict = "; ".join(findings) if findings else "sound"
-            print(f"{path}: {verdict}")  # noqa: T201 - stdout carries data
+            print(printable(f"{path}: {verdict}"))  # noqa: T201 - stdout carries data
         if wrong:
             raise FoundWrongError(f"{wrong} of {len(files)} files are not sound")
 
@@ -117,12 +116,15 @@ def recover(files: Files, debug: Debug = False) -> None:
 
 
 @contextlib.contextmanager
-def _world_of(bench_toml: str) -> Iterator[Path | None]:
+def _world_of(bench_toml: str, source: str) -> Iterator[Path | None]:
     """The World settings of a run on a bench that its command had started, as a file again.
 
     None for any other bench: that one's file is read from where it was.
     """
-    simulation = dict(tomllib.loads(bench_toml).get("simulation") or {})
+    from rig.bench import parse_bench
+
+    plan = parse_bench(bench_toml, f"{source}: its bench file")
+    simulation = dict(plan.settings.simulation or {})
     if not simulation or ("::0::" not in bench_toml and ",0::" not in bench_toml):
         yield None
         return
