@@ -9,7 +9,6 @@ reported.
 from __future__ import annotations
 
 import contextlib
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -29,6 +28,7 @@ from rig.calibration import (
     require_valid,
 )
 from rig.clock import Clock
+from rig.documents import MAX_TOML_BYTES, parse_toml, read_text
 from rig.errors import ConfigurationError, LimitError, RigError, SeveralFailuresError
 from rig.instruments import (
     DataAcquisition,
@@ -328,24 +328,13 @@ def require(what: str, value: float, reach: Reach, where: str = "") -> None:
 
 def read_bench(path: Path) -> BenchPlan:
     """Read and validate a bench file; ConfigurationError tells all that is wrong with it."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot read the bench file {path}: {error.strerror}",
-            "give the file with --bench, or leave it out for the simulated bench",
-        ) from error
-    except UnicodeDecodeError as error:
-        raise ConfigurationError(f"{path} is not UTF-8 text: {error}") from error
-    return parse_bench(text, str(path))
+    hint = "give the file with --bench, or leave it out for the simulated bench"
+    return parse_bench(read_text(path, "bench file", MAX_TOML_BYTES, hint), str(path))
 
 
 def parse_bench(text: str, source: str) -> BenchPlan:
     """Validate the text of a bench file, all errors at once."""
-    try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"{source}: {error}", "correct the TOML syntax") from error
+    tables = parse_toml(text, source)
     findings: list[str] = []
     plans = []
     described = [role for role in ROLES if role in tables]

@@ -21,6 +21,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AwareDatetime, Field, ValidationError, model_validator
 
+from rig.documents import MAX_JSON_BYTES, check_nesting, read_text
 from rig.errors import ConfigurationError
 from rig.settings import Settings
 
@@ -76,7 +77,7 @@ class CalibrationFiles(Settings):
     """Record of the film in strip S1 of the skin, by ``rig calibrate pvdf``."""
     strip_2: Path | None = None
     """Record of the film in strip S2."""
-    expiry_warning_days: float = Field(default=EXPIRY_WARNING_DAYS, ge=0)
+    expiry_warning_days: float = Field(default=EXPIRY_WARNING_DAYS, ge=0, le=3650)
     """A record that expires within so many days gives a warning."""
 
 
@@ -243,12 +244,10 @@ def read_calibration(path: Path, kind: type[_Kind]) -> _Kind:
     """The record of a file; ConfigurationError where it is missing, garbled or of another kind."""
     expected: Kind = kind.model_fields["kind"].default
     hint = f"name another record, or make one with `{COMMANDS[expected]}`"
+    text = read_text(path, "calibration record", MAX_JSON_BYTES, hint)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot read the calibration record {path}: {error.strerror}", hint
-        ) from error
+        content = json.loads(text)
+        check_nesting(content)
     except (ValueError, RecursionError) as error:
         raise ConfigurationError(
             f"{path} is no calibration record: {_first_line(error)}", hint

@@ -14,6 +14,13 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
 
+MOST_FINDINGS = 20
+"""Told of one file at once: who wrote it needs no more, who did not shall not fill the terminal."""
+LONGEST_NAME = 60
+"""Characters of a key or a value in a message."""
+LONGEST_REASON = 300
+
+
 class ExitCode(IntEnum):
     """What the process tells its caller; the numbers are part of the interface."""
 
@@ -75,7 +82,10 @@ class ConfigurationError(RigError):
         cls, error: ValidationError, source: str, hint: str | None = None
     ) -> ConfigurationError:
         """All of a pydantic error's findings in one message, each with key, value and reason."""
-        findings = [_finding(item) for item in error.errors()]
+        found = error.errors()
+        findings = [_finding(item) for item in found[:MOST_FINDINGS]]
+        if len(found) > MOST_FINDINGS:
+            findings.append(f"and {len(found) - MOST_FINDINGS} more")
         return cls(f"{source}: " + "; ".join(findings), hint)
 
 
@@ -137,27 +147,31 @@ _WORDS = {
     "missing": "missing",
 }
 """Kinds of pydantic's findings in a person's words; its own are shown for the others."""
-_SHORT = 60
 
 
 def _finding(item: Any) -> str:
     """One of pydantic's findings: key, value with unit, and the limit in words."""
     from rig.settings import unit_of
 
-    key = ".".join(str(part) for part in item["loc"])
+    key = ".".join(shortened(str(part)) for part in item["loc"])
     name = next((part for part in reversed(item["loc"]) if isinstance(part, str)), "")
     unit = f" {known}" if (known := unit_of(name)) else ""
     kind, value = item["type"], item.get("input")
     if kind in _WORDS:
         message = _WORDS[kind].format(**item.get("ctx", {}), unit=unit)
     else:
-        message = str(item["msg"]).removeprefix("Value error, ")
+        message = shortened(str(item["msg"]).removeprefix("Value error, "), LONGEST_REASON)
     if not key:
         return message
     shown = repr(value)
-    if kind in ("missing", "extra_forbidden") or len(shown) > _SHORT:
+    if kind in ("missing", "extra_forbidden") or len(shown) > LONGEST_NAME:
         return f"{key}: {message}"
     if isinstance(value, (dict, list, tuple)):
         return f"{key}: {message}"
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     return f"{key} = {shown}{unit if number else ''}: {message}"
+
+
+def shortened(text: str, longest: int = LONGEST_NAME) -> str:
+    """A text from a file as a message can quote it: not longer than `longest` characters."""
+    return text if len(text) <= longest else text[: longest - 3] + "..."

@@ -15,7 +15,6 @@ A new kind is one more function in `_KINDS`.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from typing import Literal, get_args
 
 from pydantic import Field, ValidationError
 
+from rig.documents import read_toml
 from rig.errors import ConfigurationError
 from rig.settings import Settings
 
@@ -67,10 +67,9 @@ class FaultPlan(Settings):
 
         Raises ConfigurationError for an unreadable file, unknown keys, kinds or devices.
         """
+        tables = read_toml(path, "fault plan")
         try:
-            plan = cls.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ConfigurationError(f"{path}: {error}") from error
+            plan = cls.model_validate(tables)
         except ValidationError as error:
             kinds = ", ".join(get_args(FaultKind))
             hint = f"a fault has device, kind ({kinds}), at, count, command"

@@ -9,7 +9,6 @@ a point depends on the seed, the run, the point and the stream, and not on what 
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -24,6 +23,7 @@ from drivers.simulated.festo_cmmt import Trouble
 from drivers.simulated.ports import Excitation
 from drivers.simulated.timeline import Timeline
 from drivers.simulated.world_log import WorldLog
+from rig.documents import read_toml
 from rig.errors import ConfigurationError
 from rig.model import film_clamp, front_end, pvdf, vibrator
 from rig.model.film_clamp import FilmClampSettings
@@ -98,12 +98,11 @@ def read_world(path: str | None, kind: type[W] = WorldSettings) -> W:  # type: i
     """World settings from a TOML file; defaults where there is none."""
     if path is None:
         return kind()
+    tables = read_toml(Path(path), "file of World settings")
     try:
-        return kind.model_validate(tomllib.loads(Path(path).read_text("utf-8")))
+        return kind.model_validate(tables)
     except ValidationError as error:
         raise ConfigurationError.from_validation(error, path) from error
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigurationError(f"cannot read the World settings {path}: {error}") from error
 
 
 class World:

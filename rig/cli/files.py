@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import tempfile
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.cli.outcome import reported, say
+from rig.cli.outcome import printable, reported, say
 from rig.errors import ConfigurationError, ExitCode, FoundWrongError
 
 if TYPE_CHECKING:
@@ -41,6 +40,7 @@ def resume(
 
         from rig.bench import entry
         from rig.cli.procedures import Request, perform
+        from rig.recording.naming import results_of
         from rig.recording.recover import interrupted
 
         contents = interrupted(file)
@@ -53,11 +53,11 @@ def resume(
             settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
         except ValidationError as error:
             raise ConfigurationError.from_validation(error, str(file)) from error
-        with _world_of(header.bench_toml) as world:
+        with _world_of(header.bench_toml, str(file)) as world:
             bench_file = None if world is not None else Path(header.bench_file)
             request = Request(
                 bench=bench_file,
-                results=contents.path.parent.parent,
+                results=results_of(contents.path),
                 seed=header.seed,
                 as_json=as_json,
                 figures=figures,
@@ -112,7 +112,7 @@ def verify(files: Files, debug: Debug = False) -> None:
         for path in files:
             found = verdict(path)
             wrong += not found.sound
-            print(f"{path}: {found}")  # noqa: T201 - stdout carries data
+            print(printable(f"{path}: {found}"))  # noqa: T201 - stdout carries data
         if wrong:
             of = f"{len(files)} files" if len(files) > 1 else "1 file"
             raise FoundWrongError(f"{wrong} of {of} failed verification")
@@ -173,10 +173,10 @@ def _tell(values: Mapping[str, Any], indent: str = "") -> None:
     """Names and values, one a line; tables indented below their name."""
     for name, value in values.items():
         if isinstance(value, Mapping):
-            print(f"{indent}{name}:")  # noqa: T201 - stdout carries data
+            print(printable(f"{indent}{name}:"))  # noqa: T201 - stdout carries data
             _tell(value, indent + "  ")
         else:
-            print(f"{indent}{name}: {_told(value)}")  # noqa: T201 - stdout carries data
+            print(printable(f"{indent}{name}: {_told(value)}"))  # noqa: T201 - stdout carries data
 
 
 def _told(value: Any) -> str:
@@ -193,12 +193,15 @@ def _told(value: Any) -> str:
 
 
 @contextlib.contextmanager
-def _world_of(bench_toml: str) -> Iterator[Path | None]:
+def _world_of(bench_toml: str, source: str) -> Iterator[Path | None]:
     """The World settings of a run on a bench that its command had started, as a file again.
 
     None for any other bench: that one's file is read from where it was.
     """
-    simulation = dict(tomllib.loads(bench_toml).get("simulation") or {})
+    from rig.bench import parse_bench
+
+    plan = parse_bench(bench_toml, f"{source}: its bench file")
+    simulation = dict(plan.settings.simulation or {})
     if not simulation or ("::0::" not in bench_toml and ",0::" not in bench_toml):
         yield None
         return

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import math
-import tomllib
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
+from rig.documents import parse_toml
 from rig.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -111,8 +111,8 @@ def _column(run: RunFile, name: str) -> NDArray[Any] | None:
 
 def _film_of(run: RunFile) -> dict[str, Any]:
     """The [film] table of the bench file that the run has kept."""
-    with contextlib.suppress(tomllib.TOMLDecodeError):
-        table = tomllib.loads(run.header.bench_toml).get("film")
+    with contextlib.suppress(ConfigurationError):
+        table = parse_toml(run.header.bench_toml, str(run.path)).get("film")
         return table if isinstance(table, dict) else {}
     return {}
 

@@ -84,4 +84,10 @@ def tell_failure(error: RigError, debug: bool = False) -> None:
 
 def say(text: str) -> None:
     """One line for a person."""
-    print(text, file=sys.stderr, flush=True)  # noqa: T201 - the command line's own voice
+    print(printable(text), file=sys.stderr, flush=True)  # noqa: T201 - the command line's own voice
+
+
+def printable(text: str) -> str:
+    """The text with control characters and what no encoding has as escapes: a name or a title in a
+    file has no business with the terminal."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

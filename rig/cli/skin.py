@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from rig.cli.outcome import reported
+from rig.documents import MAX_JSON_BYTES, read_text
 from rig.errors import ConfigurationError, RigError
 
 if TYPE_CHECKING:
@@ -384,12 +385,9 @@ def _settings(kind: type[Model], file: Path | None, default: Model) -> Model:
 
     if file is None:
         return default
+    text = read_text(file, "file of settings", MAX_JSON_BYTES)
     try:
-        return kind.model_validate_json(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigurationError(f"{file}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ConfigurationError(f"{file}: no text in UTF-8") from error
+        return kind.model_validate_json(text)
     except ValidationError as error:
         raise ConfigurationError.from_validation(error, str(file)) from error
 

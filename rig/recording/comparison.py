@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.recording.contents import JournalContents
-from rig.recording.entry import ending, text_of
+from rig.recording.entry import ending
 from rig.recording.errors import in_words
 from rig.recording.layout import Plot
 from rig.recording.nexus import plain_text, plot_sources
+from rig.recording.reading import DAMAGE, text_of, texts_of, whole
 from rig.recording.records import to_json
 from rig.recording.table import PointTable, point_table
 from rig.recording.waveforms import (
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
     import h5py
     from numpy.typing import NDArray
 
-_DAMAGE = (OSError, KeyError, ValueError, RuntimeError, TypeError, AttributeError)
-
 
 def differences(contents: JournalContents, file: Path) -> list[str]:
     """What of the journal the file lacks or has otherwise; empty if it holds everything."""
@@ -39,7 +38,7 @@ def differences(contents: JournalContents, file: Path) -> list[str]:
             found += _table_differences(entry, contents, point_table(contents))
             found += _sample_differences(entry, contents)
             return found
-    except _DAMAGE as error:
+    except DAMAGE as error:
         return [in_words(error)]
 
 
@@ -60,12 +59,12 @@ def _text_differences(entry: h5py.Group, contents: JournalContents) -> Iterator[
         yield from _list(entry, f"attempts/{name}", [getattr(a, name) for a in contents.attempts])
     for name in ("level", "code", "message"):
         yield from _list(entry, f"events/{name}", [getattr(e, name) for e in contents.events])
-    if entry["events/time"][()].tolist() != [event.time for event in contents.events]:
+    if whole(entry["events/time"]).tolist() != [event.time for event in contents.events]:
         yield "events/time differs"
 
 
 def _list(entry: h5py.Group, path: str, texts: Sequence[str]) -> Iterator[str]:
-    found = [value.decode() for value in entry[path][()]]
+    found = texts_of(entry[path])
     if found != [plain_text(text) for text in texts]:
         yield f"{path} differs"
 
@@ -77,7 +76,7 @@ def _table_differences(
     for name, values in table.columns.items():
         if isinstance(values, list):
             yield from _list(entry, f"points/{name}", values)
-        elif not _same(entry[f"points/{name}"][()], values):
+        elif not _same(whole(entry[f"points/{name}"]), values):
             yield f"points/{name} differs"
     for plot in contents.header.layout.plots:
         yield from _plot_differences(entry, plot, table)
@@ -86,7 +85,7 @@ def _table_differences(
 def _plot_differences(entry: h5py.Group, plot: Plot, table: PointTable) -> Iterator[str]:
     order = table.order(plot.axes)
     for name, source in plot_sources(plot).items():
-        if not _same(entry[f"{plot.group}/{name}"][()], table.numbers(source)[order]):
+        if not _same(whole(entry[f"{plot.group}/{name}"]), table.numbers(source)[order]):
             yield f"{plot.group}/{name} differs"
 
 
@@ -110,7 +109,7 @@ def _sample_differences(entry: h5py.Group, contents: JournalContents) -> list[st
         found += _segment_differences(entry[path], contents, number, read[number])
     for number, stream in enumerate(streams):
         for name, values in blocks.arrays(number).items():
-            if not _same(entry[f"blocks/{stream.name}/{name}"][()], values):
+            if not _same(whole(entry[f"blocks/{stream.name}/{name}"]), values):
                 found.append(f"blocks/{stream.name}/{name} differs")
     return found
 

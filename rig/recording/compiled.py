@@ -18,6 +18,8 @@ from rig.recording.errors import JournalError, RecordingError, RunFileError
 from rig.recording.guarded_file import GuardedFile
 from rig.recording.journal import lock_journal, sync_folder
 from rig.recording.naming import JOURNAL_SUFFIX, RUN_SUFFIX, checksum_path
+from rig.recording.nexus import plain_text
+from rig.recording.reading import DAMAGE, refuse_links, text_of
 from rig.recording.table import point_table
 from rig.recording.waveforms import WaveformWriter, write_traces
 
@@ -72,7 +74,7 @@ def _open(journal: Path) -> int:
         hint = f"its journal would be {journal.with_suffix(JOURNAL_SUFFIX).name}"
         raise JournalError(journal, None, "a run file, not a journal", hint)
     try:
-        return os.open(journal, os.O_RDONLY)
+        return os.open(journal, os.O_RDONLY | os.O_NONBLOCK)  # a pipe is refused when it is read
     except OSError as error:
         raise JournalError(journal, None, error.strerror or str(error)) from error
 
@@ -140,11 +142,11 @@ def _refuse_other_run(target: Path, contents: JournalContents) -> None:
     import h5py
 
     with (
-        contextlib.suppress(OSError, KeyError, ValueError, RuntimeError),
+        contextlib.suppress(*DAMAGE),
         h5py.File(target) as file,
     ):
-        found = file["entry/identifier_experiment"][()]
-        if isinstance(found, bytes) and found.decode() != contents.header.run_uuid:
+        refuse_links(file)
+        if text_of(file["entry/identifier_experiment"]) != plain_text(contents.header.run_uuid):
             raise RunFileError(
                 target, "is the file of another run", "move it away, or compile to another name"
             )

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from rig.recording.errors import JournalError
-from rig.recording.header import End, Event, RunHeader
+from rig.recording.header import LONGEST_S, End, Event, RunHeader
 from rig.recording.records import (
     MAGIC,
     MAX_PAYLOAD,
@@ -29,8 +29,9 @@ from rig.recording.records import (
 )
 from rig.recording.segments import Attempt, Grouping, Segment
 
-MAX_REMEMBERED = 256 << 20
-"""Bytes of points and events a journal may have; a real night has a hundredth of it."""
+MAX_REMEMBERED = 64 << 20
+"""Bytes of points and events a journal may have; a real night has a twentieth of it. They grow some
+thirty times when they are remembered."""
 
 _SEARCH_BYTES = 64 << 20
 _SEARCH_CRC_BYTES = 1 << 30
@@ -130,6 +131,8 @@ def read_journal(path: Path | str) -> JournalContents:
     """
     path = Path(path)
     try:
+        if path.exists() and not path.is_file():  # a pipe would never end
+            raise JournalError(path, None, "not a regular file")
         with path.open("rb") as file:
             return _read(file, path)
     except OSError as error:
@@ -184,7 +187,7 @@ def _take(contents: JournalContents, record: Record) -> None:
         contents.last_time = max(contents.last_time, record.duration_s)
     elif isinstance(record, PointBegin):
         time = record.fields.get("time")
-        if isinstance(time, (int, float)) and 0 <= time < 1e9:
+        if isinstance(time, (int, float)) and 0 <= time <= LONGEST_S:
             contents.last_time = max(contents.last_time, float(time))
 
 

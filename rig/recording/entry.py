@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rig.recording.contents import JournalContents
 from rig.recording.header import SIMULATED, End, Instrument, Named, RunHeader
 from rig.recording.nexus import (
+    UniqueNames,
     array_field,
     group,
     number_field,
@@ -19,8 +20,8 @@ from rig.recording.nexus import (
     plot_group,
     text_field,
     texts_field,
-    unique_name,
 )
+from rig.recording.reading import text_of
 from rig.recording.records import to_json
 from rig.recording.table import PointTable
 
@@ -121,9 +122,9 @@ def _write_values(
     made: h5py.Group, values: Mapping[str, Any], units: Mapping[str, str], prefix: str = ""
 ) -> None:
     """Nested values as nested groups; ``units`` are those of the dotted names."""
-    taken = set(made)
+    names = UniqueNames(*made)
     for key, value in values.items():
-        name, dotted = unique_name(key, taken), f"{prefix}{key}"
+        name, dotted = names.name(key), f"{prefix}{key}"
         if isinstance(value, Mapping):
             _write_values(group(made, name, "NXparameters"), value, units, f"{dotted}.")
             continue
@@ -195,9 +196,9 @@ def _write_events(made: h5py.Group, contents: JournalContents) -> None:
 
 
 def _write_instrument(made: h5py.Group, header: RunHeader) -> None:
-    taken = {"calibrations"}
+    names = UniqueNames("calibrations")
     for instrument in header.instruments:
-        part = group(made, unique_name(instrument.name, taken), _class_of(instrument))
+        part = group(made, names.name(instrument.name), _class_of(instrument))
         text_field(part, "name", instrument.name)
         fabrication = group(part, "fabrication", "NXfabrication")
         mark = f"{SIMULATED} " if instrument.simulated else ""
@@ -209,11 +210,11 @@ def _write_instrument(made: h5py.Group, header: RunHeader) -> None:
             text_field(details, name, getattr(instrument, name))
         number_field(details, "simulated", instrument.simulated)
     calibrations = group(made, "calibrations", "NXcollection")
-    names: set[str] = set()
+    names = UniqueNames()
     for number, calibration in enumerate(header.calibrations):
         name = next((calibration[k] for k in ("sensor", "name", "kind") if k in calibration), "")
         part = group(
-            calibrations, unique_name(str(name) or f"calibration_{number}", names), "NXcalibration"
+            calibrations, names.name(str(name) or f"calibration_{number}"), "NXcalibration"
         )
         text_field(part, "description", f"calibration of {name}" if name else "calibration")
         if "date" in calibration:
@@ -264,17 +265,11 @@ def _write_truth(entry: h5py.Group, contents: JournalContents, table: PointTable
         return
     made = group(entry, TRUTH, "NXcollection")
     text_field(made, "description", "SIMULATED: known to the World only, never measured")
-    taken = {"description"}
+    names = UniqueNames("description")
     for name, text in truths.items():
         found = from_json(str(text))
         values = found if isinstance(found, Mapping) else {"value": found}
-        _write_values(group(made, unique_name(name, taken), "NXparameters"), values, {})
-
-
-def text_of(field: h5py.Dataset) -> str:
-    """A text field's value."""
-    value = field[()]
-    return value.decode() if isinstance(value, bytes) else str(value)
+        _write_values(group(made, names.name(name), "NXparameters"), values, {})
 
 
 def header_of(entry: h5py.Group) -> RunHeader:

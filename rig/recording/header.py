@@ -13,13 +13,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, model_validator
 
-from rig.recording.layout import Layout
+from rig.documents import check_nesting
+from rig.recording.layout import MOST_PARTS, Layout, Short
 from rig.settings import Settings
 
 FORMAT = 1
-
-Short = Annotated[str, StringConstraints(max_length=1000)]
-"""Text that may become an HDF5 attribute (these end at 64 KiB)."""
 
 PointId = Annotated[str, StringConstraints(min_length=1, max_length=256)]
 
@@ -28,24 +26,25 @@ def _with_offset(text: str) -> str:
     when = datetime.fromisoformat(text)
     if when.tzinfo is None:
         raise ValueError("a time needs its offset from UTC")
+    if not 1970 <= when.year < 3000:
+        raise ValueError(f"the year {when.year} is none of a run's")
     return text
 
 
-MAX_DEPTH = 32
-
-
-def _shallow(value: Any, depth: int = 0) -> Any:
-    """The value; ValueError if it is nested deeper than anybody's settings are."""
-    if depth > MAX_DEPTH:
-        raise ValueError(f"nested deeper than {MAX_DEPTH}")
-    for item in value.values() if isinstance(value, dict) else value:
-        if isinstance(item, (dict, list, tuple)):
-            _shallow(item, depth + 1)
+def _sane(value: dict[str, Any]) -> dict[str, Any]:
+    check_nesting(value)
     return value
 
 
-Tree = Annotated[dict[str, Any], AfterValidator(_shallow)]
-"""Nested JSON values, not deeper than MAX_DEPTH."""
+Tree = Annotated[dict[str, Any], AfterValidator(_sane)]
+"""Nested JSON values, no deeper and no more than `check_nesting` allows."""
+
+LONGEST_S = 1e10
+"""Three centuries: a time beyond is no time of a run, and no calendar can add it to its start."""
+Seconds = Annotated[float, Field(ge=-LONGEST_S, le=LONGEST_S)]
+
+LARGEST_COUNT = 10**9
+Count = Annotated[int, Field(ge=0, le=LARGEST_COUNT)]
 
 IsoTime = Annotated[str, StringConstraints(max_length=40), AfterValidator(_with_offset)]
 """ISO 8601 with an offset from UTC."""
@@ -72,8 +71,8 @@ class Named(Settings):
     name: Short = ""
 
     @model_validator(mode="after")
-    def _is_shallow(self) -> Named:
-        _shallow(self.details())
+    def _is_sane(self) -> Named:
+        check_nesting(self.details())
         return self
 
     def details(self) -> dict[str, Any]:
@@ -150,8 +149,8 @@ class StreamState(Settings):
 class Event(Settings):
     """Something that happened: a state change, a limit trip, a hold, a retry."""
 
-    time: float
-    """Seconds since the run's start."""
+    time: Seconds
+    """Since the run's start."""
     level: Short
     code: Short
     message: str
@@ -162,14 +161,14 @@ class End(Settings):
 
     status: Literal["complete", "stopped", "failed"]
     reason: str = ""
-    attempt: Annotated[int, Field(ge=1)] = 1
+    attempt: Annotated[int, Field(ge=1, le=LARGEST_COUNT)] = 1
     end_time: IsoTime
-    duration_s: Annotated[float, Field(ge=0)]
-    points_done: Annotated[int, Field(ge=0)]
-    points_planned: Annotated[int, Field(ge=0)] | None = None
+    duration_s: Annotated[Seconds, Field(ge=0)]
+    points_done: Count
+    points_planned: Count | None = None
     """With those that the run itself planned; the header's number where it is left out."""
     warnings: tuple[str, ...] = ()
-    exit: int = 0
+    exit: Annotated[int, Field(ge=0, le=255)] = 0
 
 
 class RunHeader(Settings):
@@ -196,9 +195,9 @@ class RunHeader(Settings):
     user: Named = Named()
     sample: Named = Named()
     notes: str = ""
-    instruments: tuple[Instrument, ...] = ()
-    calibrations: tuple[Tree, ...] = ()
-    streams: tuple[Stream, ...] = ()
+    instruments: Annotated[tuple[Instrument, ...], Field(max_length=MOST_PARTS)] = ()
+    calibrations: Annotated[tuple[Tree, ...], Field(max_length=MOST_PARTS)] = ()
+    streams: Annotated[tuple[Stream, ...], Field(max_length=MOST_PARTS)] = ()
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> RunHeader:
@@ -242,4 +241,6 @@ class RunHeader(Settings):
             raise ValueError(f"first_index {first_index} is out of range")
         if not math.isfinite(host_time):
             raise ValueError("host_time is not finite")
+        if abs(host_time) > LONGEST_S:
+            raise ValueError(f"host_time {host_time:g} s is beyond {LONGEST_S:g} s")
         return nbytes // row

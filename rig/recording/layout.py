@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, TypeAdapter
+from pydantic import ConfigDict, Field, StringConstraints, TypeAdapter
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,62}\Z")
 _DEFINITION = re.compile(r"NX[A-Za-z0-9_]{1,60}\Z")
@@ -26,6 +26,13 @@ RESERVED_GROUPS = frozenset(
 )
 """Names inside ``/entry`` that a plot may not take."""
 
+Short = Annotated[str, StringConstraints(max_length=1000)]
+"""Text that may become an HDF5 attribute (these end at 64 KiB)."""
+
+MOST_PARTS = 256
+"""Columns, plots, instruments, streams and the like: each costs groups of the run file."""
+Names = Annotated[tuple[Short, ...], Field(max_length=MOST_PARTS)]
+
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
@@ -40,8 +47,8 @@ class Column:
 
     name: str
     source: str
-    units: str
-    long_name: str
+    units: Short
+    long_name: Short
     kind: Literal["number", "text"] = "number"
 
     __pydantic_config__ = _STRICT
@@ -66,11 +73,11 @@ class Plot:
 
     group: str
     signal: str
-    axes: tuple[str, ...]
+    axes: Names
     errors: str | None = None
-    auxiliary: tuple[str, ...] = ()
-    log_axes: tuple[str, ...] = ()
-    title: str = ""
+    auxiliary: Names = ()
+    log_axes: Names = ()
+    title: Short = ""
 
     __pydantic_config__ = _STRICT
 
@@ -107,8 +114,8 @@ class Trace:
     group: str
     stream: str
     signal: str
-    auxiliary: tuple[str, ...] = ()
-    title: str = ""
+    auxiliary: Names = ()
+    title: Short = ""
 
     __pydantic_config__ = _STRICT
 
@@ -135,11 +142,11 @@ class Layout:
     """
 
     definition: str
-    version: str
-    columns: tuple[Column, ...]
-    plots: tuple[Plot, ...]
+    version: Short
+    columns: Annotated[tuple[Column, ...], Field(max_length=MOST_PARTS)]
+    plots: Annotated[tuple[Plot, ...], Field(max_length=MOST_PARTS)]
     default: str = "data"
-    traces: tuple[Trace, ...] = ()
+    traces: Annotated[tuple[Trace, ...], Field(max_length=MOST_PARTS)] = ()
 
     __pydantic_config__ = _STRICT
 

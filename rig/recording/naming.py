@@ -9,6 +9,7 @@ from pathlib import Path
 RUN_SUFFIX = ".h5"
 JOURNAL_SUFFIX = ".rigj"
 
+_DAY = re.compile(r"\d{4}-\d{2}-\d{2}\Z")
 _RUN = re.compile(r"_r(\d+)\.(?:h5|rigj)\Z")
 
 
@@ -23,6 +24,13 @@ def next_run_path(results: Path | str, procedure: str, when: datetime) -> Path:
     numbers = [int(found[1]) for p in folder.iterdir() if (found := _RUN.search(p.name))]
     number = max(numbers, default=0) + 1
     return folder / f"{when:%Y-%m-%dT%H-%M-%S}_{procedure}_r{number:03d}{RUN_SUFFIX}"
+
+
+def results_of(journal: Path | str) -> Path:
+    """The results folder that a journal lies in: above its day's folder. A journal that lies
+    anywhere else, such as a copy, has its own folder for one."""
+    folder = Path(journal).parent
+    return folder.parent if _DAY.match(folder.absolute().name) else folder
 
 
 def journal_path(run_file: Path | str) -> Path:

@@ -58,15 +58,21 @@ def safe_name(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_]+", "_", text)[:100] or "_"
 
 
-def unique_name(text: str, taken: set[str]) -> str:
-    """``safe_name``, with a number where it is taken; adds it to ``taken``."""
-    name = base = safe_name(text)
-    number = 1
-    while name in taken:
-        number += 1
-        name = f"{base}_{number}"
-    taken.add(name)
-    return name
+class UniqueNames:
+    """Names for the items of one group, all different."""
+
+    def __init__(self, *taken: str) -> None:
+        self._numbers = dict.fromkeys(taken, 1)
+        """Of each name, the last number that was put behind it."""
+
+    def name(self, text: str) -> str:
+        """``safe_name``, with a number behind it where it is taken."""
+        name = base = safe_name(text)
+        while name in self._numbers:
+            self._numbers[base] += 1
+            name = f"{base}_{self._numbers[base]}"
+        self._numbers[name] = 1
+        return name
 
 
 def plain_text(text: object) -> str:

@@ -101,6 +101,8 @@ def to_json(value: Any) -> str:
 
 def from_json(text: str | bytes) -> Any:
     """The value of a JSON text; BadRecord for anything else, however hostile."""
+    if len(text) > MAX_JSON:
+        raise BadRecord(f"{len(text)} bytes of JSON, at most {MAX_JSON} are allowed")
     try:
         return json.loads(text, object_hook=_untagged, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
@@ -180,8 +182,6 @@ def decode(payload: bytes, header: RunHeader | None) -> Record:
         return _decode_block(payload, header)
     if kind not in _JSON_KINDS:
         raise BadRecord(f"unknown record type {kind}")
-    if len(payload) - 1 > MAX_JSON:
-        raise BadRecord(f"{len(payload) - 1} bytes of JSON, at most {MAX_JSON} are allowed")
     try:
         text = payload[1:].decode("utf-8")
     except UnicodeDecodeError:

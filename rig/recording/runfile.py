@@ -13,17 +13,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from rig.recording.entry import header_of, text_of
+from rig.recording.entry import header_of
 from rig.recording.errors import RunFileError, in_words
 from rig.recording.file_kind import TOLD, kind_of
 from rig.recording.header import RunHeader
+from rig.recording.reading import DAMAGE, refuse_links, text_of, texts_of, whole
 
 if TYPE_CHECKING:
     import h5py
     import numpy as np
     from numpy.typing import NDArray
-
-_DAMAGE = (OSError, KeyError, ValueError, RuntimeError, TypeError, AttributeError, RecursionError)
 
 
 @dataclass(frozen=True)
@@ -90,6 +89,7 @@ class RunFile:
         run = cls(path, file)
         try:
             with _naming(path):
+                refuse_links(file)
                 if "entry/journal_header" not in file:
                     raise RunFileError(path, "an HDF5 file, but not of a run: no journal header")
                 if not isinstance(run.header, RunHeader) or "outcome" not in run.entry:
@@ -129,24 +129,24 @@ class RunFile:
         """How the run ended."""
         with _naming(self.path):
             group = self.entry["outcome"]
-            number = {name: int(group[name][()]) for name in _NUMBERS}
+            number = {name: int(whole(group[name])) for name in _NUMBERS}
             return Outcome(
                 status=text_of(group["status"]),
                 reason=text_of(group["reason"]),
                 attempt=number["attempt"],
                 points_planned=number["points_planned"],
                 points_done=number["points_done"],
-                simulated=bool(group["simulated"][()]),
+                simulated=bool(whole(group["simulated"])),
                 seed=number["seed"],
                 exit=number["exit"],
-                duration=float(group["duration"][()]),
-                warnings=tuple(_texts(group["warnings"])),
+                duration=float(whole(group["duration"])),
+                warnings=tuple(texts_of(group["warnings"])),
             )
 
     def point_ids(self) -> list[str]:
         """Ids of the kept points, in the order of ``column``'s rows."""
         with _naming(self.path):
-            return _texts(self.entry["points/id"])
+            return texts_of(self.entry["points/id"])
 
     def columns(self) -> list[str]:
         """Names of the columns of the readings."""
@@ -160,8 +160,8 @@ class RunFile:
             if self.header.layout.column(name).kind == "text":
                 import numpy as np
 
-                return np.array(_texts(self.entry[f"points/{name}"]), dtype=object)
-            numbers: NDArray[Any] = self.entry[f"points/{name}"][()]
+                return np.array(texts_of(self.entry[f"points/{name}"]), dtype=object)
+            numbers: NDArray[Any] = whole(self.entry[f"points/{name}"])
             return numbers
 
     def readings(self) -> list[dict[str, Any]]:
@@ -169,8 +169,8 @@ class RunFile:
         from rig.recording.records import from_json
 
         with _naming(self.path):
-            results = _texts(self.entry["attempts/result"])
-            return [from_json(results[n])["reading"] for n in self.entry["points/attempt"][()]]
+            results = texts_of(self.entry["attempts/result"])
+            return [from_json(results[n])["reading"] for n in whole(self.entry["points/attempt"])]
 
     def waveforms(self, point: str | None = None, status: str = "kept") -> Iterator[Waveform]:
         """The samples of a point, or of all with that status, one segment at a time."""
@@ -192,7 +192,7 @@ def _naming(path: Path) -> Iterator[None]:
     """Damage to the file as a RunFileError that names it."""
     try:
         yield
-    except _DAMAGE as error:
+    except DAMAGE as error:
         hint = "`rig recover` compiles it again if its journal is still there"
         raise RunFileError(path, f"no readable run file: {in_words(error)}", hint) from error
 
@@ -203,10 +203,6 @@ def _refuse_other_kinds(path: Path) -> None:
         raise RunFileError(path, "a journal, not a run file", "`rig recover` compiles it")
     if kind != "hdf5":
         raise RunFileError(path, TOLD[kind])
-
-
-def _texts(field: h5py.Dataset) -> list[str]:
-    return [value.decode() for value in field[()]]
 
 
 def _waveform(data: h5py.Group) -> Waveform:
@@ -220,7 +216,7 @@ def _waveform(data: h5py.Group) -> Waveform:
         rate_Hz=float(first["rate_Hz"]) if "rate_Hz" in first else None,
         first_index=int(data.attrs["first_index"]),
         host_time=float(data.attrs["host_time"]),
-        counts={name: data[name][()] for name in names},
+        counts={name: whole(data[name]) for name in names},
         scale={name: float(data[name].attrs.get("scale", 1.0)) for name in names},
         offset={name: float(data[name].attrs.get("offset", 0.0)) for name in names},
         units=str(first.get("scaled_units", data[names[0]].attrs.get("units", ""))),

@@ -11,17 +11,20 @@ from rig.recording.comparison import differences
 from rig.recording.compiled import sha256_of
 from rig.recording.contents import read_journal
 from rig.recording.description import ending_of
-from rig.recording.entry import text_of
 from rig.recording.errors import JournalError, RunFileError, in_words
 from rig.recording.file_kind import TOLD, kind_of
 from rig.recording.header import SIMULATED
 from rig.recording.naming import checksum_path, journal_path
 from rig.recording.nexus import plain_text, plot_sources
+from rig.recording.reading import DAMAGE, checked, text_of, whole
 from rig.recording.records import to_json
 from rig.recording.runfile import RunFile
 
 if TYPE_CHECKING:
     import h5py
+
+MAX_CHECKSUM_CHARACTERS = 4096
+"""Of the line beside a file: a checksum and a name."""
 
 REQUIRED = (
     *("definition", "title", "start_time", "end_time", "duration", "identifier_experiment"),
@@ -100,7 +103,7 @@ def _guarded(check: Callable[[RunFile], Iterator[str]], run: RunFile) -> list[st
         found.extend(check(run))
     except RunFileError as error:
         found.append(error.reason)
-    except (OSError, KeyError, ValueError, RuntimeError, TypeError, AttributeError) as error:
+    except DAMAGE as error:
         what = (check.__doc__ or "").split(":")[0].rstrip(".")
         found.append(f"{what}: {in_words(error)}")
     return found
@@ -109,8 +112,12 @@ def _guarded(check: Callable[[RunFile], Iterator[str]], run: RunFile) -> list[st
 def checksum_findings(file: Path) -> Iterator[str]:
     """Whether the file is, byte by byte, the one that was written: its SHA-256, kept beside it."""
     beside = checksum_path(file)
+    if beside.exists() and not beside.is_file():
+        yield f"{beside.name}: not a regular file"
+        return
     try:
-        words = beside.read_text(encoding="utf-8", errors="replace").split()
+        with beside.open(encoding="utf-8", errors="replace") as opened:
+            words = opened.read(MAX_CHECKSUM_CHARACTERS).split()
     except FileNotFoundError:
         yield (
             f"its checksum is missing ({beside.name}): nobody can tell whether a byte has changed; "
@@ -144,13 +151,11 @@ def _is_dataset(item: object, h5py: object) -> bool:
 
 
 def _read_all(dataset: h5py.Dataset) -> None:
-    """Read it chunk by chunk: a hostile file can declare more than memory holds."""
+    """Read it, chunk by chunk where it has chunks."""
     if dataset.chunks is None:
-        if dataset.nbytes > 1 << 30:
-            raise ValueError("larger than any that is written in one piece")
-        dataset[()]
+        whole(dataset)
         return
-    for chunk in dataset.iter_chunks():
+    for chunk in checked(dataset).iter_chunks():
         dataset[chunk]
 
 
@@ -193,7 +198,7 @@ def _samples(run: RunFile) -> Iterator[str]:
     rows: dict[int, int] = {}
     for stream in run.header.streams:
         blocks = run.entry[f"blocks/{stream.name}"]
-        segments, counts = blocks["segment"][()], blocks["rows"][()]
+        segments, counts = whole(blocks["segment"]), whole(blocks["rows"])
         for segment in np.unique(segments):
             rows[int(segment)] = int(counts[segments == segment].sum())
     for place in ("waveforms", "discarded", "between_points"):
@@ -236,7 +241,7 @@ def _simulated(run: RunFile) -> Iterator[str]:
         if "fabrication" not in part:
             continue
         marked = text_of(part["fabrication/vendor"]).startswith(SIMULATED)
-        if marked != bool(part["details/simulated"][()]) or (marked and not simulated):
+        if marked != bool(whole(part["details/simulated"])) or (marked and not simulated):
             yield f"instrument/{name} does not agree on whether it is simulated"
 
 

@@ -14,6 +14,7 @@ from rig.recording.contents import JournalContents
 from rig.recording.header import RunHeader, StreamState
 from rig.recording.nexus import (
     CHUNK_ROWS,
+    UniqueNames,
     array_field,
     empty_field,
     group,
@@ -21,7 +22,6 @@ from rig.recording.nexus import (
     plain_text,
     set_attributes,
     text_field,
-    unique_name,
 )
 from rig.recording.records import Block
 from rig.recording.segments import Grouping, Segment
@@ -44,7 +44,7 @@ Piece = Callable[[int, int, "NDArray[Any]"], None]
 
 def segment_paths(contents: JournalContents) -> list[str]:
     """Path inside ``/entry`` of each segment of the journal, in order; all different."""
-    taken: dict[str, set[str]] = {place: set() for place in set(PLACES.values())}
+    names = {place: UniqueNames() for place in set(PLACES.values())}
     parts: dict[tuple[int | None, int], int] = {}
     paths = []
     for segment in contents.segments:
@@ -52,7 +52,7 @@ def segment_paths(contents: JournalContents) -> list[str]:
         parts[key] = parts.get(key, 0) + 1
         place = PLACES[status_of(contents, segment)]
         name = _name(contents, segment, parts[key])
-        paths.append(f"{place}/{unique_name(name, taken[place])}")
+        paths.append(f"{place}/{names[place].name(name)}")
     return paths
 
 
@@ -289,8 +289,8 @@ class WaveformWriter:
 
 def channel_names(channels: tuple[str, ...]) -> list[str]:
     """Dataset names of a stream's channels, all different."""
-    taken = {"title", "time", "sample"}
-    return [unique_name(channel, taken) for channel in channels]
+    names = UniqueNames("title", "time", "sample")
+    return [names.name(channel) for channel in channels]
 
 
 def segment_attributes(contents: JournalContents, number: int) -> dict[str, Any]:

@@ -153,7 +153,7 @@ def test_every_figure_says_that_it_is_simulated(tmp_path: Path, monkeypatch):
         (["history", "--relief", "none"], "--relief none: must be one of normal_raised"),
         (["slide", "--settings", "nowhere.json"], "nowhere.json: No such file"),
         (["history", "--at", "600"], "--at 600 (a step) must lie between 1 and 550"),
-        (["map", "--settings", "/dev/null"], "/dev/null: Invalid JSON"),
+        (["map", "--settings", "/dev/null"], "/dev/null: not a regular file"),
     ],
 )
 def test_what_cannot_be_is_one_error_that_says_why(arguments, words):

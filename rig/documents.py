@@ -1,0 +1,96 @@
+"""Settings files as they come from people and strangers: read whole, bounded, into plain values.
+
+A file that is too large, nested beyond sense, or no file at all is refused before anything has to
+understand it. What the values mean is for the settings classes to say.
+"""
+
+from __future__ import annotations
+
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from rig.errors import ConfigurationError
+
+MAX_TOML_BYTES = 64 << 10
+"""A bench file has two thousand."""
+MAX_TOML_LINE = 8 << 10
+"""Characters of a line: the time that `tomllib` takes for a dotted name grows with the cube of its
+length (two minutes for 64 KiB), and such a name cannot leave its line."""
+MAX_JSON_BYTES = 1 << 20
+"""A calibration record has ten thousand."""
+MAX_DEPTH = 32
+"""Of tables within tables."""
+MAX_KEYS = 10_000
+"""In all tables of a document."""
+
+
+def read_text(path: Path, what: str, most_bytes: int, hint: str | None = None) -> str:
+    """The text of a file, which `what` names for people ("bench file").
+
+    ConfigurationError where it cannot be read, is no regular file (nothing waits for a pipe), is
+    longer than `most_bytes` or is not UTF-8.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise ConfigurationError(f"cannot read the {what} {path}: not a regular file", hint)
+        with path.open("rb") as file:
+            content = file.read(most_bytes + 1)
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot read the {what} {path}: {error.strerror or error}", hint
+        ) from error
+    except ValueError as error:  # a NUL in the path
+        raise ConfigurationError(f"cannot read the {what} {str(path)!r}: {error}", hint) from error
+    if len(content) > most_bytes:
+        raise ConfigurationError(f"{path} is no {what}: longer than {most_bytes} bytes", hint)
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(f"{path} is no {what}: not UTF-8 text: {error}", hint) from error
+
+
+def read_toml(path: Path, what: str, hint: str | None = None) -> dict[str, Any]:
+    """The tables of a TOML file; ConfigurationError as `read_text` and `parse_toml`."""
+    return parse_toml(read_text(path, what, MAX_TOML_BYTES, hint), str(path))
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """The tables of a TOML text; ConfigurationError for one that is none, or beyond the bounds."""
+    if len(text) > MAX_TOML_BYTES:
+        raise ConfigurationError(f"{source}: longer than {MAX_TOML_BYTES} characters")
+    for number, line in enumerate(text.split("\n"), 1):
+        if len(line) > MAX_TOML_LINE:
+            raise ConfigurationError(
+                f"{source}: line {number} has {len(line)} characters, {MAX_TOML_LINE} are allowed",
+                "break it inside its list",
+            )
+    try:
+        tables = tomllib.loads(text)
+        check_nesting(tables)
+    except RecursionError:
+        raise ConfigurationError(f"{source}: nested deeper than {MAX_DEPTH}") from None
+    except ValueError as error:
+        raise ConfigurationError(f"{source}: {error}", "correct the TOML syntax") from error
+    return tables
+
+
+def check_nesting(value: Any) -> None:
+    """ValueError where tables and lists are nested deeper than MAX_DEPTH or have more than
+    MAX_KEYS keys in all: no settings are, and what walks them would not come to an end."""
+    level = [value] if isinstance(value, (dict, list, tuple)) else []
+    keys = 0
+    for _ in range(MAX_DEPTH + 1):
+        keys += sum(len(item) for item in level if isinstance(item, dict))
+        if keys > MAX_KEYS:
+            raise ValueError(f"more than {MAX_KEYS} keys")
+        level = [
+            inner
+            for item in level
+            for inner in (item.values() if isinstance(item, dict) else item)
+            if isinstance(inner, (dict, list, tuple))
+        ]
+        if not level:
+            return
+    raise ValueError(f"nested deeper than {MAX_DEPTH}")

@@ -1,0 +1,76 @@
+"""Reading HDF5 that anybody may have written: what a file declares is checked before it is read.
+
+A few bytes can declare more values than any memory holds, or that the values are in another file.
+Run files do neither. ValueError says what is refused.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import h5py
+
+DAMAGE = (OSError, KeyError, ValueError, RuntimeError, TypeError, AttributeError, OverflowError)
+"""What reading a damaged or strange file raises."""
+
+MAX_BYTES = 1 << 30
+"""Of a dataset that is read in one piece."""
+MAX_CHUNK_BYTES = 64 << 20
+"""Run files have chunks of at most two MiB."""
+MAX_COMPRESSION = 1100
+"""Deflate makes at most 1032 bytes of one."""
+
+
+def refuse_links(file: h5py.File) -> None:
+    """ValueError where a name is not an object of this file but a link, which may lead anywhere."""
+    from h5py import h5l
+
+    def link(name: bytes, info: Any) -> str | None:
+        return None if info.type == h5l.TYPE_HARD else name.decode(errors="replace")
+
+    if (found := file.id.links.visit(link, info=True)) is not None:
+        raise ValueError(f"{found} is a link")
+
+
+def checked(field: h5py.Dataset) -> h5py.Dataset:
+    """A dataset whose values are in its file, all that it declares."""
+    if field.is_virtual or field.external:
+        raise ValueError(f"{field.name}: its values are in another file")
+    stored = field.id.get_storage_size()
+    if field.nbytes > MAX_COMPRESSION * stored:
+        raise ValueError(f"{field.name}: declares {field.nbytes} bytes and stores {stored}")
+    if field.chunks:
+        chunk = field.dtype.itemsize
+        for length in field.chunks:
+            chunk *= length
+        if chunk > MAX_CHUNK_BYTES:
+            raise ValueError(f"{field.name}: a chunk of {chunk} bytes")
+    return field
+
+
+def whole(field: h5py.Dataset) -> Any:
+    """All values of a dataset, an array or a scalar."""
+    if checked(field).nbytes > MAX_BYTES:
+        raise ValueError(f"{field.name}: {field.nbytes} bytes in one piece")
+    return field[()]
+
+
+def text_of(field: h5py.Dataset) -> str:
+    """A text field's value."""
+    value = whole(field)
+    return value.decode() if isinstance(value, bytes) else str(value)
+
+
+def texts_of(field: h5py.Dataset) -> list[str]:
+    """The values of a field of several texts."""
+    rows = max(MAX_BYTES // field.file.id.get_filesize(), 1)  # each may be as long as the file
+    texts: list[str] = []
+    read = 0
+    for first in range(0, len(checked(field)), rows):
+        part = field[first : first + rows]
+        read += sum(map(len, part))
+        if read > MAX_BYTES:
+            raise ValueError(f"{field.name}: more than {MAX_BYTES} bytes of text")
+        texts += [value.decode() for value in part]
+    return texts
