@@ -83,9 +83,9 @@ def parse(text: str, annotation: Any, unit: str | None) -> Any:
     """An option's text as a value for a field of this type; ValueError says what is wrong."""
     arguments = typing.get_args(annotation)
     if typing.get_origin(annotation) is tuple:
-        if not text.strip():
-            raise ValueError("the list is empty; leave the option out for its default")
         items = text.split(",")
+        if not any(item.strip() for item in items):
+            raise ValueError("the list is empty; leave the option out for its default")
         if not all(item.strip() for item in items):
             raise ValueError("a value is missing between two commas or at an end")
         return tuple(parse(item, arguments[0], unit) for item in items)

@@ -218,7 +218,7 @@ def _real_bench(
     refuse_unsafe(request.results, plan.settings.name)
     if plan.settings.simulation is not None:
         say(f"SIMULATED bench ({path}): nothing here is measured")
-    say(f"connecting to {', '.join(part.role for part in plan.instruments)} ...")
+    say(f"getting ready to connect to {', '.join(part.role for part in plan.instruments)} ...")
     _import_ahead()
     meanwhile()
     return ChosenBench(plan, WallClock(), lock)

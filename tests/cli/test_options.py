@@ -86,6 +86,12 @@ def test_lists_are_separated_by_commas_and_each_item_may_have_its_unit() -> None
     assert parse("5", float | None, "1/s") == 5.0
 
 
+@pytest.mark.parametrize("text", ["1,,2", "1,", ",1"])
+def test_a_list_with_a_hole_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="a value is missing"):
+        parse(text, tuple[float, ...], "mm/s")
+
+
 @pytest.mark.parametrize("text", ["", " ", ",", " , "])
 def test_a_list_without_an_item_is_refused(text: str) -> None:
     """It is not the default: that is meant by leaving the option out."""

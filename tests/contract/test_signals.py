@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import subprocess
 import time
 
 import pytest
@@ -11,6 +12,7 @@ from rig.recording.runfile import RunFile
 from rig.recording.verify import verify
 
 SIXTY_POINTS = ("--frequencies", ",".join(str(f) for f in range(300, 6300, 100)))
+PATIENCE_S = 120.0
 STOPS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 
 
@@ -86,3 +88,50 @@ def test_a_signal_while_the_program_starts_has_the_same_exit_code(rig, number):
     assert ended.code == STOPS[number]
     assert rig.outputs() in ([], [True, False])
     rig.await_world("end")
+
+
+def test_a_run_outlasts_the_terminal_that_it_speaks_to(rig):
+    """Nobody reads stderr or stdout any more; only the run file can tell how it ended."""
+    running = subprocess.Popen(
+        [*rig.COMMAND, *rig.sweep_arguments("--frequencies", "300,400,500,600,700")],
+        cwd=rig.folder,
+        env=rig.env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    running.stderr.readline()
+    running.stderr.close()
+    running.stdout.close()
+    assert running.wait(PATIENCE_S) == 0
+    assert rig.outputs() == [True, False]
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert run.outcome.status == "complete"
+
+
+def test_a_stop_is_acknowledged_and_the_last_line_says_how_to_resume(rig):
+    running = rig.start_sweep(*SIXTY_POINTS)
+    running.wait_for(r"^20/60 ")
+    running.send(signal.SIGINT)
+    ended = running.finish()
+    lines = ended.stderr.splitlines()
+    assert "stopping: making the bench safe, then keeping the data ..." in lines
+    assert f"resume with: rig resume {ended.object['journal']}" in lines[-1]
+
+
+def test_a_usage_error_gives_an_object_too(rig):
+    for wrong in ("--nonsense", "--seed=-1"):
+        ended = rig.run("sweep", "--json", wrong)
+        assert ended.code == 2
+        assert ended.object["exit"] == 2
+        assert wrong.split("=")[0] in ended.object["errors"][0]
+
+
+def test_a_log_that_cannot_be_written_disturbs_no_run(rig):
+    (rig.results / "rig.log").mkdir(parents=True)
+    ended = rig.sweep("--load=1000N", "--frequencies", "210")
+    assert ended.code == 4, ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert ended.object["exit"] == 4
