@@ -253,9 +253,10 @@ def test_all_instruments_are_tried_before_failures_are_told() -> None:
     second = LimitError("daq: no such terminal", "correct it")
     with pytest.raises(RigError) as caught:
         connect(plan_with(fails(first), fails(second)), WallClock())
-    assert caught.value.one_line() == (
-        "generator: *IDN?: no answer; daq: no such terminal; switch it on"
-    )
+    assert [part.one_line() for part in caught.value.parts()] == [
+        "generator: *IDN?: no answer; switch it on",
+        "daq: no such terminal; correct it",
+    ]
     assert caught.value.code == ExitCode.INSTRUMENT
 
 
@@ -328,6 +329,13 @@ def test_the_wrong_fixture_is_refused() -> None:
     plan.require_fixture("film-clamp", "plate")
     with pytest.raises(ConfigurationError, match=r"has the plate mounted.*needs film-clamp"):
         plan.require_fixture("film-clamp")
+
+
+def test_what_the_points_need_is_missed_before_anything_is_connected() -> None:
+    plan = parse_bench('name = "bare"\n[fixture]\nmounted = "plate"\n', "bare.toml")
+    point = Point("p", None, (Move("generator.frequency", 200.0), Move("load_cell.load", 1.0)))
+    with pytest.raises(ConfigurationError, match=r"bare\.toml.*: generator, load_cell"):
+        require_roles([point], plan)
 
 
 # --- the plate -------------------------------------------------------------------------------
