@@ -147,7 +147,9 @@ def pvdf(
         from rig.calibration import FOLDER
         from rig.cli.film_record import analysed, doubts, film_record, sentences
         from rig.recording.runfile import RunFile
+        from rig.recording.verify import verify_apart
 
+        verify_apart(file)  # for a file that HDF5 would die of
         with RunFile.open(file) as run:
             analysis = analysed(run)
             date = datetime.fromisoformat(run.header.start_time)

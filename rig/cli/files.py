@@ -71,8 +71,10 @@ def show(files: Files, debug: Debug = False) -> None:
     with reported(debug):
         from rig.figures import draw
         from rig.recording.runfile import RunFile
+        from rig.recording.verify import verify_apart
 
         for path in files:
+            verify_apart(path)  # for a file that HDF5 would die of
             with RunFile.open(path) as run:
                 for name, value in run.summary().items():
                     print(printable(f"{name}: {value}"))  # noqa: T201 - stdout carries data
@@ -86,11 +88,15 @@ def show(files: Files, debug: Debug = False) -> None:
 def verify(files: Files, debug: Debug = False) -> None:
     """Check run files: checksums, structure, completeness; exit 8 where something is wrong."""
     with reported(debug):
-        from rig.recording.verify import verify as findings_of
+        from rig.recording.errors import RunFileError
+        from rig.recording.verify import verify_apart
 
         wrong = 0
         for path in files:
-            findings = findings_of(path)
+            try:
+                findings = verify_apart(path)
+            except RunFileError as error:
+                findings = [error.reason]
             wrong += bool(findings)
             verdict = "; ".join(findings) if findings else "sound"
             print(printable(f"{path}: {verdict}"))  # noqa: T201 - stdout carries data

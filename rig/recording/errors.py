@@ -36,3 +36,4 @@ class RunFileError(FoundWrongError):
     def __init__(self, path: Path | str, reason: str, hint: str | None = None) -> None:
         super().__init__(f"{path}: {reason}", hint)
         self.path = Path(path)
+        self.reason = reason
