@@ -29,7 +29,7 @@ from rig.calibration import (
 )
 from rig.clock import Clock
 from rig.documents import MAX_TOML_BYTES, parse_toml, read_text
-from rig.errors import ConfigurationError, LimitError, RigError, SeveralFailuresError
+from rig.errors import ConfigurationError, LimitError, RigError, SeveralFailuresError, shortened
 from rig.instruments import (
     DataAcquisition,
     DriverModule,
@@ -482,14 +482,15 @@ def _plan_instrument(role: str, table: Any, source: str) -> InstrumentPlan:
     if not isinstance(table, dict) or not isinstance(table.get("driver"), str):
         raise ConfigurationError(f"{where}: names no driver")
     name = table["driver"]
+    quoted = repr(shortened(name))
     found = entry("rig.drivers", name)
     if found is None:
         known = ", ".join(sorted(e.name for e in entry_points(group="rig.drivers")))
-        raise ConfigurationError(f"{where}: driver {name!r} is unknown (known: {known})")
+        raise ConfigurationError(f"{where}: driver {quoted} is unknown (known: {known})")
     try:
         module: DriverModule = found.load()
     except ImportError as error:
-        raise ConfigurationError(f"{where}: driver {name!r} cannot be loaded: {error}") from error
+        raise ConfigurationError(f"{where}: driver {quoted} cannot be loaded: {error}") from error
     if role not in module.ROLES:
         roles = " or ".join(module.ROLES)
         raise ConfigurationError(f"{where}: driver {name!r} is for the role {roles}")

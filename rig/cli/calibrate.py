@@ -158,8 +158,8 @@ def pvdf(
         from rig.cli.film_record import analysed, doubts, film_record, sentences
         from rig.recording.runfile import RunFile
 
+        _refuse_changed(file)
         with RunFile.open(file) as run:
-            _refuse_changed(file)
             analysis = analysed(run)
             date = datetime.fromisoformat(run.header.start_time)
             fields = wanted.fields("pvdf", date, run.header.user.name)

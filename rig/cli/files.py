@@ -83,7 +83,7 @@ def show(
         from rig.recording.description import describe, ending_of
         from rig.recording.file_kind import kind_of
         from rig.recording.runfile import RunFile
-        from rig.recording.verify import checksum_findings
+        from rig.recording.verify import checksum_findings, verify_apart
 
         for path in files:
             if kind_of(path) == "journal":
@@ -91,8 +91,11 @@ def show(
                 _tell(describe(path, contents.header, ending_of(contents)))
                 _tell(_results(contents.header, [kept.reading for kept in contents.kept()]))
                 continue
+            doubts = list(checksum_findings(path))
+            if doubts:
+                verify_apart(path)  # HDF5 may die of it, or hang
             with RunFile.open(path) as run:
-                for finding in checksum_findings(path):
+                for finding in doubts:
                     say(f"warning: {path.name}: {finding}")
                 _tell(describe(path, run.header, run.outcome))
                 readings = run.readings()
@@ -106,11 +109,11 @@ def verify(files: Files, debug: Debug = False) -> None:
     """Check run files and journals: checksums, structure; say how complete the run is; exit 8 where
     something is wrong."""
     with reported(debug):
-        from rig.recording.verify import verdict
+        from rig.recording.verify import safe_verdict
 
         wrong = 0
         for path in files:
-            found = verdict(path)
+            found = safe_verdict(path)
             wrong += not found.sound
             print(printable(f"{path}: {found}"))  # noqa: T201 - stdout carries data
         if wrong:

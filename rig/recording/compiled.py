@@ -136,9 +136,13 @@ def _write_checksum(path: Path, text: str) -> None:
 
 
 def _refuse_other_run(target: Path, contents: JournalContents) -> None:
-    """An existing file is replaced only by the same run's; a damaged one is not kept for that."""
+    """An existing file is replaced only by the same run's; a damaged one is not kept for that, and
+    one that its checksum shows to be damaged is not opened: HDF5 might not come to an end."""
     if not target.exists():
         return
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        if checksum_path(target).read_text(encoding="utf-8").split()[:1] != [sha256_of(target)]:
+            return
     import h5py
 
     with (

@@ -1,9 +1,19 @@
-"""Verifying: what can be checked about a run file or a journal without its instruments."""
+"""Verifying: what can be checked about a run file or a journal without its instruments.
+
+HDF5 can crash on a damaged file, or never come to an end inside one call, which nothing in its
+process can interrupt. ``python -m rig.recording.verify FILE`` prints the verdict as JSON: a file
+that is not known to be as it was written is read there first.
+"""
 
 from __future__ import annotations
 
+import json
+import resource
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -94,6 +104,54 @@ def _verdict_on_journal(file: Path) -> Verdict:
         return Verdict((), extent)
     where = "torn at its end" if contents.torn else "damaged, with sound records behind that"
     return Verdict((f"{where}: {contents.problem}; what is before it can be used",), extent)
+
+
+PATIENCE_S = 60.0
+"""For a small file; a large one has BYTES_A_S besides."""
+BYTES_A_S = 1e6
+"""Slower than any disk and computer that runs this."""
+MAX_MEMORY_BYTES = 8 << 30
+"""Of the process that verifies: the largest dataset in one piece, several times over."""
+
+
+def safe_verdict(file: Path | str) -> Verdict:
+    """The verdict on any file: on one that is not, byte by byte, what was written, by a process of
+    its own."""
+    file = Path(file)
+    if kind_of(file) != "hdf5" or not list(checksum_findings(file)):
+        return verdict(file)
+    try:
+        return verdict_apart(file)
+    except RunFileError as error:
+        return Verdict((error.reason,), "")
+
+
+def verify_apart(file: Path | str, patience_s: float = PATIENCE_S) -> list[str]:
+    """`verify` in a process of its own. RunFileError where HDF5 dies of the file or hangs."""
+    return list(verdict_apart(file, patience_s).findings)
+
+
+def verdict_apart(file: Path | str, patience_s: float = PATIENCE_S) -> Verdict:
+    """`verdict` in a process of its own. RunFileError where HDF5 dies of the file or hangs."""
+    file = Path(file)
+    size = file.stat().st_size if file.is_file() else 0
+    command = [sys.executable, "-m", "rig.recording.verify", str(file)]
+    patience_s += size / BYTES_A_S
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=patience_s)
+    except subprocess.TimeoutExpired:
+        reason = f"damaged: HDF5 does not come to an end with it within {patience_s:.0f} s"
+        raise RunFileError(file, reason, _DAMAGED_HINT) from None
+    if done.returncode != 0:
+        death = signal.Signals(-done.returncode).name if done.returncode < 0 else "error"
+        last = done.stderr.strip().splitlines()[-1:]
+        reason = f"damaged: HDF5 died of it ({': '.join([death, *last])})"
+        raise RunFileError(file, reason, _DAMAGED_HINT)
+    told = json.loads(done.stdout)
+    return Verdict(tuple(told["findings"]), told["extent"])
+
+
+_DAMAGED_HINT = "compile it again if its journal is still there: rig recover"
 
 
 def _guarded(check: Callable[[RunFile], Iterator[str]], run: RunFile) -> list[str]:
@@ -259,3 +317,13 @@ def _journal(file: Path) -> Iterator[str]:
         return
     for difference in differences(contents, file):
         yield f"it is not what its journal holds: {difference}"
+
+
+def main() -> None:
+    """Print the verdict on the file that is the only argument."""
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
+    print(json.dumps(asdict(verdict(sys.argv[1]))))  # noqa: T201 - the answer to `verdict_apart`
+
+
+if __name__ == "__main__":
+    main()
