@@ -23,6 +23,7 @@ from rig.bench import (
 from rig.clock import WallClock
 from rig.errors import ConfigurationError, ExitCode, InstrumentError, LimitError, RigError
 from rig.instruments import Identity, Reach
+from rig.runner.points import Move, Point, require_roles
 
 GOOD = """
 name = "bench-3"
