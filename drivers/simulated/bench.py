@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 LINGER_S = 10.0
 """How long a bench whose owner died goes on in real time: time for the guard to come and act."""
 
-START_TIMEOUT_S = 30.0
+ABANDONED_S = 0.5
+"""How long a bench that nobody has connected to may take to end by itself."""
 
 Fixture = Literal["film-clamp", "plate"]
 
@@ -217,8 +218,8 @@ class StartedBench:
 
     def abandon(self) -> None:
         """End the process, which nobody needs: it may still be making its skin."""
-        self._process.kill()
-        self.wait()
+        self._process.terminate()
+        self.wait(ABANDONED_S)
 
 
 def start(options: dict[str, Any]) -> StartedBench:
