@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import tomllib
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -43,10 +44,12 @@ def test_a_procedure_gets_the_bench_with_its_fixture(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "world.toml").write_text(SMALL)
-    plan, clock, started, recorded = bench_for(Request(world=Path("world.toml")), "plate")
-    assert plan.settings.fixture.mounted == "plate"
-    assert recorded is not None
-    assert 'mounted = "plate"' in recorded
-    assert started is not None
-    clock.close()
-    started.wait()
+    with ExitStack() as at_the_end:
+        bench = bench_for(Request(world=Path("world.toml")), at_the_end, "plate")
+    assert bench.plan.settings.fixture.mounted == "plate"
+    assert bench.recorded_toml is not None
+    assert 'mounted = "plate"' in bench.recorded_toml
+    assert bench.lock is None
+    assert bench.started is not None
+    bench.clock.close()
+    bench.started.wait()

@@ -130,7 +130,7 @@ def test_given_texts_become_settings() -> None:
     [
         ({"normal_force_N": "4V"}, ["--normal-force 4V: 'V' does not convert to N"]),
         ({"speeds_mm_s": "1,two"}, ["--speeds 1,two"]),
-        ({"normal_force_N": "0"}, ["--normal-force = 0.0", "greater than 0"]),
+        ({"normal_force_N": "0"}, ["--normal-force = 0.0 N", "above 0 N"]),
         ({"normal_force_N": "nan"}, ["--normal-force", "finite"]),
         ({"cycles": "4.5"}, ["--cycles = '4.5'"]),
         ({"cycles": "0"}, ["--cycles"]),
