@@ -76,7 +76,7 @@ JUST_SEEN_S = 0.002
 """As short as the way of an answer: who asks where the axis is and at once sends it on has the
 drive's state before him."""
 ARRIVAL_POLL_S = 0.02
-KEEP_ALIVES_PER_TIMEOUT = 10
+KEEP_ALIVES_PER_TIMEOUT = 20
 """How often the communication time-out is fed within its length."""
 ACKNOWLEDGE_TIMEOUT_S = 0.5
 """How long the drive may take to show that it has taken a task."""

@@ -62,7 +62,7 @@ def test_a_generator_that_fails_once_is_still_switched_off(rig, kind):
 SLOW = ("--frequencies", "2,3,4,5,300", "--order", "descending")
 SLOW_POINTS = [f"{frequency}Hz-1N" for frequency in (300, 5, 4, 3, 2)]
 """Slow enough for stage and force sensor to be asked and heard many times after the first point."""
-WHILE_TAKING = {"stage_z": 1000, "force_sensor.stream": 900}
+WHILE_TAKING = {"stage_z": 830, "force_sensor.stream": 900}
 """A request to the stage, a batch of frames, in the middle of them."""
 
 
@@ -99,7 +99,7 @@ def test_a_stage_that_fails_once_ends_the_run_safely(rig, kind):
     assert_ended_safely(rig, ended, "stage_z")
 
 
-PARKING = 1100
+PARKING = 930
 """A request to the stage after the last point, on the way back from the film."""
 
 

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from rig.errors import RigError
 from rig.recording.compiled import compile_run, sha256_of
 from rig.recording.contents import read_journal
+from rig.recording.description import describe
 from rig.recording.errors import RunFileError
 from rig.recording.naming import results_of
 from rig.recording.records import MAGIC, Kind
@@ -49,7 +50,7 @@ def recovered_or_refused(folder: Path, journal: bytes) -> None:
     assert names <= {"given.rigj", "given.h5", "given.h5.sha256"}
     assert verify(folder / "given.h5") == []
     with RunFile.open(folder / "given.h5") as opened:
-        assert opened.summary()["points_done"] == len(opened.readings())
+        assert opened.outcome.points_done == len(opened.readings())
 
 
 def refusal(journal: Path) -> str:
@@ -192,7 +193,7 @@ SPOILING = [
 def look(file: Path) -> None:
     """What ``rig show`` and the figures ask of a file."""
     with RunFile.open(file) as opened:
-        opened.summary()
+        describe(file, opened.header, opened.outcome)
         opened.point_ids()
         for name in opened.columns():
             opened.column(name)
