@@ -202,8 +202,8 @@ def test_a_bench_that_does_not_answer_at_all_is_told_with_every_device(rig):
     ended = rig.sweep(*FREQUENCIES, "--fault", rig.fault(plan))
 
     assert ended.code == 3
-    (error,) = ended.errors
-    for words in ("generator: *IDN?", "daq: *IDN?", "stage_z: ", "force_sensor: "):
+    wanted = ("generator: *IDN?", "daq: *IDN?", "stage_z: ", "force_sensor: ")
+    for error, words in zip(ended.errors, wanted, strict=True):
         assert words in error
     assert not list(rig.results.rglob("*.h5"))
 
