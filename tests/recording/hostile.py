@@ -58,9 +58,9 @@ def spoiled(draw: st.DrawFn, value: Any) -> Any:
         if act == "leave out" and isinstance(parent, dict):
             del parent[key]
         elif act == "add" and isinstance(parent, dict):
-            parent[draw(KEYS)] = draw(VALUES)
+            parent[draw(KEYS)] = copy.deepcopy(draw(VALUES))
         else:
-            parent[key] = draw(VALUES)
+            parent[key] = copy.deepcopy(draw(VALUES))
     return value
 
 

@@ -238,7 +238,7 @@ import signal, sys
 import h5py, numpy
 for line in sys.stdin:
     path, swmr = line.split()
-    signal.alarm(5)  # a read takes milliseconds; ends the process in the middle of the library, too
+    signal.alarm(2)  # a read takes milliseconds; ends the process in the middle of the library, too
     try:
         with h5py.File(path, "r", swmr=swmr == "True") as file:
             numpy.save(path + ".npy", file["counts"][()])
