@@ -16,8 +16,9 @@ from simulated.ideal import serving
 
 from drivers import festo_cmmt
 from drivers.festo_cmmt import Axis, Settings
-from drivers.simulated.faults import FaultPlan, WireFaults
-from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings, Trouble
+from drivers.simulated.fault_plan import AxisFault, FaultPlan
+from drivers.simulated.faults import WireFaults
+from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
 from drivers.simulated.modbus_tcp import ModbusError, ModbusTcpServer
 from rig.clock import Clock
 from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
@@ -510,19 +511,20 @@ def test_a_new_motion_is_not_ended_by_the_last_ones_fixed_stop() -> None:
 
 
 @pytest.mark.parametrize(
-    ("trouble", "own", "told"),
+    ("kind", "own", "told"),
     [
-        (Trouble("fault", 2, 0.5, 114), {}, "114 .*negative limit switch"),
-        (Trouble("reference-lost", 2, 0.5), {}, "lost its reference"),
-        (Trouble("jam", 2, 0.5), {"torque_limit_percent": None}, "126 .*following error"),
-        (Trouble("jam", 2, 0.5), {}, "torque limit"),
+        ("limit-switch", {}, "115 .*positive limit switch"),
+        ("reference-lost", {}, "lost its reference"),
+        ("stuck", {"torque_limit_percent": None}, "126 .*following error"),
+        ("stuck", {}, "torque limit"),
     ],
 )
 @pytest.mark.parametrize("way", ["move", "servo", "wait"])
 def test_what_befalls_a_motion_is_one_error_however_it_is_watched(
-    trouble: Trouble, own: dict[str, Any], told: str, way: str
+    kind: Any, own: dict[str, Any], told: str, way: str
 ) -> None:
-    with service(drive={"troubles": (trouble,)}, **own) as it:
+    fault = AxisFault(device="stage_z", kind=kind, move=2, after_s=0.5)
+    with service(drive={"faults": (fault,)}, **own) as it:
         axis = it.homed()
         axis.move_to(5.0, 20.0)
         begun = it.clock.now()
