@@ -539,6 +539,39 @@ def test_what_befalls_a_motion_is_one_error_however_it_is_watched(
         assert it.speed == 0
 
 
+def go_and_sleep(axis: Axis, clock: Clock) -> None:
+    axis.start_move(15.0, 10.0)
+    clock.sleep(5.0)
+
+
+@pytest.mark.parametrize("go", [lambda axis, clock: axis.move_to(15.0, 10.0), go_and_sleep])
+def test_an_axis_that_runs_past_its_target_is_stopped_and_told(
+    go: Callable[[Axis, Clock], None],
+) -> None:
+    runaway = AxisFault(device="stage_z", kind="runaway", move=2, after_s=0.1)
+    with service(drive={"faults": (runaway,)}) as it:
+        axis = it.homed()
+        axis.move_to(20.0, 20.0)
+        with pytest.raises(InstrumentError, match=r"ran past its target: .* on the way to 15 mm"):
+            go(axis, it.clock)
+        axis.stop()
+        assert it.speed == 0
+        assert 13.5 < it.truth_mm < 14.9, "one look at it, and the way of braking"
+        axis.move_to(15.0, 10.0)
+
+
+def test_a_target_behind_a_motion_under_way_is_passed_and_come_back_to() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(40.0, 20.0)
+        it.clock.sleep(1.0)
+        axis.start_move(it.truth_mm + 0.1, 20.0)
+        wanted = it.truth_mm + 0.1
+        while axis.moving():
+            it.clock.sleep(0.005)
+        assert it.truth_mm == pytest.approx(wanted, abs=0.02)
+
+
 def test_without_a_torque_limit_the_drive_reports_a_following_error() -> None:
     with service(torque_limit_percent=None) as it:
         axis = it.homed()
