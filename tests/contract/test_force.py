@@ -342,6 +342,20 @@ def test_a_drive_that_fails_on_the_way_to_the_preload_is_told_in_one_line(rig, k
     assert True not in rig.outputs()
 
 
+def test_a_sensor_that_freezes_while_the_film_is_pressed_ends_the_run_at_once(rig):
+    """Without it the stage would press on, to the drive's torque limit."""
+    plan = '[[fault]]\ndevice = "force_sensor"\nkind = "frozen"\nafter_s = 4.4\nfor_s = 2.0\n'
+    ended = rig.sweep(*SHORT, "--fault", rig.fault(plan))
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert error.startswith("error: force_sensor: stream: 20 frames in a row are the same")
+    log = rig.log()
+    (frozen_us,) = [x["t_us"] for x in log if x["what"] == "injected"]
+    stopped_us = next(x["t_us"] for x in log if x["what"] == "stop" and x["t_us"] > frozen_us)
+    assert stopped_us - frozen_us <= 40_000
+    assert rest(rig) == pytest.approx(5.0, abs=0.02)
+
+
 def test_a_gap_in_the_force_stream_ends_the_run(rig):
     fault = '[[fault]]\ndevice = "force_sensor.stream"\nkind = "silence"\nat = 300\ncount = 8\n'
     ended = rig.sweep("--frequencies", "2,3,4", "--fault", rig.fault(fault))
