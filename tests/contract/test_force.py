@@ -356,6 +356,25 @@ def test_a_sensor_that_freezes_while_the_film_is_pressed_ends_the_run_at_once(ri
     assert rest(rig) == pytest.approx(5.0, abs=0.02)
 
 
+def test_what_trips_on_the_way_up_is_told_and_the_way_up_gone_on_with(rig):
+    """The points are taken, the stage is half way up: stopping there would leave the film pressed
+    where it cannot be seen why."""
+    rig.sweep(*SHORT)
+    (begun_us,) = [x["t_us"] for x in rig.log() if x["what"] == "move"][-1:]
+    rig.world_log.unlink()
+    push = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 60.0\n'
+    plan = rig.fault(f"{push}after_s = {begun_us * 1e-6 + 0.3}\n")
+    ended = rig.sweep(*SHORT, "--results", "other", "--fault", plan)
+
+    assert ended.code == 4, ended.stderr
+    (error,) = ended.errors
+    assert "N is over the limit of 40 N" in error
+    assert ended.object["points_done"] == 2
+    assert "may still be pressed" not in ended.stderr
+    assert moves(rig)[-2:] == [pytest.approx(5.0)] * 2, "stopped, and gone on with"
+    assert rest(rig) == pytest.approx(5.0, abs=0.02)
+
+
 def test_a_gap_in_the_force_stream_ends_the_run(rig):
     fault = '[[fault]]\ndevice = "force_sensor.stream"\nkind = "silence"\nat = 300\ncount = 8\n'
     ended = rig.sweep("--frequencies", "2,3,4", "--fault", rig.fault(fault))
