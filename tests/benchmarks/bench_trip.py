@@ -21,7 +21,7 @@ def test_from_overload_to_the_command_on_the_wire(rig, blocked):
     pushed = range(3, 400, 4 if not blocked else 400)
     bumps = ", ".join(f"{{ acquisition = {k}, after_s = 0.3, for_s = 0.05 }}" for k in pushed)
     delays = []
-    for repeat in range(2 if not blocked else 12):
+    for repeat in range(16 if not blocked else 12):
         path = rig.folder / f"{blocked}{repeat}.toml"
         rig.world_log.unlink(missing_ok=True)
         arguments = ["--world", rig.world(f"bumps = [{bumps}]\n")]

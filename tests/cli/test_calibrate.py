@@ -26,7 +26,7 @@ from rig.calibration import (
     header_entry,
     read_calibration,
 )
-from rig.cli.calibrate import with_error
+from rig.analysis.estimate import with_error
 from rig.model import pvdf
 from rig.model.vibrator import drawn_film, true_response
 from rig.recording.compiled import compile_run
