@@ -397,10 +397,14 @@ class _Instruments:
 
 def _clamp_drives(world: World) -> list[CmmtDrive]:
     """The z stage, with the vibrator on it above the film."""
+    from drivers.simulated.axis import Mechanics
     from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
     from drivers.simulated.world import STAGE_Z
 
-    z = CmmtDrive(DriveSettings(name=STAGE_Z, troubles=world.settings.stage_z_troubles), world)
+    clamp = world.settings.clamp
+    mechanics = Mechanics(stiffest_load_N_mm=clamp.stiffness_N_mm + clamp.creep_stiffness_N_mm)
+    troubles = world.settings.stage_z_troubles
+    z = CmmtDrive(DriveSettings(name=STAGE_Z, mechanics=mechanics, troubles=troubles), world)
     world.mount(z.position_mm)
     return [z]
 

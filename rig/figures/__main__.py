@@ -15,7 +15,6 @@ from pathlib import Path
 from rig.errors import RigError
 from rig.figures import draw_part
 
-
 NICENESS = 5
 """What takes the data, and what keeps them, goes first."""
 

@@ -116,7 +116,7 @@ def test_bytes_lost_on_the_serial_line_end_the_trial(rig, what):
 
 def test_a_daq_whose_buffer_does_not_bridge_the_trial_ends_it(rig):
     """A thousand samples are 17 ms of two strips at 30 kS/s: stopping x takes longer."""
-    ended = take(rig, "daq_buffer_samples = 1000\n", "", "--rate", "30000")
+    ended = take(rig, "daq_buffer_samples = 1000\n", "", "--rate", "30000", "--block", "5ms")
     assert_told(ended, 3, "daq: WAV:STAT?: its buffer overran after row")
     assert "overrun" in [e["value"] for e in rig.log() if e["what"] == "acquisition"]
     assert_lifted(rig)
@@ -128,7 +128,7 @@ def test_a_daq_whose_buffer_does_not_bridge_the_trial_ends_it(rig):
 
 
 def test_a_block_of_samples_that_is_lost_on_the_wire_ends_the_trial(rig):
-    fault = '[[fault]]\ndevice = "daq"\nkind = "truncate"\ncommand = "WAV:DATA"\nat = 410\n'
+    fault = '[[fault]]\ndevice = "daq"\nkind = "truncate"\ncommand = "WAV:DATA"\nat = 205\n'
     ended = take(rig, "", fault)
     assert_told(ended, 3, "error: daq: WAV:DATA?")
     assert_lifted(rig)
