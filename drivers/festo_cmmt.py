@@ -86,6 +86,9 @@ REJECT_HOLD_S = 0.02
 """How long a stop is held before it may be lifted: many of the drive's cycles."""
 SETTLING_S = 1.0
 """What a motion may take beyond its profile."""
+PAST_mm = 0.1
+"""How far beyond its target an axis may be seen that has come to it from rest: many times what a
+drive overshoots, and less than the way to anything."""
 
 _POWER_OFF = (
     Stw1.NO_COAST_STOP
@@ -131,6 +134,10 @@ class Axis:
         self._seen_at_s = -1.0
         self._target: int | None = None
         """Where the task under way ends, in counts."""
+        self._way = 0
+        """In which direction from where the task began: 1, -1, or 0 where it stood there."""
+        self._past_mm = PAST_mm
+        """How far beyond the target it may be seen."""
         self._acknowledged = False
         """Whether the drive has shown that it has taken that task."""
         self._arrive_by_s = 0.0
@@ -202,7 +209,8 @@ class Axis:
             just_seen = self._clock.now() - self._seen_at_s < JUST_SEEN_S
             self._require_task(self._seen if just_seen else self._look())
         target = round(position_mm / own.position_unit_mm)
-        distance = abs(target - self._seen.position) * own.position_unit_mm
+        way = target - self._seen.position
+        distance = abs(way) * own.position_unit_mm
         ramps = 4 * own.max_speed_mm_s / min(own.acceleration_mm_s2, own.deceleration_mm_s2)
         wish = replace(
             _at_rest(own),
@@ -212,6 +220,9 @@ class Axis:
             speed=round(speed_mm_s / own.speed_unit_mm_s),
         )
         self._target, self._acknowledged = target, not fresh
+        self._way = (way > 0) - (way < 0)
+        braking_mm = 0.0 if fresh else own.max_speed_mm_s**2 / (2 * own.deceleration_mm_s2)
+        self._past_mm = PAST_mm + braking_mm  # what moves already may have to come back
         self._tell(wish)
         self._arrive_by_s = self._clock.now() + distance / speed_mm_s + ramps + SETTLING_S
         if fresh:
@@ -508,6 +519,8 @@ class Axis:
             raise self._error("move", "the axis has lost its reference", "home it again")
         if _taken(seen) and PosZsw2.FIXED_STOP_REACHED in seen.pos_zsw2:
             self._end_at_fixed_stop(seen)
+        if self._mm(seen.position - self._target) * self._way > self._past_mm:
+            self._end_past_target(seen)
 
     def _require_task(self, seen: Inputs) -> None:
         """The task under way is still in force: an update must not set another's stop aside."""
@@ -532,6 +545,19 @@ class Axis:
             f"stopped by its torque limit at {self._mm(seen.position):g} mm on the way to "
             f"{self._mm(target):g} mm",
             "something is in the way; if it belongs there, raise torque_limit_percent",
+        )
+
+    def _end_past_target(self, seen: Inputs) -> None:
+        """The axis goes on where it should have stopped: stop it, then say so."""
+        with contextlib.suppress(InstrumentError):  # that it runs away is the news
+            self._tell(self._stopping(), stopping=True)
+        target, self._target = self._target, None
+        assert target is not None
+        raise self._error(
+            "move",
+            f"ran past its target: it is at {self._mm(seen.position):g} mm on the way to "
+            f"{self._mm(target):g} mm",
+            "look at the encoder and at the drive's settings before it moves again",
         )
 
     def _refuse_if_made_safe(self, command: str) -> None:

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.simulated.faults import FaultPlan
+from drivers.simulated.fault_plan import FaultPlan
 from drivers.simulated.world import read_world
 from rig.bench import parse_bench, read_bench
 from rig.calibration import FilmCalibration, ForceCalibration, LoadCellCalibration, read_calibration
@@ -23,7 +23,7 @@ from rig.errors import ConfigurationError, ExitCode, RigError
 
 READERS: dict[str, Callable[[Path], object]] = {
     "bench": read_bench,
-    "fault plan": lambda path: FaultPlan.read(path, ["daq"]),
+    "fault plan": FaultPlan.read,
     "World": lambda path: read_world(str(path)),
     "film": lambda path: read_calibration(path, FilmCalibration),
     "force": lambda path: read_calibration(path, ForceCalibration),
@@ -163,8 +163,28 @@ nominal_force_N = 50.0
 max_force_N = 40.0
 matrix_N_mV_V = [[80.0, 0.0, 0.0], [0.0, 80.0, 0.0], [0.0, 0.0, 80.0]]
 """
-FAULTS = '[[fault]]\ndevice = "daq"\nkind = "silence"\nat = 3\ncount = 1\ncommand = "WAV"\n'
-WORLD = 'film = "drawn"\nfilm_gain = 2.0\nbumps = [ { acquisition = 1, force_N = 3.0 } ]\n'
+FAULTS = """[[fault]]
+device = "daq"
+kind = "silence"
+at = 3
+count = 1
+command = "WAV"
+[[fault]]
+device = "stage_z"
+kind = "drive-fault"
+move = 2
+code = 126
+[[fault]]
+device = "force_sensor"
+kind = "spike"
+acquisition = 1
+force_N = 3.0
+[[fault]]
+device = "disk"
+kind = "slow-sync"
+delay_s = 0.5
+"""
+WORLD = 'film = "drawn"\nfilm_gain = 2.0\nforce_sensor_zero_mV_V = [ 0.1, 0.0, -0.1 ]\n'
 GOOD = {"bench": BENCH, "fault plan": FAULTS, "World": WORLD}
 
 TOML_VALUES = st.sampled_from(

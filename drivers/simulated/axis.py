@@ -285,6 +285,11 @@ class Axis:
     # --- what can be seen of it ---------------------------------------------------------------
 
     @property
+    def command(self) -> Command | None:
+        """The move that was asked for last; None once something has ended it."""
+        return self._command
+
+    @property
     def settling(self) -> bool:
         """Whether its history is being brought up to date just now."""
         return self._settling

@@ -15,16 +15,20 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from rig.errors import ConfigurationError, InstrumentError, RigError
 
 if TYPE_CHECKING:
-    from drivers.simulated.faults import FaultPlan
+    from drivers.simulated.disk_faults import FaultyDisk
+    from drivers.simulated.fault_plan import FaultPlan
+    from drivers.simulated.faults import Dialect, WireFaults
     from drivers.simulated.festo_cmmt import CmmtDrive
+    from drivers.simulated.monitor import Monitor, WatchSettings
     from drivers.simulated.servers import HislipServer, ScpiSocketServer
     from drivers.simulated.world import World, WorldSettings
 
@@ -52,11 +56,11 @@ class Options:
     world_log: str | None = None
     """File to which the World's log is appended."""
     linger_s: float = LINGER_S
+    results: str | None = None
+    """Folder in which the owner records: where the fault plan's disk is."""
 
 
 FORCE_SENSOR = "force_sensor"
-FORCE_STREAM = "force_sensor.stream"
-"""Name of the force sensor's own frames in fault plans; its answers go by the sensor's name."""
 
 ANY_PORT = 502
 """Stands for the drive's port in a bench file that is only recorded."""
@@ -182,6 +186,9 @@ class StartedBench:
     """A bench that was started as a process of its own, and how to drive it."""
 
     def __init__(self, options: Options):
+        self._disk = _faulty_disk(options)
+        if self._disk is not None:
+            self._disk.install()
         self._process = subprocess.Popen(
             [sys.executable, "-m", "drivers.simulated.bench", json.dumps(asdict(options))],
             stdin=subprocess.PIPE,  # never written: its end tells the bench that we died
@@ -206,7 +213,10 @@ class StartedBench:
         return answer
 
     def wait(self, timeout_s: float = 5.0) -> None:
-        """Wait for the process to end; one that does not is ended."""
+        """Wait for the process to end; one that does not is ended. With it end the faults of the
+        disk."""
+        if self._disk is not None:
+            self._disk.remove()
         try:
             self._process.wait(timeout_s)
         except subprocess.TimeoutExpired:
@@ -223,7 +233,8 @@ class StartedBench:
 
 
 def start(options: dict[str, Any]) -> StartedBench:
-    """Start a slaved bench; `options` are fields of `Options`."""
+    """Start a slaved bench; `options` are fields of `Options`. A fault plan's disk is this
+    process's, until the bench has been waited for."""
     return StartedBench(Options(**{**options, "slaved": True}))
 
 
@@ -234,7 +245,7 @@ def serve(options: dict[str, Any], ready: Callable[[str], None]) -> None:
 
 async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> None:
     from drivers.simulated.control import ControlServer
-    from drivers.simulated.faults import FaultPlan
+    from drivers.simulated.fault_plan import TimedFault
     from drivers.simulated.world import World
 
     if options.fixture not in get_args(Fixture):
@@ -243,13 +254,13 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
             f"it has {' and '.join(get_args(Fixture))}",
         )
     settings = _read_world(options)
-    devices = _devices(options.fixture)
-    faults = FaultPlan.read(Path(options.fault), devices) if options.fault else FaultPlan()
+    faults = _read_faults(options)
     log = Path(options.world_log) if options.world_log else None
-    world = World(settings, options.seed, options.slaved, log)
+    world = World(settings, options.seed, options.slaved, log, faults.of(TimedFault))
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     bench = _Instruments(world, options, faults)
+    monitor = bench.monitor(settings.watch)
 
     def settle() -> None:
         for drive in bench.drives:
@@ -259,6 +270,8 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
     def after_time_passed() -> None:
         settle()
         bench.force.pump()
+        if monitor is not None:
+            monitor.look(world.now_us)
 
     async def follow_real_time() -> None:
         while True:
@@ -309,6 +322,8 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
         for server in bench.servers:
             await server.close()
         settle()
+        if monitor is not None:
+            monitor.over()
         world.close()
     if world.failure is not None:
         raise InstrumentError("simulated bench", "contact", world.failure)
@@ -324,46 +339,102 @@ def _read_world(options: Options) -> WorldSettings:
     return read_world(options.world)
 
 
-def _devices(fixture: Fixture) -> tuple[str, ...]:
-    """Names that fault plans may use."""
-    from drivers.simulated.world import STAGE_X, STAGE_Z
+def _read_faults(options: Options) -> FaultPlan:
+    from drivers.simulated.fault_plan import DEVICES, DISK, GENERATOR, STAGE_X, FaultPlan
 
-    own = {"film-clamp": ("generator",), "plate": (STAGE_X,)}[fixture]
-    return (*own, "daq", STAGE_Z, FORCE_SENSOR, FORCE_STREAM)
+    if options.fault is None:
+        return FaultPlan()
+    missing = {"film-clamp": {STAGE_X}, "plate": {GENERATOR}}.get(options.fixture, set())
+    if not options.slaved:
+        missing.add(DISK)  # whoever records is another process
+    return FaultPlan.read(Path(options.fault), [name for name in DEVICES if name not in missing])
+
+
+def _faulty_disk(options: Options) -> FaultyDisk | None:
+    """The disk of the owner's results, where the fault plan has something for it."""
+    if options.fault is None or options.results is None:
+        return None
+    from drivers.simulated.disk_faults import FaultyDisk
+    from drivers.simulated.fault_plan import FileFault
+
+    faults: tuple[FileFault, ...] = _read_faults(options).of(FileFault)
+    return FaultyDisk(faults, Path(options.results)) if faults else None
 
 
 class _Instruments:
     """What stands on the bench, wired to its World and served, not yet listening."""
 
     def __init__(self, world: World, options: Options, faults: FaultPlan):
+        from drivers.simulated.fault_plan import (
+            DAQ,
+            FORCE_STREAM,
+            GENERATOR,
+            SensorFault,
+            TimedFault,
+        )
         from drivers.simulated.faults import WireFaults
         from drivers.simulated.keysight_u2300a import KeysightU2300A
-        from drivers.simulated.me_gsv8 import Gsv8, Sensor
-        from drivers.simulated.modbus_tcp import ModbusTcpServer
+        from drivers.simulated.me_gsv8 import GSV_DIALECT, Gsv8, Sensor
+        from drivers.simulated.modbus_tcp import MODBUS_DIALECT, ModbusTcpServer
+        from drivers.simulated.monitor import WatchedLine
         from drivers.simulated.serial_server import PtyServer
-        from drivers.simulated.servers import HislipServer
+        from drivers.simulated.servers import SCPI_DIALECT, HislipServer
 
+        def wire(device: str, dialect: Dialect) -> WireFaults:
+            tell = partial(world.log, device, "injected", by="plan")
+            return WireFaults(faults, device, dialect, tell)
+
+        self._world = world
         settings = world.settings
         plate = options.fixture == "plate"
         self._link = settings.generator_link
-        self.generator = None if plate else _generator(world, faults)
+        self.generator = None if plate else _generator(world, wire(GENERATOR, SCPI_DIALECT))
         daq = KeysightU2300A(
             settings.daq_model, world, world, buffer_samples=settings.daq_buffer_samples
         )
-        self.daq = HislipServer(daq, faults=WireFaults(faults, "daq"))
-        self.drives = _plate_drives(world) if plate else _clamp_drives(world)
+        self.daq = HislipServer(daq, faults=wire(DAQ, SCPI_DIALECT))
+        world.befall(DAQ, lambda fault, t_us: daq.overrun())
+        self.drives = _plate_drives(world, faults) if plate else _clamp_drives(world, faults)
         self.stages = [
-            ModbusTcpServer(drive, faults=WireFaults(faults, drive.settings.name))
+            ModbusTcpServer(drive, faults=wire(drive.settings.name, MODBUS_DIALECT))
             for drive in self.drives
         ]
+        sensor = Sensor(zero_mV_V=settings.force_sensor_zero_mV_V)
+        amplifier = Gsv8(world, world, FORCE_SENSOR, sensor)
+        tell = partial(world.log, FORCE_SENSOR, by="monitor")
         self.force = PtyServer(
-            Gsv8(world, world, FORCE_SENSOR, Sensor(zero_mV_V=settings.force_sensor_zero_mV_V)),
+            amplifier if settings.watch is None else WatchedLine(amplifier, tell),
             world,
             slaved=options.slaved,
-            faults=WireFaults(faults, FORCE_SENSOR),
-            stream_faults=WireFaults(faults, FORCE_STREAM),
+            faults=wire(FORCE_SENSOR, GSV_DIALECT),
+            stream_faults=wire(FORCE_STREAM, GSV_DIALECT),
             name=FORCE_SENSOR,
         )
+
+        def disturb(fault: TimedFault, t_us: int) -> None:
+            assert isinstance(fault, SensorFault), "the World keeps the others to itself"
+            amplifier.disturb(fault.kind, t_us * 1e-6, fault.for_s)
+
+        world.befall(FORCE_SENSOR, disturb)
+
+    def monitor(self, settings: WatchSettings | None) -> Monitor | None:
+        """Who watches over the bench, where that is asked for."""
+        from drivers.simulated.monitor import Monitor
+
+        if settings is None:
+            return None
+        tell = partial(self._world.log, "world", by="monitor")
+        return Monitor(settings, self._world.pressed_N, self._active, tell)
+
+    def _active(self) -> Iterator[str]:
+        """What moves or is driven now."""
+        now_us = self._world.now_us
+        for drive in self.drives:
+            speed = drive.velocity_mm_s(now_us)
+            if speed:
+                yield f"{drive.settings.name} moves at {speed:.3g} mm/s"
+        if self.generator is not None and self._world.driven:
+            yield "generator drives the vibrator"
 
     @property
     def servers(self) -> list[Any]:
@@ -395,33 +466,35 @@ class _Instruments:
         )
 
 
-def _clamp_drives(world: World) -> list[CmmtDrive]:
+def _clamp_drives(world: World, faults: FaultPlan) -> list[CmmtDrive]:
     """The z stage, with the vibrator on it above the film."""
     from drivers.simulated.axis import Mechanics
+    from drivers.simulated.fault_plan import STAGE_Z, MoveFault
     from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
-    from drivers.simulated.world import STAGE_Z
 
     clamp = world.settings.clamp
     mechanics = Mechanics(stiffest_load_N_mm=clamp.stiffness_N_mm + clamp.creep_stiffness_N_mm)
-    troubles = world.settings.stage_z_troubles
-    z = CmmtDrive(DriveSettings(name=STAGE_Z, mechanics=mechanics, troubles=troubles), world)
+    struck = faults.of(MoveFault, STAGE_Z)
+    z = CmmtDrive(DriveSettings(name=STAGE_Z, mechanics=mechanics, faults=struck), world)
     world.mount(z.position_mm)
     return [z]
 
 
-def _plate_drives(world: World) -> list[CmmtDrive]:
+def _plate_drives(world: World, faults: FaultPlan) -> list[CmmtDrive]:
     """The z and the x stage, with the skin on them above the plate."""
+    from drivers.simulated.fault_plan import STAGE_X, STAGE_Z, MoveFault
     from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
     from drivers.simulated.plate_world import PlateWorldSettings, hang_skin
-    from drivers.simulated.world import STAGE_X, STAGE_Z
 
     settings = world.settings
     assert isinstance(settings, PlateWorldSettings)
-    troubles = {STAGE_Z: settings.stage_z_troubles, STAGE_X: settings.stage_x_troubles}
     drives = [
         CmmtDrive(
             DriveSettings(
-                name, serial=serial, troubles=troubles[name], position_unit_mm=SKIN_UNIT_MM
+                name,
+                serial=serial,
+                faults=faults.of(MoveFault, name),
+                position_unit_mm=SKIN_UNIT_MM,
             ),
             world,
         )
@@ -431,14 +504,13 @@ def _plate_drives(world: World) -> list[CmmtDrive]:
     return drives
 
 
-def _generator(world: World, faults: FaultPlan) -> HislipServer | ScpiSocketServer:
-    from drivers.simulated.faults import WireFaults
+def _generator(world: World, faults: WireFaults) -> HislipServer | ScpiSocketServer:
     from drivers.simulated.keysight_33500b import Keysight33500B
     from drivers.simulated.servers import HislipServer, ScpiSocketServer
 
     hislip = world.settings.generator_link == "hislip"
     server_class = HislipServer if hislip else ScpiSocketServer
-    return server_class(Keysight33500B(world, world), faults=WireFaults(faults, "generator"))
+    return server_class(Keysight33500B(world, world), faults=faults)
 
 
 class _OwnersPipe(asyncio.Protocol):

@@ -1,87 +1,39 @@
-"""Faults on the wire between a simulated instrument and its client, as a plan in a TOML file.
+"""Faults on the wire between a simulated instrument and its client, as a fault plan has them.
 
 This module may decide what becomes of a reply on its way. It may not touch an instrument or a
-client: the instrument always receives the request and acts on it, as one does whose answer is lost.
+client: the instrument always receives the request and acts on it, as one does whose answer is lost;
+only behind a half-open connection nobody is left who could. What a reply looks like is its
+protocol's to know (`Dialect`).
 
-    [[fault]]
-    device = "daq"
-    kind = "silence"        # garbage, close, truncate, stale
-    at = 3                  # the third request that matches
-    count = 1               # 0: from then on, for ever
-    command = "WAV:DATA"    # only requests with a command that begins so
-
-A new kind is one more function in `_KINDS`.
+A new kind is one more function in `_KINDS`, and a line in `fault_plan`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal, get_args
 
-from pydantic import Field, ValidationError
-
-from rig.documents import read_toml
-from rig.errors import ConfigurationError
-from rig.settings import Settings
-
-FaultKind = Literal["silence", "garbage", "close", "truncate", "stale"]
+from drivers.simulated.fault_plan import (
+    ErrorReply,
+    FaultPlan,
+    RefusedConnections,
+    ReplyFault,
+    WireFault,
+)
 
 
-class Fault(Settings):
-    """One disturbance of one device's replies."""
-
-    device: str
-    """The device's name in the simulated bench."""
-    kind: FaultKind
-    """``silence`` loses the reply; ``garbage`` makes it unreadable; ``close`` drops the connection
-    instead; ``truncate`` sends its first half; ``stale`` holds it back and sends it in front of
-    the connection's next reply."""
-    at: int = Field(default=1, ge=1)
-    """The first matching request it befalls, counted from 1 over all connections."""
-    count: int = Field(default=1, ge=0)
-    """How many matching requests it befalls; 0 is for ever."""
-    command: str = ""
-    """Beginning of a command in the request (upper or lower case, without its leading colon)."""
-
-    def matches(self, request: bytes) -> bool:
-        """Whether a command of the request begins as asked."""
-        prefix = self.command.encode().upper()
-        units = request.upper().split(b";")
-        return any(unit.strip().lstrip(b":").startswith(prefix) for unit in units)
-
-    def befalls(self, occurrence: int) -> bool:
-        """Whether the n-th matching request is disturbed."""
-        return self.at <= occurrence and (self.count == 0 or occurrence < self.at + self.count)
+def _never(reply: bytes, code: int = 0) -> bytes | None:
+    return None
 
 
-class FaultPlan(Settings):
-    """All faults of a simulated bench; empty by default."""
+@dataclass(frozen=True)
+class Dialect:
+    """How a protocol says that something went wrong; each None where the reply cannot."""
 
-    fault: tuple[Fault, ...] = ()
-
-    @classmethod
-    def read(cls, path: Path, devices: Iterable[str] | None = None) -> FaultPlan:
-        """The plan in a TOML file; ``devices`` are the names that exist.
-
-        Raises ConfigurationError for an unreadable file, unknown keys, kinds or devices.
-        """
-        tables = read_toml(path, "fault plan")
-        try:
-            plan = cls.model_validate(tables)
-        except ValidationError as error:
-            kinds = ", ".join(get_args(FaultKind))
-            hint = f"a fault has device, kind ({kinds}), at, count, command"
-            raise ConfigurationError.from_validation(error, str(path), hint) from error
-        known = None if devices is None else set(devices)
-        for fault in plan.fault:
-            if known is not None and fault.device not in known:
-                raise ConfigurationError(
-                    f"{path}: fault.device = {fault.device!r}: no such device",
-                    f"devices are {', '.join(sorted(known))}",
-                )
-        return plan
+    error: Callable[[bytes, int], bytes | None] = _never
+    """The reply with an error code in it instead of success."""
+    checksum: Callable[[bytes], bytes | None] = _never
+    """The reply with a wrong check."""
 
 
 @dataclass(frozen=True)
@@ -98,47 +50,89 @@ class Delivery:
 
     replies: tuple[WireReply, ...] = ()
     close: bool = False
+    reset: bool = False
+    """Close it as a broken connection is."""
 
 
 class WireFaults:
-    """The faults of one device; counts requests over all its connections."""
+    """The faults of one device; counts requests over all its connections.
 
-    def __init__(self, plan: FaultPlan, device: str):
-        self._faults = [fault for fault in plan.fault if fault.device == device]
+    `tell` hears the kind of every fault when it befalls something.
+    """
+
+    def __init__(
+        self,
+        plan: FaultPlan,
+        device: str,
+        dialect: Dialect | None = None,
+        tell: Callable[[str], None] = lambda kind: None,
+    ):
+        self.dialect = dialect or Dialect()
+        self.tell = tell
+        refused: tuple[RefusedConnections, ...] = plan.of(RefusedConnections, device)
+        self.refused_from = min((fault.at for fault in refused), default=None)
+        """The first TCP connection that is refused, from 1."""
+        self._faults: tuple[ReplyFault, ...] = plan.of(ReplyFault, device)
         self._matched = [0] * len(self._faults)
 
     def link(self) -> FaultyLink:
         """The faults as one connection meets them."""
         return FaultyLink(self)
 
-    def kind_for(self, request: bytes) -> FaultKind | None:
-        """Count a request; the first fault of the plan that befalls it."""
-        befallen: FaultKind | None = None
+    def befalling(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
+        """Count a request; the first fault of the plan that befalls its reply."""
+        befallen: ReplyFault | None = None
         for index, fault in enumerate(self._faults):
-            if fault.matches(request):
+            if fault.matches(request) and self._can_carry(fault, reply):
                 self._matched[index] += 1
                 if befallen is None and fault.befalls(self._matched[index]):
-                    befallen = fault.kind
+                    befallen = fault
+        if befallen is not None:
+            self.tell(_name(befallen))
         return befallen
+
+    def _can_carry(self, fault: ReplyFault, reply: bytes | None) -> bool:
+        if isinstance(fault, ErrorReply):
+            return reply is not None and self.dialect.error(reply, fault.code) is not None
+        if _name(fault) == "checksum":
+            return reply is not None and self.dialect.checksum(reply) is not None
+        return True
 
 
 class FaultyLink:
     """One connection's exchanges, disturbed as planned."""
 
     def __init__(self, faults: WireFaults):
-        self._faults = faults
+        self.faults = faults
         self.withheld: list[WireReply] = []
+        self.half_open = False
+        """Whether nobody is behind it any more: what is sent on it reaches no instrument."""
 
     def exchange(self, request: bytes, reply: bytes | None, tag: int = 0) -> Delivery:
         """What becomes of a request's reply (None: it has none); ``tag`` comes back with it."""
-        kind = self._faults.kind_for(request)
+        fault = self.faults.befalling(request, reply)
         whole = None if reply is None else WireReply(reply, tag)
-        if kind is not None:
-            return _KINDS[kind](self, whole)
+        if isinstance(fault, ErrorReply):
+            code = fault.code
+            return _spoilt(whole, lambda data: self.faults.dialect.error(data, code))
+        if fault is not None:
+            return _KINDS[_name(fault)](self, whole)
         if whole is None:
             return Delivery()
         late, self.withheld = self.withheld, []
         return Delivery((*late, whole))
+
+
+def _name(fault: ReplyFault) -> str:
+    assert isinstance(fault, WireFault | ErrorReply), "there is no other"
+    return fault.kind
+
+
+def _spoilt(reply: WireReply | None, spoil: Callable[[bytes], bytes | None]) -> Delivery:
+    """The reply, made into something else where there is one."""
+    if reply is None:
+        return Delivery()
+    return Delivery((WireReply(spoil(reply.data) or b"", reply.tag),))
 
 
 def _silence(link: FaultyLink, reply: WireReply | None) -> Delivery:
@@ -147,20 +141,15 @@ def _silence(link: FaultyLink, reply: WireReply | None) -> Delivery:
 
 def _garbage(link: FaultyLink, reply: WireReply | None) -> Delivery:
     """Every byte but the last turned over: same length, same end, no ASCII."""
-    if reply is None:
-        return Delivery()
-    spoiled = reply.data[:-1].translate(_TURNED_OVER) + reply.data[-1:]
-    return Delivery((WireReply(spoiled, reply.tag),))
-
-
-def _close(link: FaultyLink, reply: WireReply | None) -> Delivery:
-    return Delivery(close=True)
+    return _spoilt(reply, lambda data: data[:-1].translate(_TURNED_OVER) + data[-1:])
 
 
 def _truncate(link: FaultyLink, reply: WireReply | None) -> Delivery:
-    if reply is None:
-        return Delivery()
-    return Delivery((WireReply(reply.data[: len(reply.data) // 2], reply.tag),))
+    return _spoilt(reply, lambda data: data[: len(data) // 2])
+
+
+def _double(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    return Delivery() if reply is None else Delivery((reply, reply))
 
 
 def _stale(link: FaultyLink, reply: WireReply | None) -> Delivery:
@@ -169,11 +158,32 @@ def _stale(link: FaultyLink, reply: WireReply | None) -> Delivery:
     return Delivery()
 
 
+def _checksum(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    return _spoilt(reply, link.faults.dialect.checksum)
+
+
+def _close(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    return Delivery(close=True)
+
+
+def _reset(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    return Delivery(close=True, reset=True)
+
+
+def _half_open(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    link.half_open = True
+    return Delivery()
+
+
 _TURNED_OVER = bytes(byte ^ 0xA5 for byte in range(256))
-_KINDS: dict[FaultKind, Callable[[FaultyLink, WireReply | None], Delivery]] = {
+_KINDS: dict[str, Callable[[FaultyLink, WireReply | None], Delivery]] = {
     "silence": _silence,
     "garbage": _garbage,
-    "close": _close,
     "truncate": _truncate,
+    "double": _double,
     "stale": _stale,
+    "checksum": _checksum,
+    "close": _close,
+    "reset": _reset,
+    "half-open": _half_open,
 }

@@ -20,13 +20,14 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.simulated.axis import Axis, Command, Event, Mechanics
+from drivers.simulated.fault_plan import DriveFault, MoveFault, SlowAxis
 from drivers.simulated.modbus_tcp import ILLEGAL_ADDRESS, ModbusError
 from drivers.simulated.ports import Timeline
 
@@ -70,20 +71,6 @@ class AxisPort(Timeline, Protocol):
 
 
 @dataclass(frozen=True)
-class Trouble:
-    """What befalls a drive while it works, so that a run can be tried against it."""
-
-    kind: Literal["fault", "reference-lost", "jam"]
-    """The drive reports a fault; it forgets where it is; its carriage cannot be moved any more."""
-    move: int = 1
-    """During which task since the World began; homing and changes under way do not count."""
-    after_s: float = 0.0
-    """How long after that task began."""
-    code: int = FOLLOWING_FAULT
-    """The fault's number."""
-
-
-@dataclass(frozen=True)
 class DriveSettings:
     """How one simulated drive is parametrised, and what is to befall it."""
 
@@ -103,7 +90,7 @@ class DriveSettings:
     """What the drive is wrong by before it has been homed."""
     enable_delay_us: int = 20_000
     mechanics: Mechanics = field(default_factory=Mechanics)
-    troubles: tuple[Trouble, ...] = ()
+    faults: tuple[MoveFault, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -165,12 +152,17 @@ class CmmtDrive:
         self._jogging = 0
         """Which way: 1, -1, or 0 for not at all."""
         self._tasks = 0
-        self._coming: list[tuple[int, Trouble]] = []
+        self._coming: list[tuple[int, MoveFault]] = []
         self._timeout_ms = 0
         self._fed_us = port.now_us
         self._mailbox = [0] * MAILBOX_WORDS
         self._data = [0] * DATA_WORDS
         self._parameters = _factory_parameters(settings)
+        self._share = 1.0
+        """Of the speed that it is told, which the axis reaches."""
+        self._runs_to_mm: float | None = None
+        """Where it goes instead of its target, until it is stopped."""
+        self._expect_faults(None)
 
     # --- the World's side ---------------------------------------------------------------------
 
@@ -261,7 +253,7 @@ class CmmtDrive:
     # --- what happens by itself ---------------------------------------------------------------
 
     def _next_due(self, now_us: int) -> tuple[int, Callable[[int], None]] | None:
-        """The first of the coming troubles and the time-out, where it lies in the past."""
+        """The first of the coming faults and the time-out, where it lies in the past."""
         due: list[tuple[int, Callable[[int], None]]] = []
         if self._controlled and self._timeout_ms and not self.fault:
             deadline = self._fed_us + 1000 * self._timeout_ms
@@ -276,12 +268,26 @@ class CmmtDrive:
             self._fail(TIMEOUT_FAULT, t_us)
 
     def _befall(self, t_us: int) -> None:
-        _, trouble = self._coming.pop(0)
-        if trouble.kind == "fault":
-            self._fail(trouble.code, t_us)
-        elif trouble.kind == "jam":
+        _, fault = self._coming.pop(0)
+        self._log("injected", fault.kind, "plan")
+        command = None if self.axis.finished(t_us) else self.axis.command
+        velocity = self.axis.velocity(t_us)
+        if isinstance(fault, DriveFault):
+            self._fail(fault.code, t_us)
+        elif isinstance(fault, SlowAxis):
+            self._share = fault.share
+            if command is not None:
+                slower = replace(command, speed_mm_s=command.speed_mm_s * fault.share)
+                self.axis.move(t_us, slower)
+        elif fault.kind == "stuck":
             self.axis.jammed = True
-            self._log("jammed", True, "drive")
+        elif fault.kind == "runaway":
+            if command is not None:
+                self._runs_to_mm = math.copysign(FARTHER_THAN_ANY_SWITCH_mm, velocity)
+                self.axis.move(t_us, replace(command, target_mm=self._runs_to_mm))
+        elif fault.kind == "limit-switch":
+            met = Event.LOW_SWITCH if velocity < 0 else Event.HIGH_SWITCH
+            self._fail(SWITCH_FAULTS[met], t_us)
         else:
             self.homed = False
             self._log("homed", False, "drive")
@@ -333,7 +339,7 @@ class CmmtDrive:
             self._log("enabled", False, by)
         self.enabled, self._enable_at_us = False, None
         self.homing = self._acknowledged = self._paused = False
-        self._target_mm, self._jogging = None, 0
+        self._target_mm, self._runs_to_mm, self._jogging = None, None, 0
 
     # --- what an output image asks for --------------------------------------------------------
 
@@ -370,7 +376,7 @@ class CmmtDrive:
                 self._log("stop", None, by)
             if self._target_mm is not None or self.homing or self._jogging:
                 self.axis.stop(now, self._deceleration())
-            self._target_mm, self._jogging = None, 0
+            self._target_mm, self._runs_to_mm, self._jogging = None, None, 0
             self.homing = self._acknowledged = self._paused = False
             return
         self._limit_force(image)
@@ -447,15 +453,16 @@ class CmmtDrive:
             return
         self._target_mm, self._acknowledged, self._jogging = target, True, 0
         if not again:
-            self._expect_trouble()
+            self._tasks += 1
+            self._expect_faults(self._tasks)
         self._go(by, quiet=again)
 
-    def _expect_trouble(self) -> None:
-        self._tasks += 1
+    def _expect_faults(self, task: int | None) -> None:
+        """Those of a task that begins now, or of none."""
         self._coming += [
-            (self._port.now_us + round(trouble.after_s * 1e6), trouble)
-            for trouble in self.settings.troubles
-            if trouble.move == self._tasks
+            (self._port.now_us + round(fault.after_s * 1e6), fault)
+            for fault in self.settings.faults
+            if fault.move == task
         ]
         self._coming.sort(key=lambda one: one[0])
 
@@ -485,7 +492,8 @@ class CmmtDrive:
         rates = (self._rate(9), self._deceleration())
         if not quiet:
             self._log("move", {"target_mm": round(self._target_mm, 6), "speed_mm_s": speed}, by)
-        self._start(Command(self._target_mm, speed, *rates))
+        target = self._target_mm if self._runs_to_mm is None else self._runs_to_mm
+        self._start(Command(target, speed * self._share, *rates))
 
     def _start(self, command: Command) -> None:
         self._fixed_stop, self.warning, self._moving = False, 0, True

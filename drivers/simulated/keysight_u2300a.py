@@ -23,6 +23,7 @@ What the family's documents leave open is marked UNCONFIRMED, each in one place.
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -187,6 +188,12 @@ class KeysightU2300A(ScpiInstrument):
         """``*RST``: nothing runs; channel 101, 10 V bipolar, 1 kS/s, 500 points."""
         self._end("stop", by)
         self._defaults()
+
+    def overrun(self) -> None:
+        """A fault plan's doing: the buffer of a running acquisition overruns."""
+        acquisition = self._caught_up()
+        if acquisition is not None and not acquisition.lost and not self._is_complete():
+            self._lose(acquisition)
 
     # --- the command table -------------------------------------------------------------------
 
@@ -413,9 +420,13 @@ class KeysightU2300A(ScpiInstrument):
             return acquisition
         unread = acquisition.taken(self._port.now_us) - acquisition.read
         if unread * len(acquisition.channels) > self._buffer_samples:
-            acquisition = self._acquisition = replace(acquisition, lost=True)
-            self._log.log(self._name, "acquisition", "overrun", "itself")
+            return self._lose(acquisition)
         return acquisition
+
+    def _lose(self, acquisition: Acquisition) -> Acquisition:
+        self._log.log(self._name, "acquisition", "overrun", "itself")
+        self._acquisition = lost = replace(acquisition, lost=True)
+        return lost
 
     def _is_complete(self) -> bool:
         acquisition = self._acquisition
@@ -450,7 +461,16 @@ class KeysightU2300A(ScpiInstrument):
             self.report(ScpiError(-230, "not acquired yet"))
             return Block(b"")
         self._acquisition = replace(acquisition, read=first + acquisition.points)
-        return Block(self._samples_of(acquisition, first).astype("<i2").tobytes())
+        words = self._samples_of(acquisition, first)
+        codes = np.right_shift(words, 16 - self.model.bits).astype("<i2")
+        handed_out = {
+            "acquisition": acquisition.number,
+            "first": first,
+            "rows": acquisition.points,
+            "crc32": zlib.crc32(codes.tobytes()),
+        }
+        self._log.log(self._name, "block", handed_out, call.by)
+        return Block(words.astype("<i2").tobytes())
 
     def _samples_of(self, acquisition: Acquisition, first: int) -> npt.NDArray[np.int16]:
         volts = self._port.volts(

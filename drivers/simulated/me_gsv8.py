@@ -20,11 +20,12 @@ import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from drivers.simulated.faults import Dialect
 from drivers.simulated.ports import LogPort, Timeline
 from drivers.simulated.serial_server import Exchange
 
@@ -196,6 +197,10 @@ class Gsv8:
         self._noise_key: tuple[int, ...] | None = None
         self._noise_at = 0
         self._noise: dict[int, npt.NDArray[np.float64]] = {}
+        self._disturbed: list[tuple[str, float, float]] = []
+        """Kind, begin and end in World seconds."""
+        self._last = np.zeros(CHANNELS)
+        """What the converters gave last, in input ranges."""
         self._commands = self._command_table()
         self._switch_on()
 
@@ -225,6 +230,11 @@ class Gsv8:
             return b""
         indices = np.arange(first + 1, self._sent + 1, dtype=np.float64)
         return self._frames(self._origin_us * 1e-6 + indices * self._period_s)
+
+    def disturb(self, kind: Literal["saturated", "frozen"], begin_s: float, for_s: float) -> None:
+        """A fault plan's doing: from this World time on, the z channel's converter stands at its
+        end, or all of them give what they gave last."""
+        self._disturbed.append((kind, begin_s, begin_s + for_s))
 
     @property
     def streaming(self) -> bool:
@@ -537,7 +547,16 @@ class Gsv8:
         saturated[:, :3] = (np.abs(converted) >= OVERRANGE).any(axis=1)
         ranges = self._noise_of(len(ends_s)) / full
         ranges[:, :3] += np.clip(converted, -OVERRANGE, OVERRANGE).mean(axis=1)
-        return np.clip(ranges, -OVERRANGE, OVERRANGE), saturated
+        ranges = np.clip(ranges, -OVERRANGE, OVERRANGE)
+        for kind, begin_s, end_s in self._disturbed:
+            befallen = (ends_s >= begin_s) & (ends_s < end_s)
+            if kind == "saturated":
+                ranges[befallen, 2], saturated[befallen, 2] = OVERRANGE, True
+            elif befallen.any():
+                before = ranges[ends_s < begin_s]
+                ranges[befallen] = before[-1] if len(before) else self._last
+        self._last = ranges[-1]
+        return ranges, saturated
 
     def _noise_of(self, count: int) -> npt.NDArray[np.float64]:
         """Noise of the next frames in mV/V, (n, 8): by key and by number of frames since it came,
@@ -590,6 +609,21 @@ def _response(code: int, data: bytes, crc: bool) -> bytes:
     assert len(data) < 15, "no command here answers with more"
     body = bytes(((0x70 if crc else 0x50) | len(data), code)) + data
     return b"\xaa" + body + (bytes((_crc8(body),)) if crc else b"") + b"\x85"
+
+
+def _refusal(reply: bytes, code: int) -> bytes | None:
+    """A response made into one with an error code; measurements carry none."""
+    return _response(code, b"", bool(reply[1] & 0x20)) if reply[1] >> 6 == 1 else None
+
+
+def _wrong_check(reply: bytes) -> bytes | None:
+    """A response, or the last of some measurements, with a wrong CRC where it has one."""
+    if not reply[1] & 0x20:
+        return None
+    return reply[:-2] + bytes((reply[-2] ^ 0xFF, reply[-1]))
+
+
+GSV_DIALECT = Dialect(error=_refusal, checksum=_wrong_check)
 
 
 def _crc8(data: bytes) -> int:

@@ -15,7 +15,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-from drivers.simulated.faults import WireFaults
+from drivers.simulated.faults import Dialect, WireFaults
 from drivers.simulated.tcp import TcpPeer, TcpServer
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
@@ -187,6 +187,15 @@ def frame(transaction: int, unit: int, pdu: bytes) -> bytes:
     return _HEADER.pack(transaction, 0, len(pdu) + 1, unit) + pdu
 
 
+def _exception(reply: bytes, code: int) -> bytes:
+    transaction, _, _, unit = _HEADER.unpack(reply[: _HEADER.size])
+    return frame(transaction, unit, bytes((reply[_HEADER.size] | 0x80, code)))
+
+
+MODBUS_DIALECT = Dialect(error=_exception)
+"""Modbus TCP has no checksum of its own: TCP's is enough."""
+
+
 # --- the server ------------------------------------------------------------------------------
 
 
@@ -222,12 +231,12 @@ class _ModbusPeer(TcpPeer):
             self.abort()
             return
         for transaction, unit, pdu in frames:
-            if unit not in UNITS:
+            if unit not in UNITS or self._link.half_open:
                 continue  # nobody there: silence
             reply = frame(transaction, unit, reply_to(pdu, self._device, self._by))
             delivery = self._link.exchange(describe(pdu), reply, transaction)
             for one in delivery.replies:
                 self.send(one.data)
             if delivery.close:
-                self.close()
+                self.reset() if delivery.reset else self.close()
                 return

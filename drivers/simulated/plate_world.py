@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import Literal
 
-from drivers.simulated.festo_cmmt import Trouble
 from drivers.simulated.skin_contact import SkinContact, SkinMountSettings, Where
 from drivers.simulated.world import World, WorldSettings
 from rig.cache import user_cache
@@ -32,8 +31,6 @@ class PlateWorldSettings(WorldSettings):
     """The skin's strips and their amplifiers."""
     strip_input: FrontEndSettings = FrontEndSettings()
     """Noise and hum of each strip's channel."""
-    stage_x_troubles: tuple[Trouble, ...] = ()
-    """What is to befall the x drive."""
     daq_model: Literal["U2331A", "U2542A"] = "U2542A"
     """Which DAQ the bench has: strips want simultaneous samples."""
 

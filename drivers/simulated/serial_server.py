@@ -24,7 +24,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from drivers.simulated.faults import Delivery, FaultPlan, WireFaults
+from drivers.simulated.fault_plan import FaultPlan
+from drivers.simulated.faults import Delivery, WireFaults
 from drivers.simulated.ports import Timeline
 
 LONGEST_BACKLOG = 64 * 1024

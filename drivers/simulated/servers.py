@@ -10,9 +10,22 @@ from __future__ import annotations
 import asyncio
 
 from drivers.simulated import hislip
-from drivers.simulated.faults import FaultyLink, WireFaults
-from drivers.simulated.scpi import MessageSplitter, ScpiInstrument
+from drivers.simulated.faults import Dialect, FaultyLink, WireFaults
+from drivers.simulated.scpi import ERROR_TEXT, MessageSplitter, ScpiInstrument
 from drivers.simulated.tcp import TcpPeer, TcpServer
+
+_NO_ERROR = f'+0,"{ERROR_TEXT[0]}"'.encode()
+
+
+def _queued_error(reply: bytes, code: int) -> bytes | None:
+    """A reply that tells the error queue's next entry, with an entry that was not there."""
+    if _NO_ERROR not in reply:
+        return None
+    return reply.replace(_NO_ERROR, b'%+d,"Device-specific error"' % code)
+
+
+SCPI_DIALECT = Dialect(error=_queued_error)
+"""Neither a raw socket nor HiSLIP has a checksum of its own: TCP's is enough."""
 
 
 class _ScpiServer(TcpServer):
@@ -49,11 +62,13 @@ class _SocketPeer(TcpPeer):
 
     def data_received(self, data: bytes) -> None:
         for message in self._splitter.feed(data):
+            if self._link.half_open:
+                return
             delivery = self._link.exchange(message, self._instrument.process(message, self._by))
             for reply in delivery.replies:
                 self.send(reply.data)
             if delivery.close:
-                self.close()
+                self.reset() if delivery.reset else self.close()
                 return
 
 
@@ -108,11 +123,17 @@ class HislipServer(_ScpiServer):
         if session.state is hislip.SessionState.CLOSED:  # by a fault, one message earlier
             return []
         link = self._links.setdefault(session, self.faults.link())
+        if link.half_open:
+            return []
         reply = self.instrument.process(message.data, _by(session))
         delivery = link.exchange(message.data, reply, message.message_id)
         events = [
             event for late in delivery.replies for event in session.reply(late.tag, late.data)
         ]
+        if delivery.reset:
+            for connection in (session.synchronous, session.asynchronous):
+                if connection is not None and (peer := self.peers.get(connection)):
+                    peer.reset()
         return events + (self.protocol.close_session(session) if delivery.close else [])
 
 

@@ -7,13 +7,18 @@ Everything runs in the event loop that called ``start``.
 from __future__ import annotations
 
 import asyncio
+import socket
+import struct
 from abc import ABC, abstractmethod
 from typing import cast
 
-from drivers.simulated.faults import FaultPlan, WireFaults
+from drivers.simulated.fault_plan import FaultPlan
+from drivers.simulated.faults import WireFaults
 
 MAX_UNSENT_BYTES = 256 << 20
 """A client that lets so much pile up unread is disconnected."""
+_LINGER = struct.pack("ii", 1, 0)
+"""SO_LINGER of no time: what is aborted then is reset, not ended."""
 
 
 class TcpServer(ABC):
@@ -25,7 +30,10 @@ class TcpServer(ABC):
         self._host = host
         self._port = port
         self._server: asyncio.Server | None = None
+        self._deaf: socket.socket | None = None
+        """Holds the port while nobody listens on it: a connection to it is refused."""
         self._connections = 0
+        self._accepted = 0
 
     @property
     def port(self) -> int:
@@ -34,8 +42,11 @@ class TcpServer(ABC):
 
     async def start(self) -> None:
         """Begin to listen. Raises OSError when the port is taken."""
+        if self.faults.refused_from == 1:
+            self._refuse()
+            return
         loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(self._accept, self._host, self._port)
+        self._server = await loop.create_server(self._accept_counted, self._host, self._port)
         self._port = self._server.sockets[0].getsockname()[1]
 
     async def close(self) -> None:
@@ -43,6 +54,8 @@ class TcpServer(ABC):
         server, self._server = self._server, None
         if server is not None:
             server.close()
+        if self._deaf is not None:
+            self._deaf.close()
         for transport in list(self.transports):
             transport.abort()
         if server is not None:
@@ -56,6 +69,22 @@ class TcpServer(ABC):
     @abstractmethod
     def _accept(self) -> TcpPeer:
         """What serves a new connection."""
+
+    def _accept_counted(self) -> TcpPeer:
+        self._accepted += 1
+        if self.faults.refused_from == self._accepted + 1:
+            asyncio.get_running_loop().call_soon(self._refuse)  # once this one stands
+        return self._accept()
+
+    def _refuse(self) -> None:
+        """Listen no longer, and keep the port, so that nobody else answers there."""
+        self.faults.tell("refused")
+        if self._server is not None:
+            self._server.close()
+        self._deaf = socket.socket()
+        self._deaf.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._deaf.bind((self._host, self._port))
+        self._port = self._deaf.getsockname()[1]
 
 
 class TcpPeer(asyncio.Protocol):
@@ -89,4 +118,11 @@ class TcpPeer(asyncio.Protocol):
     def abort(self) -> None:
         """Drop the connection with what was not sent."""
         if self.transport is not None:
+            self.transport.abort()
+
+    def reset(self) -> None:
+        """Break the connection: the client is told that it was reset."""
+        if self.transport is not None:
+            own: socket.socket = self.transport.get_extra_info("socket")
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER)
             self.transport.abort()

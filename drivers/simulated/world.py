@@ -9,7 +9,9 @@ a point depends on the seed, the run, the point and the stream, and not on what 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -19,8 +21,17 @@ from pydantic import Field, ValidationError
 
 from drivers.simulated.clamp import ClampedFilm
 from drivers.simulated.driven_line import DrivenLine
-from drivers.simulated.festo_cmmt import Trouble
+from drivers.simulated.fault_plan import (
+    STAGE_X,
+    STAGE_Z,
+    Clipped,
+    ClockJump,
+    Spike,
+    TimedFault,
+)
+from drivers.simulated.monitor import WatchSettings
 from drivers.simulated.ports import Excitation
+from drivers.simulated.schedule import Schedule
 from drivers.simulated.timeline import Timeline
 from drivers.simulated.world_log import WorldLog
 from rig.documents import read_toml
@@ -42,22 +53,8 @@ AMPLIFIER_CLIP_V = 10.0
 NOISE_CHUNK = 4096
 FORCE_NOISE = 900
 """Stream number that keys the force sensor's noise; terminals are the DAQ's streams."""
-STAGE_Z, STAGE_X = "stage_z", "stage_x"
 FORCE_SENSOR_FOLLOWS_Hz = 1000.0
 """Vibration beyond does not reach the force sensor's bridges: its probe is too heavy (assumed)."""
-
-
-class Bump(Settings):
-    """Somebody or something pushes on the probe for a while."""
-
-    acquisition: int = Field(ge=0)
-    """During which acquisition of the DAQ since the World began."""
-    after_s: float = Field(default=0.0, ge=0)
-    """How long after that began."""
-    for_s: float = Field(default=0.05, gt=0)
-    """How long."""
-    force_N: float = 30.0
-    """Along z, on top of everything else."""
 
 
 class WorldSettings(Settings):
@@ -79,16 +76,14 @@ class WorldSettings(Settings):
     """Its output under no load."""
     force_sensor_zero_mV_V: tuple[float, float, float] = (0.012, -0.007, 0.021)
     """Bridge outputs of the force sensor under no load."""
-    bumps: tuple[Bump, ...] = ()
-    """Pushes on the probe that nobody commanded."""
-    stage_z_troubles: tuple[Trouble, ...] = ()
-    """What is to befall the z drive."""
     daq_model: Literal["U2331A", "U2542A"] = "U2331A"
     """Which DAQ the bench has."""
     daq_buffer_samples: int = Field(default=8_000_000, ge=1)
     """What its buffer holds, all channels together."""
     generator_link: Literal["socket", "hislip"] = "socket"
     """How the generator is reached."""
+    watch: WatchSettings | None = None
+    """What the World looks for by itself, and tells its log of; None: nothing."""
 
 
 W = TypeVar("W", bound=WorldSettings)
@@ -108,7 +103,14 @@ def read_world(path: str | None, kind: type[W] = WorldSettings) -> W:  # type: i
 class World:
     """One bench's physics; implements the instruments' ports."""
 
-    def __init__(self, settings: WorldSettings, seed: int, slaved: bool, log: Path | None = None):
+    def __init__(
+        self,
+        settings: WorldSettings,
+        seed: int,
+        slaved: bool,
+        log: Path | None = None,
+        faults: Iterable[TimedFault] = (),
+    ):
         self.settings = settings
         self.timeline = Timeline(slaved)
         self._log = WorldLog(log, self.timeline)
@@ -132,6 +134,10 @@ class World:
         self._weight_N = np.zeros(3)
         self._pushes: list[tuple[float, float, float]] = []
         """Begin and end in s, force in N."""
+        self._schedule = Schedule(faults, self._begin)
+        self._elsewhere: dict[str, Callable[[TimedFault, int], None]] = {}
+        self._excitation: Excitation | None = None
+        self._clip_V = math.inf
 
     @property
     def now_us(self) -> int:
@@ -157,8 +163,13 @@ class World:
         rest."""
         return None if self._skin is None else self._skin.failure
 
+    def befall(self, device: str, act: Callable[[TimedFault, int], None]) -> None:
+        """Leave a device's faults to it: what is told of each, and of its World time in us."""
+        self._elsewhere[device] = act
+
     def settle(self) -> None:
-        """Bring what is mounted up to the present."""
+        """Bring what is mounted up to the present, faults included."""
+        self._schedule.catch_up(self.now_us)
         if self._skin is not None:
             self._skin.catch_up(self.now_us)
 
@@ -183,13 +194,20 @@ class World:
         self, times_s: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
         """Force on the sensor under film or plate, (n,) to (n, 3): weights, pushes, contact."""
-        force = np.tile(self._weight_N, (len(times_s), 1))
-        if self._skin is not None:
-            force += self._skin.force_N(times_s)
-        else:
-            force[:, 2] += self._film_N(times_s)
+        self._schedule.catch_up(self.now_us)  # in real time frames come more often than `settle`
+        force = self.pressed_N(times_s) + self._weight_N
         for begin_s, end_s, push_N in self._pushes:
             force[:, 2] += push_N * ((times_s >= begin_s) & (times_s < end_s))
+        return force
+
+    def pressed_N(  # noqa: N802
+        self, times_s: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """The part of it by which the stages press and the vibrator shakes."""
+        if self._skin is not None:
+            return self._skin.force_N(times_s)
+        force = np.zeros((len(times_s), 3))
+        force[:, 2] = self._film_N(times_s)
         return force
 
     def _film_N(  # noqa: N802
@@ -219,21 +237,42 @@ class World:
         """Write to the World's log."""
         self._log.log(device, what, value, by)
 
+    @property
+    def driven(self) -> bool:
+        """Whether the vibrator's terminals carry anything."""
+        return self._excitation is not None and self._excitation.on
+
     def excite(self, channel: int, excitation: Excitation, by: str) -> None:
         """A generator channel's terminals change from now on."""
         if channel == VIBRATOR_CHANNEL:
-            self._line.excite(self.now_us, excitation)
+            self._excitation = excitation
+            self._drive()
+
+    def _drive(self) -> None:
+        if self._excitation is not None:
+            given_V = min(self._excitation.amplitude_V, self._clip_V)
+            self._line.excite(self.now_us, replace(self._excitation, amplitude_V=given_V))
+
+    def _begin(self, fault: TimedFault, t_us: int) -> None:
+        """A fault's time has come."""
+        self.log(fault.device, "injected", fault.kind, "plan")
+        if isinstance(fault, Spike):
+            begin_s = t_us * 1e-6
+            self._pushes.append((begin_s, begin_s + fault.for_s, fault.force_N))
+        elif isinstance(fault, Clipped):
+            self._clip_V = fault.amplitude_V
+            self._drive()
+        elif isinstance(fault, ClockJump):
+            self.timeline.jump(round(fault.by_s * 1e6))
+        else:
+            self._elsewhere[fault.device](fault, t_us)
 
     def begin_acquisition(self) -> int:
         """A fresh acquisition number; its noise is keyed by the point and its place in it."""
         number = len(self._acquisition_keys)
         self._acquisition_keys[number] = (*self._point_key, self._acquisitions_of_point)
         self._acquisitions_of_point += 1
-        for bump in self.settings.bumps:
-            if bump.acquisition == number:
-                begin_s = self.now_us * 1e-6 + bump.after_s
-                self._pushes.append((begin_s, begin_s + bump.for_s, bump.force_N))
-                self.log("world", "bump", bump.force_N, "world")
+        self._schedule.acquisition_begins(number + 1, self.now_us)
         return number
 
     def volts(

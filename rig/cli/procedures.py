@@ -271,6 +271,7 @@ def _start_simulated(request: Request, fixture: Fixture) -> RunningBench:
             "world": _text(request.world),
             "fault": _text(request.fault),
             "world_log": _text(request.world_log),
+            "results": str(request.results),
         }
     )
 

@@ -18,28 +18,28 @@ pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3000)]
 def test_from_overload_to_the_command_on_the_wire(rig, blocked):
     """In real time; the World's log says when the force rose and when the generator obeyed."""
     heading(f"rig sweep in real time, a push of 30 N, procedure {'blocked' if blocked else 'idle'}")
-    pushed = range(3, 400, 4 if not blocked else 400)
-    bumps = ", ".join(f"{{ acquisition = {k}, after_s = 0.3, for_s = 0.05 }}" for k in pushed)
+    pushed = range(4, 401, 4 if not blocked else 400)
+    plan = "".join(
+        f'[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nacquisition = {k}\nafter_s = 0.3\n'
+        for k in pushed
+    )
+    if blocked:
+        plan += '[[fault]]\ndevice = "daq"\nkind = "silence"\nat = 4\ncommand = "WAV:DATA"\n'
     delays = []
     for repeat in range(16 if not blocked else 12):
         path = rig.folder / f"{blocked}{repeat}.toml"
         rig.world_log.unlink(missing_ok=True)
-        arguments = ["--world", rig.world(f"bumps = [{bumps}]\n")]
-        if blocked:
-            arguments += ["--fault", rig.fault(
-                '[[fault]]\ndevice = "daq"\nkind = "silence"\nat = 4\ncommand = "WAV:DATA"\n'
-            )]  # fmt: skip
         serving = rig.start(
-            "simulate", "--write", str(path), "--world-log", str(rig.world_log), *arguments
-        )
+            "simulate", "--write", str(path), "--world-log", str(rig.world_log),
+            "--fault", rig.fault(plan),
+        )  # fmt: skip
         serving.wait_for("Ctrl-C ends it")
         path.write_text(path.read_text().replace("timeout_ms = 1000", "timeout_ms = 5000"))
         rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "2,3,300")
         serving.send(signal.SIGINT)
         serving.finish()
         log = rig.log()
-        for bump in (line for line in log if line["what"] == "bump"):
-            begin_us = bump["t_us"] + 300_000
+        for begin_us in (x["t_us"] for x in log if x["value"] == "spike"):
             off = [
                 x["t_us"] for x in log
                 if x["what"] == "ch1.on" and not x["value"] and x["t_us"] >= begin_us

@@ -31,12 +31,13 @@ def rest(rig):
     return stood[-1]
 
 
-def bumps(*acquisitions, force_N=30.0, after_s=0.0):
-    pushes = ", ".join(
-        f"{{ acquisition = {k}, force_N = {force_N}, for_s = 0.02, after_s = {after_s} }}"
-        for k in acquisitions
+def spikes(*acquisitions, force_N=30.0, after_s=0.0):
+    """A fault plan of pushes on the probe."""
+    return "".join(
+        f'[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nacquisition = {number}\n'
+        f"force_N = {force_N}\nfor_s = 0.02\nafter_s = {after_s}\n"
+        for number in acquisitions
     )
-    return f"bumps = [{pushes}]\n"
 
 
 def test_a_sweep_presses_holds_and_parks(rig):
@@ -50,7 +51,7 @@ def test_a_sweep_presses_holds_and_parks(rig):
 
 
 def test_a_force_over_its_limit_trips_and_the_point_is_retaken_once(rig):
-    ended = rig.sweep(*SHORT, "--world", rig.world(bumps(LISTENING + 1)))
+    ended = rig.sweep(*SHORT, "--fault", rig.fault(spikes(LISTENING + 2)))
     assert ended.code == 0, ended.stderr
     assert "over the limit of 40 N" in ended.stderr
     assert "retaking point 300Hz-1N once" in ended.stderr
@@ -66,8 +67,8 @@ def test_a_force_over_its_limit_trips_and_the_point_is_retaken_once(rig):
 
 
 def test_a_second_trip_ends_the_run(rig):
-    again = range(LISTENING + 1, LISTENING + 12)
-    ended = rig.sweep(*SHORT, "--world", rig.world(bumps(*again)))
+    again = range(LISTENING + 2, LISTENING + 13)
+    ended = rig.sweep(*SHORT, "--fault", rig.fault(spikes(*again)))
     assert ended.code == 4
     assert len(ended.errors) == 1
     assert "over the limit" in ended.errors[0]
@@ -78,8 +79,8 @@ def test_a_second_trip_ends_the_run(rig):
 def test_points_kept_before_a_force_trip_survive_a_second_trip(rig):
     frequencies = [300 + 100 * k for k in range(10)]
     asked = ("--frequencies", ",".join(map(str, frequencies)))
-    again = range(LISTENING + 10, LISTENING + 50)
-    ended = rig.sweep(*asked, "--world", rig.world(bumps(*again)))
+    again = range(LISTENING + 11, LISTENING + 51)
+    ended = rig.sweep(*asked, "--fault", rig.fault(spikes(*again)))
     told = re.findall(r"^\d+/10 (\S+)$", ended.stderr, re.MULTILINE)
 
     assert ended.code == 4, ended.stderr
@@ -100,11 +101,11 @@ def test_a_trip_acts_while_the_procedure_sits_in_a_blocking_read(rig):
     path = rig.folder / "a-bench.toml"
     fault = rig.fault(
         f'[[fault]]\ndevice = "daq"\nkind = "silence"\nat = {LISTENING + 2}\ncommand = "WAV:DATA"\n'
+        + spikes(LISTENING + 2, after_s=0.3)
     )
-    world = rig.world(bumps(LISTENING + 1, after_s=0.3))
     serving = rig.start(
         "simulate", "--write", str(path), "--world-log", str(rig.world_log),
-        "--fault", fault, "--world", world,
+        "--fault", fault,
     )  # fmt: skip
     serving.wait_for("Ctrl-C ends it")
     patient = re.sub(r"(\[daq\][^[]*timeout_s = )[0-9.]+", r"\g<1>2.0", path.read_text())
@@ -117,17 +118,17 @@ def test_a_trip_acts_while_the_procedure_sits_in_a_blocking_read(rig):
     assert ended.code == 0, ended.stderr
     assert "over the limit" in ended.stderr
     log = rig.log()
-    (bump,) = [line for line in log if line["what"] == "bump"]
+    (spike,) = [line for line in log if line["value"] == "spike"]
     off = next(
         line
         for line in log
-        if line["what"] == "ch1.on" and not line["value"] and line["t_us"] > bump["t_us"]
+        if line["what"] == "ch1.on" and not line["value"] and line["t_us"] > spike["t_us"]
     )
-    assert 0.3 < (off["t_us"] - bump["t_us"]) * 1e-6 < 1.5, "off before the read came back"
+    assert (off["t_us"] - spike["t_us"]) * 1e-6 < 1.2, "off before the read came back"
     away = next(
         line
         for line in log
-        if line["what"] == "move" and line["device"] == "stage_z" and line["t_us"] > bump["t_us"]
+        if line["what"] == "move" and line["device"] == "stage_z" and line["t_us"] > spike["t_us"]
     )
     assert away["t_us"] >= off["t_us"]
     assert away["value"]["target_mm"] == pytest.approx(5.0)
@@ -311,26 +312,31 @@ def test_a_hold_that_came_and_went_while_a_call_timed_out_has_the_point_retaken(
         ("clamp.contact_mm = 11.0", (), 3, "before any contact can be (contact_from_mm = 12 mm)"),
         ("clamp.stiffness_N_mm = 10.0", (), 4, "outside 0 to 14 mm"),
         ("force_sensor_zero_mV_V = [0.0, 0.0, 3.7]", (), 3, "are saturated"),
-        (
-            'stage_z_troubles = [{ kind = "fault", move = 3, after_s = 1.0, code = 126 }]',
-            (), 3, "the axis did not follow",
-        ),
-        (
-            'stage_z_troubles = [{ kind = "reference-lost", move = 3, after_s = 1.0 }]',
-            (), 3, "lost its reference",
-        ),
         ("", ("--load", "20N"), 4, "not below 0.8 of the preload of 25 N"),
         ("", ("--preload", "60N"), 4, "outside -40 to 40 N"),
         ("", ("--load", "19N", "--preload", "30N"), 4, "outside -40 to 40 N"),
     ],
     ids=[
-        "never felt", "in mid-air", "beyond the stage", "saturated", "drive fault", "homing lost",
+        "never felt", "in mid-air", "beyond the stage", "saturated",
         "load above preload", "preload above limit", "both above limit",
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_the_preload_ends_in_one_line(rig, world, options, code, told):
     ended = rig.sweep(*SHORT, *options, "--world", rig.world(world))
     assert ended.code == code, ended.stderr
+    assert len(ended.errors) == 1, ended.stderr
+    assert told in ended.errors[0]
+    assert True not in rig.outputs()
+
+
+@pytest.mark.parametrize(
+    ("kind", "told"),
+    [("drive-fault", "the axis did not follow"), ("reference-lost", "lost its reference")],
+)
+def test_a_drive_that_fails_on_the_way_to_the_preload_is_told_in_one_line(rig, kind, told):
+    plan = f'[[fault]]\ndevice = "stage_z"\nkind = "{kind}"\nmove = 3\nafter_s = 1.0\n'
+    ended = rig.sweep(*SHORT, "--fault", rig.fault(plan))
+    assert ended.code == 3, ended.stderr
     assert len(ended.errors) == 1, ended.stderr
     assert told in ended.errors[0]
     assert True not in rig.outputs()

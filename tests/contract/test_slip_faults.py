@@ -63,16 +63,17 @@ def assert_kept_until_sliding(rig):
 
 
 X_TROUBLES = {
-    "limit switch": ('kind = "fault", code = 115', "positive limit switch reached"),
-    "following error": ('kind = "fault", code = 126', "the axis did not follow"),
-    "held fast": ('kind = "jam"', "stopped by its torque limit at 10."),
+    "limit switch": ("limit-switch", "positive limit switch reached"),
+    "following error": ("drive-fault", "the axis did not follow"),
+    "held fast": ("stuck", "stopped by its torque limit at 10."),
 }
 
 
 @pytest.mark.parametrize("what", X_TROUBLES)
 def test_a_stage_that_fails_in_the_slide_is_told_and_the_skin_lifted(rig, what):
-    trouble, words = X_TROUBLES[what]
-    ended = take(rig, f"stage_x_troubles = [{{ {trouble}, move = 2, after_s = 0.3 }}]\n")
+    kind, words = X_TROUBLES[what]
+    plan = f'[[fault]]\ndevice = "stage_x"\nkind = "{kind}"\nmove = 2\nafter_s = 0.3\n'
+    ended = take(rig, "", plan)
     assert_told(ended, 3, words)
     assert ended.errors[0].startswith("error: stage_x: ")
     assert_lifted(rig)
@@ -80,7 +81,8 @@ def test_a_stage_that_fails_in_the_slide_is_told_and_the_skin_lifted(rig, what):
 
 
 def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
-    ended = take(rig, 'stage_z_troubles = [{ kind = "fault", move = 3, after_s = 4.85 }]\n')
+    plan = '[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\nmove = 3\nafter_s = 4.85\n'
+    ended = take(rig, "", plan)
     assert_told(ended, 3, "stage_z: drive fault: 126")
     assert "the stage stands and the skin may still be pressed: stage_z: " in ended.stderr
     last_of(rig, "stage_x")
@@ -90,8 +92,8 @@ def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
 
 def test_a_force_channel_that_saturates_ends_the_trial(rig):
     """3.5 mV/V are 290 N along z: somebody hits the plate."""
-    hit = f"{{ acquisition = 0, after_s = {SLIDING_AFTER_S}, for_s = 0.02, force_N = 500.0 }}"
-    ended = take(rig, f"bumps = [{hit}]\n")
+    hit = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 500.0\nfor_s = 0.02\n'
+    ended = take(rig, "", f"{hit}acquisition = 1\nafter_s = {SLIDING_AFTER_S}\n")
     assert_told(ended, 3, "frames are saturated")
     assert_lifted(rig)
     assert_kept_until_sliding(rig)

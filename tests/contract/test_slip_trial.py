@@ -170,8 +170,8 @@ STANDS = "the stage stands and the skin may still be pressed: stage_z: "
 def test_a_drive_that_fails_on_the_last_way_up_fails_the_run(rig):
     """Its tasks: parked twice, close to the plate, pressed, lifted; the sixth makes the bench safe.
     The trial was over by then and is kept."""
-    world = rig.world('stage_z_troubles = [{ kind = "fault", move = 6 }]\n')
-    ended = rig.run(*arguments(rig, *SHORT, "--world", world))
+    plan = rig.fault('[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\nmove = 6\n')
+    ended = rig.run(*arguments(rig, *SHORT, "--fault", plan))
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
     assert error.startswith(f"error: stage_z: unload: {STANDS}")
@@ -187,9 +187,9 @@ def test_a_drive_that_fails_on_the_last_way_up_fails_the_run(rig):
 
 def test_a_drive_that_fails_in_a_slide_leaves_the_skin_pressed_and_says_so(rig):
     """The cause first; that the skin may still be pressed is what came of it."""
-    world = rig.world('stage_z_troubles = [{ kind = "fault", move = 4, after_s = 10.0 }]\n')
+    plan = '[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\nmove = 4\nafter_s = 10.0\n'
     slow = ("--distance", "2mm", "--speed", "0.3mm/s")
-    ended = rig.run(*arguments(rig, *slow, "--world", world))
+    ended = rig.run(*arguments(rig, *slow, "--fault", rig.fault(plan)))
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
     assert error.startswith("error: stage_z: ")

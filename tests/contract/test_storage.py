@@ -6,6 +6,10 @@ import resource
 import subprocess
 from pathlib import Path
 
+import pytest
+
+from rig.recording.verify import verify
+
 LIMIT_BYTES = 400_000
 FREQUENCIES = ("--frequencies", "300,400,500,600,700,800,900,1000")
 LONG_RECORDS = ("--shortest-record", "0.5s")
@@ -60,3 +64,51 @@ def test_a_read_only_results_folder_is_told_before_anything_moves(rig):
     assert "/proc/results" in error
     assert True not in rig.outputs()
     assert not Path("/proc/results").exists()
+
+
+def disk(kind, **keys):
+    """A fault plan for the disk."""
+    return f'[[fault]]\ndevice = "disk"\nkind = "{kind}"\n' + "".join(
+        f"{key} = {value}\n" for key, value in keys.items()
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "cause"), [("disk-full", "No space left"), ("read-only", "Read-only file system")]
+)
+def test_a_disk_that_gives_out_in_the_run_ends_it_safely_with_what_it_had_taken(rig, kind, cause):
+    plan = rig.fault(disk(kind, after_bytes=LIMIT_BYTES))
+    ended = rig.sweep(*FREQUENCIES, *LONG_RECORDS, "--fault", plan)
+
+    assert ended.code == 1, ended.stderr
+    assert ".rigj: write failed: " + cause in ended.errors[0]
+    assert "free space or write access there" in ended.errors[0]
+    assert rig.outputs() == [True, False]
+    journal = rig.only("*.rigj")
+    assert journal.stat().st_size <= LIMIT_BYTES
+    recovered = rig.run("recover", str(journal))
+    assert recovered.code == 0, recovered.stderr
+    assert rig.run("verify", recovered.stdout.strip()).code == 0
+
+
+def test_a_disk_that_is_read_only_from_the_start_is_told_before_anything_moves(rig):
+    ended = rig.sweep("--frequencies", "300", "--fault", rig.fault(disk("read-only")))
+    assert ended.code == 1, ended.stderr
+    (error,) = ended.errors
+    assert "Read-only file system" in error
+    assert True not in rig.outputs()
+
+
+def test_a_slow_disk_only_costs_time(rig):
+    ended = rig.sweep(
+        "--frequencies", "300,600", "--fault", rig.fault(disk("slow-sync", delay_s=0.6))
+    )
+    assert ended.code == 0, ended.stderr
+    assert ended.object["warnings"] == []
+    assert verify(rig.only("*.h5")) == []
+
+
+def test_a_bench_that_others_record_from_has_no_disk_to_fail(rig):
+    ended = rig.run("simulate", "--fault", rig.fault(disk("read-only")))
+    assert ended.code == 2
+    assert "device = 'disk': no such device on this bench" in ended.stderr

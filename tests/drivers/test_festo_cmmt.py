@@ -16,8 +16,9 @@ from simulated.ideal import serving
 
 from drivers import festo_cmmt
 from drivers.festo_cmmt import Axis, Settings
-from drivers.simulated.faults import FaultPlan, WireFaults
-from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings, Trouble
+from drivers.simulated.fault_plan import AxisFault, FaultPlan
+from drivers.simulated.faults import WireFaults
+from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
 from drivers.simulated.modbus_tcp import ModbusError, ModbusTcpServer
 from rig.clock import Clock
 from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
@@ -510,19 +511,20 @@ def test_a_new_motion_is_not_ended_by_the_last_ones_fixed_stop() -> None:
 
 
 @pytest.mark.parametrize(
-    ("trouble", "own", "told"),
+    ("kind", "own", "told"),
     [
-        (Trouble("fault", 2, 0.5, 114), {}, "114 .*negative limit switch"),
-        (Trouble("reference-lost", 2, 0.5), {}, "lost its reference"),
-        (Trouble("jam", 2, 0.5), {"torque_limit_percent": None}, "126 .*following error"),
-        (Trouble("jam", 2, 0.5), {}, "torque limit"),
+        ("limit-switch", {}, "115 .*positive limit switch"),
+        ("reference-lost", {}, "lost its reference"),
+        ("stuck", {"torque_limit_percent": None}, "126 .*following error"),
+        ("stuck", {}, "torque limit"),
     ],
 )
 @pytest.mark.parametrize("way", ["move", "servo", "wait"])
 def test_what_befalls_a_motion_is_one_error_however_it_is_watched(
-    trouble: Trouble, own: dict[str, Any], told: str, way: str
+    kind: Any, own: dict[str, Any], told: str, way: str
 ) -> None:
-    with service(drive={"troubles": (trouble,)}, **own) as it:
+    fault = AxisFault(device="stage_z", kind=kind, move=2, after_s=0.5)
+    with service(drive={"faults": (fault,)}, **own) as it:
         axis = it.homed()
         axis.move_to(5.0, 20.0)
         begun = it.clock.now()
@@ -535,6 +537,39 @@ def test_what_befalls_a_motion_is_one_error_however_it_is_watched(
         axis.make_safe()
         axis.stop()
         assert it.speed == 0
+
+
+def go_and_sleep(axis: Axis, clock: Clock) -> None:
+    axis.start_move(15.0, 10.0)
+    clock.sleep(5.0)
+
+
+@pytest.mark.parametrize("go", [lambda axis, clock: axis.move_to(15.0, 10.0), go_and_sleep])
+def test_an_axis_that_runs_past_its_target_is_stopped_and_told(
+    go: Callable[[Axis, Clock], None],
+) -> None:
+    runaway = AxisFault(device="stage_z", kind="runaway", move=2, after_s=0.1)
+    with service(drive={"faults": (runaway,)}) as it:
+        axis = it.homed()
+        axis.move_to(20.0, 20.0)
+        with pytest.raises(InstrumentError, match=r"ran past its target: .* on the way to 15 mm"):
+            go(axis, it.clock)
+        axis.stop()
+        assert it.speed == 0
+        assert 13.5 < it.truth_mm < 14.9, "one look at it, and the way of braking"
+        axis.move_to(15.0, 10.0)
+
+
+def test_a_target_behind_a_motion_under_way_is_passed_and_come_back_to() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(40.0, 20.0)
+        it.clock.sleep(1.0)
+        axis.start_move(it.truth_mm + 0.1, 20.0)
+        wanted = it.truth_mm + 0.1
+        while axis.moving():
+            it.clock.sleep(0.005)
+        assert it.truth_mm == pytest.approx(wanted, abs=0.02)
 
 
 def test_without_a_torque_limit_the_drive_reports_a_following_error() -> None:

@@ -16,7 +16,8 @@ from pydantic import ValidationError
 from simulated.ideal import serving
 
 from drivers.me_gsv8 import ForceAmplifier, Settings, connect, make_safe
-from drivers.simulated.faults import FaultPlan, WireFaults
+from drivers.simulated.fault_plan import FaultPlan
+from drivers.simulated.faults import WireFaults
 from drivers.simulated.me_gsv8 import Gsv8, Memory, Sensor
 from drivers.simulated.serial_server import Exchange, PtyServer
 from rig.clock import Clock, WallClock

@@ -20,7 +20,8 @@ from simulated.axis_bench import AxisBench
 from simulated.ideal import IdealBench, serving
 
 from drivers.simulated.axis import Mechanics
-from drivers.simulated.faults import FaultKind, FaultPlan, FaultyLink, WireFaults
+from drivers.simulated.fault_plan import FaultPlan, ReplyFault
+from drivers.simulated.faults import FaultyLink, WireFaults
 from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
 from drivers.simulated.keysight_33500b import Keysight33500B
 from drivers.simulated.keysight_u2300a import KeysightU2300A
@@ -64,10 +65,10 @@ class CountedFaults(WireFaults):
         """How many there were."""
         return len(self.heard)
 
-    def kind_for(self, request: bytes) -> FaultKind | None:
+    def befalling(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
         """Count a request; the fault that befalls it."""
         self.heard.append(request)
-        return super().kind_for(request)
+        return super().befalling(request, reply)
 
 
 class Service(ABC):

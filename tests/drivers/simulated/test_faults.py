@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.simulated.faults import Delivery, FaultPlan, WireFaults, WireReply
+from drivers.simulated.fault_plan import BEFALLEN, DEVICES, FaultPlan
+from drivers.simulated.faults import Delivery, Dialect, WireFaults, WireReply
 from rig.errors import ConfigurationError
 
 
@@ -78,9 +79,54 @@ def test_truncated_reply_is_its_first_half() -> None:
     assert received(WireFaults(plan(kind="truncate"), "daq"), [b"abcdefg"]) == [b"ABCD"]
 
 
-def test_close_sends_nothing_more() -> None:
+def test_close_and_reset_send_nothing_more() -> None:
     link = WireFaults(plan(kind="close"), "daq").link()
     assert link.exchange(b"a?", b"A") == Delivery(close=True)
+    link = WireFaults(plan(kind="reset"), "daq").link()
+    assert link.exchange(b"a?", b"A") == Delivery(close=True, reset=True)
+
+
+def test_a_doubled_reply_comes_twice_with_its_tag() -> None:
+    link = WireFaults(plan(kind="double"), "daq").link()
+    assert link.exchange(b"a?", b"A", tag=7).replies == (WireReply(b"A", 7), WireReply(b"A", 7))
+    assert link.exchange(b"b?", b"B", tag=8).replies == (WireReply(b"B", 8),)
+
+
+def test_a_half_open_connection_is_one_and_the_others_are_not() -> None:
+    faults = WireFaults(plan(kind="half-open", at=2), "daq")
+    first, second = faults.link(), faults.link()
+    assert first.exchange(b"a?", b"A").replies
+    assert second.exchange(b"b?", b"B") == Delivery()
+    assert (first.half_open, second.half_open) == (False, True)
+
+
+CHECKED = Dialect(
+    error=lambda reply, code: b"E%d" % code if reply.startswith(b"OK") else None,
+    checksum=lambda reply: reply[:-1] + b"!" if reply.endswith(b"#") else None,
+)
+
+
+def test_only_replies_that_can_carry_an_error_are_counted() -> None:
+    faults = WireFaults(plan(kind="error", code=12, at=2), "daq", CHECKED)
+    link = faults.link()
+    got = [link.exchange(b"x", reply) for reply in (b"OK1", b"3.5", None, b"OK2", b"OK3")]
+    sent = [b"".join(reply.data for reply in delivery.replies) for delivery in got]
+    assert sent == [b"OK1", b"3.5", b"", b"E12", b"OK3"]
+
+
+def test_only_replies_that_have_a_check_get_a_wrong_one() -> None:
+    link = WireFaults(plan(kind="checksum"), "daq", CHECKED).link()
+    assert [link.exchange(b"x", reply).replies[0].data for reply in (b"A", b"B#", b"C#")] == [
+        b"A", b"B!", b"C#",
+    ]  # fmt: skip
+
+
+def test_what_is_done_is_told_once_each_time_it_is_done() -> None:
+    told: list[str] = []
+    link = WireFaults(plan(kind="silence", at=2, count=2), "daq", tell=told.append).link()
+    for _ in range(5):
+        link.exchange(b"a?", b"A")
+    assert told == ["silence", "silence"]
 
 
 def test_plan_is_read_from_toml(tmp_path: Path) -> None:
@@ -99,6 +145,14 @@ def test_plan_is_read_from_toml(tmp_path: Path) -> None:
         ('[[fault]]\ndevice = "dac"\nkind = "stale"\n', "'dac': no such device"),
         ("[[fault]\n", "faults.toml"),
         ("seed = 3\n", "seed: unknown key"),
+        ('[[fault]]\ndevice = "daq"\nkind = "checksum"\n', "has no checksum of its own"),
+        ('[[fault]]\ndevice = "generator"\nkind = "double"\n', "doubled message"),
+        ('[[fault]]\ndevice = "daq"\nkind = "error"\n', "code: missing"),
+        ('[[fault]]\ndevice = "daq"\nkind = "error"\ncode = 0\n', "code = 0 is no error"),
+        ('[[fault]]\ndevice = "daq"\nkind = "stuck"\n', "cannot befall daq"),
+        ('[[fault]]\ndevice = "daq"\nkind = "silence"\nmove = 1\n', "move: unknown key"),
+        ('[[fault]]\ndevice = "daq"\nkind = "overrun"\nafter_s = -1.0\n', "after_s = -1.0 s"),
+        ('[[fault]]\nkind = "silence"\n', "device: missing"),
     ],
 )
 def test_a_wrong_plan_is_refused_with_its_reason(tmp_path: Path, text: str, complaint: str) -> None:
@@ -111,3 +165,37 @@ def test_a_wrong_plan_is_refused_with_its_reason(tmp_path: Path, text: str, comp
 def test_a_missing_plan_is_a_configuration_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"none\.toml"):
         FaultPlan.read(tmp_path / "none.toml")
+
+
+NEEDED = {
+    "error": "code = 1",
+    "clipped": "amplitude_V = 1.0",
+    "clock-jump": "by_s = 1.0",
+    "slow-sync": "delay_s = 0.1",
+}
+"""What a kind does not do without."""
+
+
+@pytest.mark.parametrize("kind", BEFALLEN)
+def test_every_kind_is_taken_for_its_devices_and_refused_for_all_others(
+    tmp_path: Path, kind: str
+) -> None:
+    path = tmp_path / "faults.toml"
+    for device in DEVICES:
+        path.write_text(
+            f'[[fault]]\ndevice = "{device}"\nkind = "{kind}"\n{NEEDED.get(kind, "")}\n'
+        )
+        if device in BEFALLEN[kind]:
+            (fault,) = FaultPlan.read(path).fault
+            assert (fault.device, fault.kind) == (device, kind)
+        else:
+            with pytest.raises(ConfigurationError, match=f"cannot befall {device}"):
+                FaultPlan.read(path)
+
+
+def test_every_kind_stands_in_the_table_for_people() -> None:
+    table = Path(__file__).parents[3] / "docs" / "fault-plans.md"
+    rows = {
+        line.split("|")[1].strip(" `") for line in table.read_text().splitlines() if "|" in line
+    }
+    assert rows - {"kind", "---"} == set(BEFALLEN)

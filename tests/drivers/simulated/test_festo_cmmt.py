@@ -6,10 +6,10 @@ import struct
 
 import pytest
 
-from drivers.simulated.festo_cmmt import Trouble
+from drivers.simulated.fault_plan import AxisFault, DriveFault, MoveFault, SlowAxis
 from drivers.simulated.modbus_tcp import ModbusError
 
-from .axis_bench import ACK, HOME, ON, RUN, TASK, Controller
+from .axis_bench import ACK, HOME, ON, PLC, RUN, TASK, Controller
 
 
 @pytest.fixture
@@ -286,17 +286,20 @@ def test_a_fault_needs_a_rising_acknowledge_and_then_a_rising_on(homed: Controll
     assert homed.zsw1(11), "a fault does not cost the reference"
 
 
-# --- troubles --------------------------------------------------------------------------------
+# --- faults ----------------------------------------------------------------------------------
 
 
-def troubled(*troubles: Trouble) -> Controller:
-    at = Controller.of_a_drive(troubles=troubles)
+def befallen(*faults: MoveFault) -> Controller:
+    at = Controller.of_a_drive(faults=faults)
     at.home()
     return at
 
 
-def test_a_trouble_comes_at_its_time_though_nobody_looks() -> None:
-    at = troubled(Trouble("fault", 1, 0.5, 115), Trouble("reference-lost", 1, 0.2))
+def test_a_fault_comes_at_its_time_though_nobody_looks() -> None:
+    at = befallen(
+        DriveFault(device="z", kind="drive-fault", move=1, after_s=0.5, code=115),
+        AxisFault(device="z", kind="reference-lost", move=1, after_s=0.2),
+    )
     at.write(*RUN, ON, TASK, target=50_000)
     begun = at.bench.now_us
     at.bench.now_us += 2_000_000
@@ -305,8 +308,8 @@ def test_a_trouble_comes_at_its_time_though_nobody_looks() -> None:
     assert (at.fault, at.zsw1(11)) == (115, False)
 
 
-def test_a_trouble_waits_for_its_task_and_a_changed_task_is_the_same() -> None:
-    at = troubled(Trouble("fault", 2, 0.1))
+def test_a_fault_waits_for_its_task_and_a_changed_task_is_the_same() -> None:
+    at = befallen(DriveFault(device="z", kind="drive-fault", move=2, after_s=0.1))
     for target in (10_000, 12_000, 14_000):
         at.write(*RUN, ON, TASK, target=target, pos_stw1=0x9100)
         at.wait(1)
@@ -317,8 +320,59 @@ def test_a_trouble_waits_for_its_task_and_a_changed_task_is_the_same() -> None:
     assert at.fault == 126
 
 
-def test_a_jam_is_a_following_error_for_ever() -> None:
-    at = troubled(Trouble("jam", 1, 0.5))
+def test_a_fault_of_no_task_comes_at_its_bench_time() -> None:
+    at = befallen(DriveFault(device="z", kind="drive-fault", after_s=5.0, code=58))
+    at.wait(5.0 - at.bench.now_us * 1e-6 - 0.02)
+    assert at.fault == 0
+    at.wait(0.03)
+    assert at.fault == 58
+
+
+def test_an_axis_that_turns_slow_arrives_later_and_stays_slow() -> None:
+    at = befallen(SlowAxis(device="z", kind="slow", move=1, after_s=0.5, share=0.25))
+    at.write(*RUN, ON, TASK, target=20_000)
+    at.wait(0.4)
+    assert at.drive.velocity_mm_s(at.bench.now_us) == pytest.approx(20)
+    at.wait(0.4)
+    assert at.drive.velocity_mm_s(at.bench.now_us) == pytest.approx(5)
+    at.wait(3)
+    assert (at.position, at.fault) == (20_000, 0)
+    at.write(*RUN, ON)
+    at.write(*RUN, ON, TASK, target=0)
+    at.wait(1)
+    assert at.drive.velocity_mm_s(at.bench.now_us) == pytest.approx(-5)
+
+
+def test_a_limit_switch_that_closes_stops_the_axis_on_its_way() -> None:
+    at = befallen(AxisFault(device="z", kind="limit-switch", move=2, after_s=0.5))
+    at.write(*RUN, ON, TASK, target=20_000)
+    at.wait(2)
+    at.write(*RUN, ON)
+    at.write(*RUN, ON, TASK, target=0)
+    at.wait(1)
+    assert at.fault == 114, "the negative one: it went down"
+    assert at.position == pytest.approx(10_000, abs=400)
+
+
+def test_a_runaway_axis_passes_its_target_and_obeys_no_other_until_it_is_stopped() -> None:
+    at = befallen(AxisFault(device="z", kind="runaway", move=1, after_s=0.2))
+    at.write(*RUN, ON, TASK, target=10_000)
+    at.wait(1)
+    at.write(*RUN, ON, TASK, target=5_000, pos_stw1=0x9100)
+    at.wait(0.5)
+    assert at.drive.velocity_mm_s(at.bench.now_us) == pytest.approx(20)
+    assert at.position > 25_000
+    at.write(1, 2, 3, 5, PLC, ON)
+    at.wait(0.1)
+    assert at.drive.velocity_mm_s(at.bench.now_us) == 0
+    at.write(*RUN, ON)
+    at.write(*RUN, ON, TASK, target=10_000)
+    at.wait(3)
+    assert at.position == 10_000
+
+
+def test_a_stuck_axis_is_a_following_error_for_ever() -> None:
+    at = befallen(AxisFault(device="z", kind="stuck", move=1, after_s=0.5))
     at.write(*RUN, ON, TASK, target=50_000)
     at.wait(2)
     stands = at.position

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from drivers.simulated.me_gsv8 import NOISE_MV_V, Gsv8, Memory, Sensor
+from drivers.simulated.me_gsv8 import GSV_DIALECT, NOISE_MV_V, Gsv8, Memory, Sensor
 
 OK = "AA 50 00 85"
 PLAIN = Sensor(matrix=((100, 0, 0), (0, 100, 0), (0, 0, 100)), zero_mV_V=(0, 0, 0))
@@ -296,3 +296,37 @@ def _crc(data: bytes) -> int:
         for _ in range(8):
             crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
     return crc
+
+
+# --- fault plans -----------------------------------------------------------------------------
+
+
+def test_a_frozen_converter_repeats_its_last_values_across_batches() -> None:
+    line = Line()
+    line.three_floats()
+    line.core.disturb("frozen", 0.005, 0.010)
+    values = floats(line.after(0.008) + line.after(0.020))
+    assert (values[4:14] == values[3]).all(), "from 5 ms until 15 ms, as at 4 ms"
+    assert len(np.unique(values[14:], axis=0)) == len(values[14:]), "noise is back"
+    assert len(np.unique(values[:4], axis=0)) == 4
+
+
+def test_a_saturated_converter_stands_at_its_end_and_says_so() -> None:
+    line = Line()
+    line.three_floats()
+    line.core.disturb("saturated", 0.005, 0.010)
+    stream = line.after(0.020)
+    values, control = floats(stream), np.frombuffer(stream, np.uint8).reshape(-1, 16)[:, 2]
+    assert (control & 1).tolist() == [0] * 4 + [1] * 10 + [0] * 6
+    assert values[4:14, 2] == pytest.approx(1.05 * 3.5)
+    assert values[:, :2] == pytest.approx(np.tile([0.01, -0.02], (20, 1)), abs=1e-3)
+
+
+def test_what_fault_plans_make_of_answers() -> None:
+    plain, checked = bytes.fromhex(OK), bytes.fromhex("AA 70 00 A2 85")
+    assert GSV_DIALECT.checksum(plain) is None
+    assert GSV_DIALECT.checksum(checked) == bytes.fromhex("AA 70 00 5D 85")
+    assert GSV_DIALECT.error(plain, 0x71) == bytes.fromhex("AA 50 71 85")
+    line = Line()
+    line.three_floats()
+    assert GSV_DIALECT.error(line.after(0.002), 0x71) is None, "measurements carry no error"

@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
-from drivers.simulated.faults import FaultPlan, WireFaults
+from drivers.simulated.fault_plan import FaultPlan
+from drivers.simulated.faults import WireFaults
 from drivers.simulated.modbus_tcp import (
+    MODBUS_DIALECT,
     FrameError,
     FrameSplitter,
     ModbusError,
@@ -157,7 +159,7 @@ def device() -> Registers:
 
 def faulty(device: Registers, **fault: object) -> ModbusTcpServer:
     plan = FaultPlan.model_validate({"fault": [{"device": "it", **fault}]})
-    return ModbusTcpServer(device, faults=WireFaults(plan, "it"))
+    return ModbusTcpServer(device, faults=WireFaults(plan, "it", MODBUS_DIALECT))
 
 
 def test_every_function_under_pymodbus(device: Registers) -> None:
@@ -247,3 +249,23 @@ def test_requests_in_one_packet_are_answered_in_order(device: Registers) -> None
         while len(got) < 22 and time.monotonic() < deadline:
             got += raw.recv(100)
     assert got == frame(0, 1, b"\x03\x02\x00\x07") + frame(1, 1, b"\x03\x02\x00\x08")
+
+
+def test_an_exception_that_the_device_did_not_mean(device: Registers) -> None:
+    server = faulty(device, kind="error", code=4, command="FC16", at=2)
+    with serving(server), client_of(server) as client:
+        assert not client.write_registers(4, [1]).isError()
+        refused = client.write_registers(5, [2])
+        assert (refused.isError(), refused.exception_code) == (True, 4)
+        assert client.read_holding_registers(4, count=2).registers == [1, 2], "it was done"
+
+
+def test_a_doubled_reply_is_no_answer_to_the_next_request(device: Registers) -> None:
+    server = faulty(device, kind="double", command="FC3 100")
+    with serving(server), client_of(server) as client:
+        assert client.read_holding_registers(100, count=1).registers == [100]
+        try:
+            got = client.read_holding_registers(7, count=1).registers
+        except ModbusException:
+            got = None
+        assert got in (None, [7])

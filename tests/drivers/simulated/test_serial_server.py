@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 import serial
 
-from drivers.simulated.faults import FaultPlan, WireFaults
+from drivers.simulated.fault_plan import FaultPlan
+from drivers.simulated.faults import WireFaults
 from drivers.simulated.serial_server import LONGEST_BACKLOG, Exchange, PtyServer
 from simulated.ideal import serving
 

@@ -14,10 +14,11 @@ from pyvisa.constants import StatusCode
 from pyvisa.resources import MessageBasedResource
 from pyvisa_py.protocols.hislip import Instrument as PyvisaHislip
 
-from drivers.simulated.faults import FaultPlan, WireFaults
+from drivers.simulated.fault_plan import FaultPlan
+from drivers.simulated.faults import WireFaults
 from drivers.simulated.keysight_33500b import Keysight33500B
 from drivers.simulated.keysight_u2300a import KeysightU2300A
-from drivers.simulated.servers import HislipServer, ScpiSocketServer
+from drivers.simulated.servers import SCPI_DIALECT, HislipServer, ScpiSocketServer
 
 from .ideal import IdealBench, serving
 
@@ -36,7 +37,8 @@ class Bench:
         self.clients: list[MessageBasedResource] = []
 
     def plan(self, **fault: object) -> None:
-        self.faults = WireFaults(FaultPlan.model_validate({"fault": [fault]}), "it")
+        faults = FaultPlan.model_validate({"fault": [{"device": "it", **fault}]})
+        self.faults = WireFaults(faults, "it", SCPI_DIALECT)
 
     def server(self, transport: str, instrument: Any) -> Any:
         kind = ScpiSocketServer if transport == "socket" else HislipServer
@@ -156,7 +158,7 @@ def test_the_clients_own_protocol_layer_agrees_on_locks_sizes_and_triggers(bench
 
 @BOTH
 def test_recovery_after_a_lost_reply(bench: Bench, transport: str) -> None:
-    bench.plan(device="it", kind="silence", command="FREQ?")
+    bench.plan(kind="silence", command="FREQ?")
     server = bench.server(transport, bench.generator)
     with serving(server):
         client = bench.client(server, timeout_ms=100)
@@ -172,7 +174,7 @@ def test_recovery_after_a_lost_reply(bench: Bench, transport: str) -> None:
 def test_stale_reply_deceives_a_line_client_but_not_message_numbers(
     bench: Bench, transport: str, deceived: bool
 ) -> None:
-    bench.plan(device="it", kind="stale", command="VOLT?")
+    bench.plan(kind="stale", command="VOLT?")
     server = bench.server(transport, bench.generator)
     with serving(server):
         client = bench.client(server, timeout_ms=100)
@@ -185,7 +187,7 @@ def test_stale_reply_deceives_a_line_client_but_not_message_numbers(
 
 @BOTH
 def test_closed_connection_is_closed_for_that_client_only(bench: Bench, transport: str) -> None:
-    bench.plan(device="it", kind="close", at=2, command="FREQ?")
+    bench.plan(kind="close", at=2, command="FREQ?")
     server = bench.server(transport, bench.generator)
     with serving(server):
         other = bench.client(server)
@@ -202,7 +204,7 @@ def test_closed_connection_is_closed_for_that_client_only(bench: Bench, transpor
 
 
 def test_truncated_block_on_the_socket_leaves_the_client_waiting(bench: Bench) -> None:
-    bench.plan(device="it", kind="truncate", command="WAV:DATA?")
+    bench.plan(kind="truncate", command="WAV:DATA?")
     server = bench.server("socket", bench.daq)
     with serving(server):
         client = bench.client(server)
@@ -244,3 +246,67 @@ def test_taken_port_is_reported_and_a_closed_server_frees_it(bench: Bench) -> No
         await second.close()
 
     asyncio.run(scenario())
+
+
+@BOTH
+def test_an_error_that_was_not_there_stands_in_the_queue(bench: Bench, transport: str) -> None:
+    bench.plan(kind="error", code=-310, at=2)
+    server = bench.server(transport, bench.generator)
+    with serving(server):
+        client = bench.client(server)
+        assert client.query("SOUR1:FREQ 2;:SYST:ERR?") == '+0,"No error"'
+        assert client.query("SOUR1:FREQ?") == "+2.000000000000000E+00", "it carries none"
+        assert client.query("SOUR1:FREQ 3;:SYST:ERR?").startswith("-310,")
+        assert client.query("SOUR1:FREQ?;:SYST:ERR?").endswith('+0,"No error"')
+
+
+@BOTH
+def test_a_reset_is_told_to_the_client(bench: Bench, transport: str) -> None:
+    bench.plan(kind="reset", command="FREQ?")
+    server = bench.server(transport, bench.generator)
+    with serving(server):
+        client = bench.client(server)
+        with pytest.raises(Exception, match=r"reset|CONN_LOST|connection"):
+            client.query("FREQ?")
+        assert bench.client(server).query("FREQ?").startswith("+1.0")
+
+
+@BOTH
+def test_behind_a_half_open_connection_nobody_obeys(bench: Bench, transport: str) -> None:
+    bench.plan(kind="half-open", command="FREQ?")
+    server = bench.server(transport, bench.generator)
+    with serving(server):
+        client = bench.client(server, timeout_ms=200)
+        for _ in range(2):
+            with pytest.raises(pyvisa.errors.VisaIOError):
+                client.query("FREQ?")
+        client.write("SOUR1:FREQ 77")
+        assert bench.client(server).query("FREQ?").startswith("+1.0"), "the 77 went nowhere"
+
+
+@pytest.mark.parametrize(("transport", "at"), [("socket", 2), ("hislip", 3)])
+def test_nobody_listens_for_refused_connections(bench: Bench, transport: str, at: int) -> None:
+    bench.plan(kind="refused", at=at)
+    server = bench.server(transport, bench.generator)
+    with serving(server):
+        client = bench.client(server)
+        assert client.query("FREQ?").startswith("+1.0")
+        with (
+            pytest.raises(ConnectionRefusedError),
+            socket.create_connection(("127.0.0.1", server.port)),
+        ):
+            pass
+        assert client.query("FREQ?").startswith("+1.0"), "what stands is not disturbed"
+
+
+def test_who_is_refused_from_the_first_connection_on_meets_a_port_that_is_taken(
+    bench: Bench,
+) -> None:
+    bench.plan(kind="refused")
+    server = bench.server("socket", bench.generator)
+    with (
+        serving(server),
+        pytest.raises(ConnectionRefusedError),
+        socket.create_connection(("127.0.0.1", server.port)),
+    ):
+        pass

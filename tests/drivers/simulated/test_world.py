@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.simulated.fault_plan import FaultPlan, TimedFault
 from drivers.simulated.ports import Excitation
 from drivers.simulated.world import (
     AMPLIFIER_CLIP_V,
@@ -197,3 +198,76 @@ def test_missing_world_settings_are_refused_and_none_are_the_defaults(tmp_path: 
     with pytest.raises(ConfigurationError, match=r"none\.toml"):
         read_world(str(tmp_path / "none.toml"))
     assert read_world(None) == WorldSettings()
+
+
+# --- fault plans -----------------------------------------------------------------------------
+
+
+def befallen(tmp_path: Path, **fault: object) -> tuple[World, Path]:
+    """A World with one fault, and where its log is."""
+    plan = FaultPlan.model_validate({"fault": [fault]})
+    log = tmp_path / "world.jsonl"
+    settings = WorldSettings.model_validate(SILENT)
+    return World(settings, 3, slaved=True, log=log, faults=plan.of(TimedFault)), log
+
+
+def pass_time(of: World, step_us: int = 10_000, steps: int = 1) -> None:
+    for _ in range(steps):
+        of.timeline.advance(step_us)
+        of.settle()
+
+
+def injected(log: Path) -> list[tuple[int, str, str]]:
+    said = [json.loads(line) for line in log.read_text().splitlines()]
+    return [(x["t_us"], x["device"], x["value"]) for x in said if x["what"] == "injected"]
+
+
+def test_a_spike_comes_so_long_after_its_acquisition_began(tmp_path: Path) -> None:
+    of, log = befallen(
+        tmp_path, device="force_sensor", kind="spike", acquisition=2, after_s=0.004,
+        for_s=0.003, force_N=12.0,
+    )  # fmt: skip
+    of.begin_acquisition()
+    pass_time(of, steps=3)
+    assert injected(log) == []
+    of.begin_acquisition()
+    pass_time(of)
+    times = 0.0305 + np.arange(10) * 1e-3
+    pushed = of.force_N(times)[:, 2] - of.force_N(np.array([0.0]))[0, 2]
+    assert pushed.tolist() == [0.0] * 4 + [12.0] * 3 + [0.0] * 3
+    assert injected(log) == [(40_000, "force_sensor", "spike")]
+
+
+def test_a_fault_without_an_acquisition_comes_at_its_bench_time(tmp_path: Path) -> None:
+    of, _ = befallen(tmp_path, device="daq", kind="overrun", after_s=0.025)
+    heard: list[int] = []
+    of.befall("daq", lambda fault, t_us: heard.append(t_us))
+    pass_time(of, steps=2)
+    assert heard == []
+    pass_time(of, steps=3)
+    assert heard == [25_000]
+
+
+def test_a_clipped_amplitude_stays_clipped_whatever_is_asked_for(tmp_path: Path) -> None:
+    of, _ = befallen(tmp_path, device="generator", kind="clipped", after_s=1.0, amplitude_V=0.5)
+    drive(of, 1.0)
+    pass_time(of, 999_000)
+    whole = np.ptp(sampled(of, at_us=900_000)[:, 0])
+    pass_time(of, 500_000, steps=2)
+    assert np.ptp(sampled(of, at_us=1_900_000)[:, 0]) == pytest.approx(whole / 2, rel=1e-3)
+    drive(of, 5.0)
+    pass_time(of, 500_000, steps=2)
+    assert np.ptp(sampled(of, at_us=2_900_000)[:, 0]) == pytest.approx(whole / 2, rel=1e-3)
+    drive(of, 0.25)
+    pass_time(of, 500_000, steps=2)
+    assert np.ptp(sampled(of, at_us=3_900_000)[:, 0]) == pytest.approx(whole / 4, rel=1e-3)
+
+
+def test_a_clock_that_jumps_goes_on_from_there(tmp_path: Path) -> None:
+    of, _ = befallen(tmp_path, device="clock", kind="clock-jump", after_s=0.015, by_s=2.0)
+    pass_time(of)
+    assert of.now_us == 10_000
+    pass_time(of)
+    assert of.now_us == 2_020_000
+    pass_time(of)
+    assert of.now_us == 2_030_000

@@ -1,0 +1,304 @@
+"""Fault plans: what is to go wrong on a simulated bench, as a TOML file that is checked at once.
+
+    [[fault]]
+    device = "daq"
+    kind = "silence"        # at the wire: keyed to the device's requests
+    at = 3                  # the third request that matches
+    count = 1               # 0: from then on, for ever
+    command = "WAV:DATA"    # only requests with a command that begins so
+
+    [[fault]]
+    device = "stage_z"
+    kind = "stuck"          # in the World: keyed to a move, an acquisition, or bench time
+    move = 3
+    after_s = 0.5
+
+    [[fault]]
+    device = "disk"
+    kind = "disk-full"      # under the recording's file calls: keyed to bytes written
+    after_bytes = 50000
+
+This module may say what a plan can ask for, of whom, and why not. It may not do it: `faults` acts
+at the wire, `schedule` in the World, `disk_faults` under the file calls. Nothing is drawn at
+random: in slaved time the same plan does the same at the same instant. All kinds are described in
+docs/fault-plans.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar, get_args
+
+from pydantic import Field, ValidationError
+
+from rig.documents import read_toml
+from rig.errors import ConfigurationError
+from rig.settings import Settings
+
+GENERATOR, DAQ, STAGE_Z, STAGE_X = "generator", "daq", "stage_z", "stage_x"
+FORCE_SENSOR, FORCE_STREAM = "force_sensor", "force_sensor.stream"
+"""The amplifier's answers, and the frames that it sends of its own accord."""
+CLOCK, DISK = "clock", "disk"
+STAGES = (STAGE_Z, STAGE_X)
+ON_TCP = (GENERATOR, DAQ, *STAGES)
+ON_A_WIRE = (*ON_TCP, FORCE_SENSOR, FORCE_STREAM)
+DEVICES = (*ON_A_WIRE, CLOCK, DISK)
+LONGEST_AFTER_s = 36_000.0
+
+
+# --- at the wire ------------------------------------------------------------------------------
+
+
+class ReplyFault(Settings):
+    """What befalls a device's replies."""
+
+    device: str
+    """The device's name in the simulated bench."""
+    at: int = Field(default=1, ge=1)
+    """The first matching request it befalls, counted from 1 over all connections. Counted are only
+    requests whose reply can be disturbed so: has a checksum, can carry an error."""
+    count: int = Field(default=1, ge=0)
+    """How many matching requests it befalls; 0 is for ever."""
+    command: str = ""
+    """Beginning of a command in the request (upper or lower case, without its leading colon)."""
+
+    def matches(self, request: bytes) -> bool:
+        """Whether a command of the request begins as asked."""
+        prefix = self.command.encode().upper()
+        units = request.upper().split(b";")
+        return any(unit.strip().lstrip(b":").startswith(prefix) for unit in units)
+
+    def befalls(self, occurrence: int) -> bool:
+        """Whether the n-th matching request is disturbed."""
+        return self.at <= occurrence and (self.count == 0 or occurrence < self.at + self.count)
+
+
+class WireFault(ReplyFault):
+    """A reply that is lost, spoilt, late, doubled, or ends its connection."""
+
+    kind: Literal[
+        "silence",
+        "garbage",
+        "truncate",
+        "double",
+        "stale",
+        "checksum",
+        "close",
+        "reset",
+        "half-open",
+    ]
+    """``silence`` loses the reply; ``garbage`` makes it unreadable; ``truncate`` sends its first
+    half; ``double`` sends it twice; ``stale`` holds it back until the connection's next reply, in
+    front of which it arrives late; ``checksum`` spoils its check; ``close`` ends the connection in
+    its place, ``reset`` breaks it; ``half-open`` leaves it standing with nobody behind it."""
+
+
+class ErrorReply(ReplyFault):
+    """The device answers with an error of its protocol although it has obeyed: an exception code of
+    Modbus, an error code of the amplifier, an entry of a SCPI error queue."""
+
+    kind: Literal["error"]
+    code: int = Field(ge=-32768, le=32767)
+    """Its number; 1 to 255 where it is not a SCPI instrument's."""
+
+
+class RefusedConnections(Settings):
+    """Nobody listens any more for new connections; those that stand are not disturbed."""
+
+    device: str
+    kind: Literal["refused"]
+    at: int = Field(default=1, ge=1)
+    """The first TCP connection refused, from 1; a HiSLIP session is made of two."""
+
+
+# --- in the World -----------------------------------------------------------------------------
+
+
+class _OnMove(Settings):
+    """What befalls an axis."""
+
+    device: str
+    move: int | None = Field(default=None, ge=1)
+    """During which task of the drive since the World began; homing and changes under way do not
+    count. None: `after_s` counts from the World's beginning."""
+    after_s: float = Field(default=0.0, ge=0, le=LONGEST_AFTER_s)
+    """How long after that task began."""
+
+
+class AxisFault(_OnMove):
+    """What befalls an axis without further ado."""
+
+    kind: Literal["stuck", "runaway", "limit-switch", "reference-lost"]
+    """No force moves the carriage any more; it runs past its target until it is stopped; the limit
+    switch that it moves towards closes; the drive forgets where it is."""
+
+
+class DriveFault(_OnMove):
+    """The drive reports a fault and brakes."""
+
+    kind: Literal["drive-fault"]
+    code: int = Field(default=126, ge=1, le=0xFFFF)
+    """The fault's number."""
+
+
+class SlowAxis(_OnMove):
+    """The axis does not reach the speed that it is told, from then on."""
+
+    kind: Literal["slow"]
+    share: float = Field(default=0.1, gt=0, lt=1)
+    """Of the speed that it is told."""
+
+
+class _Timed(Settings):
+    """What befalls a signal."""
+
+    device: str
+    acquisition: int | None = Field(default=None, ge=1)
+    """During which acquisition of the DAQ since the World began. None: `after_s` counts from the
+    World's beginning."""
+    after_s: float = Field(default=0.0, ge=0, le=LONGEST_AFTER_s)
+    """How long after that acquisition began."""
+
+
+class Spike(_Timed):
+    """Somebody or something pushes on the probe for a while."""
+
+    kind: Literal["spike"]
+    for_s: float = Field(default=0.05, gt=0)
+    force_N: float = 30.0
+    """Along z, on top of everything else."""
+
+
+class SensorFault(_Timed):
+    """The amplifier's converter stands at its end, or gives the same values again and again."""
+
+    kind: Literal["saturated", "frozen"]
+    for_s: float = Field(default=0.5, gt=0)
+
+
+class Clipped(_Timed):
+    """What drives the vibrator gives no more than this amplitude, from then on."""
+
+    kind: Literal["clipped"]
+    amplitude_V: float = Field(gt=0)
+    """Peak."""
+
+
+class Overrun(_Timed):
+    """The DAQ's buffer overruns where an acquisition is running."""
+
+    kind: Literal["overrun"]
+
+
+class ClockJump(_Timed):
+    """Time goes on without the run, as it does while a computer is suspended."""
+
+    kind: Literal["clock-jump"]
+    by_s: float = Field(gt=0, le=60)
+
+
+# --- under the file calls ---------------------------------------------------------------------
+
+
+class DiskFault(Settings):
+    """The file system takes no more."""
+
+    device: str
+    kind: Literal["disk-full", "read-only"]
+    after_bytes: int = Field(default=0, ge=0)
+    """Written below the folder of results since the command began."""
+
+
+class SlowSync(Settings):
+    """Every synchronisation with the disk takes this much longer, in wall time."""
+
+    device: str
+    kind: Literal["slow-sync"]
+    delay_s: float = Field(gt=0, le=10)
+
+
+# --- the plan ---------------------------------------------------------------------------------
+
+MoveFault = AxisFault | DriveFault | SlowAxis
+TimedFault = Spike | SensorFault | Clipped | Overrun | ClockJump
+FileFault = DiskFault | SlowSync
+Fault = WireFault | ErrorReply | RefusedConnections | MoveFault | TimedFault | FileFault
+
+BEFALLEN: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("silence", "garbage", "truncate", "stale", "close"), ON_A_WIRE),
+    "double": (DAQ, *STAGES, FORCE_SENSOR),
+    "checksum": (FORCE_SENSOR, FORCE_STREAM),
+    "error": (*ON_TCP, FORCE_SENSOR),
+    **dict.fromkeys(("reset", "half-open", "refused"), ON_TCP),
+    **dict.fromkeys(get_args(AxisFault.model_fields["kind"].annotation), STAGES),
+    **dict.fromkeys(("drive-fault", "slow"), STAGES),
+    **dict.fromkeys(("spike", "saturated", "frozen"), (FORCE_SENSOR,)),
+    "clipped": (GENERATOR,),
+    "overrun": (DAQ,),
+    "clock-jump": (CLOCK,),
+    **dict.fromkeys(("disk-full", "read-only", "slow-sync"), (DISK,)),
+}
+"""Whom each kind may befall."""
+_WHY_NOT = {
+    "double": "nothing in its protocol tells a doubled message from the next one",
+    "checksum": "its protocol has no checksum of its own",
+    "error": "it answers nothing",
+    **dict.fromkeys(("reset", "half-open", "refused"), "it is on no TCP connection"),
+}
+F = TypeVar("F")
+
+
+class FaultPlan(Settings):
+    """All faults of a simulated bench; empty by default."""
+
+    fault: tuple[Annotated[Fault, Field(discriminator="kind")], ...] = ()
+
+    @classmethod
+    def read(cls, path: Path, devices: Iterable[str] = DEVICES) -> FaultPlan:
+        """The plan in a TOML file; `devices` are the names that exist on this bench.
+
+        Raises ConfigurationError for an unreadable file, unknown keys, kinds or devices, and for a
+        kind that cannot befall its device.
+        """
+        tables = read_toml(path, "fault plan")
+        try:
+            plan = cls.model_validate(tables)
+        except ValidationError as error:
+            hint = f"a fault has a device, a kind ({', '.join(BEFALLEN)}), and what its kind needs"
+            raise ConfigurationError.from_validation(error, str(path), hint) from error
+        known = tuple(devices)
+        for number, fault in enumerate(plan.fault, 1):
+            _require_device(f"{path}: fault {number}", fault, known)
+        return plan
+
+    def of(self, kind: type[F] | object, device: str | None = None) -> tuple[F, ...]:
+        """Its faults of a class or union of classes, in order; of one device where it is named."""
+        return tuple(
+            fault
+            for fault in self.fault
+            if isinstance(fault, kind) and device in (None, fault.device)  # type: ignore[arg-type]
+        )
+
+
+def _require_device(where: str, fault: Fault, known: tuple[str, ...]) -> None:
+    device, able = fault.device, BEFALLEN[fault.kind]
+    if device not in known:
+        raise ConfigurationError(
+            f"{where}: device = {device!r}: no such device on this bench",
+            f"it has {', '.join(known)}",
+        )
+    if device not in able:
+        why = f": {_WHY_NOT[fault.kind]}" if fault.kind in _WHY_NOT else ""
+        raise ConfigurationError(
+            f"{where}: kind = {fault.kind!r} cannot befall {device}{why}",
+            f"it befalls {', '.join(able)}",
+        )
+    if isinstance(fault, ErrorReply):
+        low, high = (-32768, 32767) if device in (GENERATOR, DAQ) else (1, 255)
+        if not low <= fault.code <= high or fault.code == 0:
+            raise ConfigurationError(
+                f"{where}: code = {fault.code} is no error of the {device}'s protocol, which has "
+                f"{low} to {high} without 0",
+                "give a number of its manual",
+            )

@@ -1,0 +1,93 @@
+"""The World's own watch: which force and which motion it finds fault with."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.simulated.monitor import Monitor, WatchedLine, WatchSettings
+from drivers.simulated.serial_server import Exchange
+
+LIMIT = WatchSettings(force_limit_N=10.0, reaction_s=0.010)
+
+
+class Line:
+    """A serial instrument that has something to say."""
+
+    def __init__(self, sent: bytes):
+        self.sent = sent
+
+    def exchanges(self, data: bytes, by: str) -> list[Exchange]:
+        return []
+
+    def frames_until(self, now_us: int) -> bytes:
+        return self.sent
+
+
+def violations(force: npt.NDArray[np.float64], every: int = 7) -> list[object]:
+    """What is told of a force along y, N at each millisecond, looked at now and then."""
+    told: list[object] = []
+
+    def force_N(times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:  # noqa: N802
+        at = np.rint(times_s * 1e3).astype(int)
+        return np.stack([0 * at, force[at], 0 * at], axis=1)
+
+    monitor = Monitor(LIMIT, force_N, lambda: (), lambda what, value: told.append((what, value)))
+    for now_ms in range(0, len(force), every):
+        monitor.look(1000 * now_ms)
+    return told
+
+
+def rising(rate_N_ms: float, from_N: float, for_ms: int, then_ms: int = 100) -> list[float]:
+    """A ramp, and where it ends, held."""
+    ramp = [from_N + rate_N_ms * step for step in range(for_ms)]
+    return ramp + [ramp[-1]] * then_ms
+
+
+def test_a_force_that_stops_rising_in_time_is_none() -> None:
+    assert violations(np.array(rising(0.5, 0.0, 29))) == [], "10 N after 20 ms, 14 N after 28"
+
+
+def test_a_force_that_goes_on_rising_is_one_and_told_once() -> None:
+    ((what, told),) = violations(np.array(rising(0.5, 0.0, 40)))
+    assert what == "violation"
+    assert "5.5 N over its limit, which it rose by 5 N at most in 0.01 s" in str(told)
+
+
+def test_it_does_not_matter_when_it_is_looked_at_nor_which_way_the_force_points() -> None:
+    force = np.array(rising(0.5, 0.0, 40))
+    for every in (1, 3, 50):
+        assert len(violations(-force, every)) == 1
+        assert violations(-0.9 * force[:30], every) == []
+
+
+def test_a_second_time_over_the_limit_is_another_one() -> None:
+    over = rising(0.5, 0.0, 40)
+    assert len(violations(np.array(over + [0.0] * 50 + over))) == 2
+
+
+def test_what_moves_at_the_end_is_told() -> None:
+    told: list[object] = []
+    monitor = Monitor(
+        LIMIT,
+        lambda times_s: np.zeros((len(times_s), 3)),
+        lambda: ("stage_x moves at 3 mm/s",),
+        lambda what, value: told.append((what, value)),
+    )
+    monitor.over()
+    assert told == [("violation", "stage_x moves at 3 mm/s although no run is active")]
+
+
+def test_frames_of_three_floats_are_written_down_with_and_without_a_check() -> None:
+    values = [np.array([k, k, k], ">f4").tobytes() for k in (1, 2)]
+    plain = b"".join(b"\xaa\x12\xb0" + data + b"\x85" for data in values)
+    checked = b"".join(b"\xaa\x32\xb0" + data + b"\x12\x34\x85" for data in values)
+
+    for sent, written_down in ((plain, values), (checked, values), (b"", None)):
+        told: list[object] = []
+        line = WatchedLine(Line(sent), lambda what, value: told.append(value))  # noqa: B023
+        assert line.frames_until(0) == sent
+        expected = [] if written_down is None else [[zlib.crc32(data) for data in written_down]]
+        assert told == expected
