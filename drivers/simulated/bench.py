@@ -474,7 +474,7 @@ def _clamp_drives(world: World, faults: FaultPlan) -> list[CmmtDrive]:
 
     clamp = world.settings.clamp
     mechanics = Mechanics(stiffest_load_N_mm=clamp.stiffness_N_mm + clamp.creep_stiffness_N_mm)
-    struck = faults.of(MoveFault, STAGE_Z)
+    struck: tuple[MoveFault, ...] = faults.of(MoveFault, STAGE_Z)
     z = CmmtDrive(DriveSettings(name=STAGE_Z, mechanics=mechanics, faults=struck), world)
     world.mount(z.position_mm)
     return [z]
