@@ -146,7 +146,7 @@ class VisaLink:
     def _charge_timeout(self) -> None:
         """A time-out is wall time; the bench's clock has to hear of it."""
         with contextlib.suppress(InstrumentError):  # the time-out itself is the news
-            self._clock.sleep(self._timeout_s)
+            self._clock.charge(self._timeout_s)
 
     def _check_error(self, message: str, reply: str) -> None:
         """Raise where the queue held errors; all are taken out, so that none blames the next

@@ -28,6 +28,7 @@ from rig.instruments import Acquisition, InputChannel
 from rig.runner.approach import Approach, search_speed_mm_s
 from rig.runner.loop import tick_loop
 from rig.runner.ramp import ForceRamp
+from rig.runner.samples import SampleStream
 from rig.runner.servo import ContactShift, ForceServo, settings_from
 
 if TYPE_CHECKING:
@@ -108,6 +109,7 @@ class Trial:
         self.z, self.x = run.bench.stage_z, run.bench.stage_x
         self.fixture = run.bench.settings.fixture
         self.taken = Taken(number)
+        self._samples = SampleStream(run.bench.daq, run.clock)
         self._recording = self._sliding = False
         self._look_every = max(1, round(self.settings.tick_Hz / LOOKS_Hz))
         """Ticks from one look at the stages to the next, where only the force is needed."""
@@ -140,7 +142,7 @@ class Trial:
         settings = self.settings
         self._decimator = Decimator(settings.rate_S_s, len(STRIPS))
         channels = tuple(InputChannel(name, settings.range_V) for name in STRIPS)
-        self.bench.daq.start(Acquisition(channels, settings.rate_S_s, settings.block_samples))
+        self._samples.start(Acquisition(channels, settings.rate_S_s, settings.block_samples))
         self.taken.begun_s = self.run.clock.now()
         self.taken.filter_delay_s = self._decimator.delay_s
         self._first_frame = self.run.force.frames_seen
@@ -151,7 +153,7 @@ class Trial:
         self._collect_rest()
         self._collect_frames()
         self._recording = False
-        self.bench.daq.stop()
+        self._samples.stop()
 
     def press(self) -> None:
         """Down until the plate is felt, on until the force is there, no faster than it allows; the
@@ -347,7 +349,7 @@ class Trial:
 
     def _take_block(self) -> bool:
         """A block of the DAQ; whether it had one."""
-        record = self.bench.daq.read()
+        record = self._samples.read()
         if record is None:
             return False
         self.run.emit("strips", record)

@@ -14,6 +14,10 @@ SLIDING_AFTER_S = 4.1
 """Since the record began: somewhere in the slide, which lasts a second from 3.8 s on."""
 
 
+X_SLIDING = 700
+"""A request to x in the middle of it."""
+
+
 def take(rig, world="", fault="", *given):
     """A short trial in such a World, under such a fault plan."""
     disturbed = ("--fault", rig.fault(fault)) if fault else ()
@@ -87,6 +91,20 @@ def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
     assert "the stage stands and the skin may still be pressed: stage_z: " in ended.stderr
     last_of(rig, "stage_x")
     assert last_of(rig, "stage_z") == pytest.approx(12.09, abs=0.01)
+    assert_kept_until_sliding(rig)
+
+
+def test_a_drive_that_goes_away_in_the_slide_does_not_keep_the_skin_pressed(rig):
+    """x answers no more: it cannot be stopped, and that is told. z goes up all the same."""
+    gone = f'[[fault]]\ndevice = "stage_x"\nkind = "silence"\nat = {X_SLIDING}\ncount = 0\n'
+    ended = take(rig, "", gone)
+    assert ended.code == 7, ended.stderr
+    cause, unsafe = ended.errors
+    assert cause.startswith("error: stage_x: ")
+    assert unsafe.startswith("error: NOT SAFE: slide could not be switched off: stage_x: ")
+    assert "switched off: force stream, acquisition, normal force" in ended.stderr
+    assert "the guard could not make the bench safe either: {'stage_x': " in ended.stderr
+    assert_lifted(rig)
     assert_kept_until_sliding(rig)
 
 
