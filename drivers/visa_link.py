@@ -48,10 +48,15 @@ class VisaLink:
         return Identity(*fields)
 
     def query(self, message: str) -> str:
-        """Send one message and return its one-line reply without the line end."""
+        """Send one message and return its one-line reply without the line end.
+
+        A reply without one was cut off (IEEE 488.2, 8.5: NL and END): the half of a number is one.
+        """
         with self._conversation(message) as session:
             session.write(message)
             reply: bytes = session.read_raw()
+            if not reply.endswith(b"\n"):
+                raise self._garbage(message, reply, "a whole line")
             return reply.decode("ascii").strip("\r\n")
 
     def query_block(self, message: str, content_bytes: int) -> bytes:

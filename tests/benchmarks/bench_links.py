@@ -324,10 +324,20 @@ def test_no_wrong_answer_and_at_most_one_further_failure(which: str) -> None:
 
 @pytest.mark.parametrize("which", SIDES)
 def test_the_stock_client_beside_it(which: str) -> None:
+    """It is connected anew where the operating system or its library says that the link broke."""
     side = SIDES[which]()
     heading(f"{side.name}: the stock client, {STOCK_FAULTS} questions with a fault")
     with side.served():
-        ask = side.stock()
+        client = side.stock()
+
+        def ask() -> int:
+            nonlocal client
+            try:
+                return client()
+            except (OSError, RuntimeError):
+                client = side.stock()
+                raise
+
         ask_often(side, ask, STOCK_FAULTS, (Exception,)).tell("stock client")
 
 
@@ -336,6 +346,7 @@ def test_a_dead_device_is_reported_in_time(which: str) -> None:
     side = SIDES[which]()
     heading(f"{side.name}: silent for ever, time-out {DEAD_TIMEOUT_S:g} s")
     first, again = [], []
+    side.become(1001)
     with side.served():
         for _ in range(DEAD_REPEATS):
             side.faults.dead = False
