@@ -257,7 +257,7 @@ class CmmtLink:
             self.charging = True
             try:
                 with contextlib.suppress(InstrumentError):  # the time-out itself is the news
-                    self._clock.sleep(self._timeout_s)
+                    self._clock.charge(self._timeout_s)
             finally:
                 self.charging = False
         return InstrumentTimeoutError(

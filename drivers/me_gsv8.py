@@ -361,7 +361,7 @@ class GsvLink:
             yield
         except InstrumentTimeoutError:
             with contextlib.suppress(InstrumentError):  # the time-out itself is the news
-                self._clock.sleep(self._settings.timeout_s)
+                self._clock.charge(self._settings.timeout_s)
             raise
         except (serial.SerialException, OSError) as error:
             self.close()

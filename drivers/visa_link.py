@@ -48,10 +48,15 @@ class VisaLink:
         return Identity(*fields)
 
     def query(self, message: str) -> str:
-        """Send one message and return its one-line reply without the line end."""
+        """Send one message and return its one-line reply without the line end.
+
+        A reply without one was cut off (IEEE 488.2, 8.5: NL and END): the half of a number is one.
+        """
         with self._conversation(message) as session:
             session.write(message)
             reply: bytes = session.read_raw()
+            if not reply.endswith(b"\n"):
+                raise self._garbage(message, reply, "a whole line")
             return reply.decode("ascii").strip("\r\n")
 
     def query_block(self, message: str, content_bytes: int) -> bytes:
@@ -146,7 +151,7 @@ class VisaLink:
     def _charge_timeout(self) -> None:
         """A time-out is wall time; the bench's clock has to hear of it."""
         with contextlib.suppress(InstrumentError):  # the time-out itself is the news
-            self._clock.sleep(self._timeout_s)
+            self._clock.charge(self._timeout_s)
 
     def _check_error(self, message: str, reply: str) -> None:
         """Raise where the queue held errors; all are taken out, so that none blames the next

@@ -28,6 +28,7 @@ from rig.instruments import Acquisition, InputChannel
 from rig.runner.approach import Approach, search_speed_mm_s
 from rig.runner.loop import tick_loop
 from rig.runner.ramp import ForceRamp
+from rig.runner.samples import SampleStream
 from rig.runner.servo import ContactShift, ForceServo, settings_from
 
 if TYPE_CHECKING:
@@ -58,8 +59,10 @@ CLOCKS_DIFFER = 1e-3
 """Far more than the clocks of DAQ and computer do: a block is asked for when it may be there."""
 BLOCKS_A_TICK = 4
 """Of the DAQ at most, one being due: a loop that is late has the force to look at as well."""
-MOVING_EVERY = 5
-"""Ticks between two looks whether x has arrived."""
+LOOKS_Hz = 100.0
+"""How often stages and DAQ are asked and the record goes on, also where ticks are more frequent."""
+MOVING_EVERY_S = 0.05
+"""Between two looks whether x has arrived."""
 PATIENCE_S = 10.0
 """From contact to a held force, at most."""
 
@@ -106,7 +109,11 @@ class Trial:
         self.z, self.x = run.bench.stage_z, run.bench.stage_x
         self.fixture = run.bench.settings.fixture
         self.taken = Taken(number)
-        self._recording = False
+        self._samples = SampleStream(run.bench.daq, run.clock)
+        self._recording = self._sliding = False
+        self._look_every = max(1, round(self.settings.tick_Hz / LOOKS_Hz))
+        """Ticks from one look at the stages to the next, where only the force is needed."""
+        self._moving_every = max(1, round(self.settings.tick_Hz * MOVING_EVERY_S))
         self._z_mm = self._z_commanded = self._x_mm = self._x_commanded = 0.0
         self._tangential_N = self._next_tick_s = 0.0
         self._first_frame = 0
@@ -127,6 +134,7 @@ class Trial:
         tare_in_free_air(self.run)
         self._z_commanded = self.fixture.parked_mm
         self._x_commanded = self.settings.start_mm
+        self._x_mm = self.x.position_mm()
         come_close(self.run, CONTACT_N, LOOK_S, 1 / self.settings.tick_Hz)
 
     def record(self) -> None:
@@ -134,7 +142,7 @@ class Trial:
         settings = self.settings
         self._decimator = Decimator(settings.rate_S_s, len(STRIPS))
         channels = tuple(InputChannel(name, settings.range_V) for name in STRIPS)
-        self.bench.daq.start(Acquisition(channels, settings.rate_S_s, settings.block_samples))
+        self._samples.start(Acquisition(channels, settings.rate_S_s, settings.block_samples))
         self.taken.begun_s = self.run.clock.now()
         self.taken.filter_delay_s = self._decimator.delay_s
         self._first_frame = self.run.force.frames_seen
@@ -145,7 +153,7 @@ class Trial:
         self._collect_rest()
         self._collect_frames()
         self._recording = False
-        self.bench.daq.stop()
+        self._samples.stop()
 
     def press(self) -> None:
         """Down until the plate is felt, on until the force is there, no faster than it allows; the
@@ -227,7 +235,7 @@ class Trial:
     def slide(self) -> None:
         """Drag the skin along x under the held normal force, and hold it a moment longer."""
         settings, taken = self.settings, self.taken
-        self._x_commanded = settings.end_mm
+        self._x_commanded, self._sliding = settings.end_mm, True
         pull = self._ramp() if settings.loading == "ramp" else self._steadily
         self._await_tick()
         taken.slide_from_s = self._since_s()
@@ -238,6 +246,7 @@ class Trial:
             self.series.shift = self._servo.shift
         self.x.stop()
         self._loop(AFTER_S, self._hold)
+        self._sliding = False
 
     def _steadily(self, tick: Tick) -> bool:
         """Have x slide to its end; hold F_n."""
@@ -257,7 +266,7 @@ class Trial:
 
         def pull(tick: Tick) -> bool:
             nonlocal begin_s, slipped_mm, speed_mm_s
-            self._hold(tick)
+            self._hold(tick, look=True)
             if tick.number == 0:
                 begin_s = tick.began_s
             since_s, travel_mm = tick.began_s - begin_s, along * (self._x_mm - first_mm)
@@ -276,7 +285,7 @@ class Trial:
 
     def _still_moving(self, tick: Tick) -> bool:
         """Whether x has not arrived; looked at now and then."""
-        return (tick.number + 1) % MOVING_EVERY != 0 or self.x.moving()
+        return (tick.number + 1) % self._moving_every != 0 or self.x.moving()
 
     def lift(self) -> None:
         """Off the plate."""
@@ -300,22 +309,26 @@ class Trial:
         """Since the record began."""
         return self.run.clock.now() - self.taken.begun_s
 
-    def _hold(self, tick: Tick) -> bool:
-        """Move z by what the force asks for."""
-        step = self._servo.step(self._collect())
+    def _hold(self, tick: Tick, look: bool = False) -> bool:
+        """Move z by what the force asks for; `look`: ask the stages where they are in any case."""
+        step = self._servo.step(self._collect(look or tick.number % self._look_every == 0))
         self._move_z(self._z_commanded + step.increment_mm, step.speed_mm_s)
         return True
 
     def _look_on(self, tick: Tick) -> bool:
         """Leave z to itself."""
-        self._collect()
+        self._collect(tick.number % self._look_every == 0)
         return True
 
-    def _collect(self) -> float:
-        """Look at stages and force, and record what they and the DAQ say if there is a record; the
-        latest force along z."""
-        self._z_mm, self._x_mm = self.z.position_mm(), self.x.position_mm()
-        if self._recording:
+    def _collect(self, look: bool = True) -> float:
+        """The latest force along z. A `look` asks the stages where they are, x while it may move,
+        and records what they, force sensor and DAQ have said since the last, if there is a record.
+        """
+        if look:
+            self._z_mm = self.z.position_mm()
+            if self._sliding:
+                self._x_mm = self.x.position_mm()
+        if look and self._recording:
             self._collect_blocks()
             self._collect_frames()
             self._record_position()
@@ -336,7 +349,7 @@ class Trial:
 
     def _take_block(self) -> bool:
         """A block of the DAQ; whether it had one."""
-        record = self.bench.daq.read()
+        record = self._samples.read()
         if record is None:
             return False
         self.run.emit("strips", record)

@@ -88,6 +88,8 @@ class Settings(BaseSettings):
     """A first slide without a record, from which the servo learns; auto: where it is needed."""
     rate_S_s: float = Field(default=10e3, ge=10e3, le=50e3)
     """Sampling rate of the strips; a whole multiple of 1000."""
+    block_s: float = Field(default=0.02, ge=0.002, le=0.2)
+    """Of the strips' samples: as long as they may be old when they are seen during the trial."""
     range_V: float = Field(default=1.25, gt=0)
     """Input range of the strips' channels, bipolar."""
     object: str = ""
@@ -111,8 +113,8 @@ class Settings(BaseSettings):
 
     @property
     def block_samples(self) -> int:
-        """Of the DAQ: what comes within a tick."""
-        return round(self.rate_S_s / self.tick_Hz)
+        """Of the DAQ."""
+        return round(self.rate_S_s * self.block_s)
 
     @property
     def longest_slide_s(self) -> float:

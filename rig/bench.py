@@ -29,7 +29,14 @@ from rig.calibration import (
 )
 from rig.clock import Clock
 from rig.documents import MAX_TOML_BYTES, parse_toml, read_text
-from rig.errors import ConfigurationError, LimitError, RigError, SeveralFailuresError, shortened
+from rig.errors import (
+    ConfigurationError,
+    InstrumentError,
+    LimitError,
+    RigError,
+    SeveralFailuresError,
+    shortened,
+)
 from rig.instruments import (
     DataAcquisition,
     DriverModule,
@@ -221,6 +228,46 @@ class GuardedGenerator:
         self._inner.close()
 
 
+class KeepAlives:
+    """Feeds the communication time-outs of the drives, by role, before every slice of a wait.
+
+    What a drive says then ends the wait. While the bench is made safe it does not: a drive that
+    does not answer is fed no more, so that it stops by itself and keeps no other from being brought
+    to rest; its own off tells.
+    """
+
+    def __init__(self) -> None:
+        self._feeds: dict[str, Callable[[], None]] = {}
+        self._making_safe = False
+        self._given_up: set[str] = set()
+
+    def add(self, role: str, feed: Callable[[], None]) -> None:
+        """Talk to this drive, too."""
+        self._feeds[role] = feed
+
+    def feed(self) -> None:
+        """Talk to every drive."""
+        for role, feed in tuple(self._feeds.items()):
+            if role in self._given_up:
+                continue
+            try:
+                feed()
+            except InstrumentError:
+                if not self._making_safe:
+                    raise
+                self._given_up.add(role)
+
+    @contextlib.contextmanager
+    def while_making_safe(self) -> Iterator[None]:
+        """Within it no drive ends another one's wait."""
+        self._making_safe = True
+        try:
+            yield
+        finally:
+            self._making_safe = False
+            self._given_up.clear()
+
+
 @dataclass
 class Bench:
     """Connected instruments and what is known of the bench around them."""
@@ -228,6 +275,7 @@ class Bench:
     plan: BenchPlan
     clock: Clock
     instruments: dict[str, Instrument]
+    keep_alives: KeepAlives = field(default_factory=KeepAlives)
     strip_calibrations: dict[Strip, FilmCalibration] = field(default_factory=dict)
     """Records in use for the skin's strips."""
 
@@ -385,6 +433,8 @@ def connect(plan: BenchPlan, clock: Clock, before_each: Callable[[], None] = lam
     """
     instruments: dict[str, Instrument] = {}
     failures: list[RigError] = []
+    keep_alives = KeepAlives()
+    clock.each_slice(keep_alives.feed)
     for part in plan.instruments:
         try:
             before_each()
@@ -402,11 +452,11 @@ def connect(plan: BenchPlan, clock: Clock, before_each: Callable[[], None] = lam
         guarded = GuardedGenerator(instrument) if part.role == "generator" else instrument  # type: ignore[arg-type]
         instruments[part.role] = guarded
         if hasattr(instrument, "keep_alive"):
-            clock.each_slice(instrument.keep_alive)
+            keep_alives.add(part.role, instrument.keep_alive)
     if failures:
         _close_all(instruments)
         raise failures[0] if len(failures) == 1 else SeveralFailuresError(failures)
-    return Bench(plan, clock, instruments)
+    return Bench(plan, clock, instruments, keep_alives)
 
 
 def apply_calibrations(

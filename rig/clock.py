@@ -73,6 +73,11 @@ class Clock(ABC):
                 return
             self._pass(min(remaining, WAIT_SLICE_S))
 
+    def charge(self, seconds: float) -> None:
+        """Wall time has been spent on a link's time-out: bench time that has not passed meanwhile
+        passes now. Callbacks run as in any wait."""
+        self.sleep(seconds)
+
     def announce(self, run: int, point: int) -> None:  # noqa: B027 - hardware need not know
         """Tell a simulated bench which point comes next: it keys the point's noise."""
 
@@ -107,6 +112,10 @@ class WallClock(Clock):
     def now(self) -> float:
         """Seconds since the clock was made."""
         return time.monotonic() - self._start
+
+    def charge(self, seconds: float) -> None:
+        """It has passed already."""
+        self.sleep(0)
 
     def _pass(self, seconds: float) -> None:
         time.sleep(seconds)

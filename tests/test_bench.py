@@ -17,6 +17,7 @@ from rig.bench import (
     Bench,
     GuardedGenerator,
     InstrumentPlan,
+    KeepAlives,
     connect,
     parse_bench,
     read_bench,
@@ -299,6 +300,28 @@ def test_a_guarded_generator_refuses_before_anything_is_sent(
         GuardedGenerator(inner).sine(frequency, amplitude)  # type: ignore[arg-type]
     assert told in caught.value.message
     assert inner.calls == []
+
+
+def test_a_drive_that_is_not_heard_ends_a_wait_but_no_clean_up() -> None:
+    fed: list[str] = []
+    silent = InstrumentError("stage_x", "read register 100", "no answer", "switch it on")
+
+    def unheard() -> None:
+        fed.append("x")
+        raise silent
+
+    alive = KeepAlives()
+    alive.add("stage_x", unheard)
+    alive.add("stage_z", lambda: fed.append("z"))
+    with pytest.raises(InstrumentError, match="no answer"):
+        alive.feed()
+    assert fed == ["x"]
+    with alive.while_making_safe():
+        alive.feed()
+        alive.feed()
+    assert fed == ["x", "x", "z", "z"], "asked once more, then left to its own time-out"
+    with pytest.raises(InstrumentError, match="no answer"):
+        alive.feed()
 
 
 def test_a_guarded_generator_passes_on_what_is_inside() -> None:

@@ -155,6 +155,17 @@ def test_the_wall_clock_waits_at_least_as_long_as_asked() -> None:
     assert time.monotonic() - begun >= 0.05
 
 
+def test_a_time_out_is_made_up_for_only_where_time_stood_still() -> None:
+    """On the wall clock it has been waited for once already; callbacks are due either way."""
+    seen: list[str] = []
+    wall, still = WallClock(), CountingClock()
+    for name, clock in (("wall", wall), ("still", still)):
+        clock.each_slice(lambda name=name: seen.append(name))  # type: ignore[misc]
+        clock.charge(3600.0 if name == "wall" else 0.05)
+    assert still.now() == pytest.approx(0.05)
+    assert set(seen) == {"wall", "still"}
+
+
 # --- the slaved clock ------------------------------------------------------------------------
 
 

@@ -47,6 +47,10 @@ class Mechanics:
     """The same while the drive travels to a fixed stop: there it means that the stop is found."""
     peak_force_N: float = 200.0
     """What the drive can push with when nothing else limits it."""
+    stiffest_load_N_mm: float = 300.0
+    """No load in its way rises faster: a force far below the limit is not asked for in vain."""
+    fastest_beside_mm_s: float = 20.0
+    """At which another axis may move what this one pushes against."""
 
 
 class Event(Enum):
@@ -234,8 +238,7 @@ class Axis:
 
     def __init__(self, mechanics: Mechanics, load: Load):
         self.mechanics = mechanics
-        self.force_limit_N = mechanics.peak_force_N
-        """What the drive pushes with at most, from now on."""
+        self._force_limit_N = mechanics.peak_force_N
         self.seeks_fixed_stop = False
         """Whether being held back is what the motion is for."""
         self.jammed = False
@@ -248,9 +251,20 @@ class Axis:
         """Which way the setpoint went on when the carriage was held back; 0 while it follows."""
         self._settled_us = 0
         self._settling = False
+        self._light_until_us = 0
+        """Until when the load cannot have come to the force limit."""
         self._happenings: list[Happening] = []
 
     # --- what it does -------------------------------------------------------------------------
+
+    @property
+    def force_limit_N(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """What the drive pushes with at most, from now on."""
+        return self._force_limit_N
+
+    @force_limit_N.setter
+    def force_limit_N(self, limit_N: float) -> None:  # noqa: N802
+        self._force_limit_N, self._light_until_us = limit_N, 0
 
     def move(self, now_us: int, command: Command) -> None:
         """Go to a position, also out of a motion under way; ValueError for a speed of nothing."""
@@ -258,7 +272,7 @@ class Axis:
             raise ValueError(f"cannot move at {command.speed_mm_s} mm/s")
         self.settle(now_us)
         position, velocity = self._setpoint.at(now_us * 1e-6)
-        self._command = command
+        self._command, self._light_until_us = command, 0
         self._become(
             now_us, position, velocity, command.profile(position, velocity), command.target_mm
         )
@@ -350,8 +364,17 @@ class Axis:
             self._meet(Event.HIGH_SWITCH, t_us, position)
 
     def _held_back(self, position: float, going: float, t_us: int) -> bool:
-        against = -self._load(position, t_us) * math.copysign(1.0, going)
-        return self.jammed or against > self.force_limit_N
+        if self.jammed:
+            return True
+        if t_us < self._light_until_us:
+            return False
+        load_N = self._load(position, t_us)
+        missing_N = self._force_limit_N - abs(load_N)
+        commanded_mm_s = 0.0 if self._command is None else self._command.speed_mm_s
+        speed_mm_s = max(abs(going), commanded_mm_s) + self.mechanics.fastest_beside_mm_s
+        rising_N_s = self.mechanics.stiffest_load_N_mm * speed_mm_s
+        self._light_until_us = t_us + math.floor(1e6 * missing_N / rising_N_s)
+        return -load_N * math.copysign(1.0, going) > self._force_limit_N
 
     def _stay(self, t_us: int, position: float, wanted: float, going: float) -> None:
         """The carriage stands; it goes again when the setpoint has come back to it.

@@ -468,10 +468,14 @@ class _Instruments:
 
 def _clamp_drives(world: World, faults: FaultPlan) -> list[CmmtDrive]:
     """The z stage, with the vibrator on it above the film."""
+    from drivers.simulated.axis import Mechanics
     from drivers.simulated.fault_plan import STAGE_Z, MoveFault
     from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
 
-    z = CmmtDrive(DriveSettings(name=STAGE_Z, faults=faults.of(MoveFault, STAGE_Z)), world)
+    clamp = world.settings.clamp
+    mechanics = Mechanics(stiffest_load_N_mm=clamp.stiffness_N_mm + clamp.creep_stiffness_N_mm)
+    struck: tuple[MoveFault, ...] = faults.of(MoveFault, STAGE_Z)
+    z = CmmtDrive(DriveSettings(name=STAGE_Z, mechanics=mechanics, faults=struck), world)
     world.mount(z.position_mm)
     return [z]
 

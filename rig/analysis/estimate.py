@@ -9,6 +9,18 @@ COVERAGE_95 = 1.959964
 """Standard errors on either side of a normal estimate that hold 95 % of the cases."""
 
 
+MOST_DIGITS = 12
+"""After the point."""
+
+
+def with_error(value: float, half_width: float) -> str:
+    """A value to the second figure of its half-width, never a half-width of zero."""
+    if not (math.isfinite(half_width) and half_width > 0):
+        return f"{value:+.6g}"
+    digits = min(max(1 - math.floor(math.log10(half_width)), 0), MOST_DIGITS)
+    return f"{value:+.{digits}f} ± {half_width:.{digits}f}"
+
+
 @dataclass(frozen=True)
 class Estimate:
     """A quantity in ``unit``: value, standard error, and the interval that covers it in 95 %."""
@@ -68,6 +80,6 @@ class Estimate:
         half = COVERAGE_95 * self.standard_error
         if not math.isfinite(half) or half <= 0:
             return f"{self.value:.6g} {self.unit} (95 %: {self.low:.6g} to {self.high:.6g})".strip()
-        digits = min(max(0, 1 - math.floor(math.log10(half))), 9)
+        digits = min(max(0, 1 - math.floor(math.log10(half))), MOST_DIGITS)
         low, value, high = (f"{number:.{digits}f}" for number in (self.low, self.value, self.high))
         return f"{value} {self.unit} (95 %: {low} to {high})".replace("  (", " (")

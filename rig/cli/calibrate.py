@@ -34,8 +34,6 @@ HELP = "Make calibration records: a film from a sweep's file, sensors from known
 
 LARGE_CROSSTALK_PERCENT = 10.0
 """A sensor of two crossed or tilted axes."""
-MOST_DIGITS = 12
-"""After the point."""
 LARGEST_TOLERANCE_PERCENT = 5.0
 """Of weights that are worth calibrating with."""
 SHORTEST_READING_S, LONGEST_WAIT_S = 0.1, 60.0
@@ -449,6 +447,8 @@ def _crosstalk_warning(fit: ForceFit) -> list[str]:
 
 
 def _force_lines(forces: Sequence[Vector], fit: ForceFit) -> Iterator[str]:
+    from rig.analysis.estimate import with_error
+
     yield "zero (mV/V, ± 95 %):"
     yield "  " + "  ".join(
         f"{axis} {with_error(value, fit.coverage * error)}"
@@ -466,14 +466,6 @@ def _force_lines(forces: Sequence[Vector], fit: ForceFit) -> Iterator[str]:
         f"residual rms {1e3 * fit.residual_rms:.2f} mN, largest {1e3 * fit.largest_residual:.2f} "
         f"mN; crosstalk {fit.crosstalk_percent:.2f} % if the matrix were left out"
     )
-
-
-def with_error(value: float, half_width: float) -> str:
-    """A value to the second figure of its half-width, never a half-width of zero."""
-    if not (math.isfinite(half_width) and half_width > 0):
-        return f"{value:+.6g}"
-    digits = min(max(1 - math.floor(math.log10(half_width)), 0), MOST_DIGITS)
-    return f"{value:+.{digits}f} ± {half_width:.{digits}f}"
 
 
 def _cell_lines(loads: Sequence[float], fit: CellFit) -> Iterator[str]:

@@ -142,7 +142,8 @@ def perform(
             lock=bench.lock,
         )
         drawn = procedure.FIGURE if request.figures and not request.dry_run else None
-        reporter = stack.enter_context(ConsoleReporter(procedure.NAME, drawn))
+        own = bench.started is not None
+        reporter = stack.enter_context(ConsoleReporter(procedure.NAME, drawn, draws_ahead=own))
         outcome = execute(job, bench.plan, bench.clock, stop, reporter)
         if bench.started is not None:
             bench.started.wait()

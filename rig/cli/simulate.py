@@ -71,8 +71,11 @@ def make_safe(
     """Bring every instrument of a bench to rest, whatever state it was left in.
 
     A run on it is not waited for: it fails when its instruments do what it has not told them.
+    Ctrl-C ends nothing half-way.
     """
-    with reported(debug):
+    from rig.runner.stopping import StopFlag
+
+    with reported(debug), StopFlag():
         from rig.bench import read_bench
         from rig.runner.guard import make_bench_safe, report_path
         from rig.runner.lock import in_use

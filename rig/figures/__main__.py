@@ -7,6 +7,7 @@ path on its standard input. One line of JSON answers: ``paths``, or ``error`` an
 from __future__ import annotations
 
 import json
+import os
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -14,9 +15,13 @@ from pathlib import Path
 from rig.errors import RigError
 from rig.figures import draw_part
 
+NICENESS = 5
+"""What takes the data, and what keeps them, goes first."""
+
 
 def main() -> None:
     """Serve one request; an input that ends without one is none."""
+    os.nice(NICENESS)
     part = sys.argv[1]
     from rig.figures.style import import_matplotlib
 

@@ -1,7 +1,7 @@
 """Figures drawn beside a command that has something else to do.
 
-Importing matplotlib takes as long as drawing. Processes that are started while the data are being
-stored have it ready when the file is there, and draw while the command sums up.
+Importing matplotlib takes as long as drawing. Processes that are started before the data are stored
+have it ready when the file is there, and draw while the command sums up.
 """
 
 from __future__ import annotations

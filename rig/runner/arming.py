@@ -48,7 +48,9 @@ class Arming:
     """The register of offs of one run."""
 
     def __init__(self) -> None:
+        self._lock = threading.Lock()
         self._armed: list[Armed] = []
+        """Replaced, never changed: who runs through it needs no lock."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -64,8 +66,9 @@ class Arming:
         watches: bool = False,
     ) -> None:
         """Remember `off` under `name`; registering a name again replaces its off."""
-        armed = [armed for armed in self._armed if armed.name != name]
-        self._armed = [*armed, Armed(name, off, deadline_s, at_once, watches)]
+        with self._lock:
+            others = [armed for armed in self._armed if armed.name != name]
+            self._armed = [*others, Armed(name, off, deadline_s, at_once, watches)]
 
     def act_at_once(self) -> list[str]:
         """From a watcher's thread: what stops the bench now, each isolated; what failed, in words.
@@ -102,7 +105,8 @@ class Arming:
             if reason is not None:
                 failures.append(OffFailure(armed.name, reason, armed.watches))
             else:  # what another thread has armed meanwhile stays armed
-                self._armed = [other for other in self._armed if other is not armed]
+                with self._lock:
+                    self._armed = [other for other in self._armed if other is not armed]
         return failures
 
 

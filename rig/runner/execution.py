@@ -20,11 +20,11 @@ from typing import Protocol, TypeVar
 from rig import bench as benches
 from rig.bench import Bench, BenchPlan
 from rig.clock import Clock
-from rig.errors import ExitCode, RigError
+from rig.errors import ExitCode, LimitError, RigError
 from rig.recording.compiled import compile_run
 from rig.recording.contents import read_journal
 from rig.recording.recorder import Recorder
-from rig.runner.arming import BEAT_EVERY_S
+from rig.runner.arming import BEAT_EVERY_S, OffFailure
 from rig.runner.guard import GuardLink
 from rig.runner.holds import HoldError, PauseSwitch
 from rig.runner.jobs import Job, Journal
@@ -132,9 +132,13 @@ class _Loop:
             self.readings,
         )
         self._taking = False
+        self._making_safe = False
+        self._tripped: set[str] = set()
+        """Points that a trip has disturbed: each is retaken once."""
         self._spare = False
         """Whether a reading that does not count is discarded: its point is taken again."""
         self._last_beat = 0.0
+        self._guard_missed = False
         self._begun_s = bench.clock.now()
 
     def go(self) -> None:
@@ -168,15 +172,29 @@ class _Loop:
         return ExitCode.FINISHED_WITH_FAILURES if doubtful else ExitCode.DONE
 
     def _each_slice(self) -> None:
-        """What every wait looks at, before every slice of at most 20 ms."""
+        """What every wait looks at, before every slice of at most 20 ms; while the bench is made
+        safe nothing ends a wait."""
         now = time.monotonic()
-        if now - self._last_beat >= BEAT_EVERY_S:
+        due = now - self._last_beat >= BEAT_EVERY_S
+        if due:
             self._last_beat = now
             self.guard.beat()
+        if self._making_safe:
+            return
+        if due:
+            self._miss_guard()
         self.recorder.check()
         self.stop.check()
         if self._taking:
             self.run.check_watchers()
+
+    def _miss_guard(self) -> None:
+        """A run goes on without its guard rather than fail, and says so, once."""
+        if self.guard.lost and not self._guard_missed:
+            self._guard_missed = True
+            text = "the guard has died: if this run dies as well, nobody makes the bench safe"
+            self.run.event("warning", "guard", text)
+            self.reporter.event("warning", text)
 
     def _take_all(self) -> None:
         self.outcome.points_done = len(self.readings)
@@ -236,15 +254,25 @@ class _Loop:
         """Safe first; then wait until no hold is in force. The force is read on meanwhile: that
         is how the end of its silence is seen."""
         self.run.event("warning", "hold", hold.message)
-        failures = self.run.arming.make_safe(self.guard.beat, watch_on=True)
+        failures = self._switch_off(watch_on=True)
         if failures:
             reasons = "; ".join(f"{f.name}: {f.reason}" for f in failures)
             raise RigError(reasons, None, ExitCode.INSTRUMENT) from hold
         self.reporter.event("warning", f"hold: {hold.message}; the bench is safe")
+        self.run.check_stop()
         while self.run.holds.active:
             self.bench.clock.sleep(HOLD_LOOK_S)
             self.run.check_force_stream()
         self.reporter.event("info", "going on")
+
+    def _switch_off(self, watch_on: bool = False) -> list[OffFailure]:
+        """Run the offs, undisturbed by stop requests, drives and threads that fail meanwhile."""
+        self._making_safe = True
+        try:
+            with self.bench.keep_alives.while_making_safe():
+                return self.run.arming.make_safe(self.guard.beat, watch_on)
+        finally:
+            self._making_safe = False
 
     def _take_valid(self, point: Point) -> Reading:
         """Take it, and again where it does not count, as often as the settings say."""
@@ -266,12 +294,15 @@ class _Loop:
         try:
             return self._take(point)
         except TripError as trip:
+            if point.id in self._tripped:
+                raise
+            self._tripped.add(point.id)
             self.run.event("error", "trip", trip.one_line())
             self.reporter.event("warning", f"{trip.one_line()}; retaking point {point.id} once")
-            self._taking = False  # making safe is not to be disturbed
-            failures = self.run.arming.make_safe(self.guard.beat)
-            if failures:
+            self._taking = False  # watchers are not looked at: the bench is being made safe
+            if self._switch_off():
                 raise
+            self.run.check_stop()
         self._taking = True
         self._arm()
         return self._take(point)
@@ -283,7 +314,7 @@ class _Loop:
         self.bench.clock.announce(self.job.run_number, zlib.crc32(point.id.encode()))
         self.recorder.put_point_begin(point.id, {"time": self.run.elapsed_s()})
         try:
-            with self.run.first_cause():
+            with self.run.first_cause(), _naming(point):
                 reading = self.job.procedure.take(self.run, point)
                 self.run.check_watchers()  # also what came and went within its last blocking call
             if self._spare and (reason := self._invalid(reading)):
@@ -297,7 +328,7 @@ class _Loop:
 
     def _make_safe(self) -> None:
         armed = self.run.arming.names
-        failures = self.run.arming.make_safe(self.guard.beat)
+        failures = self._switch_off()
         self.outcome.duration_s = self.bench.clock.now() - self._begun_s
         failed = {failure.name for failure in failures}
         self.outcome.switched_off = tuple(name for name in armed if name not in failed)
@@ -376,6 +407,17 @@ def _failed(outcome: Outcome, error: RigError) -> Outcome:
     outcome.code = error.code
     outcome.failures.extend(error.parts())
     return outcome
+
+
+@contextlib.contextmanager
+def _naming(point: Point) -> Iterator[None]:
+    """A value that a point has computed and that a limit refuses is told with the point's id."""
+    try:
+        yield
+    except TripError:
+        raise
+    except LimitError as refused:
+        raise LimitError(f"point {point.id}: {refused.message}", refused.hint) from refused
 
 
 def _internal(error: Exception) -> RigError:

@@ -23,6 +23,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,8 @@ GUARD_SUFFIX = ".guard.json"
 """Of a report beside its run, where the bench ended with the run."""
 TAKE_OVER_S = 30.0
 """How long a run waits for its guard's second try: several of the links' time-outs."""
+REST_S = 10.0
+"""What an axis at most takes to come to rest, besides the waits for its answers."""
 
 
 def report_path(results: Path, bench_name: str) -> Path:
@@ -97,9 +100,10 @@ class GuardLink:
     def __init__(self, plan: BenchPlan, journal: Path, report: Path, held: Sequence[int] = ()):
         """`held`: files that the guard keeps open as long as it lives, the bench's locks."""
         self._report = report.resolve()
+        self._journal = str(journal.resolve())
         order = {
             "run_pid": os.getpid(),
-            "journal": str(journal.resolve()),
+            "journal": self._journal,
             "report": str(self._report),
             "bench_toml": plan.text,
             "bench_source": plan.source,
@@ -114,6 +118,11 @@ class GuardLink:
             pass_fds=held,
         )
         self._tell(json.dumps(order))
+
+    @property
+    def lost(self) -> bool:
+        """Whether the guard has died: nobody would make the bench safe in this run's place."""
+        return self._process.poll() is not None
 
     def beat(self) -> None:
         """The run is alive."""
@@ -142,6 +151,8 @@ class GuardLink:
             report = json.loads(self._report.read_text())
         except (subprocess.TimeoutExpired, OSError, ValueError) as error:
             return f"the guard did not report: {error}"
+        if report["journal"] != self._journal:  # an earlier run's
+            return f"the guard did not report: it ended with code {self._process.returncode}"
         if report["safe"]:
             _mark_told(self._report, report)
             return "the guard then made the bench safe"
@@ -208,19 +219,17 @@ def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[s
 
 
 def make_bench_safe(bench_toml: str, source: str) -> dict[str, str]:
-    """Call every driver's `make_safe`; returns what failed, by role."""
-    from rig.bench import parse_bench
-    from rig.errors import RigError
+    """Call every driver's `make_safe` in the order of the roles, each isolated from the others'
+    failures and each with a deadline; returns what failed, by role."""
+    from rig.bench import WAITS_PER_CALL, parse_bench
+    from rig.runner.arming import Arming
 
-    failures = {}
-    for part in parse_bench(bench_toml, source).instruments:
-        try:
-            part.driver.make_safe(part.settings)
-        except RigError as error:
-            failures[part.role] = error.one_line().removeprefix(f"{part.role}: ")
-        except Exception as error:  # noqa: BLE001 - the other instruments still have to be reached
-            failures[part.role] = f"{type(error).__name__}: {error}"
-    return failures
+    arming = Arming()
+    for part in reversed(parse_bench(bench_toml, source).instruments):
+        waits_s = WAITS_PER_CALL * getattr(part.settings, "timeout_s", 0.0)
+        off = partial(part.driver.make_safe, part.settings)
+        arming.register(part.role, off, REST_S + waits_s)
+    return {f.name: f.reason.removeprefix(f"{f.name}: ") for f in arming.make_safe()}
 
 
 def _compile(journal: Path) -> str:

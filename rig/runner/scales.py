@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
+from rig.analysis.estimate import with_error
 from rig.analysis.weighing import Mean, mean_of
 from rig.clock import Clock
 from rig.errors import ExitCode, InstrumentError, RigError
@@ -89,7 +90,7 @@ class ForceScale:
     def tell(self, mean: Mean) -> str:
         """The reading on x, y, z."""
         return "  ".join(
-            f"{axis} {value:+.6f} ± {error:.6f}"
+            f"{axis} {with_error(value, error)}"
             for axis, value, error in zip("xyz", mean.value, mean.standard_error, strict=True)
         ) + " mV/V"  # fmt: skip
 
@@ -168,7 +169,7 @@ class CellScale:
 
     def tell(self, mean: Mean) -> str:
         """The reading in volts."""
-        return f"{mean.value[0]:+.5f} ± {mean.standard_error[0]:.5f} V"
+        return with_error(float(mean.value[0]), float(mean.standard_error[0])) + " V"
 
 
 class _Frames:

@@ -78,7 +78,7 @@ def test_five_seeds_show_what_the_model_shows(rig, skin8):
 
 CORNERS = [
     (static, ratio, force_N, speed_mm_s, tick_Hz)
-    for static, ratio in ((0.3, 0.95), (1.2, 0.7), (1.2, 0.95))
+    for static, ratio in ((0.3, 0.95), (0.8, 0.85), (1.2, 0.7), (1.2, 0.95))
     for force_N in (2.0, 8.0)
     for speed_mm_s, tick_Hz in ((0.3, 100), (1.3, 100), (6.0, 100), (2.8, 500), (6.0, 500))
 ]

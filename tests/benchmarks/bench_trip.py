@@ -26,7 +26,7 @@ def test_from_overload_to_the_command_on_the_wire(rig, blocked):
     if blocked:
         plan += '[[fault]]\ndevice = "daq"\nkind = "silence"\nat = 4\ncommand = "WAV:DATA"\n'
     delays = []
-    for repeat in range(2 if not blocked else 12):
+    for repeat in range(16 if not blocked else 12):
         path = rig.folder / f"{blocked}{repeat}.toml"
         rig.world_log.unlink(missing_ok=True)
         serving = rig.start(

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from procedures.sweep_layout import LAYOUT
+from rig.analysis.estimate import with_error
 from rig.calibration import (
     FilmCalibration,
     ForceCalibration,
@@ -26,7 +27,6 @@ from rig.calibration import (
     header_entry,
     read_calibration,
 )
-from rig.cli.calibrate import with_error
 from rig.model import pvdf
 from rig.model.vibrator import drawn_film, true_response
 from rig.recording.compiled import compile_run

@@ -375,6 +375,25 @@ def test_what_trips_on_the_way_up_is_told_and_the_way_up_gone_on_with(rig):
     assert rest(rig) == pytest.approx(5.0, abs=0.02)
 
 
+FED_EVERY_S = 0.05
+"""The drive is asked so often, a twentieth of its communication time-out."""
+
+
+def test_a_drive_that_fails_while_the_film_vibrates_is_noticed_within_a_record(rig):
+    """The procedure sits in a record of a second and asks the stage nothing."""
+    plan = '[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\nmove = 3\nafter_s = 6.0\n'
+    sweep = ("--frequencies", "2,3,300", "--order", "descending")
+    ended = rig.sweep(*sweep, "--fault", rig.fault(plan))
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert error.startswith("error: stage_z: drive fault: 126 (following error")
+    assert rig.outputs() == [True, False]
+    (fault,) = [e["t_us"] for e in rig.log() if (e["device"], e["what"]) == ("stage_z", "fault")]
+    off = [e["t_us"] for e in rig.log() if e["what"] == "ch1.on"][-1]
+    assert 0 <= (off - fault) * 1e-6 < FED_EVERY_S + 0.02
+    assert verify(rig.only("*.h5")) == []
+
+
 def test_a_gap_in_the_force_stream_ends_the_run(rig):
     fault = '[[fault]]\ndevice = "force_sensor.stream"\nkind = "silence"\nat = 300\ncount = 8\n'
     ended = rig.sweep("--frequencies", "2,3,4", "--fault", rig.fault(fault))

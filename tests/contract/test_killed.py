@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import asdict
+from pathlib import Path
 
 from drivers.simulated.bench import Options
 from rig.recording.contents import read_journal
@@ -56,6 +59,82 @@ def test_a_run_that_hangs_is_ended_and_made_safe_by_the_guard(rig):
     rig.await_world("ch1.on", False)
     journal = read_journal(rig.only("*.rigj"))
     assert 10 <= len(journal.kept_ids()) < 60  # what was put last may not have been written
+
+
+APPROACH_mm_s = 0.5
+COMMUNICATION_TIMEOUT = 391
+
+
+def test_the_drive_of_a_run_that_hangs_stops_by_itself_before_the_guard_comes(rig):
+    """In real time, on the way to contact: nobody talks to the drive any more."""
+    path = rig.folder / "a-bench.toml"
+    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
+    serving.wait_for("Ctrl-C ends it")
+    running = rig.start("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300")
+    await_approach(rig)
+    running.send(signal.SIGSTOP)
+    rig.await_world("fault", COMMUNICATION_TIMEOUT)
+    assert not (rig.results / "guard-simulated.json").exists()
+    assert running.process.wait(PATIENCE_S) == -signal.SIGKILL
+    report = await_report(rig.results / "guard-simulated.json")
+    serving.send(signal.SIGINT)
+    serving.finish()
+
+    assert report["safe"] is True
+    assert report["cause"] == "no sign of life for 5 s; the run was killed"
+    stage = [(e["what"], e["t_us"]) for e in rig.log() if e["device"] == "stage_z"]
+    names = [what for what, _ in stage]
+    fault = names.index("fault")
+    assert names[fault:] == ["fault", "enabled", "at-rest"], "and the guard had nothing to stop"
+    stopped_s = (stage[-1][1] - stage[fault][1]) * 1e-6
+    assert stopped_s < 0.1, "its own ramp"
+
+
+def await_approach(rig):
+    """Until the stage goes on slowly to find contact."""
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        log = rig.log() if rig.world_log.exists() else []
+        moves = [entry["value"]["speed_mm_s"] for entry in log if entry["what"] == "move"]
+        if moves[-1:] == [APPROACH_mm_s]:
+            return
+        time.sleep(0.02)
+    raise AssertionError("the stage never approached the film")
+
+
+def await_report(path):
+    """A guard's report, once it is final."""
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        if path.exists() and "file" in (report := json.loads(path.read_text())):
+            return report
+        time.sleep(0.05)
+    raise AssertionError("the guard never reported")
+
+
+def test_a_run_whose_guard_was_killed_says_so_and_goes_on(rig):
+    running = rig.start_sweep(*SIXTY_POINTS)
+    running.wait_for(r"^5/60 ")
+    (guard,) = children_named("rig.runner.guard", running.process.pid)
+    os.kill(guard, signal.SIGKILL)
+    ended = running.finish()
+    assert ended.code == 0, ended.stderr
+    words = "the guard has died: if this run dies as well, nobody makes the bench safe"
+    assert f"warning: {words}" in ended.stderr
+    assert ended.object["warnings"] == [words]
+    assert rig.outputs() == [True, False]
+
+
+def children_named(module, parent):
+    """Processes of one parent whose command line names a module."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            words = (process / "cmdline").read_bytes().split(b"\0")
+            own = (process / "stat").read_text().rpartition(")")[2].split()[1]
+            if module.encode() in words and int(own) == parent:
+                found.append(int(process.name))
+    return found
 
 
 def test_the_bench_ends_by_itself_after_its_run_was_killed(rig):

@@ -97,3 +97,20 @@ def test_a_load_over_the_limit_trips_and_is_retried_once(rig, sensor):
         (error,) = ended.errors
         assert re.search(words, error), error
     assert f"retaking point {frequency}Hz-1N once" in ended.stderr
+
+
+def test_a_drive_that_the_sweep_computes_beyond_the_generator_is_refused_with_its_point(rig):
+    """The load cell shows a hundredth of the load: the drive is raised until the guarded generator
+    refuses it. At 3 kHz the force sensor feels nothing of that."""
+    asked = ("--frequencies", "3000", "--first-amplitude", "1V")
+    blunt = rig.world("load_cell_sensitivity_V_N = 0.003\n")
+    ended = rig.sweep(*asked, "--world", blunt)
+
+    assert ended.code == 4, ended.stderr
+    (error,) = ended.errors
+    told = r"error: point 3000Hz-1N: amplitude [0-9.]+ V is outside 0.001 to 10 V of the generator"
+    assert re.match(told, error), error
+    assert "; choose a value inside" in error
+    driven = [e["value"] for e in rig.log() if e["what"] == "ch1.amplitude_Vpp"]
+    assert max(driven) <= 20.0
+    assert rig.outputs() == [True, False]

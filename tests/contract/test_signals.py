@@ -78,6 +78,41 @@ def test_a_stop_while_waiting_is_seen_within_the_wait(rig):
     assert verify(rig.only("*.h5")) == []
 
 
+PAUSED = "hold: paused by the operator; the bench is safe"
+
+
+def assert_stopped_in_order(rig, ended, number):
+    """Its own exit code, whatever was going on; nothing on, nothing pressed, a readable file."""
+    assert ended.code == STOPS[number], ended.stderr
+    assert ended.object["outcome"] == "stopped"
+    assert not ended.errors
+    assert rig.outputs()[-1] is False
+    stood = [e["value"] for e in rig.log() if (e["device"], e["what"]) == ("stage_z", "at-rest")]
+    assert stood[-1] == pytest.approx(5.0, abs=0.02)
+    assert verify(rig.only("*.h5")) == []
+
+
+@pytest.mark.parametrize("number", STOPS, ids=lambda number: number.name)
+def test_a_signal_while_paused_ends_the_run_in_order(rig, number):
+    running = rig.start_sweep(*SIXTY_POINTS)
+    running.wait_for(r"^5/60 ")
+    running.send(signal.SIGTSTP)
+    running.wait_for(PAUSED)
+    running.send(number)
+    assert_stopped_in_order(rig, running.finish(), number)
+    assert rig.outputs() == [True, False]
+
+
+def test_a_signal_while_a_pause_makes_the_bench_safe_waits_for_that_and_ends_the_run(rig):
+    """The generator is off already, the stage on its way up: it gets there."""
+    running = rig.start_sweep(*SIXTY_POINTS)
+    running.wait_for(r"^5/60 ")
+    running.send(signal.SIGTSTP)
+    rig.await_world("ch1.on", False)
+    running.send(signal.SIGINT)
+    assert_stopped_in_order(rig, running.finish(), signal.SIGINT)
+
+
 @pytest.mark.parametrize("number", STOPS, ids=lambda number: number.name)
 def test_a_signal_while_the_program_starts_has_the_same_exit_code(rig, number):
     running = rig.start_sweep()

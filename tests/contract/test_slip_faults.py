@@ -14,6 +14,10 @@ SLIDING_AFTER_S = 4.1
 """Since the record began: somewhere in the slide, which lasts a second from 3.8 s on."""
 
 
+X_SLIDING = 700
+"""A request to x in the middle of it."""
+
+
 def take(rig, world="", fault="", *given):
     """A short trial in such a World, under such a fault plan."""
     disturbed = ("--fault", rig.fault(fault)) if fault else ()
@@ -90,6 +94,20 @@ def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
     assert_kept_until_sliding(rig)
 
 
+def test_a_drive_that_goes_away_in_the_slide_does_not_keep_the_skin_pressed(rig):
+    """x answers no more: it cannot be stopped, and that is told. z goes up all the same."""
+    gone = f'[[fault]]\ndevice = "stage_x"\nkind = "silence"\nat = {X_SLIDING}\ncount = 0\n'
+    ended = take(rig, "", gone)
+    assert ended.code == 7, ended.stderr
+    cause, unsafe = ended.errors
+    assert cause.startswith("error: stage_x: ")
+    assert unsafe.startswith("error: NOT SAFE: slide could not be switched off: stage_x: ")
+    assert "switched off: force stream, acquisition, normal force" in ended.stderr
+    assert "the guard could not make the bench safe either: {'stage_x': " in ended.stderr
+    assert_lifted(rig)
+    assert_kept_until_sliding(rig)
+
+
 def test_a_force_channel_that_saturates_ends_the_trial(rig):
     """3.5 mV/V are 290 N along z: somebody hits the plate."""
     hit = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 500.0\nfor_s = 0.02\n'
@@ -118,7 +136,7 @@ def test_bytes_lost_on_the_serial_line_end_the_trial(rig, what):
 
 def test_a_daq_whose_buffer_does_not_bridge_the_trial_ends_it(rig):
     """A thousand samples are 17 ms of two strips at 30 kS/s: stopping x takes longer."""
-    ended = take(rig, "daq_buffer_samples = 1000\n", "", "--rate", "30000")
+    ended = take(rig, "daq_buffer_samples = 1000\n", "", "--rate", "30000", "--block", "5ms")
     assert_told(ended, 3, "daq: WAV:STAT?: its buffer overran after row")
     assert "overrun" in [e["value"] for e in rig.log() if e["what"] == "acquisition"]
     assert_lifted(rig)
@@ -130,7 +148,7 @@ def test_a_daq_whose_buffer_does_not_bridge_the_trial_ends_it(rig):
 
 
 def test_a_block_of_samples_that_is_lost_on_the_wire_ends_the_trial(rig):
-    fault = '[[fault]]\ndevice = "daq"\nkind = "truncate"\ncommand = "WAV:DATA"\nat = 410\n'
+    fault = '[[fault]]\ndevice = "daq"\nkind = "truncate"\ncommand = "WAV:DATA"\nat = 205\n'
     ended = take(rig, "", fault)
     assert_told(ended, 3, "error: daq: WAV:DATA?")
     assert_lifted(rig)

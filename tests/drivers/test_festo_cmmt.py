@@ -771,6 +771,24 @@ def test_a_communication_time_out_that_is_not_kept_is_told() -> None:
             it.connect()
 
 
+@pytest.mark.parametrize("number", [11584, 11585, 12168], ids=["low", "high", "torque"])
+def test_a_limit_that_the_drive_does_not_keep_ends_the_connection(number: int) -> None:
+    with service() as it:
+        other = b"\x07" * len(it.drive._parameters[number])
+        write = it.wire.write
+
+        def keep_another(address: int, values: Sequence[int], by: str) -> None:
+            write(address, values, by)
+            if (address, values[0]) == (503, 2):
+                it.drive._parameters[number] = other
+
+        it.wire.write = keep_another  # type: ignore[method-assign]
+        told = rf"write parameter {number}: set to \w+ but reads back {other.hex()}"
+        with pytest.raises(InstrumentError, match=told) as caught:
+            it.connect()
+        assert caught.value.hint
+
+
 def test_connecting_stops_what_an_earlier_run_left_moving() -> None:
     with service() as it:
         it.homed().start_move(70.0, 10.0)

@@ -72,6 +72,15 @@ def test_the_other_channel_over_hislip() -> None:
         connected(resource, channel=2).close()
 
 
+def test_half_an_answer_is_none_although_it_says_something() -> None:
+    """HiSLIP and USBTMC end a message by themselves; only the line end tells that it is whole."""
+    with playing("hislip", *CONNECT, ("OUTP1?", b"1")) as resource:
+        generator = connected(resource)
+        with pytest.raises(InstrumentError, match="the answer b'1' is not a whole line"):
+            generator.output_is_on()
+        generator.close()
+
+
 def test_many_digits_reach_the_instrument() -> None:
     sent = "SOUR1:FREQ 1234.56789012;:SOUR1:VOLT 1.23456789;:SOUR1:FREQ?;:SOUR1:VOLT?;:SYST:ERR?"
     with playing("socket", *CONNECT, (sent, f"1.23456789012E3;1.23457;{NO_ERROR}")) as resource:

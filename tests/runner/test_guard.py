@@ -6,9 +6,11 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,8 +18,8 @@ import pytest
 from drivers.simulated.bench import start
 from rig.bench import BenchPlan, parse_bench
 from rig.clock import ControlLink, WallClock
-from rig.errors import UnsafeError
-from rig.runner.guard import GuardLink, act, refuse_unsafe, report_path
+from rig.errors import InstrumentError, UnsafeError
+from rig.runner.guard import GuardLink, act, make_bench_safe, refuse_unsafe, report_path
 
 PATIENCE_S = 60.0
 
@@ -205,6 +207,46 @@ def test_a_bench_that_is_gone_is_reported_unsafe_with_every_instrument(
         str(bench.report),
     ):
         assert words in told
+
+
+def test_an_instrument_that_hangs_keeps_no_other_from_being_made_safe(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    release, done = threading.Event(), list[str]()
+
+    def part(role: str, make_safe: Callable[[object], object]) -> Any:
+        driver = SimpleNamespace(make_safe=make_safe)
+        return SimpleNamespace(role=role, driver=driver, settings=SimpleNamespace(timeout_s=0.01))
+
+    def refuse(settings: object) -> None:
+        raise InstrumentError("daq", "STOP", "no answer", "switch it on")
+
+    parts = (
+        part("generator", lambda settings: release.wait(PATIENCE_S)),
+        part("daq", refuse),
+        part("stage_z", lambda settings: done.append("stage_z")),
+    )
+    monkeypatch.setattr("rig.bench.parse_bench", lambda *_: SimpleNamespace(instruments=parts))
+    monkeypatch.setattr("rig.runner.guard.REST_S", 0.03)
+    failures = make_bench_safe("", "bench.toml")
+    release.set()
+    assert failures == {
+        "generator": "not done within 0.05 s",
+        "daq": "STOP: no answer; switch it on",
+    }
+    assert done == ["stage_z"]
+
+
+def test_an_earlier_guards_report_is_not_taken_for_this_ones(bench: Bench) -> None:
+    earlier = bench.order(journal="yesterday.rigj", safe=True, file="yesterday.h5", failures={})
+    bench.report.write_text(json.dumps(earlier))
+    link = GuardLink(bench.plan, bench.journal, bench.report)
+    assert not link.lost
+    link._process.kill()
+    link._process.wait(PATIENCE_S)
+    assert link.lost
+    link.beat()  # tells nobody, and ends nothing
+    assert link.take_over() == "the guard did not report: it ended with code -9"
 
 
 def test_a_report_that_cannot_be_written_keeps_no_data_back(bench: Bench) -> None:

@@ -248,3 +248,29 @@ def test_a_load_may_ask_where_the_axis_is() -> None:
     moved = axis(load)
     moved.move(0, go(20.0))
     assert moved.position(SOON_us) == 20.0
+
+
+@pytest.mark.parametrize("speed_mm_s", [0.5, 5.0, 50.0])
+def test_a_force_far_below_the_limit_is_seldom_asked_for_and_never_too_late(
+    speed_mm_s: float,
+) -> None:
+    """As if it were asked for in every cycle, against the stiffest load that was announced."""
+    asked: list[int] = []
+
+    def stiff(position_mm: float, t_us: int) -> float:
+        asked.append(t_us)
+        return -300.0 * max(0.0, position_mm - 10.05)
+
+    seldom = axis(stiff, stiffest_load_N_mm=300.0)
+    always = axis(wall(10.05, 300.0), stiffest_load_N_mm=math.inf)
+    for moved in (seldom, always):
+        moved.move(0, go(30.0, speed_mm_s))
+    instants = range(0, SOON_us, 7_000)
+    assert [seldom.position(t) for t in instants] == [always.position(t) for t in instants]
+    assert [h.t_us for h in seldom.happenings(SOON_us)] == [
+        h.t_us for h in always.happenings(SOON_us)
+    ]
+    stopped_us = next(
+        t for t in range(0, SOON_us, 1000) if seldom.position(t) == seldom.position(SOON_us)
+    )
+    assert len(asked) < 0.7 * stopped_us / 1000

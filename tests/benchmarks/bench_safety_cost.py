@@ -1,0 +1,145 @@
+"""What safety costs a tick: keep-alives, heartbeat, stop requests, watchers, guarded calls.
+
+A procedure's tick loop on the simulated bench in real time, through the real runner, and the same
+loop on a bare clock. What counts is wall time that is neither waiting nor the tick's own work, and
+the processor time of the force reader's thread.
+
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_safety_cost.py``.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from measured import heading, row, target
+
+from rig.bench import GuardedGenerator, read_bench
+from rig.clock import WallClock
+from rig.errors import ExitCode
+from rig.instruments import ForceFrames, Reach
+from rig.recording.layout import Column, Layout, Plot
+from rig.runner.execution import execute
+from rig.runner.force import ForceMonitor
+from rig.runner.holds import Holds
+from rig.runner.jobs import Job
+from rig.runner.loop import tick_loop
+from rig.runner.points import Point
+from rig.runner.stopping import StopFlag
+from rig.settings import Settings
+
+pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(900)]
+
+RATE_Hz, FORCE_RATE_S_S = 100.0, 1000.0
+SECONDS, REPEATS = 10.0, 5
+CALLS = 20_000
+
+
+class TimedClock(WallClock):
+    """Remembers how long it has really waited."""
+
+    waited_s = 0.0
+
+    def _pass(self, seconds):
+        begun = time.perf_counter()
+        super()._pass(seconds)
+        self.waited_s += time.perf_counter() - begun
+
+
+def cost_of_ticks(run, clock):
+    """Seconds a tick that were not waiting."""
+    waited, begun = clock.waited_s, time.perf_counter()
+    done = tick_loop(run, RATE_Hz, SECONDS, lambda tick: True)
+    wall = time.perf_counter() - begun
+    return (wall - (clock.waited_s - waited)) / done.ticks
+
+
+class Ticking:
+    """A procedure that ticks and does nothing."""
+
+    NAME, FIXTURES, FIGURE, STREAMS = "ticking", ("film-clamp",), "sweep", ()
+    Settings = Settings
+    LAYOUT = Layout(
+        definition="NXrig_noop",
+        version="1",
+        columns=(Column("x", "x", "us", "x"), Column("y", "y", "us", "y")),
+        plots=(Plot("data", "y", ("x",)),),
+    )
+
+    def __init__(self):
+        self.costs, self.reader = [], []
+
+    def points(self, settings):
+        return tuple(Point(f"p{k}", k, ()) for k in range(REPEATS))
+
+    def arm(self, run):
+        run.stream_force(FORCE_RATE_S_S)
+        run.force.watch(1e3)
+
+    def take(self, run, point):
+        thread = time.pthread_getcpuclockid(run.force._reader._thread.ident)
+        begun = time.clock_gettime(thread)
+        self.costs.append(cost_of_ticks(run, run.clock))
+        self.reader.append((time.clock_gettime(thread) - begun) / (SECONDS * RATE_Hz))
+        return {"x": 0.0, "y": 0.0}
+
+    def summarise(self, settings, readings):
+        return {}
+
+
+def test_what_safety_costs_a_tick(rig):
+    heading(f"tick loop at {RATE_Hz:g} Hz for {SECONDS:g} s, bench in real time")
+    path = rig.folder / "served.toml"
+    serving = rig.start("simulate", "--write", str(path))
+    serving.wait_for("in real time")
+    procedure, clock = Ticking(), TimedClock()
+    outcome = execute(
+        Job(procedure, Settings(), 0, rig.results), read_bench(path), clock, StopFlag(),
+        SimpleNamespace(
+            planned=lambda *_: None, point_kept=lambda *_: None, event=lambda *_: None,
+            storing=lambda: None, stored=lambda _: None,
+        ),
+    )  # fmt: skip
+    serving.send(signal.SIGINT)
+    serving.finish()
+    assert outcome.code is ExitCode.DONE, outcome.failures
+
+    bare = TimedClock()
+    nothing = SimpleNamespace(clock=bare, check_stop=lambda: None, check_watchers=lambda: None)
+    without = [cost_of_ticks(nothing, bare) for _ in range(REPEATS)]
+    with_it = row("tick of a run, all watchers on", 1e6 * np.array(procedure.costs), "us", 0)
+    row("bare tick", 1e6 * np.array(without), "us", 0)
+    row("force reader's thread a tick, link included", 1e6 * np.array(procedure.reader), "us", 0)
+    target("safety's share of a tick", 1e-4 * with_it * RATE_Hz, 5.0, "%")
+
+
+def seconds_a_call(call):
+    begun = time.perf_counter()
+    for _ in range(CALLS):
+        call()
+    return (time.perf_counter() - begun) / CALLS
+
+
+def test_what_watching_and_guarding_cost(rig):
+    heading(f"{CALLS} calls each, in this process")
+    force = np.full((10, 3), 1.0)
+    frames = ForceFrames(0, force.astype(np.float32), force, np.zeros(10, bool))
+    sensor = SimpleNamespace(bytes_consumed=0, frames_behind=0.0, read=lambda: frames)
+    monitor = ForceMonitor(sensor, WallClock(), Holds(), lambda: [])
+    monitor.watch(10.0)
+    reach = {"frequency": Reach(0, 1e4, "Hz", "g"), "amplitude": Reach(0, 10, "V", "g")}
+    inner = SimpleNamespace(reach=lambda: reach, sine=lambda f, a: None)
+    guarded = GuardedGenerator(inner)
+    watched, read, guard, call = [], [], [], []
+    for _ in range(REPEATS):
+        watched.append(seconds_a_call(monitor.read))
+        read.append(seconds_a_call(sensor.read))
+        guard.append(seconds_a_call(lambda: guarded.sine(100.0, 1.0)))
+        call.append(seconds_a_call(lambda: inner.sine(100.0, 1.0)))
+    row("ten frames, watched", 1e6 * np.array(watched), "us", 1)
+    row("ten frames, not watched", 1e6 * np.array(read), "us", 1)
+    row("a guarded call", 1e6 * np.array(guard), "us", 1)
+    row("the same, not guarded", 1e6 * np.array(call), "us", 1)
