@@ -107,13 +107,22 @@ def nothing_felt(run: Run, force_N: float, contact_N: float, check: str) -> Inst
 def unload(run: Run, pressed: str) -> None:
     """Stop z, whatever happens; then away from what is pressed, if the drive still can.
 
-    A drive that has a fault or has lost its place stands where it is. That is safe, and said: the
-    run has failed (exit 3). What the stop itself raises is raised: then it is not safe.
+    A watcher that stops it on the way has a reason that is told, and the way up is still the right
+    one: it is gone on with, once. A drive that has a fault or has lost its place stands where it
+    is. That is safe, and said: the run has failed (exit 3). What the stop itself raises is raised:
+    then it is not safe.
     """
     stage = run.bench.stage_z
     stage.stop()
     try:
-        stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
+        try:
+            stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
+        except InstrumentError:
+            if (trip := run.tripped()) is None:
+                raise
+            run.fail(trip)
+            stage.stop()
+            stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
     except InstrumentError as error:
         stage.stop()  # one answer lost on the way does not stop it
         run.fail(

@@ -32,6 +32,9 @@ MISSING_FRAMES = 25
 """Frames that bench time says are due beyond the usual: they are late, or the stream has a gap."""
 LATE_S = 0.5
 """Missing for longer is a hold: late frames arrive."""
+STILL_FRAMES = 20
+"""So many in a row that are the same to the last bit on all axes are no measurement: a converter of
+24 bits sees noise of many steps."""
 DRIFT = 1e-3
 """How fast the usual number follows: well above two clocks' disagreement."""
 BATCHES_KEPT = 20_000
@@ -57,6 +60,9 @@ class ForceMonitor:
         self._usual = 0.0
         self._missing_since_s: float | None = None
         self._looked_s = 0.0
+        self._last_raw = np.full((1, len(AXES)), np.nan)
+        self._still = 0
+        """Frames up to the last one that have repeated the one before them."""
         self.largest_N = 0.0
         """Largest force along any axis since `watch`."""
         self._reader: StreamReader[ForceFrames] = StreamReader("force reader", self)
@@ -180,6 +186,7 @@ class ForceMonitor:
         with self._lock:
             self._recent.append(frames)
         self._watch_force(frames)
+        self._watch_standstill(frames)
         return [frames]
 
     def _bytes_handled(self) -> int:
@@ -210,6 +217,23 @@ class ForceMonitor:
         what = f"force along {axis} of {largest:.3g} N is over the limit of {self._limit_N:g} N"
         self._limit_N = float("inf")  # one trip is one: armed again by the next watch
         self._trip = TripError(what + self._make_safe(), "find out what pressed before going on")
+
+    def _watch_standstill(self, frames: ForceFrames) -> None:
+        """A sensor that goes on sending what it sent last feels nothing any more."""
+        raw = np.concatenate([self._last_raw, frames.raw])
+        for repeated in (raw[1:] == raw[:-1]).all(axis=1).tolist():
+            self._still = self._still + 1 if repeated else 0
+            if self._still >= STILL_FRAMES:
+                failed = self._make_safe()
+                self._trip = InstrumentError(
+                    "force_sensor",
+                    "stream",
+                    f"{self._still} frames in a row are the same to the last bit: the force is not "
+                    f"measured any more{failed}",
+                    "switch the amplifier off and on; check that its converter runs",
+                )
+                raise self._trip
+        self._last_raw = frames.raw[-1:]
 
     def _make_safe(self) -> str:
         """Make the bench safe at once; what failed, to be added to the reason."""

@@ -115,6 +115,18 @@ class Run:
                 self.holds.check()
             raise
 
+    def tripped(self) -> RigError | None:
+        """Why a watcher has made the bench safe, where nobody has been told yet: once. For a
+        clean-up, which nothing is to disturb and no wait tells."""
+        if self._force is None:
+            return None
+        self._force.settle()
+        try:
+            self._force.check_trip()
+        except RigError as trip:
+            return trip
+        return None
+
     def check_watchers(self) -> None:
         """Raise what the force reader or a hold wants to be known."""
         if self._force is not None:

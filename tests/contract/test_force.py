@@ -361,6 +361,39 @@ def test_a_drive_that_fails_while_the_film_vibrates_is_noticed_within_a_record(r
     assert verify(rig.only("*.h5")) == []
 
 
+def test_a_sensor_that_freezes_while_the_film_is_pressed_ends_the_run_at_once(rig):
+    """Without it the stage would press on, to the drive's torque limit."""
+    plan = '[[fault]]\ndevice = "force_sensor"\nkind = "frozen"\nafter_s = 4.4\nfor_s = 2.0\n'
+    ended = rig.sweep(*SHORT, "--fault", rig.fault(plan))
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert error.startswith("error: force_sensor: stream: 20 frames in a row are the same")
+    log = rig.log()
+    (frozen_us,) = [x["t_us"] for x in log if x["what"] == "injected"]
+    stopped_us = next(x["t_us"] for x in log if x["what"] == "stop" and x["t_us"] > frozen_us)
+    assert stopped_us - frozen_us <= 40_000
+    assert rest(rig) == pytest.approx(5.0, abs=0.02)
+
+
+def test_what_trips_on_the_way_up_is_told_and_the_way_up_gone_on_with(rig):
+    """The points are taken, the stage is half way up: stopping there would leave the film pressed
+    where it cannot be seen why."""
+    rig.sweep(*SHORT)
+    (begun_us,) = [x["t_us"] for x in rig.log() if x["what"] == "move"][-1:]
+    rig.world_log.unlink()
+    push = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 60.0\n'
+    plan = rig.fault(f"{push}after_s = {begun_us * 1e-6 + 0.3}\n")
+    ended = rig.sweep(*SHORT, "--results", "other", "--fault", plan)
+
+    assert ended.code == 4, ended.stderr
+    (error,) = ended.errors
+    assert "N is over the limit of 40 N" in error
+    assert ended.object["points_done"] == 2
+    assert "may still be pressed" not in ended.stderr
+    assert moves(rig)[-2:] == [pytest.approx(5.0)] * 2, "stopped, and gone on with"
+    assert rest(rig) == pytest.approx(5.0, abs=0.02)
+
+
 def test_a_gap_in_the_force_stream_ends_the_run(rig):
     fault = '[[fault]]\ndevice = "force_sensor.stream"\nkind = "silence"\nat = 300\ncount = 8\n'
     ended = rig.sweep("--frequencies", "2,3,4", "--fault", rig.fault(fault))

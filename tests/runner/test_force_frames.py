@@ -139,3 +139,36 @@ def test_a_tare_forgets_what_was_and_goes_on_counting(
     got = monitor.frames_since(400)
     assert got is not None
     assert len(got) == 5
+
+
+def alike(first: int, count: int) -> ForceFrames:
+    """Frames that repeat number 9 of `frames`."""
+    one = frames(9, 1)
+    return ForceFrames(
+        first, np.repeat(one.raw, count, 0), np.repeat(one.force_N, count, 0), np.zeros(count, bool)
+    )
+
+
+def test_frames_that_repeat_themselves_end_the_stream_and_make_the_bench_safe(
+    sensor: Sensor,
+) -> None:
+    acted: list[str] = []
+
+    def act() -> list[str]:
+        acted.append("stopped")
+        return []
+
+    monitor = ForceMonitor(sensor, Clock(), Holds(), act)  # type: ignore[arg-type]
+    feed(monitor, sensor, frames(0, 10), alike(10, 12))
+    assert acted == []
+    with pytest.raises(InstrumentError, match="20 frames in a row are the same to the last bit"):
+        feed(monitor, sensor, alike(22, 12))
+    assert acted == ["stopped"]
+    with pytest.raises(InstrumentError, match="same to the last bit"):
+        monitor.check_trip()
+
+
+def test_a_few_frames_alike_are_chance(monitor: ForceMonitor, sensor: Sensor) -> None:
+    batches = [frames(0, 10), alike(10, 19), frames(29, 1), alike(30, 19)]
+    feed(monitor, sensor, *batches)
+    assert monitor.frames_seen == 49

@@ -1,0 +1,77 @@
+"""The soak at length: what was injected, what became of it, and every invariant that was broken.
+
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_soak.py``. A line ``seed ...`` for
+every trial that broke an invariant; its plan is what `soak.trials.draw` makes of the seed.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections import Counter, defaultdict
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from queue import SimpleQueue
+
+import pytest
+from measured import heading
+from soak.invariants import Ran, breaches
+from soak.running import Rigs
+from soak.trials import draw
+
+from drivers.simulated.fault_plan import BEFALLEN
+
+pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(36_000)]
+
+FIRST_SEED = 1000
+"""Beyond those of the tests."""
+TRIALS = 1000
+LEAST_OF_EACH = 20
+
+
+def soaked(free: SimpleQueue[Rigs], seed: int, folder: Path) -> tuple[Ran, list[str]]:
+    """A trial and what it broke; its files are removed where that is nothing."""
+    rigs = free.get()
+    try:
+        ran = rigs.run(draw(seed), folder / str(seed))
+    finally:
+        free.put(rigs)
+    found = breaches(ran)
+    if not found:
+        shutil.rmtree(ran.folder)
+    return ran, found
+
+
+def test_a_thousand_trials_break_nothing(tmp_path: Path) -> None:
+    heading(f"{TRIALS} random trials under random fault plans, seeds from {FIRST_SEED}")
+    befallen: Counter[str] = Counter()
+    became: dict[str, Counter[int]] = defaultdict(Counter)
+    codes: Counter[tuple[str, int]] = Counter()
+    broken: dict[int, list[str]] = {}
+    free: SimpleQueue[Rigs] = SimpleQueue()
+    all_rigs = [Rigs() for _ in os.sched_getaffinity(0)]
+    for rigs in all_rigs:
+        free.put(rigs)
+    with ThreadPoolExecutor(len(all_rigs)) as pool:
+        seeds = range(FIRST_SEED, FIRST_SEED + TRIALS)
+        for ran, found in pool.map(lambda seed: soaked(free, seed, tmp_path), seeds):
+            codes[ran.trial.procedure, ran.code] += 1
+            for kind in {kind for _, kind in ran.befallen}:
+                befallen[kind] += 1
+                became[kind][ran.code] += 1
+            if found:
+                broken[ran.trial.seed] = found
+                print(f"seed {ran.trial.seed}: {'; '.join(found)}", flush=True)
+    for rigs in all_rigs:
+        rigs.close()
+    shown = sorted({code for _, code in codes})
+    print(f"\n{'kind':16s} {'trials':>6s}  " + " ".join(f"exit {code:<4d}" for code in shown))
+    for kind in BEFALLEN:
+        row = " ".join(f"{became[kind][code]:<9d}" for code in shown)
+        print(f"{kind:16s} {befallen[kind]:6d}  {row}")
+    for procedure in sorted({name for name, _ in codes}):
+        row = " ".join(f"{codes[procedure, code]:<9d}" for code in shown)
+        print(f"{procedure:16s} {sum(codes[procedure, c] for c in shown):6d}  {row}")
+    print(f"violations: {len(broken)} of {TRIALS} trials")
+    assert not broken
+    assert min(befallen[kind] for kind in BEFALLEN) >= LEAST_OF_EACH

@@ -1,0 +1,66 @@
+"""The soak: whatever goes wrong, the bench ends safe, the data are sound, and it is told why.
+
+A trial follows from its seed alone. One that fails is shrunk to the faults that it takes and shown
+as the plan with which it can be run again.
+"""
+
+from __future__ import annotations
+
+import itertools
+import shlex
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from .invariants import breaches
+from .running import Rigs
+from .trials import Trial, draw, shrunk
+
+TRIALS = 50
+SLIP_SHARE = 0.06
+"""They take three times as long as a short sweep; the benchmark makes more of them."""
+
+
+@pytest.fixture(scope="session")
+def rigs() -> Iterator[Rigs]:
+    """What runs the trials."""
+    made = Rigs()
+    yield made
+    made.close()
+
+
+def failing(rigs: Rigs, folder: Path) -> Callable[[Trial], bool]:
+    """Whether a trial breaks an invariant, each try in a folder of its own."""
+    numbers = itertools.count(1)
+    return lambda trial: bool(breaches(rigs.run(trial, folder / f"shrunk-{next(numbers)}")))
+
+
+@pytest.mark.parametrize("seed", range(TRIALS))
+def test_whatever_goes_wrong_the_invariants_hold(rigs: Rigs, seed: int, tmp_path: Path) -> None:
+    trial = draw(seed, SLIP_SHARE)
+    ran = rigs.run(trial, tmp_path / "trial")
+    if found := breaches(ran):
+        smallest = shrunk(trial, failing(rigs, tmp_path))
+        raise AssertionError(
+            f"{len(found)} invariants broken by seed {seed}:\n"
+            + "\n".join(found)
+            + f"\n\nrig {shlex.join(trial.arguments)}\n{smallest.world}\n"
+            + f"{smallest.plan}\n{ran.stderr}"
+        )
+
+
+def test_a_seed_is_replayed_exactly(rigs: Rigs, tmp_path: Path) -> None:
+    """The World's own account of two runs is the same, line by line."""
+    trial = draw(3)
+    first, again = (rigs.run(trial, tmp_path / name) for name in ("first", "again"))
+    assert first.befallen
+    assert (first.code, first.log) == (again.code, again.log)
+
+
+def test_a_plan_is_shrunk_to_what_it_takes_to_fail() -> None:
+    faults = tuple({"device": "daq", "kind": "silence", "at": at} for at in range(1, 7))
+    trial = replace(draw(0), faults=faults)
+    kept = shrunk(trial, lambda smaller: {2, 5} <= {fault["at"] for fault in smaller.faults})
+    assert [fault["at"] for fault in kept.faults] == [2, 5]

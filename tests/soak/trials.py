@@ -1,0 +1,176 @@
+"""Random trials: a procedure, its settings and a fault plan, all drawn from one seed."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from drivers.simulated.fault_plan import BEFALLEN, FORCE_STREAM, STAGE_X
+
+Fault = dict[str, Any]
+
+SWEEP_WORLD = "[watch]\nforce_limit_N = 40.0\n"
+SLIP_WORLD = "skin_mount.contact_mm = 12.05\n[watch]\nforce_limit_N = 15.0\n"
+"""Contact soon after the search begins."""
+RUNAWAY_WORLD = "reaction_s = 0.06\n"
+"""What runs into the film at travel speed, 10 mm/s, takes 50 ms to brake at 200 mm/s^2."""
+
+REQUESTS = {
+    "generator": 60,
+    "daq": 80,
+    "stage_z": 700,
+    "stage_x": 300,
+    "force_sensor": 40,
+    FORCE_STREAM: 900,
+}
+"""About as many as a trial has."""
+COMMANDS = {
+    "generator": ("SOUR1:FREQ", "SOUR1:VOLT", "OUTP1", "SOUR1"),
+    "daq": ("WAV:DATA", "DIG", "WAV", "STOP"),
+    "stage_z": ("FC3 100", "FC16 0"),
+    "stage_x": ("FC3 100", "FC16 0"),
+    "force_sensor": ("23", "24", "8B"),
+}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One command on a simulated bench that goes wrong as planned."""
+
+    seed: int
+    arguments: tuple[str, ...]
+    world: str
+    faults: tuple[Fault, ...]
+
+    @property
+    def procedure(self) -> str:
+        """The command."""
+        return self.arguments[0]
+
+    @property
+    def plan(self) -> str:
+        """The fault plan as TOML."""
+        return "".join(
+            "[[fault]]\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in fault.items())
+            for fault in self.faults
+        )
+
+
+def draw(seed: int, slip_share: float = 0.15) -> Trial:
+    """The trial of a seed; a share of them are slip trials, which take longer."""
+    chance = random.Random(seed)
+    slip = chance.random() < slip_share
+    arguments = _slip(chance) if slip else _sweep(chance)
+    devices = {STAGE_X} if slip else {"generator"}
+    absent = {"generator", STAGE_X} - devices
+    kinds = [kind for kind, able in BEFALLEN.items() if set(able) - absent]
+    faults = tuple(
+        _fault(chance, chance.choice(kinds), absent) for _ in range(chance.choice((1, 1, 2, 3)))
+    )
+    world = SLIP_WORLD if slip else SWEEP_WORLD
+    if any(fault["kind"] == "runaway" for fault in faults):
+        world += RUNAWAY_WORLD
+    return Trial(seed, (*arguments, "--seed", str(seed % 1000)), world, faults)
+
+
+def shrunk(trial: Trial, fails: Callable[[Trial], bool]) -> Trial:
+    """The smallest plan of the trial that still fails: faults are left out one by one."""
+    for index in range(len(trial.faults) - 1, -1, -1):
+        smaller = replace(trial, faults=trial.faults[:index] + trial.faults[index + 1 :])
+        if fails(smaller):
+            trial = smaller
+    return trial
+
+
+def _sweep(chance: random.Random) -> tuple[str, ...]:
+    choice = sorted(chance.sample((20, 110, 210, 300, 410, 600, 1000, 3000), chance.choice((2, 3))))
+    return (
+        "sweep", "--frequencies", ",".join(map(str, choice)),
+        "--order", chance.choice(("ascending", "descending", "random")),
+        "--load", f"{chance.uniform(0.5, 2):.2f}N",
+        "--preload", f"{chance.uniform(8, 25):.1f}N",
+        "--longest-point", "5s",
+    )  # fmt: skip
+
+
+def _slip(chance: random.Random) -> tuple[str, ...]:
+    return (
+        "slip-trial",
+        "--distance", f"{chance.uniform(0.2, 0.5):.2f}mm",
+        "--speed", f"{chance.uniform(0.5, 1):.2f}mm/s",
+        "--rest", "100ms",
+        "--normal-force", f"{chance.uniform(2, 5):.1f}N",
+        "--direction", chance.choice(("+x", "-x")),
+    )  # fmt: skip
+
+
+def _fault(chance: random.Random, kind: str, absent: set[str]) -> Fault:
+    device = chance.choice([name for name in BEFALLEN[kind] if name not in absent])
+    return {"device": device, "kind": kind, **_KEYS.get(kind, _reply)(chance, device)}
+
+
+def _reply(chance: random.Random, device: str) -> Fault:
+    count = chance.choice((1, 1, 1, 1, 2, 5, 20))
+    keys = {"at": round(math.exp(chance.uniform(0, math.log(REQUESTS[device])))), "count": count}
+    if device in COMMANDS and chance.random() < 0.3:
+        keys |= {"command": chance.choice(COMMANDS[device]), "at": max(1, keys["at"] // 5)}
+    return keys
+
+
+def _error(chance: random.Random, device: str) -> Fault:
+    scpi = device in ("generator", "daq")
+    return {**_reply(chance, device), "code": chance.choice((-310, -350) if scpi else (1, 4, 0x71))}
+
+
+def _move(chance: random.Random, device: str) -> Fault:
+    return {"move": chance.randint(1, 4), "after_s": round(chance.uniform(0, 1.5), 3)}
+
+
+def _timed(chance: random.Random, device: str) -> Fault:
+    if chance.random() < 0.5:
+        return {"acquisition": chance.randint(1, 12), "after_s": round(chance.uniform(0, 0.1), 4)}
+    return {"after_s": round(chance.uniform(0.2, 9), 3)}
+
+
+_KEYS: dict[str, Callable[[random.Random, str], Fault]] = {
+    "error": _error,
+    "refused": lambda chance, device: {"at": chance.randint(1, 4)},
+    **dict.fromkeys(("stuck", "runaway", "limit-switch", "reference-lost"), _move),
+    "drive-fault": lambda chance, device: {
+        **_move(chance, device), "code": chance.choice((58, 126, 391)),
+    },
+    "slow": lambda chance, device: {
+        **_move(chance, device), "share": round(chance.uniform(0.02, 0.9), 3),
+    },
+    "spike": lambda chance, device: {
+        **_timed(chance, device),
+        "force_N": round(chance.choice((-1, 1)) * math.exp(chance.uniform(0, 5)), 1),
+        "for_s": round(chance.uniform(0.002, 0.2), 3),
+    },
+    "saturated": lambda chance, device: {
+        **_timed(chance, device), "for_s": round(chance.uniform(0.002, 1), 3),
+    },
+    "frozen": lambda chance, device: {
+        **_timed(chance, device), "for_s": round(chance.uniform(0.002, 2), 3),
+    },
+    "clipped": lambda chance, device: {
+        **_timed(chance, device), "amplitude_V": round(math.exp(chance.uniform(-4, 1)), 4),
+    },
+    "overrun": _timed,
+    "clock-jump": lambda chance, device: {
+        "after_s": round(chance.uniform(0.2, 9), 3), "by_s": round(chance.uniform(0.05, 10), 2),
+    },
+    "disk-full": lambda chance, device: {"after_bytes": chance.randint(0, 150_000)},
+    "read-only": lambda chance, device: {
+        "after_bytes": chance.choice((0, 1)) * chance.randint(1, 60_000),
+    },
+    "slow-sync": lambda chance, device: {"delay_s": round(chance.uniform(0.01, 0.3), 3)},
+}  # fmt: skip
+"""What each kind is told; a disturbance of replies where nothing stands here."""
+
+
+def _toml(value: object) -> str:
+    return f'"{value}"' if isinstance(value, str) else str(value)
