@@ -342,6 +342,25 @@ def test_a_drive_that_fails_on_the_way_to_the_preload_is_told_in_one_line(rig, k
     assert True not in rig.outputs()
 
 
+FED_EVERY_S = 0.05
+"""The drive is asked so often, a twentieth of its communication time-out."""
+
+
+def test_a_drive_that_fails_while_the_film_vibrates_is_noticed_within_a_record(rig):
+    """The procedure sits in a record of a second and asks the stage nothing."""
+    plan = '[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\nmove = 3\nafter_s = 6.0\n'
+    sweep = ("--frequencies", "2,3,300", "--order", "descending")
+    ended = rig.sweep(*sweep, "--fault", rig.fault(plan))
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert error.startswith("error: stage_z: drive fault: 126 (following error")
+    assert rig.outputs() == [True, False]
+    (fault,) = [e["t_us"] for e in rig.log() if (e["device"], e["what"]) == ("stage_z", "fault")]
+    off = [e["t_us"] for e in rig.log() if e["what"] == "ch1.on"][-1]
+    assert 0 <= (off - fault) * 1e-6 < FED_EVERY_S + 0.02
+    assert verify(rig.only("*.h5")) == []
+
+
 def test_a_sensor_that_freezes_while_the_film_is_pressed_ends_the_run_at_once(rig):
     """Without it the stage would press on, to the drive's torque limit."""
     plan = '[[fault]]\ndevice = "force_sensor"\nkind = "frozen"\nafter_s = 4.4\nfor_s = 2.0\n'
@@ -373,25 +392,6 @@ def test_what_trips_on_the_way_up_is_told_and_the_way_up_gone_on_with(rig):
     assert "may still be pressed" not in ended.stderr
     assert moves(rig)[-2:] == [pytest.approx(5.0)] * 2, "stopped, and gone on with"
     assert rest(rig) == pytest.approx(5.0, abs=0.02)
-
-
-FED_EVERY_S = 0.05
-"""The drive is asked so often, a twentieth of its communication time-out."""
-
-
-def test_a_drive_that_fails_while_the_film_vibrates_is_noticed_within_a_record(rig):
-    """The procedure sits in a record of a second and asks the stage nothing."""
-    plan = '[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\nmove = 3\nafter_s = 6.0\n'
-    sweep = ("--frequencies", "2,3,300", "--order", "descending")
-    ended = rig.sweep(*sweep, "--fault", rig.fault(plan))
-    assert ended.code == 3, ended.stderr
-    (error,) = ended.errors
-    assert error.startswith("error: stage_z: drive fault: 126 (following error")
-    assert rig.outputs() == [True, False]
-    (fault,) = [e["t_us"] for e in rig.log() if (e["device"], e["what"]) == ("stage_z", "fault")]
-    off = [e["t_us"] for e in rig.log() if e["what"] == "ch1.on"][-1]
-    assert 0 <= (off - fault) * 1e-6 < FED_EVERY_S + 0.02
-    assert verify(rig.only("*.h5")) == []
 
 
 def test_a_gap_in_the_force_stream_ends_the_run(rig):
