@@ -272,6 +272,8 @@ class Count:
         self.wrong: list[str] = []
         self.further = Counter[int]()
         """How many questions after the disturbed one failed as well."""
+        self.undisturbed: list[str] = []
+        """What those said."""
 
     def tell(self, name: str) -> None:
         """Print it in a few lines."""
@@ -279,7 +281,7 @@ class Count:
         print(f"{name}: {told}; {len(self.wrong)} wrong answers")
         after = ", ".join(f"{count} x {n}" for n, count in sorted(self.further.items()))
         print(f"    failed questions after a disturbed one: {after}")
-        for words in self.wrong[:3]:
+        for words in (*self.wrong[:3], *self.undisturbed[:3]):
             print(f"    {words}")
 
 
@@ -298,6 +300,8 @@ def ask_often(
             got = ask()
         except failures as error:
             what = type(error).__name__
+            if kind is None:
+                count.undisturbed.append(f"undisturbed: {error}")
         else:
             what = "right" if got == value else "WRONG"
             if got != value:
