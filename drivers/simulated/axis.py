@@ -47,8 +47,6 @@ class Mechanics:
     """The same while the drive travels to a fixed stop: there it means that the stop is found."""
     peak_force_N: float = 200.0
     """What the drive can push with when nothing else limits it."""
-    stiffest_load_N_mm: float = 300.0
-    """No load in its way rises faster: a force far below the limit is not asked for in vain."""
     fastest_beside_mm_s: float = 20.0
     """At which another axis may move what this one pushes against."""
 
@@ -241,6 +239,9 @@ class Axis:
         self._force_limit_N = mechanics.peak_force_N
         self.seeks_fixed_stop = False
         """Whether being held back is what the motion is for."""
+        self.stiffest_load_N_mm = math.inf
+        """No load in its way rises faster, where that is known: then a force far below the limit is
+        not asked for in vain."""
         self.jammed = False
         """A fault: the carriage cannot be moved by any force."""
         self._load = load
@@ -372,7 +373,7 @@ class Axis:
         missing_N = self._force_limit_N - abs(load_N)
         commanded_mm_s = 0.0 if self._command is None else self._command.speed_mm_s
         speed_mm_s = max(abs(going), commanded_mm_s) + self.mechanics.fastest_beside_mm_s
-        rising_N_s = self.mechanics.stiffest_load_N_mm * speed_mm_s
+        rising_N_s = self.stiffest_load_N_mm * speed_mm_s
         self._light_until_us = t_us + math.floor(1e6 * missing_N / rising_N_s)
         return -load_N * math.copysign(1.0, going) > self._force_limit_N
 

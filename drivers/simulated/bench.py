@@ -468,14 +468,12 @@ class _Instruments:
 
 def _clamp_drives(world: World, faults: FaultPlan) -> list[CmmtDrive]:
     """The z stage, with the vibrator on it above the film."""
-    from drivers.simulated.axis import Mechanics
     from drivers.simulated.fault_plan import STAGE_Z, MoveFault
     from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
 
     clamp = world.settings.clamp
-    mechanics = Mechanics(stiffest_load_N_mm=clamp.stiffness_N_mm + clamp.creep_stiffness_N_mm)
-    struck: tuple[MoveFault, ...] = faults.of(MoveFault, STAGE_Z)
-    z = CmmtDrive(DriveSettings(name=STAGE_Z, mechanics=mechanics, faults=struck), world)
+    z = CmmtDrive(DriveSettings(name=STAGE_Z, faults=faults.of(MoveFault, STAGE_Z)), world)
+    z.axis.stiffest_load_N_mm = clamp.stiffness_N_mm + clamp.creep_stiffness_N_mm
     world.mount(z.position_mm)
     return [z]
 
@@ -500,7 +498,9 @@ def _plate_drives(world: World, faults: FaultPlan) -> list[CmmtDrive]:
         )
         for name, serial in ((STAGE_Z, "SIMZ1"), (STAGE_X, "SIMX1"))
     ]
-    hang_skin(world, settings, drives[0].positions_mm, drives[1].positions_mm)
+    stiffness = hang_skin(world, settings, drives[0].positions_mm, drives[1].positions_mm)
+    for drive in drives:
+        drive.axis.stiffest_load_N_mm = stiffness
     return drives
 
 

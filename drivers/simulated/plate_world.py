@@ -17,6 +17,9 @@ from rig.model.skin.condensed import build_skin
 from rig.model.skin.settings import SkinSettings
 from rig.model.transducer import TransducerSettings
 
+VISCOUS = 3.0
+"""Share by which rubber that is met at speed is stiffer than at rest: an ample bound."""
+
 
 class PlateWorldSettings(WorldSettings):
     """What the simulated bench with the skin above its plate is like."""
@@ -37,12 +40,14 @@ class PlateWorldSettings(WorldSettings):
 
 def hang_skin(
     world: World, settings: PlateWorldSettings, stage_z_mm: Where, stage_x_mm: Where
-) -> None:
+) -> float:
     """The stages carry the skin above the plate: where their carriages are or were. Takes the skin
-    from the user's cache, or makes it; ConfigurationError for settings that do not fit."""
+    from the user's cache, or makes it; ConfigurationError for settings that do not fit. Gives how
+    steeply the force on a stage can rise at most, in N/mm."""
     try:
+        condensed = build_skin(settings.skin, user_cache())
         skin = SkinContact(
-            build_skin(settings.skin, user_cache()),
+            condensed,
             settings.skin_mount,
             settings.contact,
             settings.transducer,
@@ -52,3 +57,4 @@ def hang_skin(
     except ValueError as error:
         raise ConfigurationError(f"World settings: {error}") from error
     world.hang(skin, settings.strip_input)
+    return VISCOUS * condensed.stiffest_N_mm

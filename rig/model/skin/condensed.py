@@ -53,6 +53,15 @@ class CondensedSkin:
         """Number m of contact nodes."""
         return int(self.contact_x_mm.size)
 
+    @property
+    def stiffest_N_mm(self) -> float:
+        """Pressing and dragging stiffness together with every node stuck to the object: the force
+        rises no more steeply while all of that is not in contact."""
+        stiffness = np.linalg.inv(self.compliance_mm_N)
+        m = self.nodes
+        pressing, dragging = stiffness[:m, :m].sum(), stiffness[m:, m:].sum()
+        return float(pressing + dragging + 2 * abs(stiffness[:m, m:].sum()))
+
     def tributary_mm(self) -> Floats:
         """The length of ridge top that each node stands for, shape (m,)."""
         length = np.zeros(self.nodes)

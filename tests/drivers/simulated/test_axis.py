@@ -261,8 +261,8 @@ def test_a_force_far_below_the_limit_is_seldom_asked_for_and_never_too_late(
         asked.append(t_us)
         return -300.0 * max(0.0, position_mm - 10.05)
 
-    seldom = axis(stiff, stiffest_load_N_mm=300.0)
-    always = axis(wall(10.05, 300.0), stiffest_load_N_mm=math.inf)
+    seldom, always = axis(stiff), axis(wall(10.05, 300.0))
+    seldom.stiffest_load_N_mm = 300.0
     for moved in (seldom, always):
         moved.move(0, go(30.0, speed_mm_s))
     instants = range(0, SOON_us, 7_000)
