@@ -54,7 +54,7 @@ class CondensedSkin:
         return int(self.contact_x_mm.size)
 
     @property
-    def stiffest_N_mm(self) -> float:
+    def stiffest_N_mm(self) -> float:  # noqa: N802 - the unit keeps its capital
         """Pressing and dragging stiffness together with every node stuck to the object: the force
         rises no more steeply while all of that is not in contact."""
         stiffness = np.linalg.inv(self.compliance_mm_N)
