@@ -18,7 +18,7 @@ BEAT_EVERY_S = 0.2
 """How often a run says that it is alive."""
 
 OFF_DEADLINE_S = 3.0
-"""Wall time one off action may take: several of the links' time-outs."""
+"""Wall time one off action may take, besides waits for a link that is broken."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ LATE_S = 0.5
 """Missing for longer is a hold: late frames arrive."""
 STILL_FRAMES = 20
 """So many in a row that are the same to the last bit on all axes are no measurement: a converter of
-24 bits sees noise of many steps."""
+24 bits sees noise of many steps (unconfirmed on the amplifier)."""
 DRIFT = 1e-3
 """How fast the usual number follows: well above two clocks' disagreement."""
 BATCHES_KEPT = 20_000
@@ -221,7 +221,12 @@ class ForceMonitor:
     def _watch_standstill(self, frames: ForceFrames) -> None:
         """A sensor that goes on sending what it sent last feels nothing any more."""
         raw = np.concatenate([self._last_raw, frames.raw])
-        for repeated in (raw[1:] == raw[:-1]).all(axis=1).tolist():
+        same = (raw[1:] == raw[:-1]).all(axis=1)
+        self._last_raw = frames.raw[-1:]
+        if not same.any():
+            self._still = 0
+            return
+        for repeated in same.tolist():
             self._still = self._still + 1 if repeated else 0
             if self._still >= STILL_FRAMES:
                 failed = self._make_safe()
@@ -233,7 +238,6 @@ class ForceMonitor:
                     "switch the amplifier off and on; check that its converter runs",
                 )
                 raise self._trip
-        self._last_raw = frames.raw[-1:]
 
     def _make_safe(self) -> str:
         """Make the bench safe at once; what failed, to be added to the reason."""

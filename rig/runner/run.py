@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from rig.bench import Bench
+from rig.bench import WAITS_PER_CALL, Bench
 from rig.clock import Clock
 from rig.errors import InstrumentTimeoutError, RigError
 from rig.instruments import Record, Scaling
@@ -44,6 +44,11 @@ class Run:
         self.failures: list[RigError] = []
         """What `fail` was told."""
         self._arming = Arming()
+        self._waits_s = WAITS_PER_CALL * max(
+            (getattr(part.settings, "timeout_s", 0.0) for part in bench.plan.instruments),
+            default=0.0,
+        )
+        """What one call on an instrument may wait for its link at most."""
         self._recorder = recorder
         self._streams = streams
         self._scalings: dict[str, Scaling] = {}
@@ -72,12 +77,13 @@ class Run:
         deadline_s: float = OFF_DEADLINE_S,
         at_once: Callable[[], None] | None = None,
     ) -> None:
-        """Register how `name` is switched off; call it before switching it on.
+        """Register how `name` is switched off; call it before switching it on. `deadline_s` is
+        wall time, the waits of a broken link besides.
 
         `at_once` is what a watcher does in an emergency, from its own thread: it may talk to the
         instrument once and may not wait on the bench clock.
         """
-        self._arming.register(name, off, deadline_s, at_once)
+        self._arming.register(name, off, deadline_s + self._waits_s, at_once)
 
     def stream_force(self, rate_S_s: float) -> ForceMonitor:
         """Begin to read and to watch the force sensor, anew where it is read already; its end is
@@ -93,7 +99,8 @@ class Run:
                 self._force = None
             monitor.stop()
 
-        self._arming.register("force stream", off, watches=True)
+        deadline_s = OFF_DEADLINE_S + self._waits_s
+        self._arming.register("force stream", off, deadline_s, watches=True)
         monitor.start(rate_S_s)
         self._force = monitor
         return monitor

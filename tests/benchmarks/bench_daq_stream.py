@@ -105,7 +105,7 @@ def test_a_minute_of_a_million_samples_a_second_loses_none(tmp_path: Path) -> No
     assert unit.stdin is not None
     assert unit.stdout is not None
     clock = WallClock()
-    bench: Any = SimpleNamespace(clock=clock)
+    bench: Any = SimpleNamespace(clock=clock, plan=SimpleNamespace(instruments=()))
     run = Run(None, bench, recorder, {"strips": 0}, 0.0)
     resource = f"TCPIP::127.0.0.1::hislip0,{int(unit.stdout.readline())}::INSTR"
     daq = keysight_u2300a.connect(

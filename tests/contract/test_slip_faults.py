@@ -14,7 +14,7 @@ SLIDING_AFTER_S = 4.1
 """Since the record began: somewhere in the slide, which lasts a second from 3.8 s on."""
 
 
-X_SLIDING = 700
+X_SLIDING = 380
 """A request to x in the middle of it."""
 
 

@@ -145,6 +145,8 @@ class Sensor(Instrument):
         self._streaming = False
         self._coming: list[ForceFrames] = []
         self._under_way = 0
+        self._noise_N = itertools.cycle((0.0, 1e-3))
+        """A force that stands still to the last bit is that of a sensor that does not measure."""
         self._news = threading.Condition()
 
     def start(self, rate_S_s: float) -> float:
@@ -170,7 +172,7 @@ class Sensor(Instrument):
         """A frame; returns when the watchers have seen it."""
         if self.silent or not self._streaming:
             return
-        force = np.array([[0.0, 0.0, force_N]])
+        force = np.array([[0.0, 0.0, force_N + next(self._noise_N)]])
         frames = ForceFrames(0, force.astype(np.float32), force, np.array([False]))
         with self._news:
             self._coming.append(frames)

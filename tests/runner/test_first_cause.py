@@ -13,6 +13,7 @@ import pytest
 from rig.clock import WallClock
 from rig.errors import InstrumentError, InstrumentTimeoutError, RigError
 from rig.instruments import ForceFrames
+from rig.runner.arming import OFF_DEADLINE_S
 from rig.runner.holds import HoldError
 from rig.runner.run import Run
 from rig.runner.trip import TripError
@@ -50,7 +51,9 @@ def sensor() -> Sensor:
 @pytest.fixture
 def run(sensor: Sensor) -> Iterator[Run]:
     """A run with nothing but a clock and a force sensor."""
-    bench = SimpleNamespace(clock=WallClock(), force_sensor=sensor)
+    slow = SimpleNamespace(settings=SimpleNamespace(timeout_s=2.0))
+    plan = SimpleNamespace(instruments=(slow, SimpleNamespace(settings=SimpleNamespace())))
+    bench = SimpleNamespace(clock=WallClock(), force_sensor=sensor, plan=plan)
     made = Run(None, bench, None, {}, 0.0)  # type: ignore[arg-type]
     yield made
     made.arming.make_safe()
@@ -105,3 +108,11 @@ def test_a_hold_explains_no_refusal(run: Run) -> None:
 def test_without_a_hold_an_instrument_that_is_not_heard_has_failed(run: Run) -> None:
     with pytest.raises(InstrumentTimeoutError), run.first_cause():
         raise UNHEARD
+
+
+def test_an_off_has_the_time_to_meet_what_is_wrong_with_its_link(run: Run) -> None:
+    """To reconnect and to wait for the answer, 2 s each: what it says then is told, not that it
+    took long."""
+    run.arm("generator output", lambda: None)
+    ((name, deadline_s),) = [(armed.name, armed.deadline_s) for armed in run.arming._armed]
+    assert (name, deadline_s) == ("generator output", OFF_DEADLINE_S + 4.0)
