@@ -125,7 +125,7 @@ def seconds_a_call(call):
 
 def test_what_watching_and_guarding_cost(rig):
     heading(f"{CALLS} calls each, in this process")
-    force = np.full((10, 3), 1.0)
+    force = np.tile([[1.0], [1.001]], (5, 3))  # a sensor that measures is never quite still
     frames = ForceFrames(0, force.astype(np.float32), force, np.zeros(10, bool))
     sensor = SimpleNamespace(bytes_consumed=0, frames_behind=0.0, read=lambda: frames)
     monitor = ForceMonitor(sensor, WallClock(), Holds(), lambda: [])
