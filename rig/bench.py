@@ -31,7 +31,6 @@ from rig.clock import Clock
 from rig.documents import MAX_TOML_BYTES, parse_toml, read_text
 from rig.errors import (
     ConfigurationError,
-    InstrumentError,
     LimitError,
     RigError,
     SeveralFailuresError,
@@ -47,6 +46,7 @@ from rig.instruments import (
     Reach,
     SignalGenerator,
 )
+from rig.keep_alives import KeepAlives
 from rig.settings import Settings
 
 ROLES = ("generator", "daq", "stage_z", "stage_x", "force_sensor")
@@ -226,46 +226,6 @@ class GuardedGenerator:
     def close(self) -> None:
         """Let go of the link."""
         self._inner.close()
-
-
-class KeepAlives:
-    """Feeds the communication time-outs of the drives, by role, before every slice of a wait.
-
-    What a drive says then ends the wait. While the bench is made safe it does not: a drive that
-    does not answer is fed no more, so that it stops by itself and keeps no other from being brought
-    to rest; its own off tells.
-    """
-
-    def __init__(self) -> None:
-        self._feeds: dict[str, Callable[[], None]] = {}
-        self._making_safe = False
-        self._given_up: set[str] = set()
-
-    def add(self, role: str, feed: Callable[[], None]) -> None:
-        """Talk to this drive, too."""
-        self._feeds[role] = feed
-
-    def feed(self) -> None:
-        """Talk to every drive."""
-        for role, feed in tuple(self._feeds.items()):
-            if role in self._given_up:
-                continue
-            try:
-                feed()
-            except InstrumentError:
-                if not self._making_safe:
-                    raise
-                self._given_up.add(role)
-
-    @contextlib.contextmanager
-    def while_making_safe(self) -> Iterator[None]:
-        """Within it no drive ends another one's wait."""
-        self._making_safe = True
-        try:
-            yield
-        finally:
-            self._making_safe = False
-            self._given_up.clear()
 
 
 @dataclass

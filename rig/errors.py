@@ -145,6 +145,8 @@ _WORDS = {
     "literal_error": "has to be {expected}",
     "extra_forbidden": "unknown key",
     "missing": "missing",
+    "union_tag_invalid": "{discriminator} = '{tag}' is unknown",
+    "union_tag_not_found": "{discriminator} is missing",
 }
 """Kinds of pydantic's findings in a person's words; its own are shown for the others."""
 
@@ -158,7 +160,11 @@ def _finding(item: Any) -> str:
     unit = f" {known}" if (known := unit_of(name)) else ""
     kind, value = item["type"], item.get("input")
     if kind in _WORDS:
-        message = _WORDS[kind].format(**item.get("ctx", {}), unit=unit)
+        context = {
+            name: shortened(part, LONGEST_REASON) if isinstance(part, str) else part
+            for name, part in item.get("ctx", {}).items()
+        }
+        message = _WORDS[kind].format(**context, unit=unit)
     else:
         message = shortened(str(item["msg"]).removeprefix("Value error, "), LONGEST_REASON)
     if not key:

@@ -17,7 +17,6 @@ from rig.bench import (
     Bench,
     GuardedGenerator,
     InstrumentPlan,
-    KeepAlives,
     connect,
     parse_bench,
     read_bench,
@@ -27,6 +26,7 @@ from rig.bench import (
 from rig.clock import WallClock
 from rig.errors import ConfigurationError, ExitCode, InstrumentError, LimitError, RigError
 from rig.instruments import Identity, Reach
+from rig.keep_alives import KeepAlives
 from rig.runner.points import Move, Point, require_roles
 
 GOOD = """

@@ -23,6 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 CYCLE_us = 1000
+FASTEST_BESIDE_mm_s = 20.0
+"""At which another axis may move what one pushes against."""
 HISTORY_KEPT = 20_000
 """Stretches of motion kept: minutes of servo motion at 100 retargets a second."""
 
@@ -47,8 +49,6 @@ class Mechanics:
     """The same while the drive travels to a fixed stop: there it means that the stop is found."""
     peak_force_N: float = 200.0
     """What the drive can push with when nothing else limits it."""
-    fastest_beside_mm_s: float = 20.0
-    """At which another axis may move what this one pushes against."""
 
 
 class Event(Enum):
@@ -372,7 +372,7 @@ class Axis:
         load_N = self._load(position, t_us)
         missing_N = self._force_limit_N - abs(load_N)
         commanded_mm_s = 0.0 if self._command is None else self._command.speed_mm_s
-        speed_mm_s = max(abs(going), commanded_mm_s) + self.mechanics.fastest_beside_mm_s
+        speed_mm_s = max(abs(going), commanded_mm_s) + FASTEST_BESIDE_mm_s
         rising_N_s = self.stiffest_load_N_mm * speed_mm_s
         self._light_until_us = t_us + math.floor(1e6 * missing_N / rising_N_s)
         return -load_N * math.copysign(1.0, going) > self._force_limit_N

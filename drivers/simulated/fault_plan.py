@@ -33,7 +33,7 @@ from typing import Annotated, Literal, TypeVar, get_args
 from pydantic import Field, ValidationError
 
 from rig.documents import read_toml
-from rig.errors import ConfigurationError
+from rig.errors import ConfigurationError, shortened
 from rig.settings import Settings
 
 GENERATOR, DAQ, STAGE_Z, STAGE_X = "generator", "daq", "stage_z", "stage_x"
@@ -268,8 +268,8 @@ class FaultPlan(Settings):
             hint = f"a fault has a device, a kind ({', '.join(BEFALLEN)}), and what its kind needs"
             raise ConfigurationError.from_validation(error, str(path), hint) from error
         known = tuple(devices)
-        for number, fault in enumerate(plan.fault, 1):
-            _require_device(f"{path}: fault {number}", fault, known)
+        for index, fault in enumerate(plan.fault):
+            _require_device(f"{path}: fault.{index}", fault, known)
         return plan
 
     def of(self, kind: type[F] | object, device: str | None = None) -> tuple[F, ...]:
@@ -285,7 +285,7 @@ def _require_device(where: str, fault: Fault, known: tuple[str, ...]) -> None:
     device, able = fault.device, BEFALLEN[fault.kind]
     if device not in known:
         raise ConfigurationError(
-            f"{where}: device = {device!r}: no such device on this bench",
+            f"{where}: device = {shortened(device)!r}: no such device on this bench",
             f"it has {', '.join(known)}",
         )
     if device not in able:

@@ -139,7 +139,8 @@ def test_plan_is_read_from_toml(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ('[[fault]]\ndevice = "daq"\nkind = "explode"\n', "'explode'"),
+        ('[[fault]]\ndevice = "daq"\nkind = "explode"\n', "'kind' = 'explode' is unknown"),
+        ('[[fault]]\ndevice = "daq"\n', "'kind' is missing"),
         ('[[fault]]\ndevice = "daq"\nkind = "stale"\nafter = 2\n', "after: unknown key"),
         ('[[fault]]\ndevice = "daq"\nkind = "stale"\nat = 0\n', "at = 0"),
         ('[[fault]]\ndevice = "dac"\nkind = "stale"\n', "'dac': no such device"),
