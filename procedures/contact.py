@@ -87,8 +87,8 @@ def refuse_early_contact(run: Run, force_N: float, contact_N: float) -> None:
     raise InstrumentError(
         "stage_z",
         "approach",
-        f"{force_N:.2g} N are felt at {stage.position_mm():.2f} mm, before any contact can be "
-        f"(contact_from_mm = {contact_range_mm(run.bench)[0]:g} mm)",
+        f"force_sensor reads {force_N:.2g} N at {stage.position_mm():.2f} mm, before any contact "
+        f"can be (contact_from_mm = {contact_range_mm(run.bench)[0]:g} mm)",
         "look what is in the way; correct [fixture] if contact belongs there",
     )
 
@@ -99,7 +99,7 @@ def nothing_felt(run: Run, force_N: float, contact_N: float, check: str) -> Inst
         "stage_z",
         "approach",
         f"no contact is felt down to {contact_range_mm(run.bench)[1]:g} mm (contact_to_mm): "
-        f"{force_N:.2g} N, contact means {contact_N:g} N",
+        f"force_sensor reads {force_N:.2g} N, contact means {contact_N:g} N",
         f"check that {check}; correct [fixture]",
     )
 

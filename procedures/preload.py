@@ -85,7 +85,8 @@ class Preload:
             return False
         if abs(missing_N) > 0.2 * self.target_N:
             raise TripError(
-                f"the preload is {self.target_N - missing_N:.3g} N, not {self.target_N:g} N",
+                f"force_sensor reads a preload of {self.target_N - missing_N:.3g} N where stage_z "
+                f"had pressed with {self.target_N:g} N",
                 "look at the film and its clamp: something has given way",
             )
         creep_N = CLOSE * self.target_N if missing_N > 0 else 0.0  # it will go on creeping

@@ -44,7 +44,7 @@ UNREHEARSED_mm = 0.0175
 not seen, whatever the friction (decision 0035)."""
 WAY_S, SEARCHED_mm = 3.5, 0.6
 """Expected of the way to the held force and back where the place of the contact is known, and of
-the slow search where it is not."""
+the search where it is not."""
 
 
 class Settings(BaseSettings):
@@ -209,7 +209,6 @@ def import_ahead() -> None:
     import scipy.interpolate
     import scipy.ndimage
     import scipy.optimize
-    import scipy.signal
     import scipy.special  # noqa: F401
 
     import procedures.slip_taking  # noqa: F401

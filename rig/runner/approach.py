@@ -26,8 +26,10 @@ STIFFEST_N_mm = 250.0
 CLOSING = 4.0
 """Delays in which the missing force falls to 1/e: room for a stiffness of 1.4 times the known one,
 which the rise of a skin's stiffness with the force needs."""
-TOUCH = 0.1
+TOUCH = 0.5
 """Of the target: what the search for contact may press before it has stopped."""
+FELT = 0.05
+"""Of the target: force that is contact."""
 ARRIVED = 0.02
 """Of the target: missing force at which the servo takes over."""
 LOCAL = 0.5
@@ -144,7 +146,7 @@ class Approach:
     def step(self, time_s: float, position_mm: float, force_N: float) -> ApproachStep:
         """What to do, given where the axis is and the mean force of the latest milliseconds."""
         self._latest_N = force_N
-        if not self._touched and force_N < TOUCH / 2 * self.target_N:
+        if not self._touched and force_N < FELT * self.target_N:
             return self._go(self.search_mm_s)
         self._touched = True
         self._stiffness.add(time_s, position_mm, force_N)

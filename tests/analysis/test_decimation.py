@@ -16,10 +16,10 @@ def decibels(response: np.ndarray) -> np.ndarray:
 def test_the_response_table(rate: float) -> None:
     decimator = Decimator(rate)
     flat = decibels(decimator.response(np.linspace(0, 400, 401)))
-    assert np.abs(flat).max() < 0.01
-    assert decibels(decimator.response(np.linspace(600, rate / 2 - 1, 5000))).max() < -81.99
-    # 500 Hz is where the band folds onto itself; half-way down the transition, stated, not tuned
-    assert decibels(decimator.response(500.0))[0] == pytest.approx(-12.5, abs=1.0)
+    assert np.abs(flat).max() < 0.001
+    assert decibels(decimator.response(np.linspace(600, rate / 2 - 1, 5000))).max() < -82.0
+    # 500 Hz is where the band folds onto itself; half-way down the transition
+    assert decibels(decimator.response(500.0))[0] == pytest.approx(-6.02, abs=0.01)
 
 
 @pytest.mark.parametrize("rate", RATES)
@@ -27,7 +27,7 @@ def test_the_delay_is_that_of_the_low_frequencies(rate: float) -> None:
     decimator = Decimator(rate)
     late = decimator.group_delay_s([0.1, 200.0, 400.0]) * 1e3
     assert decimator.delay_s == pytest.approx(late[0] * 1e-3, rel=1e-4)
-    assert late == pytest.approx([1.87, 2.16, 4.26], rel=0.02)
+    assert late == pytest.approx([2.18, 2.47, 4.38], rel=0.025)
 
 
 @pytest.mark.parametrize("rate", [10_000.0, 50_000.0])

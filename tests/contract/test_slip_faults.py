@@ -10,8 +10,8 @@ from rig.recording.verify import verify
 SHORT = ("--distance", "0.5mm", "--speed", "0.5mm/s", "--rest", "100ms")
 WORLD = "skin_mount.contact_mm = 12.05\n"
 """Contact soon after the search begins: what is tried here comes later."""
-SLIDING_AFTER_S = 4.1
-"""Since the record began: somewhere in the slide, which lasts a second from 3.8 s on."""
+SLIDING_AFTER_S = 1.4
+"""Since the record began: somewhere in the slide, which lasts a second from 1.1 s on."""
 
 
 X_SLIDING = 380
@@ -85,7 +85,7 @@ def test_a_stage_that_fails_in_the_slide_is_told_and_the_skin_lifted(rig, what):
 
 
 def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
-    plan = '[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\nmove = 3\nafter_s = 4.85\n'
+    plan = '[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\nmove = 3\nafter_s = 2.15\n'
     ended = take(rig, "", plan)
     assert_told(ended, 3, "stage_z: drive fault: 126")
     assert "the stage stands and the skin may still be pressed: stage_z: " in ended.stderr
@@ -118,8 +118,8 @@ def test_a_force_channel_that_saturates_ends_the_trial(rig):
 
 
 FRAMES = {
-    "lost whole": ("silence", 795, 8, "frames are missing: the stream has a gap"),
-    "garbled": ("garbage", 825, 1, "force_sensor: stream: "),
+    "lost whole": ("silence", 525, 8, "frames are missing: the stream has a gap"),
+    "garbled": ("garbage", 555, 1, "force_sensor: stream: "),
 }
 
 
@@ -148,7 +148,7 @@ def test_a_daq_whose_buffer_does_not_bridge_the_trial_ends_it(rig):
 
 
 def test_a_block_of_samples_that_is_lost_on_the_wire_ends_the_trial(rig):
-    fault = '[[fault]]\ndevice = "daq"\nkind = "truncate"\ncommand = "WAV:DATA"\nat = 205\n'
+    fault = '[[fault]]\ndevice = "daq"\nkind = "truncate"\ncommand = "WAV:DATA"\nat = 70\n'
     ended = take(rig, "", fault)
     assert_told(ended, 3, "error: daq: WAV:DATA?")
     assert_lifted(rig)

@@ -187,7 +187,7 @@ def test_a_drive_that_fails_on_the_last_way_up_fails_the_run(rig):
 
 def test_a_drive_that_fails_in_a_slide_leaves_the_skin_pressed_and_says_so(rig):
     """The cause first; that the skin may still be pressed is what came of it."""
-    plan = '[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\nmove = 4\nafter_s = 10.0\n'
+    plan = '[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\nmove = 4\nafter_s = 5.0\n'
     slow = ("--distance", "2mm", "--speed", "0.3mm/s")
     ended = rig.run(*arguments(rig, *slow, "--fault", rig.fault(plan)))
     assert ended.code == 3, ended.stderr

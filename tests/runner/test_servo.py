@@ -119,7 +119,7 @@ def test_nothing_is_said_of_a_contact_that_was_not_felt() -> None:
     approach = Approach(4.0, 0.01, 0.005, 0.003)
     step = approach.step(0.0, 0.0, 0.01)
     assert not step.touched
-    assert step.speed_mm_s == pytest.approx(search_speed_mm_s(0.4, 0.015, 200.0))
+    assert step.speed_mm_s == pytest.approx(search_speed_mm_s(2.0, 0.015, 200.0))
 
 
 CORNERS = [(0.3, 2.0), (0.3, 8.0), (1.2, 4.0), (1.2, 8.0)]
