@@ -7,6 +7,7 @@ writes), and never changed behind its end, but for the torn end that ``reopen`` 
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 from collections.abc import Mapping, Sequence
@@ -162,7 +163,8 @@ class JournalWriter:
             sync_folder(path.parent)
         except BaseException:
             writer.close()
-            path.unlink()
+            with contextlib.suppress(OSError):  # a disk that has become read-only keeps it
+                path.unlink()
             raise
         return writer
 

@@ -133,6 +133,7 @@ def _files(ran: Ran) -> Iterator[str]:
     stays = any(fault["kind"] == "read-only" for fault in ran.trial.faults)  # nothing is removed
     if (left := [path.name for path in ran.files(".*.part")]) and not stays:
         yield f"left behind: {', '.join(left)}"
+    told = re.findall(r"^\d+/\d+ (\S+)$", ran.stderr, re.MULTILINE)
     kept: list[str] = []
     for path in ran.files("*.h5"):
         yield from (f"{path.name}: {finding}" for finding in verify(path))
@@ -146,12 +147,12 @@ def _files(ran: Ran) -> Iterator[str]:
             try:
                 file = compile_run(copy)
             except RigError as error:
-                yield f"{journal.name} cannot be recovered: {error.one_line()}"
+                if not (stays and "no usable header" in error.message and not told):
+                    yield f"{journal.name} cannot be recovered: {error.one_line()}"
                 continue
             yield from (f"{file.name}: {finding}" for finding in verify(file))
             with RunFile.open(file) as run:
                 kept += run.point_ids()
-    told = re.findall(r"^\d+/\d+ (\S+)$", ran.stderr, re.MULTILINE)
     disk = any(fault["device"] == DISK for fault in ran.trial.faults)
     if sorted(kept) != sorted(told) and not (disk and set(kept) <= set(told)):
         yield f"points told {told}, kept {kept}"
