@@ -1,17 +1,20 @@
-"""The World with the plate mounted: its further settings, and how the skin is hung into it.
+"""The World with the skin above a plate or a head: its further settings, and how it is hung up.
 
 Apart from `world`, so that a bench with the film clamp does not import what it has no use for.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
-from drivers.simulated.skin_contact import SkinContact, SkinMountSettings, Where
+from pydantic import model_validator
+
+from drivers.simulated.meeting import Below, HeadBelow, HeadSettings, PlateBelow, Where
+from drivers.simulated.skin_contact import SkinContact, SkinMountSettings
 from drivers.simulated.world import World, WorldSettings
 from rig.cache import user_cache
 from rig.errors import ConfigurationError
-from rig.model.contact.settings import ContactSettings
+from rig.model.contact.settings import ContactSettings, Plate
 from rig.model.front_end import FrontEndSettings
 from rig.model.skin.condensed import build_skin
 from rig.model.skin.settings import SkinSettings
@@ -27,9 +30,9 @@ class PlateWorldSettings(WorldSettings):
     skin: SkinSettings = SkinSettings()
     """The skin."""
     skin_mount: SkinMountSettings = SkinMountSettings()
-    """How it hangs above the plate."""
+    """How it hangs above the object."""
     contact: ContactSettings = ContactSettings()
-    """Friction between skin and plate, and the rubber's relaxation."""
+    """Friction between skin and object, and the rubber's relaxation."""
     transducer: TransducerSettings = TransducerSettings()
     """The skin's strips and their amplifiers."""
     strip_input: FrontEndSettings = FrontEndSettings()
@@ -38,12 +41,35 @@ class PlateWorldSettings(WorldSettings):
     """Which DAQ the bench has: strips want simultaneous samples."""
 
 
+class HeadWorldSettings(PlateWorldSettings):
+    """What the simulated bench with the skin above a head on the rotary stage is like."""
+
+    head: HeadSettings = HeadSettings()
+    """The object with its head."""
+
+    @model_validator(mode="after")
+    def _rolls(self) -> Self:
+        if isinstance(self.head.body, Plate):
+            raise ValueError("head.body plate cannot roll: give a sphere or a cylinder")
+        return self
+
+
 def hang_skin(
-    world: World, settings: PlateWorldSettings, stage_z_mm: Where, stage_x_mm: Where
+    world: World,
+    settings: PlateWorldSettings,
+    stage_z_mm: Where,
+    stage_x_mm: Where,
+    rotary_deg: Where | None = None,
 ) -> float:
-    """The stages carry the skin above the plate: where their carriages are or were. Takes the skin
-    from the user's cache, or makes it; ConfigurationError for settings that do not fit. Gives how
-    steeply the force on a stage can rise at most, in N/mm."""
+    """The stages carry the skin above the plate, or above the head that the rotary stage turns:
+    where they are or were. Takes the skin from the user's cache, or makes it; ConfigurationError
+    for settings that do not fit. Gives how steeply the force on a stage can rise at most, in N/mm.
+    """
+    touch_mm = settings.skin_mount.contact_mm
+    below: Below = PlateBelow(touch_mm, stage_z_mm, stage_x_mm)
+    if isinstance(settings, HeadWorldSettings):
+        assert rotary_deg is not None
+        below = HeadBelow(settings.head, touch_mm, stage_z_mm, stage_x_mm, rotary_deg)
     try:
         condensed = build_skin(settings.skin, user_cache())
         skin = SkinContact(
@@ -51,7 +77,7 @@ def hang_skin(
             settings.skin_mount,
             settings.contact,
             settings.transducer,
-            (stage_z_mm, stage_x_mm),
+            below,
             lambda what, value: world.log("world", what, value, "world"),
         )
     except ValueError as error:

@@ -1,10 +1,11 @@
-"""The skin above the plate in the World: what the two stages' positions make of force and volts.
+"""The skin above an object in the World: what the stages' positions make of force and volts.
 
-The skin hangs on the carriage of the x-z stage, ridges down, its first ridge towards +x; the plate
-lies on the force sensor and does not move. z presses, x slides. Signs: F_n is what the skin presses
-on the plate with, positive along the sensor's z; F_t is what it drags the plate with, positive
-along x while the stage moves towards +x. The stages are pushed back with -F_n and -F_t. Seen from
-the skin the plate slides towards +x when the stage does: the reference slide of `rig.model.trials`.
+The skin hangs on the carriage of the x-z stage, ridges down, its first ridge towards +x; below it
+the object, a plate or a head on the rotary stage, stands on the force sensor. z presses, x slides,
+the rotary stage rolls. Signs: F_n is what the skin presses on the object with, positive along the
+sensor's z; F_t is what it drags the object with, positive along x while the stage moves towards +x.
+The stages are pushed back with -F_n and -F_t. Seen from the skin the object slides towards +x when
+the stage does: the reference slide of `rig.model.trials`.
 
 The contact goes in whole steps (0.1 ms), made when somebody asks and kept for a while, so that a
 converter may sample the past. What a step finds from the stages' positions at its beginning is
@@ -28,17 +29,17 @@ import numpy.typing as npt
 from pydantic import Field
 
 from drivers.simulated.slip_record import SlipRecord
-from rig.model.contact.settings import ContactSettings, Plate
+from rig.model.contact.settings import ContactSettings, Sphere
+from rig.model.contact.slices import SlicedStepper
 from rig.model.contact.stepper import OPEN, ContactStepper, ConvergenceError
 from rig.model.transducer import TransducerChain, TransducerSettings
 from rig.settings import Settings
 
 if TYPE_CHECKING:
+    from drivers.simulated.meeting import Below, Meeting
     from rig.model.skin.condensed import CondensedSkin
 
 Reals = npt.NDArray[np.float64]
-Where = Callable[[npt.NDArray[np.int64]], Reals]
-"""Where a carriage is or was in mm, at ascending World times in us."""
 Tell = Callable[[str, object], None]
 """Writes what happened to the World's log."""
 
@@ -52,10 +53,10 @@ TANGENTIAL_N, NORMAL_N, STRIP_1_V, STRIP_2_V = range(4)
 
 
 class SkinMountSettings(Settings):
-    """How the skin hangs above the plate."""
+    """How the skin hangs above the object."""
 
     contact_mm: float = Field(default=12.4, gt=0)
-    """Position of the z stage at which the skin just touches the plate."""
+    """Position of the z stage at which the skin just touches the object."""
     ridge: int = Field(default=3, ge=1)
     """The ridge that holds the strips, 1 is the one towards +x."""
     jitter_um: float = Field(default=0.0, ge=0)
@@ -65,7 +66,7 @@ class SkinMountSettings(Settings):
 
 
 class SkinContact:
-    """The contact of skin and plate over World time."""
+    """The contact of skin and object over World time."""
 
     def __init__(
         self,
@@ -73,11 +74,11 @@ class SkinContact:
         mount: SkinMountSettings,
         contact: ContactSettings,
         transducer: TransducerSettings,
-        stages_mm: tuple[Where, Where],
+        below: Below,
         tell: Tell,
     ):
-        """`stages_mm` are z and x. ValueError for a step that no millisecond holds a whole number
-        of; loading the compiled step takes its time here."""
+        """`below` says how skin and object meet. ValueError for a step that no millisecond holds a
+        whole number of; loading the compiled step takes its time here."""
         self.step_us = round(contact.step_us)
         if self.step_us != contact.step_us or 1000 % self.step_us:
             raise ValueError(
@@ -88,7 +89,7 @@ class SkinContact:
         """Why the contact stands still since a step had no solution."""
         self._skin, self._mount = skin, mount
         self._contact, self._transducer = contact, transducer
-        self._z_mm, self._x_mm = stages_mm
+        self._below = below
         self._tell = tell
         self.record = SlipRecord(skin.ridge, mount.ridge - 1, self.step_us, tell)
         self._kept = round(KEPT_s * 1e6) // self.step_us
@@ -97,14 +98,15 @@ class SkinContact:
         self._oldest = 0
         self._steps = 0
         """Steps done. Step n ends at n steps' time; the World begins with step 0."""
-        self._stepper: ContactStepper | None = None
+        self._stepper: ContactStepper | SlicedStepper | None = None
         """None while the skin is at rest."""
         self._chain = self._fresh_chain()
         self._stresses: list[Reals] = []
         """Of the newest steps, whose volts nobody has asked for."""
-        self._plate_at_mm = float(self._x_mm(np.zeros(1, np.int64))[0])
-        """Where the skin sees the plate, at the newest step."""
-        self._fresh_stepper().advance(-1.0, self._plate_at_mm, normal_control="position")
+        begin = below.at(np.zeros(1, np.int64))
+        self._object_at_mm, self._turned_rad = float(begin.x_mm[0]), float(begin.turned_rad[0])
+        """Where the skin sees the object and how it is turned, at the newest step."""
+        self._fresh_stepper().advance(-1.0, self._object_at_mm, normal_control="position")
 
     # --- what the World asks ------------------------------------------------------------------
 
@@ -147,47 +149,52 @@ class SkinContact:
             return
         first = self._steps
         times = np.arange(first, last + 1) * self.step_us
-        z_mm, x_mm = self._z_mm(times), self._x_mm(times)
+        meeting = self._below.at(times)
         done = self._steps - first  # stages that move have asked for their load meanwhile
         if done < times.size:
-            self._advance(z_mm[done:] - self._mount.contact_mm, x_mm[done:])
+            self._advance(meeting[done:])
 
     # --- one step after the other -------------------------------------------------------------
 
-    def _plate_mm(self, x_mm: Reals) -> Reals:
-        """The plate as the skin sees it in the next steps, x being where the stage means to be."""
+    def _shaken_mm(self, x_mm: Reals) -> Reals:
+        """The object as the skin sees it in the next steps, x being where the stages mean it."""
         if not self._mount.jitter_um:
             return x_mm
         turns = self._mount.jitter_Hz * 1e-6 * self.step_us * (self._steps + np.arange(x_mm.size))
-        plate: Reals = x_mm + 1e-3 * self._mount.jitter_um * np.sin(2 * math.pi * turns)
-        return plate
+        shaken: Reals = x_mm + 1e-3 * self._mount.jitter_um * np.sin(2 * math.pi * turns)
+        return shaken
 
-    def _advance(self, approach: Reals, x_mm: Reals) -> None:
-        begin = 0
+    def _advance(self, meeting: Meeting) -> None:
+        approach, begin = meeting.approach_mm, 0
         while begin < approach.size:
             if self._stepper is None and self.failure is None:
                 pressed = np.flatnonzero(approach[begin:] > 0)
                 idle = int(pressed[0]) if pressed.size else approach.size - begin
                 if idle:
-                    self._plate_at_mm = float(self._plate_mm(x_mm[begin : begin + idle])[-1])
+                    passed = meeting[begin : begin + idle]
+                    self._object_at_mm = float(self._shaken_mm(passed.x_mm)[-1])
+                    self._turned_rad = float(passed.turned_rad[-1])
                 self._keep(np.zeros((4, idle)))
                 begin += idle
                 if not pressed.size:
                     return
                 self._stepper = self._fresh_stepper()
             steps = min(BLOCK_STEPS - self._steps % BLOCK_STEPS, approach.size - begin)
-            block = slice(begin, begin + steps)
-            self._do(approach[block], x_mm[block])
+            self._do(meeting[begin : begin + steps])
             begin += steps
 
-    def _do(self, approach: Reals, x_mm: Reals) -> None:
+    def _do(self, meeting: Meeting) -> None:
         """The steps of one block or of a part of it."""
+        approach, x_mm, turned = meeting.approach_mm, meeting.x_mm, meeting.turned_rad
         if self._stepper is None:
             self._keep(np.repeat(self._newest(), approach.size, axis=1))
             return
-        plate = self._plate_mm(x_mm)
+        place = self._shaken_mm(x_mm)
+        turns = np.diff(turned, prepend=self._turned_rad)
         try:
-            block = self._stepper.advance(approach, plate, normal_control="position")
+            block = self._stepper.advance(
+                approach, place, rotation_rad=turns, normal_control="position"
+            )
         except ConvergenceError as error:
             self._fail(str(error))
             self._keep(np.repeat(self._newest(), approach.size, axis=1))
@@ -197,7 +204,7 @@ class SkinContact:
         results = np.zeros((4, x_mm.size))
         results[TANGENTIAL_N], results[NORMAL_N] = block.tangential_force_N, block.normal_force_N
         self._keep(results)
-        self._plate_at_mm = float(plate[-1])
+        self._object_at_mm, self._turned_rad = float(place[-1]), float(turned[-1])
         if self._steps % BLOCK_STEPS == 0:
             self._make_volts()
             self.record.judge()
@@ -226,13 +233,15 @@ class SkinContact:
         self._stepper = None
         self._tell("contact-failed", self.failure)
 
-    def _fresh_stepper(self) -> ContactStepper:
+    def _fresh_stepper(self) -> ContactStepper | SlicedStepper:
+        body, ridge = self._below.body, self._mount.ridge - 1
+        place = self._object_at_mm
+        if isinstance(body, Sphere):
+            return SlicedStepper(
+                self._skin, self._contact, body, position_mm=place, watched_ridge=ridge, beyond=True
+            )
         return ContactStepper(
-            self._skin,
-            self._contact,
-            Plate(),
-            position_mm=self._plate_at_mm,
-            watched_ridge=self._mount.ridge - 1,
+            self._skin, self._contact, body, position_mm=place, watched_ridge=ridge
         )
 
     def _fresh_chain(self) -> TransducerChain:

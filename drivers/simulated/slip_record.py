@@ -55,6 +55,8 @@ class SlipRecord:
         self._since_us = 0
         self._touch_downs: list[int] = []
         self._lift_offs: list[int] = []
+        self._ridge_touching = False
+        self._ridge_lifts: list[int] = []
         self._rest_mm: float | None = None
         """Where the plate was when the present touch, or the point, began."""
         self._slide: _Slide | None = None
@@ -66,7 +68,7 @@ class SlipRecord:
         """A new point: what happened before it does not count."""
         self.judge()
         self._since_us = t_us
-        self._touch_downs, self._lift_offs = [], []
+        self._touch_downs, self._lift_offs, self._ridge_lifts = [], [], []
         self._rest_mm = self._slide = None
 
     def add(self, done: int, status: Statuses, plate_mm: Reals) -> None:
@@ -82,6 +84,7 @@ class SlipRecord:
             return
         status, plate_mm = (np.concatenate(part) for part in zip(*self._waiting, strict=True))
         self._waiting, done = [], self._done
+        self._follow_ridge(done, status)
         touching = (status != OPEN).any(axis=1)
         before = np.concatenate([[self._touching], touching[:-1]])
         changes = np.flatnonzero(touching != before)
@@ -92,6 +95,14 @@ class SlipRecord:
                 self._turn(done + begin)
             if self._touching:
                 self._follow(done + begin, status[begin:end], plate_mm[begin:end])
+
+    def _follow_ridge(self, done: int, status: Statuses) -> None:
+        """When the watched ridge leaves what it touched, whatever the others do."""
+        touching = (status[:, self._ridge_of_node == self._watched] != OPEN).any(axis=1)
+        before = np.concatenate([[self._ridge_touching], touching[:-1]])
+        for step in np.flatnonzero(before & ~touching).tolist():
+            self._ridge_lifts.append((done + step + 1) * self._step_us)
+        self._ridge_touching = bool(touching[-1])
 
     def truth(self) -> dict[str, Any]:
         """Everything known since the point was announced, as JSON: times in us of World time,
@@ -105,6 +116,7 @@ class SlipRecord:
             "lift_off_us": self._lift_offs,
             "slide_us": None if slide is None else slide.from_us,
             "ridge": self._watched + 1,
+            "ridge_lift_off_us": self._ridge_lifts,
             "first_slip_us": [*map(slide.us, seen.first_slip_s)] if slide and seen else never,
             "whole_slip_us": [*map(slide.us, seen.whole_slip_s)] if slide and seen else never,
             "gross_slip_us": slide.us(seen.gross_slip_s) if slide and seen else None,

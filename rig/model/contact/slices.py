@@ -9,6 +9,8 @@ zero beside the contact.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -50,7 +52,8 @@ class SlicedStepper:
 
     `largest_force_N` sets the slices' places: they cover the Hertz contact at that force. The
     object's position is commanded; a tangential force would have to be shared among slices that
-    do not feel each other, so it is refused.
+    do not feel each other, so it is refused. A larger force is refused too, or, with `beyond`,
+    borne by the slices there are: right in size, but not in place.
     """
 
     def __init__(
@@ -63,6 +66,7 @@ class SlicedStepper:
         watched_ridge: int = 2,
         keep_forces: bool = False,
         largest_force_N: float = LARGEST_FORCE_N,
+        beyond: bool = False,
     ):
         self.skin = skin
         self.settings = settings
@@ -75,7 +79,7 @@ class SlicedStepper:
                 "use a cylinder"
             )
         self.slice_mm = extent / body.slices
-        self._largest_N = largest_force_N
+        self._largest_N = math.inf if beyond else largest_force_N
         roller = Cylinder(radius_mm=body.radius_mm)
         self._slices = [
             ContactStepper(
@@ -109,6 +113,11 @@ class SlicedStepper:
         for stepper, state in zip(self._slices, states, strict=True):
             stepper.state = state
 
+    def displacement_mm(self) -> tuple[Floats, Floats]:
+        """Downward and tangential displacement of the nodes of every slice, two arrays."""
+        downward, sideways = zip(*(s.displacement_mm() for s in self._slices), strict=True)
+        return np.concatenate(downward), np.concatenate(sideways)
+
     def shares(self, force_N: ArrayLike) -> Floats:
         """Each slice's share of the load, (k, slices); two mirrored slices a column, sum 1/2."""
         force = np.atleast_1d(np.asarray(force_N, float))
@@ -116,8 +125,9 @@ class SlicedStepper:
         edges = np.arange(self.body.slices + 1) * self.slice_mm
         inside = np.clip(edges[None, :] / np.where(radius > 0, radius, np.inf), 0.0, 1.0)
         carried = 0.75 * (inside - inside**3 / 3)
-        shares: Floats = np.diff(carried, axis=1)
-        shares[:, 0] += np.where(force > 0, 0.5 - shares.sum(axis=1), 0.0)
+        parts = np.diff(carried, axis=1)
+        held = parts.sum(axis=1, keepdims=True)
+        shares: Floats = np.divide(0.5 * parts, held, out=np.zeros_like(parts), where=held > 0)
         return shares
 
     def advance(

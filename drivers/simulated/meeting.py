@@ -1,0 +1,117 @@
+"""How skin and object meet: what the stages' positions make of approach, place and rotation.
+
+The skin hangs on the x-z stage, its middle above the object where x stands at `centre_mm`. A plate
+lies still. A head is carried by the rotary stage: its centre lies the head's radius below its top,
+and the axis of rotation where pure rolling wants it, at the height of the top, or `axis_offset_mm`
+above that. A turn by ϕ from upright swings the centre sideways by (R + h) sin ϕ and up by
+(R + h) (1 - cos ϕ), while R ϕ is what pure rolling takes: an offset h shears the skin by h ϕ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from rig.model.contact.settings import Cylinder, Object, Plate, Sphere
+from rig.settings import Settings
+
+Reals = npt.NDArray[np.float64]
+Times = npt.NDArray[np.int64]
+Where = Callable[[Times], Reals]
+"""Where a carriage is or was in mm, or a rotary stage in deg, at ascending World times in us."""
+
+
+class HeadSettings(Settings):
+    """The object with a head that the rotary stage carries."""
+
+    body: Object = Sphere()
+    """Its head: a sphere (the paper's), or a roller as wide as the skin."""
+    centre_mm: float = 10.0
+    """Position of the x stage at which the middle of the skin is above it."""
+    upright_deg: float = 90.0
+    """Angle of the rotary stage at which it stands upright."""
+    axis_offset_mm: float = Field(default=0.3, ge=-20, le=20)
+    """How far the rotary axis lies above where pure rolling wants it (assumed)."""
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Skin and object at k instants; arrays (k,)."""
+
+    approach_mm: Reals
+    """How far the object is beyond the height at which it touches the undeformed skin."""
+    x_mm: Reals
+    """The object's place as the skin sees it: of a head, its centre's."""
+    turned_rad: Reals
+    """By how much it is turned; positive rolls towards +x."""
+
+    def __getitem__(self, part: slice) -> Meeting:
+        return Meeting(self.approach_mm[part], self.x_mm[part], self.turned_rad[part])
+
+
+class Below(Protocol):
+    """What is below the skin."""
+
+    @property
+    def body(self) -> Plate | Cylinder | Sphere:
+        """Its shape."""
+        ...
+
+    def at(self, times_us: Times) -> Meeting:
+        """How it meets the skin at ascending World times."""
+        ...
+
+
+@dataclass(frozen=True)
+class PlateBelow:
+    """A plate that lies on the force sensor."""
+
+    contact_mm: float
+    """Position of z at which the skin just touches it."""
+    z_mm: Where
+    x_mm: Where
+
+    @property
+    def body(self) -> Plate:
+        """See `Below`."""
+        return Plate()
+
+    def at(self, times_us: Times) -> Meeting:
+        """See `Below`."""
+        z_mm = self.z_mm(times_us)
+        return Meeting(z_mm - self.contact_mm, self.x_mm(times_us), np.zeros(z_mm.size))
+
+
+@dataclass(frozen=True)
+class HeadBelow:
+    """A head on the rotary stage, which stands on the force sensor."""
+
+    settings: HeadSettings
+    contact_mm: float
+    """Position of z at which the skin just touches it, while it stands upright."""
+    z_mm: Where
+    x_mm: Where
+    angle_deg: Where
+
+    @property
+    def body(self) -> Plate | Cylinder | Sphere:
+        """See `Below`."""
+        return self.settings.body
+
+    def at(self, times_us: Times) -> Meeting:
+        """See `Below`."""
+        body, head = self.settings.body, self.settings
+        assert not isinstance(body, Plate), "a plate does not roll"
+        arm_mm = body.radius_mm + head.axis_offset_mm
+        z_mm, x_mm = self.z_mm(times_us), self.x_mm(times_us)
+        turned = np.radians(self.angle_deg(times_us) - head.upright_deg)
+        return Meeting(
+            z_mm - self.contact_mm + arm_mm * (1 - np.cos(turned)),
+            x_mm - head.centre_mm + arm_mm * np.sin(turned),
+            turned,
+        )
