@@ -1,42 +1,23 @@
-"""What a slip trial has recorded, and what it shows: servo, friction, clocks, whether it counts."""
+"""What a slip trial shows besides: friction, and how a ramp was followed."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.slip_trial import FORCE_RATE_S_S
-from rig.analysis import clock_offset as clocks
+from procedures import pressed_reading
+from procedures.pressed_reading import Taken, frame_times_s
 from rig.analysis.friction import FrictionError, friction
-from rig.bench import STRIPS
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from procedures.slip_trial import Settings
-    from rig.analysis.load_rate import LoadScale
-    from rig.runner.loop import LoopStatistics
     from rig.runner.points import Reading
     from rig.runner.run import Run
 
-CONTACT_N = 0.1
-"""Force that means contact: ten times the sensor's noise over a look."""
-AFTER_S = 0.1
-"""What is still recorded after the slide."""
-DECIMATED_Hz = 1000.0
-MISSING_S = 0.05
-"""Samples or frames of so long may be under way when a record ends."""
-SERVO_SEEN = 5
-"""Frames over which the error of the force is averaged."""
-AT_REST_S = 0.2
-"""Beginning of a record, before contact: the strips' zero is its mean."""
-CLOCKS_SEEN_S, CLOCKS_SEARCHED_S = 0.1, 0.2
-"""What the two clocks are compared by reaches so far beyond touch-down and tap; and how far apart
-they are taken to be at most."""
 FRICTION_COLUMNS = (
     "static_friction",
     "static_friction_error",
@@ -46,109 +27,42 @@ FRICTION_COLUMNS = (
 
 
 @dataclass
-class Taken:
-    """What a trial has recorded so far; times in s since the record began."""
+class SlipTaken(Taken):
+    """What a slip trial has recorded so far; its motion is the slide or the ramp."""
 
-    number: int
-    begun_s: float = 0.0
-    """When the record began, on the run's clock."""
-    filter_delay_s: float = 0.0
-    contact_mm: float = 0.0
-    stiffness_N_mm: float = 0.0
-    tapped_s: float = 0.0
-    """When the tap was over."""
-    slide_from_s: float = 0.0
-    slide_to_s: float = 0.0
     ramp_to_s: float | None = None
     """Until when the tangential force followed its ramp, if there was one."""
-    volts: list[npt.NDArray[np.float64]] = field(default_factory=list)
-    """Strips at 1 kHz, (n, 2) each."""
-    force: list[npt.NDArray[np.float64]] = field(default_factory=list)
-    """F_n, F_t, F_y, (n, 3) each."""
-    position: list[tuple[float, float, float, float, float]] = field(default_factory=list)
-    """Time, z, x, z commanded, x commanded."""
-    rows: int = 0
-    """Of the strips."""
-    signal_rows: int = 0
-    frames: int = 0
-    loops: list[LoopStatistics] = field(default_factory=list)
-
-    def load_rates(self, scales: Mapping[str, LoadScale]) -> npt.NDArray[np.float64]:
-        """Rate of load on each strip in N/s at 1 kHz, (n, 2); NaN where a strip has no scale."""
-        volts = np.concatenate(self.volts)
-        rates = np.full_like(volts, np.nan)
-        for column, strip in enumerate(STRIPS):
-            if strip in scales:
-                zero_V = float(volts[: round(AT_REST_S * DECIMATED_Hz), column].mean())
-                rates[:, column] = scales[strip].rate_N_s(volts[:, column], zero_V)
-        return rates
-
-    @staticmethod
-    def load_scales(scales: Mapping[str, LoadScale]) -> Reading:
-        """The scales for the table of trials."""
-        reading: Reading = {}
-        for number, strip in enumerate(STRIPS, 1):
-            if strip in scales:
-                factor = scales[strip].N_s_per_V
-                reading[f"load_scale_{number}_N_s_V"] = factor.value
-                reading[f"load_scale_{number}_error_N_s_V"] = factor.standard_error
-        flat = [scale.flat_to_Hz for scale in scales.values() if np.isfinite(scale.flat_to_Hz)]
-        reading["load_rate_flat_to_Hz"] = min(flat, default=None)
-        return reading
 
 
-def reading_of(run: Run, taken: Taken) -> Reading:
+def reading_of(run: Run, taken: SlipTaken) -> Reading:
     """Figures of the trial, and why it does not count if it does not."""
     settings: Settings = run.settings
+    reading = pressed_reading.reading_of(run, taken)
     force = np.concatenate(taken.force)
-    t = np.arange(len(force)) / FORCE_RATE_S_S
-    held = (t >= taken.slide_from_s) & (t <= taken.slide_to_s)
-    error = 100 * (_smoothed(force[:, 0]) / settings.normal_force_N - 1)
-    ticks = sum(loop.ticks for loop in taken.loops)
-    late = sum(loop.late for loop in taken.loops)
-    reading: Reading = {
-        "trial": taken.number,
-        "normal_force_set_N": settings.normal_force_N,
+    t = frame_times_s(force)
+    held = (t >= taken.motion_from_s) & (t <= taken.motion_to_s)
+    reading |= {
         "speed_mm_s": settings.speed_mm_s,
         "direction": float(settings.along),
-        "contact_mm": taken.contact_mm,
-        "stiffness_N_mm": taken.stiffness_N_mm,
-        "overshoot_percent": max(0.0, float(error[t < taken.slide_from_s].max())),
-        "normal_force_N": float(force[held, 0].mean()),
-        "force_error_rms_percent": float(np.sqrt(np.mean(error[held] ** 2))),
-        "force_error_peak_percent": float(np.abs(error[held]).max()),
-        "slide_from_s": taken.slide_from_s,
-        "slide_to_s": taken.slide_to_s,
-        "samples": taken.rows,
-        "frames": taken.frames,
-        "ticks": ticks,
-        "late_ticks": late,
-        "largest_lateness_s": max(loop.largest_lateness_s for loop in taken.loops),
-        "filter_delay_s": taken.filter_delay_s,
+        "slide_from_s": taken.motion_from_s,
+        "slide_to_s": taken.motion_to_s,
     }
-    run.check_stop()  # computing takes a while: still alive
     reading |= _ramp(settings, taken, t, force)
     reading |= _friction(run, taken, t[held], force[held])
-    run.check_stop()
-    reading |= _clock_offset(run, taken, force)
-    run.check_stop()
-    if truth := run.clock.truth():
-        begun_us = round(1e6 * taken.begun_s)
-        reading["simulated_truth"] = json.dumps({**truth, "record_begun_us": begun_us})
-    reading["invalid"] = "; ".join(_doubts(settings, taken, reading, late / max(ticks, 1)))
+    run.check_stop()  # computing takes a while: still alive
     return reading
 
 
 def _ramp(
     settings: Settings,
-    taken: Taken,
+    taken: SlipTaken,
     t: npt.NDArray[np.float64],
     force: npt.NDArray[np.float64],
 ) -> Reading:
     """How well the tangential force followed its ramp until the skin slipped."""
     if taken.ramp_to_s is None:
         return {}
-    since = t - taken.slide_from_s
+    since = t - taken.motion_from_s
     rising = (since >= 0) & (t <= taken.ramp_to_s)
     rise = settings.along * (force[rising, 1] - force[rising, 1][0])
     error = rise - settings.ramp_N_s * since[rising]
@@ -159,7 +73,7 @@ def _ramp(
 
 
 def _friction(
-    run: Run, taken: Taken, t: npt.NDArray[np.float64], force: npt.NDArray[np.float64]
+    run: Run, taken: SlipTaken, t: npt.NDArray[np.float64], force: npt.NDArray[np.float64]
 ) -> Reading:
     times, x = (np.array([row[k] for row in taken.position]) for k in (0, 2))
     travel = np.abs(np.interp(t, times, x) - run.settings.start_mm)
@@ -175,60 +89,3 @@ def _friction(
         "kinetic_friction": found.kinetic.value,
         "kinetic_friction_error": found.kinetic.standard_error,
     }
-
-
-def _clock_offset(run: Run, taken: Taken, force: npt.NDArray[np.float64]) -> Reading:
-    """Of the force sensor's clock against the DAQ's, from touch-down and tap that both saw."""
-    volts = np.concatenate(taken.volts).sum(axis=1)
-    touch_s = float(np.argmax(force[:, 0] > CONTACT_N)) / FORCE_RATE_S_S
-    begin_s = touch_s - CLOCKS_SEEN_S
-    end_s = min(taken.tapped_s + CLOCKS_SEEN_S, taken.slide_from_s)
-    wider_s = CLOCKS_SEARCHED_S + CLOCKS_SEEN_S
-    seen = _stretch(volts, DECIMATED_Hz, begin_s, end_s)
-    felt = _stretch(force[:, 0], FORCE_RATE_S_S, begin_s - wider_s, end_s + wider_s)
-    half_frame_s = 0.5 / FORCE_RATE_S_S
-    try:
-        found = clocks.clock_offset(
-            clocks.Series(*felt, delay_s=half_frame_s),
-            clocks.Series(*seen, taken.filter_delay_s),
-            CLOCKS_SEARCHED_S,
-        )
-    except clocks.ClockOffsetError as error:
-        run.event("warning", "clock-offset", f"trial {taken.number}: {error.one_line()}")
-        return {"clock_offset_s": None, "clock_offset_error_s": None}
-    offset = found.offset
-    return {"clock_offset_s": offset.value, "clock_offset_error_s": offset.standard_error}
-
-
-def _doubts(settings: Settings, taken: Taken, reading: Reading, late: float) -> list[str]:
-    doubts = []
-    for name, limit in (
-        ("force_error_rms_percent", settings.force_error_rms_percent),
-        ("force_error_peak_percent", settings.force_error_peak_percent),
-    ):
-        value = float(reading[name] or 0)
-        if value > limit:
-            words = name.removesuffix("_percent").replace("_", " ")
-            doubts.append(f"{words} {value:.2g} % is above {limit:g} %")
-    if 100 * late > settings.late_ticks_percent:
-        doubts.append(f"{100 * late:.2g} % of the ticks were late")
-    span_s = taken.slide_to_s + AFTER_S
-    for name, rate in (("samples", settings.rate_S_s), ("frames", FORCE_RATE_S_S)):
-        missing = span_s * rate - float(reading[name] or 0)
-        if missing > MISSING_S * rate:
-            doubts.append(f"{missing:.0f} {name} are missing")
-    return doubts
-
-
-def _stretch(
-    values: npt.NDArray[np.float64], rate_Hz: float, begin_s: float, end_s: float
-) -> tuple[npt.NDArray[np.float64], float, float]:
-    """Values from one instant to another; their rate; when they begin."""
-    first = max(0, round(begin_s * rate_Hz))
-    return values[first : round(end_s * rate_Hz)], rate_Hz, first / rate_Hz
-
-
-def _smoothed(force_N: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Mean of `SERVO_SEEN` frames: the error of a servo is not the sensor's noise."""
-    kernel = np.full(SERVO_SEEN, 1 / SERVO_SEEN)
-    return np.convolve(np.pad(force_N, SERVO_SEEN // 2, mode="edge"), kernel, "valid")

@@ -1,252 +1,71 @@
-"""One slip trial under way: its phases, and what every tick records and does."""
+"""One slip trial under way: the slide or the ramp under the held force."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from procedures.contact import (
-    CLEAR_mm,
-    TRAVEL_mm_s,
-    come_close,
-    contact_range_mm,
-    felt_N,
-    nothing_felt,
-    refuse_early_contact,
-    tare_in_free_air,
-)
-from procedures.slip_reading import AFTER_S, CONTACT_N, DECIMATED_Hz, Taken, reading_of
-from procedures.slip_trial import DELAY_S, FORCE_RATE_S_S
-from rig.analysis.decimation import Decimator
-from rig.analysis.load_rate import LoadScale, amplifier_dB, load_scale, load_scale_of_record
-from rig.bench import STRIPS, require
-from rig.errors import InstrumentError
-from rig.instruments import Acquisition, InputChannel
-from rig.runner.approach import Approach, search_speed_mm_s
-from rig.runner.loop import tick_loop
+from procedures.pressed import DELAY_S
+from procedures.pressed_reading import AFTER_S
+from procedures.pressed_trial import FORCE_AGE_S, PressedSeries, PressedTrial
+from procedures.slip_reading import SlipTaken, reading_of
 from rig.runner.ramp import ForceRamp
-from rig.runner.samples import SampleStream
-from rig.runner.servo import ContactShift, ForceServo, settings_from
+from rig.runner.servo import ContactShift
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from procedures.slip_trial import Settings
     from rig.runner.loop import Tick
     from rig.runner.points import Reading
     from rig.runner.run import Run
 
-LOOK_S = 0.004
-"""Stretch of force that a tick looks at: shorter is noisier, longer is later."""
-SLOWEST_mm_s = 0.01
-BOTTOM_mm = 0.002
-"""So near to contact_to_mm is there."""
-NEAR_mm = 0.06
-"""Where the slow search begins, before the place at which contact has been felt already."""
-TAP = 0.15
-"""Of the normal force: what the tap lets go. The clocks need a twentieth (`clock_offset`)."""
-TAP_mm_s = 1.0
-TAP_S = 0.04
-"""From the way back to the way on, and until the servo takes over."""
-FORCE_AGE_S = 0.003
-"""How much older the force of a look is than the position read with it."""
 SLID_ON_mm = 0.3
 """How far a slide goes on after a ramp, for the kinetic coefficient."""
-CLOCKS_DIFFER = 1e-3
-"""Far more than the clocks of DAQ and computer do: a block is asked for when it may be there."""
-BLOCKS_A_TICK = 4
-"""Of the DAQ at most, one being due: a loop that is late has the force to look at as well."""
-LOOKS_Hz = 100.0
-"""How often stages and DAQ are asked and the record goes on, also where ticks are more frequent."""
 MOVING_EVERY_S = 0.05
 """Between two looks whether x has arrived."""
-PATIENCE_S = 10.0
-"""From contact to a held force, at most."""
 
 
 @dataclass
-class Series:
+class Series(PressedSeries):
     """What the trials of a series have taught the ones that follow."""
 
-    contact_mm: float | None = None
-    """Position of z at which the plate was felt last."""
     shift: ContactShift | None = None
     """What the first slide, which had none to go by, has shown."""
-    scales: dict[str, LoadScale] = field(default_factory=dict)
-    """Of the strips that are calibrated."""
 
 
-def series_on(run: Run) -> Series:
-    """What is known before the first trial: the strips' calibrations; those missing are told."""
-    skin, scales = run.bench.skin, dict[str, LoadScale]()
-    for strip in STRIPS:
-        record = run.bench.strip_calibrations.get(strip)
-        if record is not None:
-            scales[strip] = load_scale_of_record(record, skin.amplifier_gain)
-        elif strip in skin.b_dB:
-            level_dB = skin.b_dB[strip] + amplifier_dB(skin.amplifier_gain)
-            scales[strip] = load_scale(level_dB, skin.b_error_dB[strip])
-    if missing := [strip for strip in STRIPS if strip not in scales]:
-        run.event(
-            "warning",
-            "calibration",
-            f"{' and '.join(missing)} of the skin: not calibrated, so volts are not told as load "
-            "rate; name the records in [calibrations] of the bench file",
-        )
-    return Series(scales=scales)
-
-
-class Trial:
+class Trial(PressedTrial):
     """One trial under way."""
 
-    def __init__(self, run: Run, number: int, series: Series):
-        self.run, self.number, self.series = run, number, series
-        self.settings: Settings = run.settings
-        self.bench = run.bench
-        self.z, self.x = run.bench.stage_z, run.bench.stage_x
-        self.fixture = run.bench.settings.fixture
-        self.taken = Taken(number)
-        self._samples = SampleStream(run.bench.daq, run.clock)
-        self._recording = self._sliding = False
-        self._look_every = max(1, round(self.settings.tick_Hz / LOOKS_Hz))
-        """Ticks from one look at the stages to the next, where only the force is needed."""
-        self._moving_every = max(1, round(self.settings.tick_Hz * MOVING_EVERY_S))
-        self._z_mm = self._z_commanded = self._x_mm = self._x_commanded = 0.0
-        self._tangential_N = self._next_tick_s = 0.0
-        self._first_frame = 0
+    series: Series
+    settings: Settings
+    taken: SlipTaken
 
-    # --- the phases -----------------------------------------------------------------------------
+    def __init__(self, run: Run, number: int, series: Series):
+        super().__init__(run, number, series, SlipTaken(number))
+        self._moving_every = max(1, round(self.settings.tick_Hz * MOVING_EVERY_S))
 
     def rehearse(self) -> None:
         """The same without a record: the servo learns what the slide does to the normal force."""
-        self.make_ready()
+        self.make_ready(self.settings.start_mm)
         self.press()
         self.slide()
         self.lift()
 
-    def make_ready(self) -> None:
-        """Up, to the place where the slide begins, and zero the force in free air."""
-        self.z.move_to(self.fixture.parked_mm, TRAVEL_mm_s)
-        self.x.move_to(self.settings.start_mm, TRAVEL_mm_s)
-        tare_in_free_air(self.run)
-        self._z_commanded = self.fixture.parked_mm
-        self._x_commanded = self.settings.start_mm
-        self._x_mm = self.x.position_mm()
-        come_close(self.run, CONTACT_N, LOOK_S, 1 / self.settings.tick_Hz)
-
-    def record(self) -> None:
-        """Begin to record: strips, forces and positions."""
-        settings = self.settings
-        self._decimator = Decimator(settings.rate_S_s, len(STRIPS))
-        channels = tuple(InputChannel(name, settings.range_V) for name in STRIPS)
-        self._samples.start(Acquisition(channels, settings.rate_S_s, settings.block_samples))
-        self.taken.begun_s = self.run.clock.now()
-        self.taken.filter_delay_s = self._decimator.delay_s
-        self._first_frame = self.run.force.frames_seen
-        self._recording = True
-
-    def end_record(self) -> None:
-        """Take what has still come, and end the acquisition."""
-        self._collect_rest()
-        self._collect_frames()
-        self._recording = False
-        self._samples.stop()
-
-    def press(self) -> None:
-        """Down until the plate is felt, on until the force is there, no faster than it allows; the
-        contact's stiffness is learnt on the way. A tap, then rest under the servo."""
-        settings, tick_s = self.settings, 1 / self.settings.tick_Hz
-        down = Approach(
-            settings.normal_force_N, tick_s, DELAY_S, FORCE_AGE_S, settings.acceleration_mm_s2
-        )
-        self._go_near()
-        self._go_down(down)
-        self.taken.stiffness_N_mm = down.stiffness_N_mm
-        self._servo = ForceServo(
-            settings_from(
-                settings.normal_force_N,
-                down.stiffness_N_mm,
-                tick_s,
-                DELAY_S,
-                settings.acceleration_mm_s2,
-            )
-        )
-        self._tap()
-        self._loop(settings.rest_s, self._hold)
-
-    def _go_near(self) -> None:
-        """To shortly before the place where a trial of this series has felt the plate. A plate that
-        is met on the way is pressed with the normal force at most."""
-        if self.series.contact_mm is None:
-            return
-        near_mm, settings = self.series.contact_mm - NEAR_mm, self.settings
-        speed_mm_s = search_speed_mm_s(
-            settings.normal_force_N, DELAY_S + 1 / settings.tick_Hz, settings.acceleration_mm_s2
-        )
-        self._move_z(near_mm, speed_mm_s)
-
-        def look(tick: Tick) -> bool:
-            felt = self._collect() > CONTACT_N
-            if felt:
-                self._move_z(self._z_mm, speed_mm_s)
-            return not felt and self._z_mm < near_mm - BOTTOM_mm
-
-        way_mm = near_mm - contact_range_mm(self.bench)[0] + CLEAR_mm
-        self._loop(way_mm / speed_mm_s + PATIENCE_S, look)
-
-    def _go_down(self, down: Approach) -> None:
-        """Slowly until the plate is felt, and on until the force is there."""
-        first_mm, last_mm = contact_range_mm(self.bench)
-        touched = arrived = False
-
-        def look(tick: Tick) -> bool:
-            nonlocal touched, arrived
-            force_N = self._collect()
-            here_mm = self._z_mm
-            step = down.step(tick.began_s, here_mm, force_N)
-            if step.touched and not touched:
-                touched = True
-                self.taken.contact_mm = self.series.contact_mm = here_mm
-                if here_mm < first_mm:
-                    refuse_early_contact(self.run, force_N, CONTACT_N)
-            arrived = step.arrived
-            self._move_z(min(here_mm + step.ahead_mm, last_mm), step.speed_mm_s)
-            return not arrived and (touched or here_mm < last_mm - BOTTOM_mm)
-
-        search_s = (last_mm - first_mm + CLEAR_mm) / down.search_mm_s
-        self._loop(search_s + PATIENCE_S, look)
-        if not arrived:
-            self.z.stop()
-            self._refuse_no_force(touched)
-
-    def _tap(self) -> None:
-        """Let go a little and press on again: a force that only rises would not tell how far the
-        clocks of force sensor and DAQ are apart."""
-        here_mm = self._z_commanded
-        back_mm = TAP * self.settings.normal_force_N / self.taken.stiffness_N_mm
-        for position_mm in (here_mm - back_mm, here_mm):
-            self._move_z(position_mm, TAP_mm_s)
-            self._loop(TAP_S, self._look_on)
-        self.taken.tapped_s = self._since_s()
-
     def slide(self) -> None:
         """Drag the skin along x under the held normal force, and hold it a moment longer."""
         settings, taken = self.settings, self.taken
-        self._x_commanded, self._sliding = settings.end_mm, True
+        self._x_commanded, self._in_motion = settings.end_mm, True
         pull = self._ramp() if settings.loading == "ramp" else self._steadily
         self._await_tick()
-        taken.slide_from_s = self._since_s()
+        taken.motion_from_s = self._since_s()
         self._servo.slide_begins(self.series.shift)
         self._loop(settings.longest_slide_s, pull)
-        taken.slide_to_s = self._since_s()
+        taken.motion_to_s = self._since_s()
         if self.series.shift is None:
             self.series.shift = self._servo.shift
         self.x.stop()
         self._loop(AFTER_S, self._hold)
-        self._sliding = False
+        self._in_motion = False
 
     def _steadily(self, tick: Tick) -> bool:
         """Have x slide to its end; hold F_n."""
@@ -287,139 +106,6 @@ class Trial:
         """Whether x has not arrived; looked at now and then."""
         return (tick.number + 1) % self._moving_every != 0 or self.x.moving()
 
-    def lift(self) -> None:
-        """Off the plate."""
-        self.z.stop()
-        self.z.move_to(self.fixture.parked_mm, TRAVEL_mm_s)
-
-    # --- a tick ---------------------------------------------------------------------------------
-
-    def _loop(self, longest_s: float, on_tick: Callable[[Tick], bool]) -> None:
-        self._await_tick()
-        begin_s, tick_Hz = self.run.clock.now(), self.settings.tick_Hz
-        done = tick_loop(self.run, tick_Hz, longest_s, on_tick)
-        self._next_tick_s = begin_s + done.ticks / tick_Hz
-        self.taken.loops.append(done)
-
-    def _await_tick(self) -> None:
-        """Until the next tick is due: one loop follows another as one tick the other."""
-        self.run.clock.sleep(max(0.0, self._next_tick_s - self.run.clock.now()))
-
-    def _since_s(self) -> float:
-        """Since the record began."""
-        return self.run.clock.now() - self.taken.begun_s
-
-    def _hold(self, tick: Tick, look: bool = False) -> bool:
-        """Move z by what the force asks for; `look`: ask the stages where they are in any case."""
-        step = self._servo.step(self._collect(look or tick.number % self._look_every == 0))
-        self._move_z(self._z_commanded + step.increment_mm, step.speed_mm_s)
-        return True
-
-    def _look_on(self, tick: Tick) -> bool:
-        """Leave z to itself."""
-        self._collect(tick.number % self._look_every == 0)
-        return True
-
-    def _collect(self, look: bool = True) -> float:
-        """The latest force along z. A `look` asks the stages where they are, x while it may move,
-        and records what they, force sensor and DAQ have said since the last, if there is a record.
-        """
-        if look:
-            self._z_mm = self.z.position_mm()
-            if self._sliding:
-                self._x_mm = self.x.position_mm()
-        if look and self._recording:
-            self._collect_blocks()
-            self._collect_frames()
-            self._record_position()
-        force_N = self.run.force.mean_N(LOOK_S)
-        self._tangential_N = float(force_N[0])
-        return float(force_N[2])
-
-    def _record_position(self) -> None:
-        here = (self._z_mm, self._x_mm, self._z_commanded, self._x_commanded)
-        taken, now_s = self.taken, self._since_s()
-        self.run.put("ticks", len(taken.position), np.array([[now_s]]), None, units="s")
-        self.run.put("position", len(taken.position), np.array([here]), None, units="mm")
-        taken.position.append((now_s, *here))
-
-    def _rows_by_now(self) -> float:
-        """How many rows the DAQ may have sampled, its clock running ahead of ours perhaps."""
-        return self._since_s() * self.settings.rate_S_s * (1 + CLOCKS_DIFFER)
-
-    def _take_block(self) -> bool:
-        """A block of the DAQ; whether it had one."""
-        record = self._samples.read()
-        if record is None:
-            return False
-        self.run.emit("strips", record)
-        self.taken.rows += len(record.counts)
-        volts = np.stack([record.volts(name) for name in STRIPS], axis=1)
-        self._signals(self._decimator.add(volts))
-        return True
-
-    def _collect_blocks(self) -> None:
-        """Those that may be there, of many a few."""
-        for _ in range(BLOCKS_A_TICK):
-            due = self.taken.rows + self.settings.block_samples <= self._rows_by_now()
-            if not due or not self._take_block():
-                return
-
-    def _collect_rest(self) -> None:
-        """Every block of what has been sampled until now, each a sign of life."""
-        sampled = self._rows_by_now()
-        while self.taken.rows < sampled and self._take_block():
-            self.run.check_stop()
-
-    def _collect_frames(self) -> None:
-        """What the force sensor has sent."""
-        run, taken = self.run, self.taken
-        frames = run.force.frames_since(self._first_frame + taken.frames)
-        if frames is not None:
-            first, taken.frames = taken.frames, taken.frames + len(frames)
-            run.put("bridges", first, frames.raw, FORCE_RATE_S_S, units="mV/V")
-            # The sensor's z points up out of the plate: what presses on it is F_n.
-            newton = np.ascontiguousarray(frames.force_N[:, [2, 0, 1]])
-            run.put("force", first, newton, FORCE_RATE_S_S, units="N")
-            taken.force.append(newton)
-
-    def _signals(self, volts: npt.NDArray[np.float64]) -> None:
-        if not len(volts):
-            return
-        rows = np.column_stack([volts[:, 0] - volts[:, 1], volts])
-        self.run.put("signals", self.taken.signal_rows, rows, DECIMATED_Hz, units="V")
-        self.taken.signal_rows += len(rows)
-        self.taken.volts.append(volts)
-
-    def _force_N(self) -> float:  # noqa: N802 - the unit keeps its capital
-        return felt_N(self.run, LOOK_S)
-
-    def _move_z(self, position_mm: float, speed_mm_s: float) -> None:
-        reach = self.z.reach()
-        require("position under the force", position_mm, reach["position"])
-        self._z_commanded = position_mm
-        self.z.start_move(position_mm, min(max(speed_mm_s, SLOWEST_mm_s), reach["speed"].high))
-
-    # --- what can be wrong ----------------------------------------------------------------------
-
-    def _refuse_no_force(self, touched: bool) -> None:
-        here_mm, force_N = self.z.position_mm(), self._force_N()
-        if touched:
-            raise InstrumentError(
-                "stage_z",
-                "press",
-                f"{force_N:.3g} N at {here_mm:.3f} mm, {self.settings.normal_force_N:g} N wanted",
-                "look at the skin and the plate; correct contact_to_mm if it may go further",
-            )
-        check = "the plate lies on the force sensor and that the sensor is connected"
-        raise nothing_felt(self.run, force_N, CONTACT_N, check)
-
-    # --- what it shows --------------------------------------------------------------------------
-
     def reading(self) -> Reading:
-        """Load rates, figures of the trial, and why it does not count if it does not."""
-        taken, scales = self.taken, self.series.scales
-        if scales:
-            rates = taken.load_rates(scales)
-            self.run.put("load_rate", 0, rates, DECIMATED_Hz, units="N/s")
-        return reading_of(self.run, taken) | taken.load_scales(scales)
+        """Figures of the trial, and why it does not count if it does not."""
+        return reading_of(self.run, self.taken) | self._load_rates()

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from measured import heading, row, target
 
-from procedures import slip_taking, slip_trial
+from procedures import pressed_trial, slip_trial
 from rig.bench import read_bench
 from rig.clock import WallClock
 from rig.recording.runfile import RunFile
@@ -193,7 +193,7 @@ def run_timed(folder, bench_file):
 
         return loop.tick_loop(run, rate_Hz, duration_s, tick)
 
-    slip_taking.tick_loop = timed
+    pressed_trial.tick_loop = timed
     settings = slip_trial.Settings(tick_Hz=RATE_Hz, distance_mm=2.0, trials=2)
     job = Job(procedure=slip_trial, settings=settings, seed=0, results=folder)
     outcome = execute(job, read_bench(bench_file), WallClock(), StopFlag(), Silent())

@@ -1,0 +1,130 @@
+"""What trials with the skin pressed on an object have in common: settings, expectations, arming.
+
+The skin hangs on the x-z stage above the object, which stands on the force sensor. A trial goes
+down until the object is felt, brings the normal force up and holds it by a servo on z while
+something moves, and lifts off. Whatever ends it, what moves stops first, then z goes up.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pydantic import Field, model_validator
+
+from procedures.contact import contact_range_mm, park, unload
+from rig.bench import STRIPS
+from rig.errors import RigError
+from rig.instruments import Acquisition, InputChannel
+from rig.settings import Settings as BaseSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rig.runner.run import Run
+
+FORCE_RATE_S_S = 1000.0
+"""Frames of the force sensor (paper 4.1)."""
+DELAY_S = 0.004
+"""From a command to the first force that shows it: link 1 ms, half a frame, half a look, the
+rubber's relaxation. Two milliseconds too much ring at 500 Hz (decision 0038)."""
+WAY_S, SEARCHED_mm = 3.5, 0.6
+"""Expected of the way to the held force and back where the place of the contact is known, and of
+the search where it is not."""
+
+
+class PressedSettings(BaseSettings):
+    """What any trial with the skin pressed on an object may be asked for."""
+
+    normal_force_N: float = Field(default=4.0, gt=0)
+    """Normal force, held by the servo (paper 2.2: all nine ridges touch at 4 N)."""
+    acceleration_mm_s2: float = Field(default=200.0, gt=0)
+    """Of the stages, as their drives are set."""
+    rest_s: float = Field(default=0.3, ge=0, le=60)
+    """Rest under the held force, before the motion."""
+    trials: int = Field(default=1, ge=1, le=10_000, json_schema_extra={"short": "-n"})
+    """How many trials are made."""
+    retry_invalid: int = Field(default=0, ge=0, le=100)
+    """How often a trial that does not count is made again."""
+    force_error_rms_percent: float = Field(default=2.0, gt=0)
+    """Error of the normal force during the motion, rms, beyond which a trial does not count."""
+    force_error_peak_percent: float = Field(default=5.0, gt=0)
+    """Its largest error beyond which a trial does not count."""
+    late_ticks_percent: float = Field(default=1.0, ge=0, le=100)
+    """Share of late ticks beyond which a trial does not count."""
+    largest_force_N: float = Field(default=15.0, gt=0)
+    """Force along any axis at which everything stops."""
+    tick_Hz: float = Field(default=100.0, ge=20, le=500)
+    """Ticks of the servo."""
+    rate_S_s: float = Field(default=10e3, ge=10e3, le=50e3)
+    """Sampling rate of the strips; a whole multiple of 1000."""
+    block_s: float = Field(default=0.02, ge=0.002, le=0.2)
+    """Of the strips' samples: as long as they may be old when they are seen during the trial."""
+    range_V: float = Field(default=1.25, gt=0)
+    """Input range of the strips' channels, bipolar."""
+    object: str = ""
+    """What the skin is pressed on."""
+
+    @model_validator(mode="after")
+    def _can_be_held(self) -> PressedSettings:
+        if self.normal_force_N >= self.largest_force_N:
+            raise ValueError(
+                f"normal_force_N {self.normal_force_N:g} is not below largest_force_N "
+                f"{self.largest_force_N:g}"
+            )
+        if self.rate_S_s % 1000:
+            raise ValueError(f"rate_S_s {self.rate_S_s:g} is not a whole multiple of 1000")
+        return self
+
+    @property
+    def block_samples(self) -> int:
+        """Of the DAQ."""
+        return round(self.rate_S_s * self.block_s)
+
+    @property
+    def acquisition(self) -> Acquisition:
+        """Of the strips."""
+        channels = tuple(InputChannel(name, self.range_V) for name in STRIPS)
+        return Acquisition(channels, self.rate_S_s, self.block_samples)
+
+    @property
+    def search_s(self) -> float:
+        """Expected of the search for a contact whose place is not known."""
+        from rig.runner.approach import TOUCH, search_speed_mm_s
+
+        return SEARCHED_mm / search_speed_mm_s(
+            TOUCH * self.normal_force_N, DELAY_S + 1 / self.tick_Hz, self.acceleration_mm_s2
+        )
+
+
+def import_what_a_trial_needs() -> None:
+    """What takes seconds to import: never while something is switched on."""
+    import scipy.interpolate
+    import scipy.ndimage
+    import scipy.optimize
+    import scipy.special  # noqa: F401
+
+
+def arm_pressed(run: Run, what: str, stop: Callable[[], None], at_once: Callable[[], None]) -> None:
+    """Watch the force; have the end of everything known before it begins; park.
+
+    `what` moves under the held force; it is ended by `stop`, or `at_once` where a watcher acts.
+    """
+    bench, settings = run.bench, run.settings
+    contact_range_mm(bench)  # a fixture that does not say it is refused before anything happens
+    run.stream_force(FORCE_RATE_S_S)
+    run.force.watch(settings.largest_force_N)
+    run.arm("acquisition", bench.daq.stop)  # last: a DAQ that hangs keeps no skin pressed
+    run.arm(what, stop, at_once=at_once)
+    stop()
+    park(run, "normal force", lambda: _lift(run, what, stop))
+    if not bench.stage_x.homed():  # only now: the skin is clear of everything
+        bench.stage_x.home()
+
+
+def _lift(run: Run, what: str, stop: Callable[[], None]) -> None:
+    """Stop, what moves first; then away from the object, if the drive still can."""
+    try:
+        stop()
+    except RigError as error:  # its own off says so, too: up is what matters here
+        run.event("warning", f"{what}-not-stopped", error.one_line())
+    unload(run, "skin")
