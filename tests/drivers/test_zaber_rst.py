@@ -364,6 +364,18 @@ def test_a_move_whose_answer_is_lost_is_not_repeated_and_still_watched() -> None
         assert it.angle == pytest.approx(10.0, abs=TURNED_deg)
 
 
+def test_a_turn_whose_program_is_gone_ends_at_its_target() -> None:
+    """The stage has no communication time-out: its own limits bound what it does unwatched."""
+    with service() as it:
+        axis = it.homed()
+        axis.start_turn(10.0, 5.0, 100.0)
+        axis.close()
+        it.clock._pass(20.0)
+        assert it.angle == pytest.approx(10.0, abs=TURNED_deg)
+        zaber_rst.make_safe(it.settings)
+        assert it.speed == 0
+
+
 def test_a_stage_without_encoder_is_read_by_its_own_count() -> None:
     with service(stage={"encoder": False}) as it:
         axis = it.homed()
