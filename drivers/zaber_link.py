@@ -1,7 +1,8 @@
 """A conversation with one device on a Zaber chain that takes nothing for an answer but its answer.
 
 What is sent and received, nothing about motion. The port is a serial one, or ``socket://host:port``
-for a chain on the network. Every command is sent once: whether a repetition is harmless, only the
+for a chain on the network; that one is no pyserial port, whose sockets take 0.3 s to close and 5 s
+to find nobody there. Every command is sent once: whether a repetition is harmless, only the
 caller knows. An answer has the command's id, its device and axis, and a check that fits; a late or
 doubled one has another id and is passed over. After a time-out, or a line that cannot be read, the
 port is closed and the next command opens it anew, with what had been left in it thrown away.
@@ -10,10 +11,12 @@ port is closed and the next command opens it anew, with what had been left in it
 from __future__ import annotations
 
 import contextlib
+import socket
 import threading
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Protocol
+from urllib.parse import urlsplit
 
 from drivers import zaber_frames
 from drivers.zaber_frames import FrameError, Reply
@@ -26,6 +29,72 @@ READ_WAIT_S = 0.005
 """Longest wait for bytes in one read: by so much a time-out may be late."""
 LONGEST_LINE = 1024
 """Bytes without a line's end that are no message any more."""
+SOCKET = "socket://"
+READ_BYTES = 4096
+
+
+class _Port(Protocol):
+    """What bytes go through."""
+
+    def write(self, data: bytes) -> None:
+        """Send it; OSError where that fails."""
+        ...
+
+    def read(self) -> bytes:
+        """What has come; waits for `READ_WAIT_S` where nothing has."""
+        ...
+
+    def close(self) -> None:
+        """Let go of it."""
+        ...
+
+
+class _SerialPort:
+    """A serial port; nobody else may have it meanwhile, and what waits in it is dropped."""
+
+    def __init__(self, path: str, baudrate: int, timeout_s: float):
+        import serial
+
+        self._port = serial.Serial(
+            path, baudrate, timeout=READ_WAIT_S, write_timeout=timeout_s, exclusive=True
+        )
+        self._port.reset_input_buffer()
+
+    def write(self, data: bytes) -> None:
+        self._port.write(data)
+
+    def read(self) -> bytes:
+        return bytes(self._port.read(self._port.in_waiting or 1))
+
+    def close(self) -> None:
+        self._port.close()
+
+
+class _TcpPort:
+    """A chain's TCP port."""
+
+    def __init__(self, url: str, timeout_s: float):
+        where = urlsplit(url)
+        self._socket = socket.create_connection((where.hostname or "", where.port or 0), timeout_s)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._timeout_s = timeout_s
+
+    def write(self, data: bytes) -> None:
+        self._socket.settimeout(self._timeout_s)
+        self._socket.sendall(data)
+        self._socket.settimeout(READ_WAIT_S)
+
+    def read(self) -> bytes:
+        try:
+            data = self._socket.recv(READ_BYTES)
+        except TimeoutError:
+            return b""
+        if not data:
+            raise ConnectionResetError("it was closed at the other end")
+        return data
+
+    def close(self) -> None:
+        self._socket.close()
 
 
 class ZaberLink:
@@ -46,7 +115,7 @@ class ZaberLink:
         self._timeout_s = timeout_s
         self._clock = clock
         self._lock = threading.RLock()
-        self._port: Any = None
+        self._port: _Port | None = None
         self._input = bytearray()
         self._last_id = 0
 
@@ -94,38 +163,28 @@ class ZaberLink:
     def _transact(self, axis: int, words: str) -> Reply:
         deadline = time.monotonic() + self._timeout_s
         if self._port is None:
-            self._open()
+            tcp = self._path.startswith(SOCKET)
+            self._port = (
+                _TcpPort(self._path, self._timeout_s)
+                if tcp
+                else _SerialPort(self._path, self._baudrate, self._timeout_s)
+            )
         self._last_id = (self._last_id + 1) % zaber_frames.IDS
-        sent = zaber_frames.command(self._device, axis, self._last_id, words)
-        self._port.write(sent)
+        self._port.write(zaber_frames.command(self._device, axis, self._last_id, words))
         wanted = (self._device, axis, self._last_id)
         while True:
-            reply = zaber_frames.reply(self._line(deadline))
+            reply = zaber_frames.reply(self._line(self._port, deadline))
             if reply is not None and (reply.device, reply.axis, reply.message_id) == wanted:
                 return reply
 
-    def _open(self) -> None:
-        """Open the port and drop what waits in it; nobody else may have a serial one meanwhile."""
-        import serial
-
-        port = serial.serial_for_url(
-            self._path,
-            self._baudrate,
-            timeout=READ_WAIT_S,
-            write_timeout=self._timeout_s,
-            exclusive=True,
-        )
-        self._port = port
-        port.reset_input_buffer()
-
-    def _line(self, deadline: float) -> bytes:
+    def _line(self, port: _Port, deadline: float) -> bytes:
         """The next line; TimeoutError where none has come by the deadline."""
         while (end := self._input.find(b"\n")) < 0:
             if len(self._input) > LONGEST_LINE:
                 raise FrameError(f"{len(self._input)} bytes without an end")
             if time.monotonic() > deadline:
                 raise TimeoutError
-            self._input += self._port.read(self._port.in_waiting or 1)
+            self._input += port.read()
         line = bytes(self._input[: end + 1])
         del self._input[: end + 1]
         return line

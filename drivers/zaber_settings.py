@@ -19,6 +19,7 @@ first bench; all of it stands here or is named here:
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, Self
@@ -34,6 +35,7 @@ ACCELERATION_DATA = 1.6384e-4
 OLDEST_FIRMWARE = (7, 25)
 """The first whose ``move abs`` takes a speed and an acceleration."""
 LARGEST_DATA = 2**31 - 1
+_NETWORK = re.compile(r"socket://[\w.-]+:\d{1,5}")
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ FLAGS: Mapping[str, Meaning] = {
     "WT": Meaning("controller too hot", "let it cool"),
     "WS": Meaning("stalled, and went on", _BLOCKED),
     "WM": Meaning("pushed away while it stood", _HAND),
-    "WR": Meaning("it has lost its reference", "home it"),
+    "WR": Meaning("it has no reference: not homed, or lost", "home it"),
     "WH": Meaning("it has not been homed", "home it"),
     "NC": Meaning("somebody has turned its knob", _HAND),
 }
@@ -141,6 +143,8 @@ class Settings(BaseSettings):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        if self.port.startswith("socket:") and not _NETWORK.fullmatch(self.port):
+            raise ValueError("port on the network has to be socket://HOST:NUMBER")
         if not self.low_limit_deg < self.high_limit_deg:
             raise ValueError("low_limit_deg has to be below high_limit_deg")
         if max(abs(self.low_limit_deg), abs(self.high_limit_deg)) / self.microstep_deg > (

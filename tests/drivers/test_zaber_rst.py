@@ -263,6 +263,7 @@ def test_a_stage_that_does_not_tell_its_turn_is_known_by_its_resolution() -> Non
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
+        ({"port": "socket://localhost"}, "socket://HOST:NUMBER"),
         ({"low_limit_deg": 90.0}, "low_limit_deg has to be below"),
         ({"high_limit_deg": 1e6}, "do not fit the stage's numbers"),
         ({"max_speed_deg_s": 1e-5}, "max_speed_deg_s is below"),
@@ -272,7 +273,7 @@ def test_a_stage_that_does_not_tell_its_turn_is_known_by_its_resolution() -> Non
 )
 def test_settings_that_contradict_each_other_are_refused(wrong: dict[str, Any], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
-        Settings(port="x", **{**OWN, **wrong})
+        Settings(**{"port": "COM5", **OWN, **wrong})
 
 
 # --- turning ---------------------------------------------------------------------------------
@@ -461,7 +462,7 @@ def sleep_beside(it: Service, axis: RotaryAxis) -> None:
         ({"kind": "warning-flag", "flag": "FQ"}, "FQ: encoder error"),
         ({"kind": "warning-flag", "flag": "FE"}, "FE: limit sensor"),
         ({"kind": "limit-switch"}, "WL: a limit sensor"),
-        ({"kind": "reference-lost"}, "WR: it has lost its reference"),
+        ({"kind": "reference-lost"}, "WR: it has no reference"),
         ({"kind": "knob"}, "NC: somebody has turned its knob"),
         ({"kind": "runaway"}, "ran past its target"),
     ],

@@ -472,7 +472,7 @@ def _turn_unhomed(stage: Any, service: Any) -> None:
     assert not service.truth("homed")
     assert not stage.homed()
     for act in (stage.start_turn, stage.turn_to):
-        _refused(stage, service, lambda act=act: act(10.0, 10.0, 100.0), "home")
+        _refused(stage, service, lambda act=act: act(10.0, 10.0, 100.0), "homed")
 
 
 def _turn_after_make_safe(stage: Any, service: Any) -> None:
