@@ -44,12 +44,13 @@ from rig.instruments import (
     Instrument,
     LinearStage,
     Reach,
+    RotaryStage,
     SignalGenerator,
 )
 from rig.keep_alives import KeepAlives
 from rig.settings import Settings
 
-ROLES = ("generator", "daq", "stage_z", "stage_x", "force_sensor")
+ROLES = ("generator", "daq", "stage_z", "stage_x", "rotary", "force_sensor")
 
 WIRING = ("resource", "timeout_s", "channels", "host", "port", "unit_id", "matrix_N_mV_V")
 """Settings of a driver that say where an instrument is and what is wired to it."""
@@ -263,6 +264,11 @@ class Bench:
     def stage_x(self) -> LinearStage:
         """The x stage; ConfigurationError where the bench has none."""
         return self._role("stage_x")  # type: ignore[return-value]
+
+    @property
+    def rotary(self) -> RotaryStage:
+        """The rotary stage; ConfigurationError where the bench has none."""
+        return self._role("rotary")  # type: ignore[return-value]
 
     @property
     def force_sensor(self) -> ForceSensor:

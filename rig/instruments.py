@@ -216,6 +216,55 @@ class LinearStage(Instrument, Protocol):
         ...
 
 
+class RotaryStage(Instrument, Protocol):
+    """One rotary axis. Waiting happens on the bench clock; angles in deg, speeds in deg/s.
+
+    `reach` holds ``angle``, ``speed`` and ``acceleration``. A stage that has not been homed, or
+    that was turned by hand since, refuses to turn until it has been.
+    """
+
+    def homed(self) -> bool:
+        """Whether the stage knows where it is, and nobody has turned it by hand since."""
+        ...
+
+    def home(self) -> None:
+        """Acknowledge what the stage has reported, find the reference and wait for it."""
+        ...
+
+    def angle_deg(self) -> float:
+        """The measured angle, asked from the stage."""
+        ...
+
+    def start_turn(self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> None:
+        """Begin to turn there along a trapezoid of speed, or change the turn under way.
+
+        The stage makes the profile itself: it speeds up and brakes with the acceleration and stands
+        at the angle in the end. A turn under way goes over into the new one from the speed that it
+        has, without a stop between; where the new angle lies behind, or too near to brake for, the
+        stage passes it, stops and comes back. So a profile that is given as data can be streamed as
+        set points, up to 100 a second; should they cease, the stage stands at the last one.
+        Saying the same twice asks for nothing new.
+        """
+        ...
+
+    def moving(self) -> bool:
+        """Whether a turn is under way; a fault, or one that ended elsewhere, raises."""
+        ...
+
+    def turn_to(self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> None:
+        """Turn there, wait, and verify by measured angle."""
+        ...
+
+    def stop(self) -> None:
+        """Stop the stage and wait until it is at rest; a stage made safe may turn afterwards."""
+        ...
+
+    def keep_alive(self) -> None:
+        """One look at status and warnings: a fault, a stall, a lost reference or a hand at the knob
+        raises InstrumentError, once when it appears."""
+        ...
+
+
 @dataclass(frozen=True)
 class ForceFrames:
     """Consecutive frames of a force sensor."""

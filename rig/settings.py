@@ -26,6 +26,7 @@ UNIT_BY_SUFFIX: dict[str, str] = {
     "mm_s2": "mm/s^2",
     "N_s": "N/s",
     "mm_s": "mm/s",
+    "deg_s2": "deg/s^2",
     "deg_s": "deg/s",
     "dB_decade": "dB/decade",
     "S_s": "1/s",

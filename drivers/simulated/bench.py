@@ -340,11 +340,18 @@ def _read_world(options: Options) -> WorldSettings:
 
 
 def _read_faults(options: Options) -> FaultPlan:
-    from drivers.simulated.fault_plan import DEVICES, DISK, GENERATOR, STAGE_X, FaultPlan
+    from drivers.simulated.fault_plan import (
+        DEVICES,
+        DISK,
+        GENERATOR,
+        ROTARY,
+        STAGE_X,
+        FaultPlan,
+    )
 
     if options.fault is None:
         return FaultPlan()
-    missing = {"film-clamp": {STAGE_X}, "plate": {GENERATOR}}.get(options.fixture, set())
+    missing = {"film-clamp": {STAGE_X}, "plate": {GENERATOR}}.get(options.fixture, set()) | {ROTARY}
     if not options.slaved:
         missing.add(DISK)  # whoever records is another process
     return FaultPlan.read(Path(options.fault), [name for name in DEVICES if name not in missing])

@@ -37,12 +37,13 @@ from rig.errors import ConfigurationError, shortened
 from rig.settings import Settings
 
 GENERATOR, DAQ, STAGE_Z, STAGE_X = "generator", "daq", "stage_z", "stage_x"
+ROTARY = "rotary"
 FORCE_SENSOR, FORCE_STREAM = "force_sensor", "force_sensor.stream"
 """The amplifier's answers, and the frames that it sends of its own accord."""
 CLOCK, DISK = "clock", "disk"
 STAGES = (STAGE_Z, STAGE_X)
 ON_TCP = (GENERATOR, DAQ, *STAGES)
-ON_A_WIRE = (*ON_TCP, FORCE_SENSOR, FORCE_STREAM)
+ON_A_WIRE = (*ON_TCP, ROTARY, FORCE_SENSOR, FORCE_STREAM)
 DEVICES = (*ON_A_WIRE, CLOCK, DISK)
 LONGEST_AFTER_s = 36_000.0
 
@@ -103,6 +104,14 @@ class ErrorReply(ReplyFault):
     """Its number; 1 to 255 where it is not a SCPI instrument's."""
 
 
+class Rejection(ReplyFault):
+    """The rotary stage rejects a command although it has obeyed."""
+
+    kind: Literal["rejected"]
+    reason: str = Field(default="BADDATA", pattern="^[A-Z]{1,20}$")
+    """What it gives as its reason."""
+
+
 class RefusedConnections(Settings):
     """Nobody listens any more for new connections; those that stand are not disturbed."""
 
@@ -148,6 +157,20 @@ class SlowAxis(_OnMove):
     kind: Literal["slow"]
     share: float = Field(default=0.1, gt=0, lt=1)
     """Of the speed that it is told."""
+
+
+class RaisedFlag(_OnMove):
+    """The rotary stage raises a warning flag; with a fault it brakes."""
+
+    kind: Literal["warning-flag"]
+    flag: str = Field(default="FS", pattern="^[A-Z]{2}$")
+
+
+class TurnedKnob(_OnMove):
+    """Somebody turns the rotary stage by its knob."""
+
+    kind: Literal["knob"]
+    by_deg: float = Field(default=1.0, ge=-360, le=360)
 
 
 class _Timed(Settings):
@@ -221,18 +244,24 @@ class SlowSync(Settings):
 # --- the plan ---------------------------------------------------------------------------------
 
 MoveFault = AxisFault | DriveFault | SlowAxis
+RotaryFault = AxisFault | SlowAxis | RaisedFlag | TurnedKnob
 TimedFault = Spike | SensorFault | Clipped | Overrun | ClockJump
 FileFault = DiskFault | SlowSync
-Fault = WireFault | ErrorReply | RefusedConnections | MoveFault | TimedFault | FileFault
+WireKind = WireFault | ErrorReply | Rejection | RefusedConnections
+Fault = WireKind | MoveFault | RotaryFault | TimedFault | FileFault
 
 BEFALLEN: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("silence", "garbage", "truncate", "stale", "close"), ON_A_WIRE),
-    "double": (DAQ, *STAGES, FORCE_SENSOR),
-    "checksum": (FORCE_SENSOR, FORCE_STREAM),
+    "double": (DAQ, *STAGES, ROTARY, FORCE_SENSOR),
+    "checksum": (ROTARY, FORCE_SENSOR, FORCE_STREAM),
     "error": (*ON_TCP, FORCE_SENSOR),
+    "rejected": (ROTARY,),
     **dict.fromkeys(("reset", "half-open", "refused"), ON_TCP),
-    **dict.fromkeys(get_args(AxisFault.model_fields["kind"].annotation), STAGES),
-    **dict.fromkeys(("drive-fault", "slow"), STAGES),
+    **dict.fromkeys(
+        ("slow", *get_args(AxisFault.model_fields["kind"].annotation)), (*STAGES, ROTARY)
+    ),
+    "drive-fault": STAGES,
+    **dict.fromkeys(("warning-flag", "knob"), (ROTARY,)),
     **dict.fromkeys(("spike", "saturated", "frozen"), (FORCE_SENSOR,)),
     "clipped": (GENERATOR,),
     "overrun": (DAQ,),
@@ -243,7 +272,7 @@ BEFALLEN: dict[str, tuple[str, ...]] = {
 _WHY_NOT = {
     "double": "nothing in its protocol tells a doubled message from the next one",
     "checksum": "its protocol has no checksum of its own",
-    "error": "it answers nothing",
+    "error": "it answers with no error numbers",
     **dict.fromkeys(("reset", "half-open", "refused"), "it is on no TCP connection"),
 }
 F = TypeVar("F")

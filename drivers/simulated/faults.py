@@ -17,12 +17,13 @@ from drivers.simulated.fault_plan import (
     ErrorReply,
     FaultPlan,
     RefusedConnections,
+    Rejection,
     ReplyFault,
     WireFault,
 )
 
 
-def _never(reply: bytes, code: int = 0) -> bytes | None:
+def _never(reply: bytes, code: object = None) -> bytes | None:
     return None
 
 
@@ -32,6 +33,8 @@ class Dialect:
 
     error: Callable[[bytes, int], bytes | None] = _never
     """The reply with an error code in it instead of success."""
+    rejection: Callable[[bytes, str], bytes | None] = _never
+    """The reply as a rejection for a reason in words."""
     checksum: Callable[[bytes], bytes | None] = _never
     """The reply with a wrong check."""
 
@@ -94,6 +97,8 @@ class WireFaults:
     def _can_carry(self, fault: ReplyFault, reply: bytes | None) -> bool:
         if isinstance(fault, ErrorReply):
             return reply is not None and self.dialect.error(reply, fault.code) is not None
+        if isinstance(fault, Rejection):
+            return reply is not None and self.dialect.rejection(reply, fault.reason) is not None
         if _name(fault) == "checksum":
             return reply is not None and self.dialect.checksum(reply) is not None
         return True
@@ -115,6 +120,9 @@ class FaultyLink:
         if isinstance(fault, ErrorReply):
             code = fault.code
             return _spoilt(whole, lambda data: self.faults.dialect.error(data, code))
+        if isinstance(fault, Rejection):
+            reason = fault.reason
+            return _spoilt(whole, lambda data: self.faults.dialect.rejection(data, reason))
         if fault is not None:
             return _KINDS[_name(fault)](self, whole)
         if whole is None:
@@ -124,7 +132,7 @@ class FaultyLink:
 
 
 def _name(fault: ReplyFault) -> str:
-    assert isinstance(fault, WireFault | ErrorReply), "there is no other"
+    assert isinstance(fault, WireFault | ErrorReply | Rejection), "there is no other"
     return fault.kind
 
 

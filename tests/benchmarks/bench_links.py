@@ -25,7 +25,7 @@ from typing import Any
 import pytest
 from measured import heading, row, target
 
-from drivers import festo_cmmt, keysight_33500b, me_gsv8
+from drivers import festo_cmmt, keysight_33500b, me_gsv8, zaber_rst
 from drivers.gsv_frames import request as gsv_request
 from drivers.simulated.fault_plan import FaultPlan, ReplyFault, WireFault
 from drivers.simulated.faults import WireFaults
@@ -34,7 +34,9 @@ from drivers.simulated.keysight_33500b import Keysight33500B
 from drivers.simulated.me_gsv8 import Gsv8
 from drivers.simulated.modbus_tcp import ModbusTcpServer
 from drivers.simulated.serial_server import PtyServer
+from drivers.simulated.serial_tcp import SerialTcpServer
 from drivers.simulated.servers import HislipServer, ScpiSocketServer
+from drivers.simulated.zaber_rst import ZABER_DIALECT, RotaryStage, StageSettings
 from rig.clock import WallClock
 from rig.errors import InstrumentError
 
@@ -47,12 +49,13 @@ pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(14_400)]
 KINDS = ("silence", "garbage", "close", "truncate", "stale")
 """Those that every transport has."""
 FAULTS = int(os.environ.get("RIG_REPEATS", "2500"))
-"""On each of the four transports."""
+"""On each of the transports."""
 STOCK_FAULTS = max(FAULTS // 25, len(KINDS))
 TIMEOUT_S = 0.1
 DEAD_TIMEOUT_S = 0.5
 DEAD_REPEATS = 20
 MOST_TRIES = 20
+ROUND_TRIPS = 2000
 MAILBOX = 500
 SERIAL_NUMBER = 0x1F
 
@@ -86,6 +89,8 @@ class Side(ABC):
     name: str
     request: bytes
     """How the question begins."""
+    kinds: tuple[str, ...] = KINDS
+    """What befalls the answer."""
 
     def __init__(self) -> None:
         self.faults = OneFault(self.request)
@@ -256,11 +261,68 @@ class Amplifier(Side):
         return ask
 
 
+class Stage(Side):
+    """A limit of the rotary stage over a serial line or TCP."""
+
+    request = b"GET LIMIT.MAX"
+    kinds = (*KINDS, "checksum", "double")
+
+    def __init__(self, link: str):
+        super().__init__()
+        self.name = f"Zaber {link}"
+        self.faults.dialect = ZABER_DIALECT
+        bench = IdealBench()
+        self._stage = RotaryStage(StageSettings(), bench)
+        self._server: PtyServer | SerialTcpServer = (
+            PtyServer(self._stage.line(), bench, slaved=True, faults=self.faults)
+            if link == "serial"
+            else SerialTcpServer(self._stage.line, faults=self.faults)
+        )
+
+    @property
+    def server(self) -> Any:
+        return self._server
+
+    @property
+    def port(self) -> str:
+        if isinstance(self._server, PtyServer):
+            return self._server.path
+        return f"socket://127.0.0.1:{self._server.port}"
+
+    def become(self, value: int) -> None:
+        self._stage.values["limit.max"] = value
+
+    def connect(self, timeout_s: float) -> Any:
+        own = zaber_rst.Settings(
+            port=self.port, timeout_s=timeout_s, microstep_deg=0.00015625, low_limit_deg=0,
+            high_limit_deg=90, max_speed_deg_s=20, max_acceleration_deg_s2=200,
+        )  # fmt: skip
+        return zaber_rst.connect(own, WallClock())._link
+
+    def ask(self) -> int:
+        return int(self.link.ask(1, "get limit.max").data)
+
+    def stock(self) -> Callable[[], int]:
+        import serial
+
+        if self.link is not None:
+            self.link.close()
+        port: Any = serial.serial_for_url(self.port, 115_200, timeout=TIMEOUT_S)
+
+        def ask() -> int:
+            port.write(b"/1 1 get limit.max\n")
+            return int(port.readline().split()[5])
+
+        return ask
+
+
 SIDES: dict[str, Callable[[], Side]] = {
     "socket": lambda: Generator("socket"),
     "hislip": lambda: Generator("HiSLIP"),
     "modbus": Drive,
     "serial": Amplifier,
+    "zaber-serial": lambda: Stage("serial"),
+    "zaber-tcp": lambda: Stage("TCP"),
 }
 
 
@@ -311,7 +373,7 @@ def ask_often(
         return what == "right"
 
     for number in range(rounds):
-        once(KINDS[number % len(KINDS)])
+        once(side.kinds[number % len(side.kinds)])
         side.faults.coming = None
         further = 0
         while further < MOST_TRIES and not once(None):
@@ -350,6 +412,21 @@ def test_the_stock_client_beside_it(which: str) -> None:
                 raise
 
         ask_often(side, ask, STOCK_FAULTS, (Exception,)).tell("stock client")
+
+
+@pytest.mark.parametrize("which", SIDES)
+def test_a_question_takes_this_long(which: str) -> None:
+    side = SIDES[which]()
+    heading(f"{side.name}: {ROUND_TRIPS} questions in a row")
+    took_ms = []
+    with side.served():
+        ask = side.ours(DEAD_TIMEOUT_S)
+        side.become(1001)
+        for _ in range(ROUND_TRIPS):
+            begun = time.perf_counter()
+            assert ask() == 1001
+            took_ms.append(1e3 * (time.perf_counter() - begun))
+    row("round trip", took_ms, "ms")
 
 
 @pytest.mark.parametrize("which", SIDES)

@@ -12,6 +12,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,9 @@ from drivers.simulated.me_gsv8 import Gsv8
 from drivers.simulated.modbus_tcp import ModbusTcpServer
 from drivers.simulated.scpi import ScpiInstrument
 from drivers.simulated.serial_server import PtyServer
+from drivers.simulated.serial_tcp import SerialTcpServer
 from drivers.simulated.servers import HislipServer, ScpiSocketServer
+from drivers.simulated.zaber_rst import RotaryStage, StageSettings
 from rig.clock import Clock
 
 from .roles import carried, pressed
@@ -152,6 +155,15 @@ class Case(ABC):
 
     @abstractmethod
     def _serve(self, faults: CountedFaults, identity: tuple[str, str, str, str] | None) -> Any: ...
+
+
+def clients_of(pty: str) -> int:
+    """Descriptors of this process on a pseudo-terminal, without the server's own."""
+    line, found = str(Path(pty).resolve()), 0
+    for descriptor in os.listdir("/proc/self/fd"):  # noqa: PTH208 - names only
+        with suppress(OSError):
+            found += str(Path(f"/proc/self/fd/{descriptor}").readlink()) == line
+    return found - 1
 
 
 class ScpiService(Service):
@@ -356,6 +368,93 @@ class AxisCase(Case):
             yield service
 
 
+# --- a rotary stage on a serial line or TCP --------------------------------------------------
+
+
+class RotaryService(Service):
+    """A simulated X-RST; it homes fast, so that a walk of faults over all its motions is."""
+
+    bench: FreeBench
+
+    def __init__(self, faults: CountedFaults, link: str):
+        super().__init__(faults, FreeBench())
+        self.stage = RotaryStage(
+            StageSettings(start_deg=3.0, homing_speed_deg_s=90.0, acceleration_deg_s2=2000.0),
+            self.bench,
+        )
+        self.server: Any
+        if link == "serial":
+            self.server = PtyServer(self.stage.line(), self.bench, slaved=True, faults=faults)
+        else:
+            self.server = SerialTcpServer(self.stage.line, faults=faults)
+
+    def in_real_time(self) -> AbstractContextManager[None]:
+        """`make_safe` waits until the stage stands."""
+        return self.bench.free()
+
+    def truth(self, what: str) -> Any:
+        """What it really does, and what it knows."""
+        now = self.bench.now_us
+        angle, speed = self.stage.angle_deg(now), self.stage.speed_deg_s(now)
+        homed = not self.stage.flags & {"WR", "WH"}
+        return {"angle": angle, "speed": speed, "homed": homed}[what]
+
+    def at_rest(self) -> bool:
+        """Stands, and has nowhere to go."""
+        return self.truth("speed") == 0 and self.stage.axis.finished(self.bench.now_us)
+
+    def connections(self) -> int:
+        """Who has the line or a TCP connection open."""
+        if isinstance(self.server, SerialTcpServer):
+            return len(self.server.transports)
+        return clients_of(self.place)
+
+
+class RotaryCase(Case):
+    """The X-RST. Of the polls of angle and status, many times the rest, and of the set points of a
+    stream, the first of a step meets the faults."""
+
+    driver = "zaber-rst"
+    alike = (b"get encoder.pos", b"move abs")
+    stranger_told = "device id T-1000, serial number 77"  # it tells no name
+
+    def __init__(self, link: str):
+        self.name = f"rst-{link}"
+        self._link = link
+        if link == "serial":
+            self.exclusive_link = "a serial port belongs to the one who has opened it"
+
+    @contextmanager
+    def _serve(
+        self, faults: CountedFaults, identity: tuple[str, str, str, str] | None
+    ) -> Iterator[Service]:
+        service = RotaryService(faults, self._link)
+        if identity is not None:
+            _, model, number, firmware = identity
+            service.stage.settings = replace(
+                service.stage.settings,
+                device_id=model,
+                serial=number,
+                firmware=firmware,
+                turn_microsteps=0,
+            )
+        with serving(service.server):
+            serial = self._link == "serial"
+            server = service.server
+            service.place = server.path if serial else f"socket://127.0.0.1:{server.port}"
+            service.settings = {
+                "driver": self.driver,
+                "port": service.place,
+                "timeout_s": TIMEOUT_S,
+                "microstep_deg": 0.00015625,
+                "low_limit_deg": -5.0,
+                "high_limit_deg": 90.0,
+                "max_speed_deg_s": 60.0,
+                "max_acceleration_deg_s2": 2000.0,
+            }
+            yield service
+
+
 # --- a force sensor on a serial line ---------------------------------------------------------
 
 
@@ -429,12 +528,8 @@ class AmplifierService(Service):
         return not self.core.streaming
 
     def connections(self) -> int:
-        """Descriptors of this process on the line, without the server's own."""
-        line, found = str(Path(self.place).resolve()), 0
-        for descriptor in os.listdir("/proc/self/fd"):  # noqa: PTH208 - names only
-            with suppress(OSError):
-                found += str(Path(f"/proc/self/fd/{descriptor}").readlink()) == line
-        return found - 1
+        """Who has the line open."""
+        return clients_of(self.place)
 
 
 class AmplifierCase(Case):
@@ -475,5 +570,7 @@ CASES: tuple[Case, ...] = (
     DaqCase("U2331A"),
     DaqCase("U2542A"),
     AxisCase(),
+    RotaryCase("serial"),
+    RotaryCase("tcp"),
     AmplifierCase(),
 )

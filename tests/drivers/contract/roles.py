@@ -26,6 +26,7 @@ from rig.instruments import (
     InputChannel,
     LinearStage,
     Record,
+    RotaryStage,
     SignalGenerator,
 )
 
@@ -354,6 +355,171 @@ STAGE = Role(
 )
 
 
+# --- rotary stage ----------------------------------------------------------------------------
+
+TURNED_deg = 0.02
+SET_POINTS_Hz = 100.0
+
+
+def _home_rotary(stage: Any, service: Any) -> None:
+    stage.home()
+    assert service.truth("homed")
+    assert stage.homed()
+    assert service.at_rest()
+
+
+def _turn_to(angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float = 500.0) -> Step:
+    def act(stage: Any, service: Any) -> None:
+        stage.turn_to(angle_deg, speed_deg_s, acceleration_deg_s2)
+        assert abs(service.truth("angle") - angle_deg) <= TURNED_deg
+        assert service.at_rest()
+
+    return Step(f"turn_to({angle_deg:g}, {speed_deg_s:g})", act)
+
+
+def _angle(stage: Any, service: Any) -> None:
+    assert abs(stage.angle_deg() - service.truth("angle")) < 1e-3
+
+
+def _returned(stage: Any, service: Any) -> None:
+    """There and back by 3.5 deg; the stage makes the trapezoid: speed and angle on its way."""
+    stage.turn_to(10.0, 50.0, 500.0)
+    for end, sign in ((13.5, 1.0), (10.0, -1.0)):
+        begun_s, begun_deg = service.now_s(), service.truth("angle")
+        stage.start_turn(end, 5.0, 20.0)
+        service.sleep(0.45)
+        assert stage.moving()
+        assert abs(service.truth("speed") - sign * 5.0) < 0.05
+        passed_s = service.now_s() - begun_s
+        turned = (service.truth("angle") - begun_deg) * sign
+        assert abs(turned - 5.0 * (passed_s - 0.125)) < 0.02
+        while stage.moving():
+            assert service.now_s() - begun_s < 5.0, "it never arrives"
+            service.sleep(0.02)
+        assert service.now_s() - begun_s > 3.5 / 5.0 + 5.0 / 20.0 - 0.05
+        assert abs(service.truth("angle") - end) <= TURNED_deg
+
+
+def _streamed(stage: Any, service: Any) -> None:
+    """A profile given as data: every 10 ms a set point two steps ahead, at the profile's speed.
+    The stage follows without standing between, and stands at the last one."""
+    stage.turn_to(10.0, 50.0, 500.0)
+    slowest = stage.reach()["speed"].low
+    step_s = 1 / SET_POINTS_Hz
+    profile = 10.0 + 3.5 * np.sin(np.pi / 2 * np.clip(step_s * np.arange(103), 0.0, 1.0)) ** 2
+    for k in range(100):
+        ahead = float(profile[k + 2])
+        speed = max(ahead - float(profile[k]), 0.0) / (2 * step_s)
+        stage.start_turn(ahead, max(speed, slowest), 1000.0)
+        service.sleep(step_s)
+        lag = service.truth("angle") - float(profile[k + 1])
+        assert abs(lag) < 0.05, f"{lag:.3f} deg off at set point {k}"
+        if 5 <= k < 95:
+            assert service.truth("speed") > 0, k
+    while stage.moving():
+        service.sleep(0.02)
+    assert abs(service.truth("angle") - 13.5) <= TURNED_deg
+
+
+def _stop_rotary(stage: Any, service: Any) -> None:
+    stage.start_turn(5.0, 20.0, 500.0)
+    service.sleep(0.05)
+    assert service.truth("speed") != 0
+    stage.stop()
+    assert service.at_rest()
+    assert abs(service.truth("angle") - 5.0) > 1.0
+    assert not stage.moving()
+
+
+def _keep_alive_rotary(stage: Any, service: Any) -> None:
+    """Nothing but keep-alives, and the stage goes on."""
+    stage.start_turn(5.0, 5.0, 500.0)
+    before = service.truth("angle")
+    for _ in range(5):
+        service.clock._pass(FED_s)
+        stage.keep_alive()
+        assert abs(abs(service.truth("speed")) - 5.0) < 0.01
+    assert abs(service.truth("angle") - before) > 2.0
+    stage.stop()
+
+
+def _turn_beyond(stage: Any, service: Any) -> None:
+    stage.stop()
+    angle, speed, acceleration = (
+        stage.reach()[quantity].high for quantity in ("angle", "speed", "acceleration")
+    )
+    for asked in (
+        (angle + 1.0, 1.0, 100.0),
+        (10.0, speed + 1.0, 100.0),
+        (10.0, 0.0, 100.0),
+        (10.0, 1.0, acceleration + 1.0),
+        (10.0, 1.0, 0.0),
+        (float("nan"), 1.0, 100.0),
+    ):
+        with pytest.raises(LimitError):
+            stage.start_turn(*asked)
+    assert service.at_rest()
+
+
+def _rest_from_turn(stage: Any, service: Any) -> None:
+    stage.stop()  # also what lets a stage that was made safe turn again
+    stage.start_turn(20.0, 20.0, 500.0)
+    service.sleep(0.05)
+    _rest_stage(stage, service)
+
+
+def _turn_unhomed(stage: Any, service: Any) -> None:
+    assert not service.truth("homed")
+    assert not stage.homed()
+    for act in (stage.start_turn, stage.turn_to):
+        _refused(stage, service, lambda act=act: act(10.0, 10.0, 100.0), "homed")
+
+
+def _turn_after_make_safe(stage: Any, service: Any) -> None:
+    """A procedure behind its watcher cannot set the stage going again."""
+    _excite_rotary(stage, service)
+    stage.make_safe()
+    _refused(stage, service, lambda: stage.start_turn(60.0, 10.0, 100.0), "made safe")
+    _refused(stage, service, stage.home, "made safe")
+    stage.stop()
+    stage.turn_to(10.0, 50.0, 500.0)
+    assert abs(service.truth("angle") - 10.0) <= TURNED_deg
+
+
+def _excite_rotary(stage: Any, service: Any) -> None:
+    stage.home()
+    stage.start_turn(70.0, 10.0, 500.0)
+    service.sleep(0.1)
+    assert abs(service.truth("speed") - 10.0) < 0.01
+
+
+ROTARY = Role(
+    RotaryStage,
+    frozenset({"angle", "speed", "acceleration"}),
+    (
+        Step("homed() at first", _homed),
+        Step("home()", _home_rotary),
+        Step("homed()", _homed),
+        _turn_to(20, 50),
+        Step("angle_deg()", _angle),
+        Step("start_turn() there and back", _returned),
+        Step("start_turn() in a stream", _streamed),
+        Step("stop()", _stop_rotary),
+        Step("keep_alive()", _keep_alive_rotary),
+        Step("start_turn() beyond reach", _turn_beyond),
+        Step("make_safe() in motion", _rest_from_turn),
+        _turn_to(10, 50),
+        Step("make_safe()", _rest_stage),
+    ),
+    excite=_excite_rotary,
+    attend=lambda stage, service: service.clock.each_slice(stage.keep_alive),
+    apart=(
+        Step("a turn before homing", _turn_unhomed),
+        Step("a turn after make_safe()", _turn_after_make_safe),
+    ),
+)
+
+
 # --- force sensor ----------------------------------------------------------------------------
 
 RATE_S_s = 1000.0
@@ -490,5 +656,6 @@ ROLES: Mapping[str, Role] = {
     "daq": DAQ,
     "stage_z": STAGE,
     "stage_x": STAGE,
+    "rotary": ROTARY,
     "force_sensor": FORCE_SENSOR,
 }

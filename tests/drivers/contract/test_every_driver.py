@@ -300,11 +300,15 @@ def test_another_instrument_is_refused_with_both_names_and_let_go(case: Case) ->
 @EVERY
 def test_make_safe_of_the_module_gets_in_beside_a_live_connection(case: Case) -> None:
     module = case.module()
+    dies = bool(case.exclusive_link and not case.drives_nothing)
+    """Who has it to himself has to be gone before somebody else can come."""
     with case.serve() as service:
-        instrument = connect(case, service)
+        settings = module.Settings.model_validate(service.settings)
+        instrument = module.connect(settings, service.clock) if dies else connect(case, service)
         role_of(case).excite(instrument, service)
         assert not service.at_rest()
-        settings = module.Settings.model_validate(service.settings)
+        if dies:
+            instrument.close()
         for _ in range(2):
             said = service.faults.requests
             with service.in_real_time():
@@ -314,6 +318,8 @@ def test_make_safe_of_the_module_gets_in_beside_a_live_connection(case: Case) ->
                 assert service.faults.requests == said
             else:
                 assert service.at_rest()
+        if dies:
+            instrument = connect(case, service)
         for step in role_of(case).script:  # the live connection is none the worse
             step.act(instrument, service)
         instrument.close()

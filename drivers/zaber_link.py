@@ -1,0 +1,215 @@
+"""A conversation with one device on a Zaber chain that takes nothing for an answer but its answer.
+
+What is sent and received, nothing about motion. The port is a serial one, or ``socket://host:port``
+for a chain on the network; that one is no pyserial port, whose sockets take 0.3 s to close and 5 s
+to find nobody there. Every command is sent once: whether a repetition is harmless, only the
+caller knows. An answer has the command's id, its device and axis, and a check that fits; a late or
+doubled one has another id and is passed over. After a time-out, or a line that cannot be read, the
+port is closed and the next command opens it anew, with what had been left in it thrown away.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
+from urllib.parse import urlsplit
+
+from drivers import zaber_frames
+from drivers.zaber_frames import FrameError, Reply
+from rig.errors import InstrumentError, InstrumentTimeoutError
+
+if TYPE_CHECKING:
+    from rig.clock import Clock
+
+READ_WAIT_S = 0.005
+"""Longest wait for bytes in one read: by so much a time-out may be late."""
+LONGEST_LINE = 1024
+"""Bytes without a line's end that are no message any more."""
+SOCKET = "socket://"
+READ_BYTES = 4096
+
+
+class _Port(Protocol):
+    """What bytes go through."""
+
+    def write(self, data: bytes) -> None:
+        """Send it; OSError where that fails."""
+        ...
+
+    def read(self) -> bytes:
+        """What has come; waits for `READ_WAIT_S` where nothing has."""
+        ...
+
+    def close(self) -> None:
+        """Let go of it."""
+        ...
+
+
+class _SerialPort:
+    """A serial port; nobody else may have it meanwhile, and what waits in it is dropped."""
+
+    def __init__(self, path: str, baudrate: int, timeout_s: float):
+        import serial
+
+        self._port = serial.Serial(
+            path, baudrate, timeout=READ_WAIT_S, write_timeout=timeout_s, exclusive=True
+        )
+        self._port.reset_input_buffer()
+
+    def write(self, data: bytes) -> None:
+        self._port.write(data)
+
+    def read(self) -> bytes:
+        return bytes(self._port.read(self._port.in_waiting or 1))
+
+    def close(self) -> None:
+        self._port.close()
+
+
+class _TcpPort:
+    """A chain's TCP port."""
+
+    def __init__(self, url: str, timeout_s: float):
+        where = urlsplit(url)
+        self._socket = socket.create_connection((where.hostname or "", where.port or 0), timeout_s)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._timeout_s = timeout_s
+
+    def write(self, data: bytes) -> None:
+        self._socket.settimeout(self._timeout_s)
+        self._socket.sendall(data)
+        self._socket.settimeout(READ_WAIT_S)
+
+    def read(self) -> bytes:
+        try:
+            data = self._socket.recv(READ_BYTES)
+        except TimeoutError:
+            return b""
+        if not data:
+            raise ConnectionResetError("it was closed at the other end")
+        return data
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class ZaberLink:
+    """One device's commands and replies; the time-out is wall time.
+
+    `name` is the instrument's in errors. A lock is held for one transaction, never longer.
+    """
+
+    def __init__(
+        self, name: str, port: str, baudrate: int, device: int, timeout_s: float, clock: Clock
+    ):
+        self.name = name
+        self.where = f"device {device} at {port}"
+        self.charging = False
+        """Whether a time-out is being charged to the clock just now."""
+        self._path, self._baudrate = port, baudrate
+        self._device = device
+        self._timeout_s = timeout_s
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._port: _Port | None = None
+        self._input = bytearray()
+        self._last_id = 0
+
+    def ask(
+        self,
+        axis: int,
+        words: str,
+        charge: bool = True,
+        permit: Callable[[], None] = lambda: None,
+    ) -> Reply:
+        """Send one command and return its reply, be it a rejection; `axis` 0 is the device itself.
+
+        `charge` off: a time-out does not move the bench's clock. `permit` is called when it is this
+        command's turn and nothing has been sent; what it raises keeps it from being sent.
+        """
+        import serial
+
+        what = words or "status"
+        try:
+            with self._lock:
+                permit()
+                try:
+                    return self._transact(axis, words)
+                except BaseException:
+                    self.close()
+                    raise
+        except TimeoutError as error:
+            raise self._timed_out(what, charge) from error
+        except FrameError as error:
+            raise self._error(what, f"the answer cannot be read ({error})") from error
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise self._error(what, f"the connection failed ({error})") from error
+
+    def close(self) -> None:
+        """Close the port."""
+        with self._lock:
+            port, self._port = self._port, None
+            self._input.clear()
+        if port is not None:
+            with contextlib.suppress(OSError):
+                port.close()
+
+    # --- one transaction ---------------------------------------------------------------------
+
+    def _transact(self, axis: int, words: str) -> Reply:
+        deadline = time.monotonic() + self._timeout_s
+        if self._port is None:
+            tcp = self._path.startswith(SOCKET)
+            self._port = (
+                _TcpPort(self._path, self._timeout_s)
+                if tcp
+                else _SerialPort(self._path, self._baudrate, self._timeout_s)
+            )
+        self._last_id = (self._last_id + 1) % zaber_frames.IDS
+        self._port.write(zaber_frames.command(self._device, axis, self._last_id, words))
+        wanted = (self._device, axis, self._last_id)
+        while True:
+            reply = zaber_frames.reply(self._line(self._port, deadline))
+            if reply is not None and (reply.device, reply.axis, reply.message_id) == wanted:
+                return reply
+
+    def _line(self, port: _Port, deadline: float) -> bytes:
+        """The next line; TimeoutError where none has come by the deadline."""
+        while (end := self._input.find(b"\n")) < 0:
+            if len(self._input) > LONGEST_LINE:
+                raise FrameError(f"{len(self._input)} bytes without an end")
+            if time.monotonic() > deadline:
+                raise TimeoutError
+            self._input += port.read()
+        line = bytes(self._input[: end + 1])
+        del self._input[: end + 1]
+        return line
+
+    # --- what goes wrong ---------------------------------------------------------------------
+
+    def _timed_out(self, what: str, charge: bool) -> InstrumentTimeoutError:
+        """A time-out is wall time; the bench's clock has to hear of it, once."""
+        if charge and not self.charging:
+            self.charging = True
+            try:
+                with contextlib.suppress(InstrumentError):  # the time-out itself is the news
+                    self._clock.charge(self._timeout_s)
+            finally:
+                self.charging = False
+        return InstrumentTimeoutError(
+            self.name, what, f"no answer within {self._timeout_s:g} s", self._remedy
+        )
+
+    def _error(self, what: str, cause: str) -> InstrumentError:
+        return InstrumentError(self.name, what, cause, self._remedy)
+
+    @property
+    def _remedy(self) -> str:
+        return (
+            f"check that {self.where} is switched on and connected, that it speaks Zaber ASCII at "
+            f"{self._baudrate} baud, and that nothing else talks to it"
+        )

@@ -1,0 +1,543 @@
+"""Zaber X-RST rotary stage as a RotaryStage, in Zaber ASCII over a serial line or TCP.
+
+What keeps a lost, doubled or late line from becoming a motion:
+
+* only absolute angles are sent: a command that arrives twice asks for nothing new, and nothing is
+  ever repeated here but a stop;
+* speed and acceleration travel with the target in one command, so that no line that is lost
+  between them turns the stage at another speed;
+* every answer is known by its id and check (`zaber_link`);
+* after `make_safe` no command that could turn the stage is sent until `stop` was called: a
+  procedure that is a few lines behind its watcher cannot set it going again;
+* keep-alives only ask.
+
+The stage has no communication time-out of its own [not confirmed]: when nobody talks to it any
+more, a turn goes on to its target, within the limits of angle, speed and acceleration that are set
+in the stage at connect. A longer stretch is told it in pieces by whoever streams set points.
+
+Every answer carries the gravest warning flag. One of them, once seen, keeps the stage from turning
+until `home` has acknowledged it: a knob's flag goes by itself with the next command to move, but
+what was aligned before may not be any more. What else is not confirmed stands in `zaber_settings`.
+
+Source: traffic of the vendor's client zaber-motion 10.2.0.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Callable, Mapping
+
+from drivers.zaber_frames import Reply
+from drivers.zaber_link import ZaberLink
+from drivers.zaber_settings import (
+    FLAGS,
+    NOT_REFERENCED,
+    NOTES,
+    OLDEST_FIRMWARE,
+    REASONS,
+    UNKNOWN_FLAG,
+    UNKNOWN_REASON,
+    Settings,
+)
+from rig.clock import Clock, WallClock
+from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
+from rig.instruments import Identity, Reach
+
+__all__ = ["ROLES", "RotaryAxis", "Settings", "connect", "make_safe"]
+
+ROLES = ("rotary",)
+
+DEVICE = "rotary"
+THE_DEVICE = 0
+"""The axis number that means the whole device."""
+FULL_TURN_deg = 360.0
+POLL_S = 0.02
+KEEP_ALIVE_S = 0.05
+"""How old the last answer may become before a keep-alive asks: at 115200 baud an exchange takes 5
+to 10 ms, which a stream of set points needs for itself."""
+SETTLING_S = 1.0
+"""What a motion may take beyond its profile."""
+SETTLED_S = 0.2
+"""How long a stage that reports no motion may stand beside its target, for its loop to settle."""
+PAST_deg = 0.1
+"""How far beyond its target a stage may be seen that has come to it from rest."""
+
+_NUMBER = re.compile(r"-?\d+(\.\d+)?")
+_LOOK = "look at the stage and at what is mounted on it"
+
+
+class RotaryAxis:
+    """One axis. `connect` has identified it and set its limits.
+
+    One thread commands motions; any thread may call `make_safe` at any time.
+    """
+
+    def __init__(self, settings: Settings, clock: Clock):
+        self._settings = settings
+        self._clock = clock
+        self._link = ZaberLink(
+            DEVICE,
+            settings.port,
+            settings.baudrate,
+            settings.device,
+            settings.timeout_s,
+            clock,
+        )
+        self._identity: Identity | None = None
+        self._position = "pos"
+        """The setting that tells the angle: the encoder's, where there is one."""
+        self._made_safe = 0
+        """How often the stage was made safe, and how many of these a stop has answered."""
+        self._rearmed = 0
+        self._referenced = False
+        self._disturbed = ""
+        """The flag that keeps it from turning until it is homed."""
+        self._halting = False
+        self._seen_deg = 0.0
+        self._seen_busy = False
+        self._seen_at_s = -math.inf
+        self._idle_from_s = math.inf
+        """Since when it has reported no motion; infinite while it moves."""
+        self._target_deg: float | None = None
+        """Where the turn under way ends."""
+        self._way = 0
+        """In which direction: 1, -1, or 0 where it stood there."""
+        self._past_deg = PAST_deg
+        """How far beyond the target it may be seen."""
+        self._full_stop_s = settings.max_speed_deg_s / settings.max_acceleration_deg_s2
+        self._braking_s = self._full_stop_s
+        """What a stop takes at most: it may brake with the turn's own acceleration."""
+        self._arrive_by_s = 0.0
+
+    # --- the role -----------------------------------------------------------------------------
+
+    @property
+    def identity(self) -> Identity:
+        """Who answered at connect."""
+        assert self._identity is not None, "connect() identifies before anything else"
+        return self._identity
+
+    def reach(self) -> Mapping[str, Reach]:
+        """Angle, speed and acceleration that the bench file allows."""
+        own, owner = self._settings, f"{DEVICE} {self.identity.model}"
+        return {
+            "angle": Reach(own.low_limit_deg, own.high_limit_deg, "deg", owner),
+            "speed": Reach(own.lowest_speed_deg_s, own.max_speed_deg_s, "deg/s", owner),
+            "acceleration": Reach(
+                own.lowest_acceleration_deg_s2, own.max_acceleration_deg_s2, "deg/s^2", owner
+            ),
+        }
+
+    def homed(self) -> bool:
+        """Whether it has a reference and nothing has put that in doubt since."""
+        return not self._doubts()
+
+    def home(self) -> None:
+        """Acknowledge the stage's flags, find the reference and wait for it.
+
+        InstrumentError where a flag stands on or appears meanwhile.
+        """
+        self._halt()
+        self._move("warnings clear", "home")
+        self._referenced, self._disturbed = False, ""
+        self._move("home", "home")
+        give_up = self._clock.now() + self._settings.homing_timeout_s
+        while self._look():
+            self._refuse_if_made_safe("home")
+            if self._clock.now() > give_up:
+                raise self._error(
+                    "home", f"still searches after {self._settings.homing_timeout_s:g} s", _LOOK
+                )
+            self._clock.sleep(POLL_S)
+        if left := self._doubts():
+            raise self._flagged("home", left)
+        self._referenced = True
+
+    def angle_deg(self) -> float:
+        """The angle by the encoder; without one, the angle that the stage has counted."""
+        self._look()
+        return self._seen_deg
+
+    def start_turn(self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> None:
+        """Begin to turn there, or change the turn under way; LimitError outside `reach`.
+
+        From rest the flags are asked for first. A turn under way is changed by one command, whose
+        answer tells the flags as well: one that it brings stops the stage. What came and went since
+        the last keep-alive is not seen, and a hand at the knob is overruled by the next set point.
+        """
+        self._require_reach(angle_deg, speed_deg_s, acceleration_deg_s2)
+        self._require_undisturbed("turn")
+        fresh = self._target_deg is None
+        if fresh:
+            self._look()
+            if doubt := self._doubts():
+                raise self._flagged("turn", doubt)
+        own = self._settings
+        words = (
+            f"move abs {own.microsteps(angle_deg)} {own.speed_data(speed_deg_s)} "
+            f"{own.acceleration_data(acceleration_deg_s2)}"
+        )
+        self._refuse_if_made_safe("turn")
+        self._expect(angle_deg, speed_deg_s, acceleration_deg_s2, fresh)
+        reply = self._move(words, "turn")
+        if self._note(reply.flag):
+            with contextlib.suppress(InstrumentError):  # the flag is the news
+                self._command("stop")
+            raise self._flagged("turn", reply.flag)
+
+    def moving(self) -> bool:
+        """Whether a turn is under way; a flag, or a turn that ended elsewhere, raises."""
+        busy = self._look()
+        self._refuse_if_made_safe("turn")
+        self._require_undisturbed("turn")
+        if self._target_deg is None:
+            return busy
+        missing_deg = abs(self._seen_deg - self._target_deg)
+        if not busy and missing_deg <= self._settings.angle_tolerance_deg:
+            self._target_deg = None
+            return False
+        now = self._clock.now()
+        if now > self._arrive_by_s or now - self._idle_from_s > SETTLED_S:
+            stands = "is still turning, at" if busy else "stands at"
+            target, self._target_deg = self._target_deg, None
+            raise self._error(
+                "turn",
+                f"{stands} {self._seen_deg:.4f} deg and has not arrived at {target:.4f} deg",
+                "look for what holds or slows the stage, then stop it",
+            )
+        return True
+
+    def turn_to(self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> None:
+        """Turn there, wait, and verify by the encoder, or without one by the stage's count."""
+        self.start_turn(angle_deg, speed_deg_s, acceleration_deg_s2)
+        while self.moving():
+            self._clock.sleep(POLL_S)
+
+    def stop(self) -> None:
+        """Stop and wait for rest; afterwards a stage that was made safe may turn again.
+
+        A flag does not keep it from being verified, nor is it acknowledged.
+        """
+        answered = self._made_safe
+        self._halt()
+        self._rearmed = answered
+
+    def keep_alive(self) -> None:
+        """Ask for angle, status and flag, unless that has just been done; a flag raises, once when
+        it appears, and so does a stage that runs past its target."""
+        if self._link.charging or self._clock.now() - self._seen_at_s < KEEP_ALIVE_S:
+            return
+        if self._halting:
+            self._read()
+        else:
+            self._look()
+
+    def make_safe(self) -> None:
+        """Command a stop and have the stage take it.
+
+        It waits for the answer, not for time, so that a watcher may call it while the bench's clock
+        stands: the stage is at rest after speed / acceleration at most. No turn is begun afterwards
+        until `stop` has been called, which waits for rest. A connection that turns out to be broken
+        is opened anew, once: a stop may arrive twice.
+        """
+        self._made_safe += 1
+        try:
+            self._command("stop", charge=False)
+        except InstrumentTimeoutError:
+            raise
+        except InstrumentError:
+            self._command("stop", charge=False)
+
+    def close(self) -> None:
+        """Let go of the port; a turn under way goes on to its target."""
+        self._link.close()
+
+    # --- connecting ---------------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """Identify; check the units; stop what turns; set the limits and read them back."""
+        self._identify()
+        self._check_units()
+        if self._read():
+            self._halt()
+        self._set_limits()
+        flags = self._flags()
+        self._referenced = not NOT_REFERENCED & set(flags)
+        self._disturbed = next((flag for flag in flags if self._disturbs(flag)), "")
+
+    def stop_and_wait(self) -> None:
+        """A stop for somebody who only came to stop."""
+        self._halt()
+
+    def _identify(self) -> None:
+        number = self._tell("deviceid")
+        serial, firmware = self._tell("system.serial"), self._tell("version")
+        turn = self._turn()
+        parts = re.fullmatch(r"(\d+)\.(\d+)", firmware)
+        version = (int(parts[1]), int(parts[2])) if parts else (0, 0)
+        if turn == 0 or version < OLDEST_FIRMWARE:
+            oldest = ".".join(map(str, OLDEST_FIRMWARE))
+            raise self._error(
+                "identify",
+                f"{self._link.where} has device id {number}, serial number {serial}, firmware "
+                f"{firmware}" + (" and is no rotary stage" if turn == 0 else ""),
+                f"a rotary stage with firmware {oldest} or later is expected; correct port and "
+                "device in the bench file, or update the stage",
+            )
+        axes = self._number("system.axiscount", THE_DEVICE)
+        if axes < self._settings.axis:
+            raise self._error(
+                "identify",
+                f"{self._link.where} has {axes:g} axes, not {self._settings.axis}",
+                "correct axis in the bench file",
+            )
+        self._identity = Identity("Zaber", f"X-RST (device id {number})", serial, firmware)
+
+    def _turn(self) -> float | None:
+        """Microsteps in one turn; 0 where the axis is a linear one, None where it does not tell."""
+        reply = self._link.ask(self._settings.axis, "get limit.cycle.dist")
+        if not reply.accepted:
+            return None
+        return self._as_number("get limit.cycle.dist", reply.data)
+
+    def _check_units(self) -> None:
+        """That a microstep is what the bench file says, and where the angle is to be read."""
+        own = self._settings
+        resolution = self._number("resolution")
+        if resolution != own.resolution:
+            raise self._error(
+                "get resolution",
+                f"the stage has {resolution:g} microsteps in a full step, the bench file says "
+                f"{own.resolution}: a microstep would be "
+                f"{own.microstep_deg * own.resolution / max(resolution, 1):.9g} deg",
+                "set the stage's resolution, or correct resolution and microstep_deg",
+            )
+        turn = self._turn()
+        if turn is not None and abs(turn - FULL_TURN_deg / own.microstep_deg) > 0.5:
+            raise self._error(
+                "get limit.cycle.dist",
+                f"the stage has {turn:g} microsteps in a turn: a microstep is "
+                f"{FULL_TURN_deg / turn:.9g} deg, not {own.microstep_deg:.9g} deg",
+                "correct microstep_deg in the bench file",
+            )
+        encoder = self._link.ask(own.axis, "get encoder.pos")
+        self._position = "encoder.pos" if encoder.accepted else "pos"
+
+    def _set_limits(self) -> None:
+        """Write a limit only where it differs, the stage's memory wears; each is read back."""
+        own = self._settings
+        for name, wanted in (
+            ("limit.min", own.microsteps(own.low_limit_deg)),
+            ("limit.max", own.microsteps(own.high_limit_deg)),
+            ("maxspeed", own.speed_data(own.max_speed_deg_s)),
+            ("accel", own.acceleration_data(own.max_acceleration_deg_s2)),
+        ):
+            if self._number(name) == wanted:
+                continue
+            self._command(f"set {name} {wanted}")
+            kept = self._number(name)
+            if kept != wanted:
+                raise self._error(
+                    f"set {name}",
+                    f"set to {wanted} but reads back {kept:g}",
+                    "the stage does not keep this limit; choose another in the bench file",
+                )
+
+    # --- a motion and its watch ---------------------------------------------------------------
+
+    def _expect(
+        self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float, fresh: bool
+    ) -> None:
+        """What is to be seen of a turn from now on, whether its answer comes or not."""
+        fastest = self._settings.max_speed_deg_s
+        way = angle_deg - self._seen_deg
+        turning_s = speed_deg_s / acceleration_deg_s2
+        self._past_deg = PAST_deg
+        if fresh:
+            self._braking_s = max(turning_s, self._full_stop_s)
+        else:  # it moves already: it may have to come back, and was seen a while ago
+            self._braking_s = max(turning_s, self._braking_s)
+            turning_s += 2 * fastest / acceleration_deg_s2
+            self._past_deg += fastest * (KEEP_ALIVE_S + fastest / (2 * acceleration_deg_s2))
+        passing_s = (abs(way) + 2 * self._past_deg) / speed_deg_s
+        self._target_deg, self._way = angle_deg, (way > 0) - (way < 0)
+        self._idle_from_s = math.inf
+        self._arrive_by_s = self._clock.now() + passing_s + turning_s + SETTLING_S
+
+    def _halt(self) -> None:
+        """Stop and wait for rest; flags are not news meanwhile."""
+        self._target_deg = None
+        self._halting = True
+        try:
+            self._command("stop")
+            longest_s = self._braking_s + SETTLING_S
+            give_up = self._clock.now() + longest_s
+            while self._read():
+                if self._clock.now() > give_up:
+                    raise self._error("stop", f"is still turning after {longest_s:g} s", _LOOK)
+                self._clock.sleep(POLL_S)
+        finally:
+            self._halting = False
+
+    def _look(self) -> bool:
+        """Whether it is busy; a flag that has just appeared raises, and so does a stage that runs
+        past its target, which is stopped first."""
+        known = self._disturbed
+        busy = self._read()
+        if self._disturbed and not known:
+            raise self._flagged("status", self._disturbed)
+        if self._target_deg is None:
+            return busy
+        if (self._seen_deg - self._target_deg) * self._way > self._past_deg:
+            with contextlib.suppress(InstrumentError):  # that it runs away is the news
+                self._command("stop")
+            target, self._target_deg = self._target_deg, None
+            raise self._error(
+                "turn",
+                f"ran past its target: it is at {self._seen_deg:.4f} deg on the way to "
+                f"{target:.4f} deg",
+                "look at the encoder and at the stage's settings before it turns again",
+            )
+        return busy
+
+    def _read(self) -> bool:
+        """Angle, status and flag in one exchange; whether the stage is busy."""
+        reply = self._command(f"get {self._position}")
+        microsteps = self._as_number(f"get {self._position}", reply.data)
+        self._seen_deg = microsteps * self._settings.microstep_deg
+        self._seen_at_s = self._clock.now()
+        if reply.busy:
+            self._idle_from_s = math.inf
+        else:
+            self._idle_from_s = min(self._idle_from_s, self._seen_at_s)
+        if not self._halting:
+            self._note(reply.flag)
+        return reply.busy
+
+    # --- flags --------------------------------------------------------------------------------
+
+    def _flags(self) -> list[str]:
+        """All warning flags that stand, the gravest first."""
+        reply = self._command("warnings")
+        count, *flags = reply.data.split()
+        if not count.isdigit() or int(count) != len(flags):
+            raise self._error("warnings", f"answers {reply.data!r}", _LOOK)
+        return flags
+
+    def _doubts(self) -> str:
+        """Why the stage may not turn, as a flag; empty where it may."""
+        if self._disturbed:
+            return self._disturbed
+        return next((flag for flag in self._flags() if flag not in NOTES), "")
+
+    def _disturbs(self, flag: str) -> bool:
+        """Whether something has to follow from a flag; that it is not homed is no news before it
+        has been."""
+        return flag not in NOTES and (self._referenced or flag not in NOT_REFERENCED)
+
+    def _note(self, flag: str) -> bool:
+        """Remember a flag from which something has to follow; whether it is one."""
+        if not self._disturbs(flag):
+            return False
+        self._disturbed = self._disturbed or flag
+        self._target_deg = None
+        return True
+
+    def _require_undisturbed(self, command: str) -> None:
+        if self._disturbed:
+            raise self._flagged(command, self._disturbed)
+
+    def _flagged(self, command: str, flag: str) -> InstrumentError:
+        known = FLAGS.get(flag, UNKNOWN_FLAG)
+        return self._error(command, f"the stage reports {flag}: {known.meaning}", known.remedy)
+
+    # --- one exchange -------------------------------------------------------------------------
+
+    def _move(self, words: str, command: str) -> Reply:
+        """Send what could turn the stage, unless it has been made safe."""
+        try:
+            return self._command(words, permit=lambda: self._refuse_if_made_safe(command))
+        except RejectedError:
+            self._target_deg = None
+            raise
+
+    def _command(
+        self, words: str, charge: bool = True, permit: Callable[[], None] = lambda: None
+    ) -> Reply:
+        """Send a command to the axis; a rejection raises."""
+        return self._accepted(words, self._link.ask(self._settings.axis, words, charge, permit))
+
+    def _accepted(self, words: str, reply: Reply) -> Reply:
+        if reply.accepted:
+            return reply
+        known = REASONS.get(reply.data, UNKNOWN_REASON)
+        raise RejectedError(
+            DEVICE, words, f"rejected with {reply.data}: {known.meaning}", known.remedy
+        )
+
+    def _tell(self, name: str) -> str:
+        """A setting of the whole device."""
+        words = f"get {name}"
+        return self._accepted(words, self._link.ask(THE_DEVICE, words)).data
+
+    def _number(self, name: str, axis: int | None = None) -> float:
+        """A setting of the axis, or of the device."""
+        words = f"get {name}"
+        reply = self._link.ask(self._settings.axis if axis is None else axis, words)
+        return self._as_number(words, self._accepted(words, reply).data)
+
+    def _as_number(self, words: str, data: str) -> float:
+        if _NUMBER.fullmatch(data) is None:
+            raise self._error(words, f"answers {data!r}, which is no number", _LOOK)
+        return float(data)
+
+    # --- judging ------------------------------------------------------------------------------
+
+    def _require_reach(
+        self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float
+    ) -> None:
+        reach = self.reach()
+        for what, value in (
+            ("angle", angle_deg),
+            ("speed", speed_deg_s),
+            ("acceleration", acceleration_deg_s2),
+        ):
+            own = reach[what]
+            if not own.holds(value):
+                raise LimitError(
+                    f"{DEVICE}: {what} {value:g} {own.unit} is outside {own.low:g} to "
+                    f"{own.high:g} {own.unit} of the {own.owner}",
+                    "choose a value inside, or correct the bench file if the limit is wrong",
+                )
+
+    def _refuse_if_made_safe(self, command: str) -> None:
+        if self._made_safe != self._rearmed:
+            raise self._error(
+                command, "the stage was made safe meanwhile", "stop it before the next motion"
+            )
+
+    def _error(self, command: str, cause: str, hint: str) -> InstrumentError:
+        return InstrumentError(DEVICE, command, cause, hint)
+
+
+class RejectedError(InstrumentError):
+    """The stage answered that it will not do it."""
+
+
+def connect(settings: Settings, clock: Clock) -> RotaryAxis:
+    """Connect to the stage, leaving it at rest and its own limits set."""
+    axis = RotaryAxis(settings, clock)
+    try:
+        axis.prepare()
+    except BaseException:
+        axis.close()
+        raise
+    return axis
+
+
+def make_safe(settings: Settings) -> None:
+    """Stop the stage over a connection of its own and wait for rest; idempotent."""
+    with contextlib.closing(RotaryAxis(settings, WallClock())) as axis:
+        axis.stop_and_wait()
