@@ -219,6 +219,11 @@ class RtuLine:
 
     # --- one request --------------------------------------------------------------------------
 
+    @property
+    def free(self) -> bool:
+        """Whether something may be sent at once."""
+        return self._clock.now() >= self._free_at_s
+
     def wait_until_free(self) -> None:
         """Wait on the bench's clock until the line's silence is over."""
         self.waiting = True

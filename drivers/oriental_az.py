@@ -73,6 +73,10 @@ ARRIVAL_POLL_S = 0.02
 POLL_S = 0.005
 KEEP_ALIVES_PER_TIMEOUT = 5
 """How often each drive is asked for its state within its communication time-out."""
+OVERDUE = 2.0
+"""From how many times as late it does not wait for the line to be free."""
+JUST_SEEN_S = 0.05
+"""So old may be what tells that an axis is on its way."""
 UPDATE_S = 0.02
 """Of a line at its fastest: a look at the axis and a new target, and room for keep-alives."""
 BEGIN_S = 0.1
@@ -226,7 +230,7 @@ class Axis:
             self._prepare_motion()
         else:
             self._refuse_if_made_safe("move")
-            if self._clock.now() - self._state_at_s >= self._keep_alive_s():
+            if self._clock.now() - self._state_at_s >= OVERDUE * self._keep_alive_s():
                 self._require_own(self._look())
         target = round(position_mm * self._settings.steps_per_mm)
         way_mm = self._mm(target - self._place.feedback)
@@ -244,9 +248,14 @@ class Axis:
         self._arrive_by_s += self._begun_at_s
 
     def moving(self) -> bool:
-        """Whether a motion is under way; an alarm, or a motion that ended elsewhere, raises."""
-        state = self._look()
+        """Whether a motion is under way; an alarm, or a motion that ended elsewhere, raises.
+
+        An axis that has just been seen on its way is not asked again.
+        """
         self._refuse_if_made_safe("move")
+        if self._just_seen_on_its_way():
+            return True
+        state = self._look()
         moves = bool(state.outputs & Output.MOVE)
         if self._target is None:
             return moves
@@ -283,11 +292,13 @@ class Axis:
 
     def keep_alive(self) -> None:
         """Read the drive's state, unless that has just been done: it feeds the communication
-        time-outs of the whole line. What ended a motion raises, and so does an alarm, once when it
+        time-outs of the whole line. Where the line is busy and there is time, it is left for later:
+        the drives of a line take turns. What ended a motion raises, and so does an alarm, once when it
         appears, and a drive of the line that is not heard while another one is."""
         if self._link.charging or self._line.waiting:
             return
-        if self._clock.now() - self._state_at_s >= self._keep_alive_s():
+        age = (self._clock.now() - self._state_at_s) / self._keep_alive_s()
+        if age >= OVERDUE or (age >= 1 and self._line.free):
             state = self._read_state()
             if not state.alarm:
                 self._told_alarm = 0
@@ -393,6 +404,7 @@ class Axis:
         self._target = None
         self._halting = self._stop_stands = True
         try:
+            self._line.wait_until_free()
             self._say_stop(charge=True)
             self._await_rest()
             self._line.wait_until_free()
@@ -550,6 +562,16 @@ class Axis:
                 "is talked to, which feeds its communication time-out: it may go on moving",
                 "switch it off by hand if it moves; check its cable and its power",
             )
+
+    def _just_seen_on_its_way(self) -> bool:
+        now_s = self._clock.now()
+        return (
+            self._target is not None
+            and now_s - self._place_at_s <= JUST_SEEN_S
+            and now_s - self._state_at_s <= OVERDUE * self._keep_alive_s()
+            and now_s <= self._arrive_by_s
+            and not self._is_there(self._place.feedback)
+        )
 
     def _is_there(self, feedback: int) -> bool:
         assert self._target is not None

@@ -84,6 +84,7 @@ LAYOUT = Layout(
         Column("slide_to", "slide_to_s", "s", "End of the slide, since the record's (s)"),
         Column("samples", "samples", "", "Rows of the strips"),
         Column("frames", "frames", "", "Frames of the force sensor"),
+        Column("tick_rate", "tick_Hz", "Hz", "Ticks of the servo (Hz)"),
         Column("ticks", "ticks", "", "Ticks"),
         Column("late_ticks", "late_ticks", "", "Ticks that began late"),
         Column("largest_lateness", "largest_lateness_s", "s", "Largest lateness of a tick (s)"),

@@ -50,6 +50,8 @@ class Taken:
     """What a trial has recorded so far; times in s since the record began."""
 
     number: int
+    tick_Hz: float
+    """Of the servo."""
     begun_s: float = 0.0
     """When the record began, on the run's clock."""
     filter_delay_s: float = 0.0
@@ -121,6 +123,7 @@ def reading_of(run: Run, taken: Taken) -> Reading:
         "slide_to_s": taken.slide_to_s,
         "samples": taken.rows,
         "frames": taken.frames,
+        "tick_Hz": taken.tick_Hz,
         "ticks": ticks,
         "late_ticks": late,
         "largest_lateness_s": max(loop.largest_lateness_s for loop in taken.loops),

@@ -19,7 +19,7 @@ from procedures.contact import (
     tare_in_free_air,
 )
 from procedures.slip_reading import AFTER_S, CONTACT_N, DECIMATED_Hz, Taken, reading_of
-from procedures.slip_trial import DELAY_S, FORCE_RATE_S_S
+from procedures.slip_trial import DELAY_S, FORCE_RATE_S_S, LINK_S, TICK_Hz
 from rig.analysis.decimation import Decimator
 from rig.analysis.load_rate import LoadScale, amplifier_dB, load_scale, load_scale_of_record
 from rig.bench import STRIPS, require
@@ -69,8 +69,14 @@ PATIENCE_S = 10.0
 
 @dataclass
 class Series:
-    """What the trials of a series have taught the ones that follow."""
+    """What the stages allow, and what the trials of a series have taught the ones that follow."""
 
+    tick_Hz: float = TICK_Hz
+    """Of the servo."""
+    delay_s: float = DELAY_S
+    """From a command to the first force that shows it."""
+    looks_Hz: float = LOOKS_Hz
+    """How often both stages are asked where they are, at most."""
     contact_mm: float | None = None
     """Position of z at which the plate was felt last."""
     shift: ContactShift | None = None
@@ -78,9 +84,37 @@ class Series:
     scales: dict[str, LoadScale] = field(default_factory=dict)
     """Of the strips that are calibrated."""
 
+    @property
+    def tick_s(self) -> float:
+        """From one tick to the next."""
+        return 1 / self.tick_Hz
+
 
 def series_on(run: Run) -> Series:
-    """What is known before the first trial: the strips' calibrations; those missing are told."""
+    """What is known before the first trial: how often the stages can be told a new target, which is
+    told where it is less often than usual, and the strips' calibrations; those missing are told."""
+    settings: Settings = run.settings
+    z_Hz, x_Hz = (
+        stage.reach()["update_rate"].high for stage in (run.bench.stage_z, run.bench.stage_x)
+    )
+    tick_Hz = settings.tick_Hz or min(TICK_Hz, z_Hz / settings.updates_a_tick)
+    if tick_Hz < TICK_Hz and settings.tick_Hz is None:
+        run.event(
+            "warning",
+            "servo",
+            f"the servo holds the force at {tick_Hz:.3g} Hz, as often as the stages' links have "
+            f"time for, not at {TICK_Hz:g} Hz: the force errors show what it costs",
+        )
+    return Series(
+        tick_Hz,
+        DELAY_S + max(0.0, 1 / z_Hz - LINK_S) / 2,
+        min(LOOKS_Hz, 1 / (1 / z_Hz + 1 / x_Hz)),
+        scales=_scales(run),
+    )
+
+
+def _scales(run: Run) -> dict[str, LoadScale]:
+    """The strips' calibrations; those missing are told."""
     skin, scales = run.bench.skin, dict[str, LoadScale]()
     for strip in STRIPS:
         record = run.bench.strip_calibrations.get(strip)
@@ -96,7 +130,7 @@ def series_on(run: Run) -> Series:
             f"{' and '.join(missing)} of the skin: not calibrated, so volts are not told as load "
             "rate; name the records in [calibrations] of the bench file",
         )
-    return Series(scales=scales)
+    return scales
 
 
 class Trial:
@@ -108,12 +142,12 @@ class Trial:
         self.bench = run.bench
         self.z, self.x = run.bench.stage_z, run.bench.stage_x
         self.fixture = run.bench.settings.fixture
-        self.taken = Taken(number)
+        self.taken = Taken(number, series.tick_Hz)
         self._samples = SampleStream(run.bench.daq, run.clock)
         self._recording = self._sliding = False
-        self._look_every = max(1, round(self.settings.tick_Hz / LOOKS_Hz))
+        self._look_every = max(1, round(series.tick_Hz / series.looks_Hz))
         """Ticks from one look at the stages to the next, where only the force is needed."""
-        self._moving_every = max(1, round(self.settings.tick_Hz * MOVING_EVERY_S))
+        self._moving_every = max(1, round(series.tick_Hz * MOVING_EVERY_S))
         self._z_mm = self._z_commanded = self._x_mm = self._x_commanded = 0.0
         self._tangential_N = self._next_tick_s = 0.0
         self._first_frame = 0
@@ -135,7 +169,7 @@ class Trial:
         self._z_commanded = self.fixture.parked_mm
         self._x_commanded = self.settings.start_mm
         self._x_mm = self.x.position_mm()
-        come_close(self.run, CONTACT_N, LOOK_S, 1 / self.settings.tick_Hz)
+        come_close(self.run, CONTACT_N, LOOK_S, self.series.tick_s)
 
     def record(self) -> None:
         """Begin to record: strips, forces and positions."""
@@ -158,9 +192,9 @@ class Trial:
     def press(self) -> None:
         """Down until the plate is felt, on until the force is there, no faster than it allows; the
         contact's stiffness is learnt on the way. A tap, then rest under the servo."""
-        settings, tick_s = self.settings, 1 / self.settings.tick_Hz
+        settings, tick_s, delay_s = self.settings, self.series.tick_s, self.series.delay_s
         down = Approach(
-            settings.normal_force_N, tick_s, DELAY_S, FORCE_AGE_S, settings.acceleration_mm_s2
+            settings.normal_force_N, tick_s, delay_s, FORCE_AGE_S, settings.acceleration_mm_s2
         )
         self._go_near()
         self._go_down(down)
@@ -170,7 +204,7 @@ class Trial:
                 settings.normal_force_N,
                 down.stiffness_N_mm,
                 tick_s,
-                DELAY_S,
+                delay_s,
                 settings.acceleration_mm_s2,
             )
         )
@@ -183,8 +217,9 @@ class Trial:
         if self.series.contact_mm is None:
             return
         near_mm, settings = self.series.contact_mm - NEAR_mm, self.settings
+        delay_s = self.series.delay_s + self.series.tick_s
         speed_mm_s = search_speed_mm_s(
-            settings.normal_force_N, DELAY_S + 1 / settings.tick_Hz, settings.acceleration_mm_s2
+            settings.normal_force_N, delay_s, settings.acceleration_mm_s2
         )
         self._move_z(near_mm, speed_mm_s)
 
@@ -259,8 +294,8 @@ class Trial:
         """Have the tangential force rise until the skin slips as a whole and a little further, or
         to where the ramp is to end; hold F_n."""
         settings, along = self.settings, self.settings.along
-        tick_s = 1 / settings.tick_Hz
-        ramp = ForceRamp(settings.ramp_N_s, settings.speed_mm_s, tick_s, DELAY_S, FORCE_AGE_S)
+        tick_s, delay_s = self.series.tick_s, self.series.delay_s
+        ramp = ForceRamp(settings.ramp_N_s, settings.speed_mm_s, tick_s, delay_s, FORCE_AGE_S)
         first_mm, first_N, begin_s = self._x_mm, self._tangential_N, 0.0
         slipped_mm = speed_mm_s = 0.0
 
@@ -296,7 +331,7 @@ class Trial:
 
     def _loop(self, longest_s: float, on_tick: Callable[[Tick], bool]) -> None:
         self._await_tick()
-        begin_s, tick_Hz = self.run.clock.now(), self.settings.tick_Hz
+        begin_s, tick_Hz = self.run.clock.now(), self.series.tick_Hz
         done = tick_loop(self.run, tick_Hz, longest_s, on_tick)
         self._next_tick_s = begin_s + done.ticks / tick_Hz
         self.taken.loops.append(done)

@@ -39,6 +39,11 @@ FORCE_RATE_S_S = 1000.0
 DELAY_S = 0.004
 """From a command to the first force that shows it: link 1 ms, half a frame, half a look, the
 rubber's relaxation. Two milliseconds too much ring at 500 Hz (decision 0038)."""
+LINK_S = 0.001
+"""Of a look at an axis and a new target, that much is in `DELAY_S`; of what it takes longer, half
+comes between look and command (decision 0042)."""
+TICK_Hz = 100.0
+"""Of the servo, where stages can be told so often."""
 UNREHEARSED_mm = 0.0175
 """Travel within delay and tick up to which the servo holds the force through a slide that it has
 not seen, whatever the friction (decision 0035)."""
@@ -82,8 +87,8 @@ class Settings(BaseSettings):
     """Share of late ticks beyond which a trial does not count."""
     largest_force_N: float = Field(default=15.0, gt=0)
     """Force along any axis at which everything stops."""
-    tick_Hz: float = Field(default=100.0, ge=20, le=500)
-    """Ticks of the servo."""
+    tick_Hz: float | None = Field(default=None, ge=20, le=500)
+    """Ticks of the servo; left out, 100 a second, or as many as the stages' links have time for."""
     rehearsal: Literal["auto", "always", "never"] = "auto"
     """A first slide without a record, from which the servo learns; auto: where it is needed."""
     rate_S_s: float = Field(default=10e3, ge=10e3, le=50e3)
@@ -124,11 +129,15 @@ class Settings(BaseSettings):
         return rise_s + self.distance_mm / self.speed_mm_s + ramps_s + 1.0
 
     @property
-    def rehearsed(self) -> bool:
+    def updates_a_tick(self) -> int:
+        """How many stages are looked at and told a new target in every tick."""
+        return 2 if self.loading == "ramp" else 1
+
+    def rehearsed(self, tick_s: float, delay_s: float = DELAY_S) -> bool:
         """Whether a series begins with a slide that only teaches the servo."""
         if self.rehearsal != "auto":
             return self.rehearsal == "always"
-        return self.speed_mm_s * (DELAY_S + 1 / self.tick_Hz) > UNREHEARSED_mm
+        return self.speed_mm_s * (delay_s + tick_s) > UNREHEARSED_mm
 
     @property
     def along(self) -> int:
@@ -148,12 +157,16 @@ def points(settings: Settings) -> tuple[Point, ...]:
     """One point a trial."""
     from rig.runner.approach import TOUCH, search_speed_mm_s
 
-    tick_s, trial_s = 1 / settings.tick_Hz, settings.longest_slide_s + settings.rest_s + WAY_S
+    tick_s, trial_s = (
+        1 / (settings.tick_Hz or TICK_Hz),
+        settings.longest_slide_s + settings.rest_s + WAY_S,
+    )
     search_mm_s = search_speed_mm_s(
         TOUCH * settings.normal_force_N, DELAY_S + tick_s, settings.acceleration_mm_s2
     )
-    first_s = SEARCHED_mm / search_mm_s + settings.rehearsed * trial_s
+    first_s = SEARCHED_mm / search_mm_s + settings.rehearsed(tick_s) * trial_s
     channels = tuple(InputChannel(name, settings.range_V) for name in STRIPS)
+    updates_Hz = (settings.tick_Hz or 0.0) * settings.updates_a_tick
     return tuple(
         Point(
             id=f"trial-{number:03d}",
@@ -163,6 +176,7 @@ def points(settings: Settings) -> tuple[Point, ...]:
                 Move("stage_x.position", settings.start_mm),
                 Move("stage_x.position", settings.end_mm),
                 Move("stage_x.speed", settings.speed_mm_s),
+                Move("stage_z.update_rate", updates_Hz),
             ),
             acquisitions=(Acquisition(channels, settings.rate_S_s, settings.block_samples),),
             duration_s=trial_s + (first_s if number == 1 else 0.0),
@@ -181,6 +195,8 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
     count, and why trials have no friction coefficients."""
     counting = [r for r in readings if not r["invalid"]]
     found: dict[str, Any] = {"trials": len(readings), "valid_trials": len(counting)}
+    if readings:
+        found["tick_Hz"] = readings[-1]["tick_Hz"]
     for name in (
         "static_friction",
         "kinetic_friction",
@@ -238,7 +254,7 @@ def take(run: Run, point: Point) -> Reading:
     from procedures.slip_taking import Series, Trial
 
     series: Series = run.state
-    if run.settings.rehearsed and series.shift is None:
+    if run.settings.rehearsed(series.tick_s, series.delay_s) and series.shift is None:
         Trial(run, int(point.condition), series).rehearse()
     trial = Trial(run, int(point.condition), series)
     trial.make_ready()
