@@ -293,8 +293,8 @@ class Axis:
     def keep_alive(self) -> None:
         """Read the drive's state, unless that has just been done: it feeds the communication
         time-outs of the whole line. Where the line is busy and there is time, it is left for later:
-        the drives of a line take turns. What ended a motion raises, and so does an alarm, once when it
-        appears, and a drive of the line that is not heard while another one is."""
+        the drives of a line take turns. What ended a motion raises, and so does an alarm, once when
+        it appears, and a drive of the line that is not heard while another one is."""
         if self._link.charging or self._line.waiting:
             return
         age = (self._clock.now() - self._state_at_s) / self._keep_alive_s()

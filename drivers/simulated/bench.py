@@ -367,14 +367,24 @@ def _read_world(options: Options) -> WorldSettings:
 
 
 def _read_faults(options: Options) -> FaultPlan:
-    from drivers.simulated.fault_plan import DEVICES, DISK, GENERATOR, STAGE_X, FaultPlan
+    from drivers.simulated.fault_plan import (
+        BEFALLEN,
+        BEFALLEN_ON_A_LINE,
+        DEVICES,
+        DISK,
+        GENERATOR,
+        STAGE_X,
+        FaultPlan,
+    )
 
     if options.fault is None:
         return FaultPlan()
     missing = {"film-clamp": {STAGE_X}, "plate": {GENERATOR}}.get(options.fixture, set())
     if not options.slaved:
         missing.add(DISK)  # whoever records is another process
-    return FaultPlan.read(Path(options.fault), [name for name in DEVICES if name not in missing])
+    befallen = BEFALLEN_ON_A_LINE if options.stages == "az" else BEFALLEN
+    there = [name for name in DEVICES if name not in missing]
+    return FaultPlan.read(Path(options.fault), there, befallen)
 
 
 def _faulty_disk(options: Options) -> FaultyDisk | None:
