@@ -82,6 +82,8 @@ ACKNOWLEDGE_TIMEOUT_S = 0.5
 """How long the drive may take to show that it has taken a task."""
 FAULT_TIMEOUT_S = 5.0
 ENABLE_TIMEOUT_S = 10.0
+UPDATES_Hz = 1000.0
+"""A look and a new target take less than a millisecond on this link."""
 REJECT_HOLD_S = 0.02
 """How long a stop is held before it may be lifted: many of the drive's cycles."""
 SETTLING_S = 1.0
@@ -151,11 +153,12 @@ class Axis:
         return self._identity
 
     def reach(self) -> Mapping[str, Reach]:
-        """Position and speed that the bench file allows."""
+        """Position and speed that the bench file allows; how often there may be a new target."""
         own, owner = self._settings, f"{self._device} {self.identity.model}"
         return {
             "position": Reach(own.low_limit_mm, own.high_limit_mm, "mm", owner),
             "speed": Reach(own.speed_unit_mm_s, own.max_speed_mm_s, "mm/s", owner),
+            "update_rate": Reach(0.0, UPDATES_Hz, "Hz", owner),
         }
 
     def homed(self) -> bool:

@@ -27,6 +27,11 @@ FORCE_RATE_S_S = 1000.0
 DELAY_S = 0.004
 """From a command to the first force that shows it: link 1 ms, half a frame, half a look, the
 rubber's relaxation. Two milliseconds too much ring at 500 Hz (decision 0038)."""
+LINK_S = 0.001
+"""Of a look at an axis and a new target, that much is in `DELAY_S`; of what it takes longer, half
+comes between look and command (decision 0042)."""
+TICK_Hz = 100.0
+"""Of the servo, where stages can be told so often."""
 WAY_S, SEARCHED_mm = 3.5, 0.6
 """Expected of the way to the held force and back where the place of the contact is known, and of
 the search where it is not."""
@@ -53,8 +58,8 @@ class PressedSettings(BaseSettings):
     """Share of late ticks beyond which a trial does not count."""
     largest_force_N: float = Field(default=15.0, gt=0)
     """Force along any axis at which everything stops."""
-    tick_Hz: float = Field(default=100.0, ge=20, le=500)
-    """Ticks of the servo."""
+    tick_Hz: float | None = Field(default=None, ge=20, le=500)
+    """Ticks of the servo; left out, 100 a second, or as many as the stages' links have time for."""
     rate_S_s: float = Field(default=10e3, ge=10e3, le=50e3)
     """Sampling rate of the strips; a whole multiple of 1000."""
     block_s: float = Field(default=0.02, ge=0.002, le=0.2)
@@ -92,8 +97,23 @@ class PressedSettings(BaseSettings):
         from rig.runner.approach import TOUCH, search_speed_mm_s
 
         return SEARCHED_mm / search_speed_mm_s(
-            TOUCH * self.normal_force_N, DELAY_S + 1 / self.tick_Hz, self.acceleration_mm_s2
+            TOUCH * self.normal_force_N, DELAY_S + self.tick_s, self.acceleration_mm_s2
         )
+
+    @property
+    def tick_s(self) -> float:
+        """From one tick to the next, where the stages' links have time for it."""
+        return 1 / (self.tick_Hz or TICK_Hz)
+
+    @property
+    def updates_a_tick(self) -> int:
+        """How many stages are looked at and told a new target in every tick."""
+        return 1
+
+    @property
+    def updates_Hz(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """How often the stages are to be told a new target, 0 where that is left to them."""
+        return (self.tick_Hz or 0.0) * self.updates_a_tick
 
 
 def import_what_a_trial_needs() -> None:

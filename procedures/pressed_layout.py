@@ -82,6 +82,7 @@ CALIBRATED = (
 RECORDED = (
     Column("samples", "samples", "", "Rows of the strips"),
     Column("frames", "frames", "", "Frames of the force sensor"),
+    Column("tick_rate", "tick_Hz", "Hz", "Ticks of the servo (Hz)"),
     Column("ticks", "ticks", "", "Ticks"),
     Column("late_ticks", "late_ticks", "", "Ticks that began late"),
     Column("largest_lateness", "largest_lateness_s", "s", "Largest lateness of a tick (s)"),

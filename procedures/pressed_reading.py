@@ -43,6 +43,8 @@ class Taken:
     """What a trial has recorded so far; times in s since the record began."""
 
     number: int
+    tick_Hz: float
+    """Of the servo."""
     begun_s: float = 0.0
     """When the record began, on the run's clock."""
     filter_delay_s: float = 0.0
@@ -114,6 +116,7 @@ def reading_of(run: Run, taken: Taken) -> Reading:
         "force_error_peak_percent": float(np.abs(error[held]).max()),
         "samples": taken.rows,
         "frames": taken.frames,
+        "tick_Hz": taken.tick_Hz,
         "ticks": ticks,
         "late_ticks": late,
         "largest_lateness_s": max(loop.largest_lateness_s for loop in taken.loops),

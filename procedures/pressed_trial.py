@@ -18,7 +18,7 @@ from procedures.contact import (
     refuse_early_contact,
     tare_in_free_air,
 )
-from procedures.pressed import DELAY_S, FORCE_RATE_S_S, PressedSettings
+from procedures.pressed import DELAY_S, FORCE_RATE_S_S, LINK_S, PressedSettings, TICK_Hz
 from procedures.pressed_reading import CONTACT_N, DECIMATED_Hz, Taken
 from rig.analysis.decimation import Decimator
 from rig.analysis.load_rate import LoadScale, amplifier_dB, load_scale, load_scale_of_record
@@ -60,14 +60,51 @@ PATIENCE_S = 10.0
 """From contact to a held force, at most."""
 
 
+@dataclass(frozen=True)
+class Pace:
+    """How often the servo acts and the stages are asked: as their links allow."""
+
+    tick_Hz: float
+    """Of the servo."""
+    delay_s: float
+    """From a command to the first force that shows it."""
+    looks_Hz: float
+    """How often both stages are asked where they are, at most."""
+
+    @property
+    def tick_s(self) -> float:
+        """From one tick to the next."""
+        return 1 / self.tick_Hz
+
+
 @dataclass
 class PressedSeries:
-    """What the trials of a series have taught the ones that follow."""
+    """What the stages allow, and what the trials of a series have taught the ones that follow."""
 
-    contact_mm: float | None = None
-    """Position of z at which the object was felt last."""
+    pace: Pace
     scales: dict[str, LoadScale] = field(default_factory=dict)
     """Of the strips that are calibrated."""
+    contact_mm: float | None = None
+    """Position of z at which the object was felt last."""
+
+
+def pace_on(run: Run) -> Pace:
+    """As often as was asked for, or as the stages' links have time for, which is told where it is
+    less often than usual."""
+    settings: PressedSettings = run.settings
+    z_Hz, x_Hz = (
+        stage.reach()["update_rate"].high for stage in (run.bench.stage_z, run.bench.stage_x)
+    )
+    tick_Hz = settings.tick_Hz or min(TICK_Hz, z_Hz / settings.updates_a_tick)
+    if tick_Hz < TICK_Hz and settings.tick_Hz is None:
+        run.event(
+            "warning",
+            "servo",
+            f"the servo holds the force at {tick_Hz:.3g} Hz, as often as the stages' links have "
+            f"time for, not at {TICK_Hz:g} Hz: the force errors show what it costs",
+        )
+    delay_s = DELAY_S + max(0.0, 1 / z_Hz - LINK_S) / 2
+    return Pace(tick_Hz, delay_s, min(LOOKS_Hz, 1 / (1 / z_Hz + 1 / x_Hz)))
 
 
 def scales_on(run: Run) -> dict[str, LoadScale]:
@@ -101,7 +138,8 @@ class PressedTrial:
         self.fixture = run.bench.settings.fixture
         self._samples = SampleStream(run.bench.daq, run.clock)
         self._recording = self._in_motion = False
-        self._look_every = max(1, round(self.settings.tick_Hz / LOOKS_Hz))
+        self._pace = series.pace
+        self._look_every = max(1, round(self._pace.tick_Hz / self._pace.looks_Hz))
         """Ticks from one look at the stages to the next, where only the force is needed."""
         self._z_mm = self._z_commanded = self._x_mm = self._x_commanded = 0.0
         self._tangential_N = self._next_tick_s = 0.0
@@ -117,7 +155,7 @@ class PressedTrial:
         self._z_commanded = self.fixture.parked_mm
         self._x_commanded = start_mm
         self._x_mm = self.x.position_mm()
-        come_close(self.run, CONTACT_N, LOOK_S, 1 / self.settings.tick_Hz)
+        come_close(self.run, CONTACT_N, LOOK_S, self._pace.tick_s)
 
     def record(self) -> None:
         """Begin to record: strips, forces and positions."""
@@ -139,9 +177,9 @@ class PressedTrial:
     def press(self) -> None:
         """Down until the object is felt, on until the force is there, no faster than it allows; the
         contact's stiffness is learnt on the way. A tap, then rest under the servo."""
-        settings, tick_s = self.settings, 1 / self.settings.tick_Hz
+        settings, tick_s, delay_s = self.settings, self._pace.tick_s, self._pace.delay_s
         down = Approach(
-            settings.normal_force_N, tick_s, DELAY_S, FORCE_AGE_S, settings.acceleration_mm_s2
+            settings.normal_force_N, tick_s, delay_s, FORCE_AGE_S, settings.acceleration_mm_s2
         )
         self._go_near()
         self._go_down(down)
@@ -151,7 +189,7 @@ class PressedTrial:
                 settings.normal_force_N,
                 down.stiffness_N_mm,
                 tick_s,
-                DELAY_S,
+                delay_s,
                 settings.acceleration_mm_s2,
             )
         )
@@ -165,7 +203,9 @@ class PressedTrial:
             return
         near_mm, settings = self.series.contact_mm - NEAR_mm, self.settings
         speed_mm_s = search_speed_mm_s(
-            settings.normal_force_N, DELAY_S + 1 / settings.tick_Hz, settings.acceleration_mm_s2
+            settings.normal_force_N,
+            self._pace.delay_s + self._pace.tick_s,
+            settings.acceleration_mm_s2,
         )
         self._move_z(near_mm, speed_mm_s)
 
@@ -222,7 +262,7 @@ class PressedTrial:
 
     def _loop(self, longest_s: float, on_tick: Callable[[Tick], bool]) -> None:
         self._await_tick()
-        begin_s, tick_Hz = self.run.clock.now(), self.settings.tick_Hz
+        begin_s, tick_Hz = self.run.clock.now(), self._pace.tick_Hz
         done = tick_loop(self.run, tick_Hz, longest_s, on_tick)
         self._next_tick_s = begin_s + done.ticks / tick_Hz
         self.taken.loops.append(done)

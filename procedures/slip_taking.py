@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from procedures.pressed import DELAY_S
 from procedures.pressed_reading import AFTER_S
 from procedures.pressed_trial import FORCE_AGE_S, PressedSeries, PressedTrial
 from procedures.slip_reading import SlipTaken, reading_of
@@ -41,8 +40,8 @@ class Trial(PressedTrial):
     taken: SlipTaken
 
     def __init__(self, run: Run, number: int, series: Series):
-        super().__init__(run, number, series, SlipTaken(number))
-        self._moving_every = max(1, round(self.settings.tick_Hz * MOVING_EVERY_S))
+        super().__init__(run, number, series, SlipTaken(number, series.pace.tick_Hz))
+        self._moving_every = max(1, round(self._pace.tick_Hz * MOVING_EVERY_S))
 
     def rehearse(self) -> None:
         """The same without a record: the servo learns what the slide does to the normal force."""
@@ -78,8 +77,8 @@ class Trial(PressedTrial):
         """Have the tangential force rise until the skin slips as a whole and a little further, or
         to where the ramp is to end; hold F_n."""
         settings, along = self.settings, self.settings.along
-        tick_s = 1 / settings.tick_Hz
-        ramp = ForceRamp(settings.ramp_N_s, settings.speed_mm_s, tick_s, DELAY_S, FORCE_AGE_S)
+        tick_s, delay_s = self._pace.tick_s, self._pace.delay_s
+        ramp = ForceRamp(settings.ramp_N_s, settings.speed_mm_s, tick_s, delay_s, FORCE_AGE_S)
         first_mm, first_N, begin_s = self._x_mm, self._tangential_N, 0.0
         slipped_mm = speed_mm_s = 0.0
 

@@ -79,11 +79,15 @@ class Settings(PressedSettings):
         return rise_s + self.distance_mm / self.speed_mm_s + ramps_s + 1.0
 
     @property
-    def rehearsed(self) -> bool:
+    def updates_a_tick(self) -> int:
+        """See `PressedSettings`."""
+        return 2 if self.loading == "ramp" else 1
+
+    def rehearsed(self, tick_s: float, delay_s: float = DELAY_S) -> bool:
         """Whether a series begins with a slide that only teaches the servo."""
         if self.rehearsal != "auto":
             return self.rehearsal == "always"
-        return self.speed_mm_s * (DELAY_S + 1 / self.tick_Hz) > UNREHEARSED_mm
+        return self.speed_mm_s * (delay_s + tick_s) > UNREHEARSED_mm
 
     @property
     def along(self) -> int:
@@ -102,7 +106,7 @@ class Settings(PressedSettings):
 def points(settings: Settings) -> tuple[Point, ...]:
     """One point a trial."""
     trial_s = settings.longest_slide_s + settings.rest_s + WAY_S
-    first_s = settings.search_s + settings.rehearsed * trial_s
+    first_s = settings.search_s + settings.rehearsed(settings.tick_s) * trial_s
     return tuple(
         Point(
             id=f"trial-{number:03d}",
@@ -112,6 +116,7 @@ def points(settings: Settings) -> tuple[Point, ...]:
                 Move("stage_x.position", settings.start_mm),
                 Move("stage_x.position", settings.end_mm),
                 Move("stage_x.speed", settings.speed_mm_s),
+                Move("stage_z.update_rate", settings.updates_Hz),
             ),
             acquisitions=(settings.acquisition,),
             duration_s=trial_s + (first_s if number == 1 else 0.0),
@@ -130,6 +135,8 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
     count, and why trials have no friction coefficients."""
     counting = [r for r in readings if not r["invalid"]]
     found: dict[str, Any] = {"trials": len(readings), "valid_trials": len(counting)}
+    if readings:
+        found["tick_Hz"] = readings[-1]["tick_Hz"]
     for name in (
         "static_friction",
         "kinetic_friction",
@@ -161,10 +168,10 @@ def import_ahead() -> None:
 
 def arm(run: Run) -> None:
     """Watch the force; have the end of everything known before it begins; park."""
-    from procedures.pressed_trial import scales_on
+    from procedures.pressed_trial import pace_on, scales_on
     from procedures.slip_taking import Series
 
-    run.state = run.state or Series(scales=scales_on(run))
+    run.state = run.state or Series(pace_on(run), scales_on(run))
     x = run.bench.stage_x
     arm_pressed(run, "slide", x.stop, x.make_safe)
 
@@ -174,7 +181,8 @@ def take(run: Run, point: Point) -> Reading:
     from procedures.slip_taking import Series, Trial
 
     series: Series = run.state
-    if run.settings.rehearsed and series.shift is None:
+    pace = series.pace
+    if run.settings.rehearsed(pace.tick_s, pace.delay_s) and series.shift is None:
         Trial(run, int(point.condition), series).rehearse()
     trial = Trial(run, int(point.condition), series)
     trial.make_ready(run.settings.start_mm)

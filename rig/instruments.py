@@ -180,7 +180,9 @@ class DataAcquisition(Instrument, Protocol):
 class LinearStage(Instrument, Protocol):
     """One linear axis. Waiting happens on the bench clock; positions in mm, speeds in mm/s.
 
-    `reach` holds ``position`` and ``speed``. An axis that has not been homed refuses to move.
+    `reach` holds ``position``, ``speed`` and ``update_rate``: how often, in Hz, the link has time
+    for a look at the axis and a new target under way. An axis that has not been homed refuses to
+    move.
     """
 
     def homed(self) -> bool:

@@ -16,7 +16,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from drivers.simulated.faults import Dialect, WireFaults
     from drivers.simulated.festo_cmmt import CmmtDrive
     from drivers.simulated.monitor import Monitor, WatchSettings
+    from drivers.simulated.oriental_az import AzDrive
+    from drivers.simulated.serial_server import PtyServer
     from drivers.simulated.servers import HislipServer, ScpiSocketServer
     from drivers.simulated.world import World, WorldSettings
 
@@ -39,6 +41,8 @@ ABANDONED_S = 0.5
 """How long a bench that nobody has connected to may take to end by itself."""
 
 Fixture = Literal["film-clamp", "plate"]
+Stages = Literal["festo", "az"]
+"""Two drives on Modbus TCP, or two on one Modbus RTU line."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,8 @@ class Options:
 
     fixture: Fixture = "film-clamp"
     """What is mounted: the film in its clamp, or the skin above its plate."""
+    stages: Stages = "festo"
+    """What moves it."""
     seed: int = 0
     slaved: bool = False
     world: str | None = None
@@ -68,6 +74,11 @@ ANY_PORT = 502
 LINK_TIMEOUT_S = 1.5
 """Wall time the bench file gives every link: a loaded machine may let a process wait for long."""
 
+AZ_STEPS_PER_MM = 3000.0
+"""9000 steps a revolution at a lead of 3 mm (assumed): 0.33 um, a fine one of the series."""
+AZ_LINE = "stages"
+"""The serial line of the AZ pair, whose units are z and x in this order."""
+
 SKIN_UNIT_MM = 0.0001
 """A count of the stages that carry the skin: 1 um would be 0.15 N of normal force (assumed)."""
 
@@ -80,10 +91,10 @@ class Endpoints:
     """Where the bench listens."""
 
     daq: str
-    stage_z: int
+    stages: tuple[int | str, ...]
+    """Of z and x: ports of drives on TCP, or the serial line that both are on."""
     force_sensor: str
     generator: str = ""
-    stage_x: int = 0
 
 
 def bench_toml(options: Options, world: dict[str, Any], endpoints: Endpoints) -> str:
@@ -137,7 +148,7 @@ resource = "{endpoints.daq}"
 timeout_s = {LINK_TIMEOUT_S}
 channels = {{ load_cell = 101, film = 102 }}
 
-{_stage_table("z", endpoints.stage_z, 14.0, 45.0)}"""
+{_stage_table(options, endpoints, "z", 14.0, 45.0)}"""
 
 
 def _skin_tables(options: Options, endpoints: Endpoints) -> str:
@@ -152,19 +163,33 @@ resource = "{endpoints.daq}"
 timeout_s = {LINK_TIMEOUT_S}
 channels = {{ strip_1 = 101, strip_2 = 102 }}
 
-{_stage_table("z", endpoints.stage_z, 14.0, 45.0)}position_unit_mm = {SKIN_UNIT_MM}
+{_stage_table(options, endpoints, "z", 14.0, 45.0)}
+{_stage_table(options, endpoints, "x", 40.0, 30.0)}"""
 
-{_stage_table("x", endpoints.stage_x, 40.0, 30.0)}position_unit_mm = {SKIN_UNIT_MM}
+
+def _stage_table(
+    options: Options, endpoints: Endpoints, axis: str, high_limit_mm: float, torque_percent: float
+) -> str:
+    number = "zx".index(axis)
+    where = endpoints.stages[number]
+    if options.stages == "az":
+        link = f"""driver = "oriental-az"
+axis = "{axis}"
+port = "{where}"
+parity = "N"
+unit_id = {number + 1}
+steps_per_mm = {AZ_STEPS_PER_MM}
 """
-
-
-def _stage_table(axis: str, port: int, high_limit_mm: float, torque_percent: float) -> str:
-    return f"""[stage_{axis}]
-driver = "festo-cmmt"
+    else:
+        link = f"""driver = "festo-cmmt"
 axis = "{axis}"
 host = "127.0.0.1"
-port = {port}
-timeout_s = {LINK_TIMEOUT_S}
+port = {where}
+"""
+        if options.fixture == "plate":
+            link += f"position_unit_mm = {SKIN_UNIT_MM}\n"
+    return f"""[stage_{axis}]
+{link}timeout_s = {LINK_TIMEOUT_S}
 low_limit_mm = 0.0
 high_limit_mm = {high_limit_mm}
 max_speed_mm_s = 20.0
@@ -248,11 +273,12 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
     from drivers.simulated.fault_plan import TimedFault
     from drivers.simulated.world import World
 
-    if options.fixture not in get_args(Fixture):
-        raise ConfigurationError(
-            f"the simulated bench has no {options.fixture} to mount",
-            f"it has {' and '.join(get_args(Fixture))}",
-        )
+    for asked, known in ((options.fixture, Fixture), (options.stages, Stages)):
+        if asked not in get_args(known):
+            raise ConfigurationError(
+                f"the simulated bench has no {asked} to mount",
+                f"it has {' and '.join(get_args(known))}",
+            )
     settings = _read_world(options)
     faults = _read_faults(options)
     log = Path(options.world_log) if options.world_log else None
@@ -290,7 +316,8 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
             return
         world.timeline.set_free()
         world.log("world", "owner-gone", None, "world")
-        bench.force.set_free()
+        for server in bench.serial:
+            server.set_free()
         set_free()
         loop.call_later(options.linger_s, ended.set)
 
@@ -341,6 +368,8 @@ def _read_world(options: Options) -> WorldSettings:
 
 def _read_faults(options: Options) -> FaultPlan:
     from drivers.simulated.fault_plan import (
+        BEFALLEN,
+        BEFALLEN_ON_A_LINE,
         DEVICES,
         DISK,
         GENERATOR,
@@ -354,7 +383,9 @@ def _read_faults(options: Options) -> FaultPlan:
     missing = {"film-clamp": {STAGE_X}, "plate": {GENERATOR}}.get(options.fixture, set()) | {ROTARY}
     if not options.slaved:
         missing.add(DISK)  # whoever records is another process
-    return FaultPlan.read(Path(options.fault), [name for name in DEVICES if name not in missing])
+    befallen = BEFALLEN_ON_A_LINE if options.stages == "az" else BEFALLEN
+    there = [name for name in DEVICES if name not in missing]
+    return FaultPlan.read(Path(options.fault), there, befallen)
 
 
 def _faulty_disk(options: Options) -> FaultyDisk | None:
@@ -382,7 +413,6 @@ class _Instruments:
         from drivers.simulated.faults import WireFaults
         from drivers.simulated.keysight_u2300a import KeysightU2300A
         from drivers.simulated.me_gsv8 import GSV_DIALECT, Gsv8, Sensor
-        from drivers.simulated.modbus_tcp import MODBUS_DIALECT, ModbusTcpServer
         from drivers.simulated.monitor import WatchedLine
         from drivers.simulated.serial_server import PtyServer
         from drivers.simulated.servers import SCPI_DIALECT, HislipServer
@@ -401,11 +431,12 @@ class _Instruments:
         )
         self.daq = HislipServer(daq, faults=wire(DAQ, SCPI_DIALECT))
         world.befall(DAQ, lambda fault, t_us: daq.overrun())
-        self.drives = _plate_drives(world, faults) if plate else _clamp_drives(world, faults)
-        self.stages = [
-            ModbusTcpServer(drive, faults=wire(drive.settings.name, MODBUS_DIALECT))
-            for drive in self.drives
-        ]
+        make_drive = _az_drive if options.stages == "az" else _cmmt_drive
+        mount = _plate_drives if plate else _clamp_drives
+        self.drives = mount(world, partial(make_drive, world, faults, plate))
+        self.serial: list[PtyServer] = []
+        """Servers that need be told when nobody owns the time any more."""
+        self.stages = self._serve_stages(options, wire)
         sensor = Sensor(zero_mV_V=settings.force_sensor_zero_mV_V)
         amplifier = Gsv8(world, world, FORCE_SENSOR, sensor)
         tell = partial(world.log, FORCE_SENSOR, by="monitor")
@@ -423,6 +454,33 @@ class _Instruments:
             amplifier.disturb(fault.kind, t_us * 1e-6, fault.for_s)
 
         world.befall(FORCE_SENSOR, disturb)
+        self.serial.append(self.force)
+
+    def _serve_stages(
+        self, options: Options, wire: Callable[[str, Dialect], WireFaults]
+    ) -> list[Any]:
+        """In front of the drives: a server each, or their common line."""
+        from drivers.simulated.modbus_rtu import RTU_DIALECT, RtuLine
+        from drivers.simulated.modbus_tcp import MODBUS_DIALECT, ModbusTcpServer
+        from drivers.simulated.oriental_az import AzDrive
+        from drivers.simulated.serial_server import PtyServer
+
+        pair = [drive for drive in self.drives if isinstance(drive, AzDrive)]
+        if not pair:
+            return [
+                ModbusTcpServer(drive, faults=wire(drive.settings.name, MODBUS_DIALECT))
+                for drive in self.drives
+                if not isinstance(drive, AzDrive)
+            ]
+        line = PtyServer(
+            RtuLine(pair, self._world),
+            self._world,
+            slaved=options.slaved,
+            faults={drive.name: wire(drive.name, RTU_DIALECT) for drive in pair},
+            name=AZ_LINE,
+        )
+        self.serial.append(line)
+        return [line]
 
     def monitor(self, settings: WatchSettings | None) -> Monitor | None:
         """Who watches over the bench, where that is asked for."""
@@ -452,59 +510,70 @@ class _Instruments:
     def listening(self) -> Endpoints:
         """Where each listens."""
         generator = 0 if self.generator is None else self.generator.port
-        stages = [stage.port for stage in self.stages]
+        stages = [getattr(stage, "port", None) or stage.path for stage in self.stages]
         return self._endpoints(generator, self.daq.port, stages, self.force.path)
 
     def anywhere(self) -> Endpoints:
         """The same without this process's port numbers, for a text that is only recorded."""
-        return self._endpoints(0, 0, [ANY_PORT] * len(self.stages), FORCE_SENSOR)
+        stages = [ANY_PORT if hasattr(stage, "port") else AZ_LINE for stage in self.stages]
+        return self._endpoints(0, 0, stages, FORCE_SENSOR)
 
-    def _endpoints(self, generator: int, daq: int, stages: list[int], force: str) -> Endpoints:
+    def _endpoints(
+        self, generator: int, daq: int, stages: list[int | str], force: str
+    ) -> Endpoints:
         by_link = {
             "socket": f"TCPIP::127.0.0.1::{generator}::SOCKET",
             "hislip": f"TCPIP::127.0.0.1::hislip0,{generator}::INSTR",
         }
         return Endpoints(
             daq=f"TCPIP::127.0.0.1::hislip0,{daq}::INSTR",
-            stage_z=stages[0],
+            stages=(stages[0], stages[-1]),
             force_sensor=force,
             generator=by_link[self._link],
-            stage_x=stages[-1],
         )
 
 
-def _clamp_drives(world: World, faults: FaultPlan) -> list[CmmtDrive]:
-    """The z stage, with the vibrator on it above the film."""
+def _cmmt_drive(world: World, faults: FaultPlan, fine: bool, name: str) -> CmmtDrive:
     from drivers.simulated.fault_plan import STAGE_Z, MoveFault
     from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
 
+    serial = "SIMZ1" if name == STAGE_Z else "SIMX1"
+    own = DriveSettings(name, serial=serial, faults=faults.of(MoveFault, name))
+    return CmmtDrive(replace(own, position_unit_mm=SKIN_UNIT_MM) if fine else own, world)
+
+
+def _az_drive(world: World, faults: FaultPlan, fine: bool, name: str) -> AzDrive:
+    from drivers.simulated.fault_plan import STAGES, MoveFault
+    from drivers.simulated.oriental_az import AzDrive, DriveSettings
+
+    unit_id = STAGES.index(name) + 1
+    own = DriveSettings(name, unit_id, AZ_STEPS_PER_MM, faults=faults.of(MoveFault, name))
+    return AzDrive(own, world)
+
+
+def _clamp_drives(
+    world: World, make_drive: Callable[[str], CmmtDrive | AzDrive]
+) -> list[CmmtDrive | AzDrive]:
+    """The z stage, with the vibrator on it above the film."""
+    from drivers.simulated.fault_plan import STAGE_Z
+
     clamp = world.settings.clamp
-    z = CmmtDrive(DriveSettings(name=STAGE_Z, faults=faults.of(MoveFault, STAGE_Z)), world)
+    z = make_drive(STAGE_Z)
     z.axis.stiffest_load_N_mm = clamp.stiffness_N_mm + clamp.creep_stiffness_N_mm
     world.mount(z.position_mm)
     return [z]
 
 
-def _plate_drives(world: World, faults: FaultPlan) -> list[CmmtDrive]:
+def _plate_drives(
+    world: World, make_drive: Callable[[str], CmmtDrive | AzDrive]
+) -> list[CmmtDrive | AzDrive]:
     """The z and the x stage, with the skin on them above the plate."""
-    from drivers.simulated.fault_plan import STAGE_X, STAGE_Z, MoveFault
-    from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
+    from drivers.simulated.fault_plan import STAGES
     from drivers.simulated.plate_world import PlateWorldSettings, hang_skin
 
     settings = world.settings
     assert isinstance(settings, PlateWorldSettings)
-    drives = [
-        CmmtDrive(
-            DriveSettings(
-                name,
-                serial=serial,
-                faults=faults.of(MoveFault, name),
-                position_unit_mm=SKIN_UNIT_MM,
-            ),
-            world,
-        )
-        for name, serial in ((STAGE_Z, "SIMZ1"), (STAGE_X, "SIMX1"))
-    ]
+    drives = [make_drive(name) for name in STAGES]
     stiffness = hang_skin(world, settings, drives[0].positions_mm, drives[1].positions_mm)
     for drive in drives:
         drive.axis.stiffest_load_N_mm = stiffness

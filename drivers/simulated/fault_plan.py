@@ -26,7 +26,7 @@ docs/fault-plans.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar, get_args
 
@@ -268,7 +268,16 @@ BEFALLEN: dict[str, tuple[str, ...]] = {
     "clock-jump": (CLOCK,),
     **dict.fromkeys(("disk-full", "read-only", "slow-sync"), (DISK,)),
 }
-"""Whom each kind may befall."""
+"""Whom each kind may befall, where the stages are on Modbus TCP."""
+BEFALLEN_ON_A_LINE: dict[str, tuple[str, ...]] = {
+    **BEFALLEN,
+    "checksum": (*BEFALLEN["checksum"], *STAGES),
+    **{
+        kind: tuple(device for device in ON_TCP if device not in STAGES)
+        for kind in ("reset", "half-open", "refused")
+    },
+}
+"""The same where they are on a serial line."""
 _WHY_NOT = {
     "double": "nothing in its protocol tells a doubled message from the next one",
     "checksum": "its protocol has no checksum of its own",
@@ -284,8 +293,14 @@ class FaultPlan(Settings):
     fault: tuple[Annotated[Fault, Field(discriminator="kind")], ...] = ()
 
     @classmethod
-    def read(cls, path: Path, devices: Iterable[str] = DEVICES) -> FaultPlan:
-        """The plan in a TOML file; `devices` are the names that exist on this bench.
+    def read(
+        cls,
+        path: Path,
+        devices: Iterable[str] = DEVICES,
+        befallen: Mapping[str, tuple[str, ...]] = BEFALLEN,
+    ) -> FaultPlan:
+        """The plan in a TOML file; `devices` are the names that exist on this bench, `befallen`
+        says whom each kind may befall there.
 
         Raises ConfigurationError for an unreadable file, unknown keys, kinds or devices, and for a
         kind that cannot befall its device.
@@ -298,7 +313,7 @@ class FaultPlan(Settings):
             raise ConfigurationError.from_validation(error, str(path), hint) from error
         known = tuple(devices)
         for index, fault in enumerate(plan.fault):
-            _require_device(f"{path}: fault.{index}", fault, known)
+            _require_device(f"{path}: fault.{index}", fault, known, befallen)
         return plan
 
     def of(self, kind: type[F] | object, device: str | None = None) -> tuple[F, ...]:
@@ -310,8 +325,10 @@ class FaultPlan(Settings):
         )
 
 
-def _require_device(where: str, fault: Fault, known: tuple[str, ...]) -> None:
-    device, able = fault.device, BEFALLEN[fault.kind]
+def _require_device(
+    where: str, fault: Fault, known: tuple[str, ...], befallen: Mapping[str, tuple[str, ...]]
+) -> None:
+    device, able = fault.device, befallen[fault.kind]
     if device not in known:
         raise ConfigurationError(
             f"{where}: device = {shortened(device)!r}: no such device on this bench",

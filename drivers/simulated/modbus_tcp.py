@@ -12,8 +12,8 @@ Source: Modbus Application Protocol Specification V1.1b3; Modbus Messaging on TC
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol, TypeVar
 
 from drivers.simulated.faults import Dialect, WireFaults
 from drivers.simulated.tcp import TcpPeer, TcpServer
@@ -23,6 +23,8 @@ MOST_READ, MOST_WRITTEN, MOST_WRITTEN_WITH_READ = 125, 123, 121
 LONGEST_REPLY_PDU = 253
 UNITS = (0, 1, 255)
 """Unit identifiers answered to: the only device here, and what means "whoever is there"."""
+
+D = TypeVar("D", bound="Registers")
 
 _HEADER = struct.Struct(">HHHB")
 
@@ -35,7 +37,7 @@ class ModbusError(Exception):
         self.code = code
 
 
-class RegisterDevice(Protocol):
+class Registers(Protocol):
     """What is behind the registers; `by` names the connection. Answers at once."""
 
     def read(self, address: int, count: int, by: str) -> Sequence[int]:
@@ -45,6 +47,10 @@ class RegisterDevice(Protocol):
     def write(self, address: int, values: Sequence[int], by: str) -> None:
         """Take the values, or ModbusError with nothing stored."""
         ...
+
+
+class RegisterDevice(Registers, Protocol):
+    """A device with an identification."""
 
     def identification(self) -> Mapping[int, str]:
         """Device identification objects by number."""
@@ -57,42 +63,50 @@ class RegisterDevice(Protocol):
 def describe(pdu: bytes) -> bytes:
     """A request in words that a fault plan can name: ``FC3 100``, ``FC16 0``, ``FC43``."""
     code = pdu[0]
-    if code in (3, 4, 6, 16, 23) and len(pdu) >= 3:
+    if code in (3, 4, 6, 8, 16, 23) and len(pdu) >= 3:
         return b"FC%d %d" % (code, int.from_bytes(pdu[1:3], "big"))
     return b"FC%d" % code
 
 
 def reply_to(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
-    """The reply PDU to a request PDU."""
+    """The reply PDU to a request PDU over TCP."""
+    return answer_of(pdu, device, by, _FUNCTIONS)
+
+
+def answer_of(
+    pdu: bytes, device: D, by: str, functions: Mapping[int, Callable[[bytes, D, str], bytes]]
+) -> bytes:
+    """The reply PDU to a request PDU; `functions` gives what follows the function code."""
     try:
-        return bytes([pdu[0]]) + _FUNCTIONS.get(pdu[0], _unknown)(pdu, device, by)
+        if pdu[0] not in functions:
+            raise ModbusError(ILLEGAL_FUNCTION)
+        return bytes([pdu[0]]) + functions[pdu[0]](pdu, device, by)
     except ModbusError as error:
         return bytes([pdu[0] | 0x80, error.code])
 
 
-def _unknown(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
-    raise ModbusError(ILLEGAL_FUNCTION)
-
-
-def _read(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
+def read_registers(pdu: bytes, device: Registers, by: str) -> bytes:
+    """Functions 3 and 4."""
     address, count = _unpack(">HH", pdu[1:])
     return _registers(device, address, count, by)
 
 
-def _write_one(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
+def write_register(pdu: bytes, device: Registers, by: str) -> bytes:
+    """Function 6."""
     address, value = _unpack(">HH", pdu[1:])
     device.write(address, [value], by)
     return pdu[1:]
 
 
-def _write(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
+def write_registers(pdu: bytes, device: Registers, by: str) -> bytes:
+    """Function 16."""
     address, count = _unpack(">HH", pdu[1:5])
     device.write(address, _values(pdu[5:], count, MOST_WRITTEN), by)
     return pdu[1:5]
 
 
-def _read_write(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
-    """Writes, then reads."""
+def read_write_registers(pdu: bytes, device: Registers, by: str) -> bytes:
+    """Function 23: writes, then reads."""
     read_address, read_count, address, count = _unpack(">HHHH", pdu[1:9])
     values = _values(pdu[9:], count, MOST_WRITTEN_WITH_READ)
     if not 1 <= read_count <= MOST_READ:
@@ -129,10 +143,17 @@ def _identify(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
     return bytes([14, code, conformity, more, following, told]) + body
 
 
-_FUNCTIONS = {3: _read, 4: _read, 6: _write_one, 16: _write, 23: _read_write, 43: _identify}
+_FUNCTIONS: Mapping[int, Callable[[bytes, RegisterDevice, str], bytes]] = {
+    3: read_registers,
+    4: read_registers,
+    6: write_register,
+    16: write_registers,
+    23: read_write_registers,
+    43: _identify,
+}
 
 
-def _registers(device: RegisterDevice, address: int, count: int, by: str) -> bytes:
+def _registers(device: Registers, address: int, count: int, by: str) -> bytes:
     if not 1 <= count <= MOST_READ:
         raise ModbusError(ILLEGAL_VALUE)
     if address + count > 0x10000:

@@ -19,7 +19,7 @@ import asyncio
 import os
 import tempfile
 import tty
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -41,6 +41,11 @@ class Exchange:
 
     request: bytes
     reply: bytes | None
+    device: str = ""
+    """Who of several on the line replies."""
+    delay_s: float = 0.0
+    """When the reply has arrived in real time, wire time included. In slaved time it comes at
+    once: a client that minds the line's time lets it pass itself."""
 
 
 class SerialInstrument(Protocol):
@@ -58,7 +63,8 @@ class SerialInstrument(Protocol):
 class PtyServer:
     """One instrument on a pseudo-terminal whose path stays the same over disconnections.
 
-    `faults` disturb replies, request by request; `stream_faults` what the instrument says of its
+    `faults` disturb replies, request by request, by device where several are on the line;
+    `stream_faults` what the instrument says of its
     own accord, one `pump` that has something counting as one request named ``STREAM``. A fault of
     kind ``close`` unplugs the port: clients see it vanish, and the path leads to a new one.
 
@@ -71,7 +77,7 @@ class PtyServer:
         instrument: SerialInstrument,
         timeline: Timeline,
         slaved: bool = False,
-        faults: WireFaults | None = None,
+        faults: WireFaults | Mapping[str, WireFaults] | None = None,
         stream_faults: WireFaults | None = None,
         name: str = "serial",
     ):
@@ -81,7 +87,8 @@ class PtyServer:
         self.bytes_lost = 0
         """Bytes of the stream thrown away because nobody read."""
         none = FaultPlan()
-        self._link = (faults or WireFaults(none, "")).link()
+        by_device = faults if isinstance(faults, Mapping) else {"": faults or WireFaults(none, "")}
+        self._links = {device: own.link() for device, own in by_device.items()}
         self._stream_link = (stream_faults or WireFaults(none, "")).link()
         self._timeline = timeline
         self._slaved = slaved
@@ -175,8 +182,12 @@ class PtyServer:
             return
         self.pump()  # what fell due before the request goes out before its reply
         for exchange in self.instrument.exchanges(data, self._name):
-            delivery = self._link.exchange(exchange.request, exchange.reply)
-            self._deliver(delivery)
+            delivery = self._links[exchange.device].exchange(exchange.request, exchange.reply)
+            if exchange.delay_s and self._ticking is not None:
+                assert self._loop is not None
+                self._loop.call_later(exchange.delay_s, self._deliver, delivery)
+            else:
+                self._deliver(delivery)
             if delivery.close:
                 return  # and with the port went what had been sent after it
 
@@ -187,6 +198,8 @@ class PtyServer:
             self._unplug(plug_in=True)
 
     def _send(self, data: bytes, may_be_lost: bool) -> None:
+        if self._master < 0:  # a reply that took its time finds the port closed
+            return
         if may_be_lost and len(self._queue) + len(data) > LONGEST_BACKLOG:
             self.bytes_lost += len(data)
             return

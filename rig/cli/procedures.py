@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -48,6 +48,7 @@ class Request:
     notes: str = ""
     figures: bool = True
     allow_expired: bool = False
+    stages: Literal["festo", "az"] | None = None
     world: Path | None = None
     fault: Path | None = None
     world_log: Path | None = None
@@ -72,6 +73,10 @@ def _common(
     allow_expired: Annotated[
         bool, typer.Option("--allow-expired", help="Use calibration records that have expired.")
     ] = False,
+    stages: Annotated[
+        Literal["festo", "az"] | None,
+        typer.Option(help="Stages of a simulated bench: festo by default."),
+    ] = None,
     world: Annotated[
         Path | None, typer.Option(help="World settings (TOML) of a simulated bench.")
     ] = None,
@@ -267,6 +272,7 @@ def _start_simulated(request: Request, fixture: Fixture) -> RunningBench:
     return factory.start(
         {
             "fixture": fixture,
+            **({} if request.stages is None else {"stages": request.stages}),
             "seed": request.seed,
             "world": _text(request.world),
             "fault": _text(request.fault),
@@ -279,7 +285,8 @@ def _start_simulated(request: Request, fixture: Fixture) -> RunningBench:
 def _refuse_simulation_options(request: Request, path: Path | None) -> None:
     from rig.errors import ConfigurationError
 
-    given = [name for name in ("world", "fault", "world_log") if getattr(request, name) is not None]
+    own = ("stages", "world", "fault", "world_log")
+    given = [name for name in own if getattr(request, name) is not None]
     if given:
         options = ", ".join("--" + name.replace("_", "-") for name in given)
         raise ConfigurationError(

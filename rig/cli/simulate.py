@@ -18,6 +18,9 @@ def simulate(
     fixture: Annotated[
         Literal["film-clamp", "plate"], typer.Option(help="What is mounted.")
     ] = "film-clamp",
+    stages: Annotated[
+        Literal["festo", "az"], typer.Option(help="What moves it: Modbus TCP, or one RTU line.")
+    ] = "festo",
     seed: Annotated[int, typer.Option(help="Seed of films and noise.", min=0)] = 0,
     world: Annotated[Path | None, typer.Option(help="World settings (TOML).")] = None,
     fault: Annotated[Path | None, typer.Option(help="Fault plan (TOML).")] = None,
@@ -44,7 +47,7 @@ def simulate(
         options = {"world": world, "fault": fault, "world_log": world_log}
         paths = {name: None if path is None else str(path) for name, path in options.items()}
         factory: BenchFactory = entry.load()
-        factory.serve({"fixture": fixture, "seed": seed, **paths}, ready)
+        factory.serve({"fixture": fixture, "stages": stages, "seed": seed, **paths}, ready)
         say("the simulated bench has ended")
 
 

@@ -107,6 +107,8 @@ def lock_files(plan: BenchPlan) -> tuple[Path, ...]:
 
 
 def _address(settings: dict[str, Any]) -> str:
+    if isinstance(line := settings.get("port"), str):  # it has one user, whoever is on it
+        return line.upper()
     return " ".join(str(settings[name]).upper() for name in ADDRESS if name in settings)
 
 

@@ -10,7 +10,7 @@ import os
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from importlib.metadata import entry_points
@@ -27,7 +27,10 @@ from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
 from drivers.simulated.keysight_33500b import Keysight33500B
 from drivers.simulated.keysight_u2300a import KeysightU2300A
 from drivers.simulated.me_gsv8 import Gsv8
-from drivers.simulated.modbus_tcp import ModbusTcpServer
+from drivers.simulated.modbus_rtu import RtuLine
+from drivers.simulated.modbus_tcp import ILLEGAL_ADDRESS, ModbusError, ModbusTcpServer
+from drivers.simulated.oriental_az import AzDrive
+from drivers.simulated.oriental_az import DriveSettings as AzDriveSettings
 from drivers.simulated.scpi import ScpiInstrument
 from drivers.simulated.serial_server import PtyServer
 from drivers.simulated.serial_tcp import SerialTcpServer
@@ -131,6 +134,8 @@ class Case(ABC):
     """Why nobody misses the answer to the very first request, where that is so."""
     drives_nothing = ""
     """Why the module's `make_safe` has nothing to do, where that is so."""
+    anonymous = ""
+    """Why the instrument cannot say that it is simulated, where that is so."""
     stranger_told = "ACME T-1000"
     """How another instrument than the expected one is named in the refusal."""
 
@@ -455,6 +460,95 @@ class RotaryCase(Case):
             yield service
 
 
+# --- an axis on a serial line ----------------------------------------------------------------
+
+
+class LineAxisService(Service):
+    """A simulated AZ drive, as fast as the CMMT above, on a line with another drive."""
+
+    bench: FreeBench
+
+    def __init__(self, faults: CountedFaults):
+        super().__init__(faults, FreeBench())
+        self.drive = self._drive("it", 1)
+        line = RtuLine([self.drive, self._drive("the other", 2)], self.bench)
+        faultless = WireFaults(FaultPlan(), "")
+        self.server = PtyServer(
+            line, self.bench, slaved=True, faults={"it": faults, "the other": faultless}
+        )
+
+    def _drive(self, name: str, unit_id: int) -> AzDrive:
+        return AzDrive(
+            AzDriveSettings(
+                name,
+                unit_id,
+                homing_speed_mm_s=500.0,
+                homing_rate_mm_s2=50_000.0,
+                mechanics=Mechanics(start_mm=3.0),
+            ),
+            self.bench,
+        )
+
+    def in_real_time(self) -> AbstractContextManager[None]:
+        """`make_safe` waits until the axis stands."""
+        return self.bench.free()
+
+    def truth(self, what: str) -> Any:
+        """The carriage, and what the drive knows."""
+        now = self.bench.now_us
+        position, speed = self.drive.position_mm(now), self.drive.velocity_mm_s(now)
+        return {"position": position, "speed": speed, "homed": self.drive.homed}[what]
+
+    def at_rest(self) -> bool:
+        """Stands, and has nowhere to go."""
+        return self.truth("speed") == 0 and self.drive.axis.finished(self.bench.now_us)
+
+    def connections(self) -> int:
+        """Who has the line open."""
+        return clients_of(self.place)
+
+
+class LineAxisCase(Case):
+    """The AZ. Polls of state and position meet the faults once in a step."""
+
+    name = "az-rtu"
+    driver = "oriental-az"
+    alike = (b"FC3 124", b"FC3 198", b"FC3 376")
+    anonymous = "its registers hold no serial number that is known"
+    stranger_told = "has no register 00F8h"
+
+    @contextmanager
+    def _serve(
+        self, faults: CountedFaults, identity: tuple[str, str, str, str] | None
+    ) -> Iterator[Service]:
+        service = LineAxisService(faults)
+        if identity is not None:
+            service.drive.read = stranger_to_registers  # type: ignore[method-assign]
+        with serving(service.server):
+            service.place = service.server.path
+            service.settings = {
+                "driver": self.driver,
+                "axis": "z",
+                "port": service.place,
+                "parity": "N",
+                "unit_id": 1,
+                "timeout_s": TIMEOUT_S,
+                "steps_per_mm": 3000.0,
+                "low_limit_mm": 0.0,
+                "high_limit_mm": 80.0,
+                "max_speed_mm_s": 500.0,
+                "acceleration_mm_s2": 20_000.0,
+                "deceleration_mm_s2": 20_000.0,
+                "torque_limit_percent": 30.0,
+            }
+            yield service
+
+
+def stranger_to_registers(address: int, count: int, by: str) -> Sequence[int]:
+    """A Modbus slave without any of them."""
+    raise ModbusError(ILLEGAL_ADDRESS)
+
+
 # --- a force sensor on a serial line ---------------------------------------------------------
 
 
@@ -572,5 +666,6 @@ CASES: tuple[Case, ...] = (
     AxisCase(),
     RotaryCase("serial"),
     RotaryCase("tcp"),
+    LineAxisCase(),
     AmplifierCase(),
 )

@@ -330,7 +330,7 @@ def _excite_stage(stage: Any, service: Any) -> None:
 
 STAGE = Role(
     LinearStage,
-    frozenset({"position", "speed"}),
+    frozenset({"position", "speed", "update_rate"}),
     (
         Step("homed() at first", _homed),
         Step("home()", _home),

@@ -108,7 +108,7 @@ def test_a_whole_experiment_works_and_calls_every_method(case: Case) -> None:
     role = role_of(case)
     with case.serve() as service:
         instrument = Remembering(connect(case, service))
-        assert instrument.identity.simulated
+        assert instrument.identity.simulated is not bool(case.anonymous)
         reach = instrument.reach()
         assert set(reach) == role.quantities
         for quantity, limits in reach.items():

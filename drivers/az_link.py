@@ -1,0 +1,482 @@
+"""A Modbus RTU line with AZ drives on it: one request at a time, and no answer taken for another's.
+
+What is written and read, nothing about motion. Every request is sent once: only the caller knows
+whether a repetition is harmless. The drives of one RS-485 line share one `RtuLine` in a process;
+each has its own `AzLink` on it, with its own time-out and its own name in errors.
+
+RTU answers say neither which request nor which moment they belong to. What keeps a late, doubled or
+foreign answer from being taken for the one that is waited for:
+
+* bytes that wait in the port are dropped before a request; nothing is sent before the line has been
+  silent for `GAP_S` after the last answer, nor before that answer can have been on the wire;
+* unit, function, length, checksum and what a write echoes have to be right; a whole frame that is
+  right but for its unit, function or length is another's and is passed over;
+* after a time-out or a broken answer the line is listened to for as long as the missing answer may
+  take, and the drive is not trusted until it has echoed a number that was never used before
+  (function 8): whatever it still owed came before the echo.
+
+Not with pymodbus's serial clients: neither can be drained or told to synchronise, and the
+synchronous one sleeps for milliseconds (decision 0042). Frames: Modbus over Serial Line V1.02;
+times: HP-5142E p. 236-237.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import struct
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from rig.errors import InstrumentError, InstrumentTimeoutError
+
+if TYPE_CHECKING:
+    from rig.clock import Clock
+
+READ, ECHO, WRITE = 3, 8, 16
+GAP_S = 0.003
+"""Silence that a drive wants after its answer; its own C3.5 is 2.5 ms from 19200 baud on."""
+SLOW_GAP_S = 0.005
+"""The same below 19200 baud."""
+RESPONSE_WAIT_S = 0.003
+"""From a request to the begin of its answer, as the drive's parameter is set at the factory."""
+BITS_A_BYTE = 11
+"""Start, eight data, parity or a second stop, stop."""
+READ_WAIT_S = 0.005
+EXCEPTIONS = {
+    1: "illegal function",
+    2: "illegal data address",
+    3: "illegal data value",
+    4: "slave error: out of range, or not executable now",
+}
+
+
+def crc16(data: bytes) -> int:
+    """The checksum of a frame; over a whole frame it is 0."""
+    crc = 0xFFFF
+    for byte in data:
+        crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
+    return crc
+
+
+def _crc_of(byte: int) -> int:
+    for _ in range(8):
+        byte = byte >> 1 ^ 0xA001 if byte & 1 else byte >> 1
+    return byte
+
+
+_CRC_TABLE = tuple(_crc_of(byte) for byte in range(256))
+
+
+@dataclass(frozen=True)
+class Request:
+    """One frame to a drive, and how its answer begins and how long it is."""
+
+    unit: int
+    pdu: bytes
+    answer_begins: bytes
+    """Of the PDU."""
+    answer_bytes: int
+    """Of the frame."""
+
+    @property
+    def frame(self) -> bytes:
+        """As it goes over the wire."""
+        body = bytes([self.unit]) + self.pdu
+        return body + struct.pack("<H", crc16(body))
+
+    def answered_by(self, frame: bytes) -> bool:
+        """Whether a whole frame is the answer, or the drive's refusal."""
+        if frame[0] != self.unit:
+            return False
+        if frame[1] == self.pdu[0] | 0x80:
+            return True
+        begins = frame[1 : 1 + len(self.answer_begins)] == self.answer_begins
+        return begins and len(frame) == self.answer_bytes
+
+
+def reading(unit: int, address: int, count: int) -> Request:
+    """`count` registers from `address` on."""
+    pdu = struct.pack(">BHH", READ, address, count)
+    return Request(unit, pdu, bytes((READ, 2 * count)), 5 + 2 * count)
+
+
+def writing(unit: int, address: int, words: Sequence[int]) -> Request:
+    """Consecutive registers; the answer repeats address and count."""
+    head = struct.pack(">BHH", WRITE, address, len(words))
+    body = struct.pack(f">B{len(words)}H", 2 * len(words), *words)
+    return Request(unit, head + body, head, 8)
+
+
+def echoing(unit: int, number: int) -> Request:
+    """A number that comes back; nothing else happens."""
+    pdu = struct.pack(">BHH", ECHO, 0, number)
+    return Request(unit, pdu, pdu, 8)
+
+
+class NoAnswerError(Exception):
+    """Nothing, or nothing whole, came within the time-out."""
+
+
+class BrokenAnswerError(Exception):
+    """Bytes that are no frame, or a port that failed."""
+
+
+class RtuLine:
+    """One serial port with drives on it; any thread may ask.
+
+    Waits of the line's own are on the bench's clock, where the caller may wait on it: so a bench
+    whose time is slaved has the pace of a real line.
+    """
+
+    _open: ClassVar[dict[str, RtuLine]] = {}
+    _opening = threading.Lock()
+
+    def __init__(self, path: str, baudrate: int, parity: str, clock: Clock):
+        self.path = path
+        self.waiting = False
+        """Whether somebody waits for the line to be free."""
+        self._baudrate, self._parity = baudrate, parity
+        self._clock = clock
+        self._gap_s = GAP_S if baudrate >= 19_200 else SLOW_GAP_S
+        self._lock = threading.Lock()
+        self._port: Any = None
+        self._users = 0
+        self._free_at_s = 0.0
+        """Bench time before which nothing may be sent."""
+        self._listen_until_s = 0.0
+        """Wall time until which an answer may still come that nobody waits for any more."""
+        self._doubtful: set[int] = set()
+        """Units that have to echo before they are believed."""
+        self._known: set[int] = set()
+        self._numbers = itertools.cycle(range(1, 0x10000))
+        self._heard_s: dict[int, float] = {}
+        self._watched: dict[int, tuple[str, float]] = {}
+        self._told: set[int] = set()
+
+    @classmethod
+    def shared(cls, path: str, baudrate: int, parity: str, clock: Clock, device: str) -> RtuLine:
+        """The line at `path`, which all its drives use together; each lets go by `release`.
+
+        InstrumentError where it is in use with other settings.
+        """
+        with cls._opening:
+            line = cls._open.get(path)
+            if line is None:
+                line = cls._open[path] = cls(path, baudrate, parity, clock)
+            elif (line._baudrate, line._parity) != (baudrate, parity):
+                raise InstrumentError(
+                    device,
+                    "open the line",
+                    f"{path} is in use at {line._baudrate} baud with parity {line._parity}, not "
+                    f"{baudrate} baud with parity {parity}",
+                    "give all drives on the line the same baudrate and parity in the bench file",
+                )
+            line._users += 1
+            return line
+
+    def release(self) -> None:
+        """One user less; the last one closes the port."""
+        with RtuLine._opening:
+            self._users -= 1
+            if self._users <= 0:
+                self.close()
+                if RtuLine._open.get(self.path) is self:
+                    del RtuLine._open[self.path]
+
+    def close(self) -> None:
+        """Close the port; the next request opens it again."""
+        with self._lock:
+            self._close()
+
+    # --- who has been heard -------------------------------------------------------------------
+
+    def forget(self, unit: int) -> None:
+        """Nobody minds this drive any more."""
+        self._watched.pop(unit, None)
+
+    def watch(self, unit: int, device: str, patience_s: float) -> None:
+        """From now on `unheard` minds this drive."""
+        self._watched[unit] = device, patience_s
+        self._heard_s[unit] = self._clock.now()
+
+    def unheard(self) -> tuple[str, float] | None:
+        """A drive that has not answered for longer than its communication time-out while another
+        one has, which feeds both, and for how many s; each silence is told once."""
+        now_s = self._clock.now()
+        last_s = max(self._heard_s.values(), default=now_s)
+        for unit, (device, patience_s) in self._watched.items():
+            silent_s = now_s - self._heard_s[unit]
+            if silent_s <= patience_s:
+                self._told.discard(unit)
+            elif now_s - last_s <= patience_s and unit not in self._told:
+                self._told.add(unit)
+                return device, silent_s
+        return None
+
+    # --- one request --------------------------------------------------------------------------
+
+    @property
+    def free(self) -> bool:
+        """Whether something may be sent at once."""
+        return self._clock.now() >= self._free_at_s
+
+    def wait_until_free(self) -> None:
+        """Wait on the bench's clock until the line's silence is over."""
+        self.waiting = True
+        try:
+            while (left_s := self._free_at_s - self._clock.now()) > 1e-6:
+                self._clock.sleep(left_s)
+        finally:
+            self.waiting = False
+
+    def exchange(self, request: Request, timeout_s: float, trusting: bool = False) -> bytes:
+        """The answer's PDU; what is left of the line's silence passes in wall time.
+
+        A drive that owes an answer echoes first, unless `trusting`: then the request is sent in any
+        case, and any answer of its kind is taken. Raises NoAnswerError or BrokenAnswerError.
+        """
+        import termios
+
+        import serial
+
+        with self._lock:
+            try:
+                self._open_port()
+                if not trusting and request.unit in self._doubtful | {request.unit} - self._known:
+                    self._synchronise(request.unit, timeout_s)
+                return self._ask(request, timeout_s)
+            except NoAnswerError:
+                self._doubtful.add(request.unit)
+                self._listen_until_s = time.monotonic() + self._wire_s(request)
+                raise
+            except BrokenAnswerError:
+                self._doubtful.add(request.unit)
+                raise
+            except (OSError, serial.SerialException, termios.error) as error:
+                self._doubtful.add(request.unit)
+                self._close()
+                raise BrokenAnswerError(f"{type(error).__name__}: {error}") from error
+
+    def _synchronise(self, unit: int, timeout_s: float) -> None:
+        """Have the drive echo a new number; all that comes before is dropped."""
+        while time.monotonic() < self._listen_until_s:
+            self._port.read(self._port.in_waiting or 1)
+        request = echoing(unit, next(self._numbers))
+        give_up = self._send(request) + timeout_s
+        got = b""
+        while request.frame not in got:
+            got += self._receive(give_up, got)
+        self._answered(request)
+        self._doubtful.discard(unit)
+        self._known.add(unit)
+
+    def _ask(self, request: Request, timeout_s: float) -> bytes:
+        give_up = self._send(request) + timeout_s
+        got = b""
+        while True:
+            frame, got = _first_frame(got)
+            if frame is None:
+                got += self._receive(give_up, got)
+            elif request.answered_by(frame):
+                self._answered(request)
+                return frame[1:-2]
+
+    def _send(self, request: Request) -> float:
+        """When it was sent, in wall time."""
+        time.sleep(max(0.0, self._free_at_s - self._clock.now()))
+        self._port.reset_input_buffer()
+        self._sent_at_s = self._clock.now()
+        self._free_at_s = self._sent_at_s + self._wire_s(request) + self._gap_s
+        sent = time.monotonic()
+        self._port.write(request.frame)
+        return sent
+
+    def _receive(self, give_up: float, got: bytes) -> bytes:
+        """What has come, waiting a little; NoAnswerError where it is too late."""
+        data: bytes = self._port.read(self._port.in_waiting or 1)
+        if not data and time.monotonic() > give_up:
+            raise NoAnswerError(f"only {got.hex(' ')} came" if got else "")
+        return data
+
+    def _answered(self, request: Request) -> None:
+        now_s = self._clock.now()
+        self._heard_s[request.unit] = now_s
+        self._free_at_s = max(self._free_at_s, now_s + self._gap_s)
+
+    def _wire_s(self, request: Request) -> float:
+        """What request and answer take on the line."""
+        on_wire = len(request.pdu) + 3 + request.answer_bytes
+        return on_wire * BITS_A_BYTE / self._baudrate + RESPONSE_WAIT_S
+
+    def exchange_s(self, request: Request) -> float:
+        """What it takes in all, up to when the next may be sent."""
+        return self._wire_s(request) + self._gap_s
+
+    # --- the port -----------------------------------------------------------------------------
+
+    def _open_port(self) -> None:
+        if self._port is not None:
+            return
+        import serial
+
+        self._known.clear()
+        self._port = serial.Serial(
+            self.path,
+            self._baudrate,
+            parity=self._parity,
+            timeout=READ_WAIT_S,
+            write_timeout=1.0,
+        )
+
+    def _close(self) -> None:
+        port, self._port = self._port, None
+        if port is not None:
+            with contextlib.suppress(OSError):
+                port.close()
+
+
+def _first_frame(got: bytes) -> tuple[bytes | None, bytes]:
+    """The frame at the front and the rest; None while it is not whole. BrokenAnswerError for bytes
+    that begin none."""
+    if len(got) < 2:
+        return None, got
+    code = got[1]
+    if code & 0x80:
+        length = 5
+    elif code in (6, ECHO, WRITE):
+        length = 8
+    elif code == READ:
+        length = 5 + got[2] if len(got) > 2 else 5
+    else:
+        raise BrokenAnswerError(f"{got[:16].hex(' ')} is no answer")
+    if len(got) < length:
+        return None, got
+    if crc16(got[:length]):
+        raise BrokenAnswerError(f"the checksum of {got[:length][:16].hex(' ')} is wrong")
+    return got[:length], got[length:]
+
+
+class AzLink:
+    """One drive on a line. `device` is the name used in errors; the time-out is wall time."""
+
+    def __init__(self, device: str, line: RtuLine, unit_id: int, timeout_s: float, clock: Clock):
+        self.device = device
+        self.line = line
+        self.where = f"unit {unit_id} on {line.path}"
+        self.charging = False
+        """Whether a time-out is being charged to the clock just now."""
+        self._unit, self._timeout_s, self._clock = unit_id, timeout_s, clock
+        self._closed = False
+
+    def read(self, address: int, count: int, waits: bool = True) -> list[int]:
+        """`count` holding registers. `waits` off: the bench's clock is not waited on."""
+        if waits:
+            self.line.wait_until_free()
+        pdu = self._ask(f"read register {address:04X}h", reading(self._unit, address, count), waits)
+        return list(struct.unpack(f">{count}H", pdu[2:]))
+
+    def write(
+        self, address: int, words: Sequence[int], charge: bool = True, urgent: bool = False
+    ) -> None:
+        """Write consecutive registers in one request, without waiting on the bench's clock: call
+        `line.wait_until_free` before, where that may be. `charge` off: a time-out does not move
+        that clock. `urgent`: sent whatever the drive owes; what came of it has to be read."""
+        request = writing(self._unit, address, words)
+        self._ask(f"write register {address:04X}h", request, charge, urgent)
+
+    def read_value(self, address: int) -> int:
+        """A signed 32-bit value, upper register first."""
+        upper, lower = self.read(address, 2)
+        return signed(upper << 16 | lower)
+
+    def set_value(self, address: int, value: int) -> None:
+        """Write a 32-bit value where it differs, and verify that it reads back the same."""
+        if self.read_value(address) == value:
+            return
+        self.line.wait_until_free()
+        self.write(address, halves(value))
+        kept = self.read_value(address)
+        if kept != value:
+            raise InstrumentError(
+                self.device,
+                f"write register {address:04X}h",
+                f"set to {value} but reads back {kept}",
+                "something else configures the drive, or the value is outside its range",
+            )
+
+    def close(self) -> None:
+        """Let go of the line."""
+        if not self._closed:
+            self._closed = True
+            self.line.forget(self._unit)
+            self.line.release()
+
+    @contextlib.contextmanager
+    def _told(self, what: str, charge: bool) -> Iterator[None]:
+        """The line's failures as InstrumentErrors."""
+        try:
+            yield
+        except NoAnswerError as nothing:
+            if charge:
+                self._charge()
+            came = f": {nothing}" if str(nothing) else ""
+            raise InstrumentTimeoutError(
+                self.device,
+                what,
+                f"no answer within {self._timeout_s:g} s{came}",
+                f"check that {self.where} is switched on, and its baudrate and parity",
+            ) from nothing
+        except BrokenAnswerError as broken:
+            raise InstrumentError(
+                self.device,
+                what,
+                f"the connection failed ({broken})",
+                f"check the cable, and baudrate and parity of {self.where}",
+            ) from broken
+
+    def _ask(self, what: str, request: Request, charge: bool, trusting: bool = False) -> bytes:
+        with self._told(what, charge):
+            pdu = self.line.exchange(request, self._timeout_s, trusting)
+        if pdu[0] & 0x80:
+            code = pdu[1]
+            raise RefusedError(
+                self.device,
+                what,
+                f"the drive refused it (Modbus exception {code}: {EXCEPTIONS.get(code, '?')})",
+                f"check the settings and the state of {self.where}",
+                code,
+            )
+        return pdu
+
+    def _charge(self) -> None:
+        """A time-out is wall time; the bench's clock has to hear of it, once."""
+        if self.charging:
+            return
+        self.charging = True
+        try:
+            with contextlib.suppress(InstrumentError):  # the time-out itself is the news
+                self._clock.charge(self._timeout_s)
+        finally:
+            self.charging = False
+
+
+class RefusedError(InstrumentError):
+    """The drive answered, and would not."""
+
+    def __init__(self, device: str, command: str, cause: str, hint: str, exception: int):
+        super().__init__(device, command, cause, hint)
+        self.exception = exception
+
+
+def signed(value: int) -> int:
+    """32 bits as a signed number."""
+    return value - (1 << 32) if value >> 31 else value
+
+
+def halves(value: int) -> tuple[int, int]:
+    """A 32-bit value, upper register first."""
+    return value >> 16 & 0xFFFF, value & 0xFFFF

@@ -1,0 +1,127 @@
+"""What the bench file says of an AZ drive, and what the drive's alarm numbers mean.
+
+Plain data: nothing here talks to a drive or knows a sequence. Alarms 30h, 62h, 66h, 67h, 84h and
+85h: the manuals HP-5142E and HM-60262E, public code; the others from memory of the latter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from rig.settings import Settings as BaseSettings
+
+LARGEST_STEP = 2**31 - 1
+"""Positions travel as signed 32-bit integers."""
+FASTEST_Hz = 4_000_000
+LARGEST_RATE = 1_000_000_000
+"""Of acceleration and deceleration, in 0.001 kHz/s, which are steps/s2."""
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """What an alarm number means and what to do about it."""
+
+    meaning: str
+    remedy: str
+
+
+_BLOCKED = "look for what blocks the axis; if it belongs there, raise torque_limit_percent"
+_POWER = "check the drive's power supply, then switch it off and on"
+_SERVICE = "switch the drive off and on; if it comes again, have it repaired"
+_COOL = "let it cool down; look for friction and for too much current at rest"
+ALARMS: Mapping[int, Alarm] = {
+    0x10: Alarm("position deviation: the axis did not follow", _BLOCKED),
+    0x20: Alarm("overcurrent", _SERVICE),
+    0x21: Alarm("the drive is too hot", _COOL),
+    0x22: Alarm("overvoltage", _POWER),
+    0x25: Alarm("undervoltage", _POWER),
+    0x26: Alarm("the motor is too hot", _COOL),
+    0x28: Alarm("the position sensor failed", _SERVICE),
+    0x30: Alarm("overload", _BLOCKED),
+    0x31: Alarm("overspeed", "look at what drives the axis, and at its load"),
+    0x33: Alarm("the absolute position is lost", "find the reference again"),
+    0x41: Alarm("the drive's memory failed", _SERVICE),
+    0x4A: Alarm("no coordinates: the axis has not been homed", "home it first"),
+    0x60: Alarm("both limit sensors at once", "check the sensors' wiring"),
+    0x61: Alarm("the limit sensors are swapped", "check the sensors' wiring"),
+    0x62: Alarm("homing failed", "check the home sensor and the homing method in the drive"),
+    0x66: Alarm(
+        "limit sensor reached",
+        "look at the axis, move it off the sensor with the vendor's software, home again",
+    ),
+    0x67: Alarm(
+        "software limit", "correct the travel limits in the bench file, or the position asked for"
+    ),
+    0x68: Alarm("emergency stop (HWTO)", "release the emergency stop, then start again"),
+    0x70: Alarm("the operation data cannot be carried out", "check speed, rates and steps_per_mm"),
+    0x84: Alarm("RS-485 communication error", "check the cable, its shield and its termination"),
+    0x85: Alarm(
+        "communication time-out: nobody talked on the line",
+        "the program hung or the cable failed; look at the bench and start again",
+    ),
+}
+"""In our words."""
+
+
+class Settings(BaseSettings):
+    """Where the drive is, what its numbers mean and what the axis may do."""
+
+    driver: Literal["oriental-az"] = "oriental-az"
+    axis: Literal["z", "x"]
+    """Which axis of the bench it moves."""
+    port: str = Field(min_length=1)
+    """Serial port of the RS-485 line, for example /dev/ttyUSB0; both axes may share it."""
+    baudrate: Literal[9600, 19_200, 38_400, 57_600, 115_200, 230_400] = 230_400
+    """As the drive's BAUD switch says; a servo wants the fastest."""
+    parity: Literal["E", "O", "N"] = "E"
+    """Even, odd or none, with one stop bit."""
+    unit_id: int = Field(ge=1, le=31)
+    """The drive's address on the line, as its ID switch says."""
+    timeout_s: float = Field(default=0.5, gt=0, le=10)
+    """Longest wait for an answer."""
+    steps_per_mm: float = Field(gt=0, le=100_000)
+    """Resolution in steps a revolution by lead in mm. The drive cannot be asked for it."""
+    low_limit_mm: float
+    """Lowest position allowed, set in the drive too."""
+    high_limit_mm: float
+    """Highest position allowed, set in the drive too."""
+    max_speed_mm_s: float = Field(gt=0, le=1000)
+    """Fastest motion allowed."""
+    acceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
+    """Acceleration of every motion."""
+    deceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
+    """Deceleration of every motion and of a stop."""
+    communication_timeout_ms: int = Field(default=500, ge=200, le=10_000)
+    """The drive stops by itself when nobody has talked on its line for so long."""
+    torque_limit_percent: float = Field(default=100, gt=0, le=100)
+    """Operating current of every motion: the barrier behind the force limit."""
+    position_tolerance_mm: float = Field(default=0.02, gt=0, le=1)
+    """How far from its target a motion may end."""
+    following_limit_mm: float = Field(default=0.2, gt=0, le=10)
+    """How far the axis may lag behind its command before it counts as held back."""
+    homing_timeout_s: float = Field(default=60, gt=0, le=600)
+    """How long homing may take."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if not self.low_limit_mm < self.high_limit_mm:
+            raise ValueError("low_limit_mm has to be below high_limit_mm")
+        farthest_mm = max(abs(self.low_limit_mm), abs(self.high_limit_mm))
+        if farthest_mm * self.steps_per_mm > LARGEST_STEP:
+            raise ValueError("low_limit_mm and high_limit_mm do not fit the drive's steps")
+        if self.max_speed_mm_s * self.steps_per_mm > FASTEST_Hz:
+            raise ValueError(f"max_speed_mm_s is above the drive's {FASTEST_Hz} steps/s")
+        fastest = max(self.acceleration_mm_s2, self.deceleration_mm_s2)
+        slowest = min(self.acceleration_mm_s2, self.deceleration_mm_s2)
+        if fastest * self.steps_per_mm > LARGEST_RATE or slowest * self.steps_per_mm < 1:
+            raise ValueError("acceleration or deceleration does not fit the drive's steps/s2")
+        return self
+
+    @property
+    def role(self) -> str:
+        """The role it plays on the bench."""
+        return f"stage_{self.axis}"

@@ -1,0 +1,559 @@
+"""The AZ driver against the simulated pair, through pyserial and a pseudo-terminal."""
+
+from __future__ import annotations
+
+import termios
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+import serial
+from pydantic import ValidationError
+from simulated.axis_bench import AxisBench
+from simulated.ideal import serving
+
+from drivers import oriental_az
+from drivers.az_link import RtuLine as DriverLine
+from drivers.az_settings import Settings
+from drivers.oriental_az import Axis
+from drivers.simulated.fault_plan import FaultPlan, MoveFault
+from drivers.simulated.faults import WireFaults
+from drivers.simulated.modbus_rtu import RTU_DIALECT, RtuLine
+from drivers.simulated.oriental_az import (
+    HIGH_LIMIT,
+    LOW_LIMIT,
+    SLAVE_ERROR_RESPONSE,
+    AzDrive,
+    DriveSettings,
+    LINE_TIMEOUT_ms,
+)
+from drivers.simulated.serial_server import Exchange, PtyServer
+from rig.clock import Clock
+from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
+
+TIMEOUT_S = 0.15
+STEPS = 1000
+OWN: dict[str, Any] = {
+    "parity": "N",
+    "timeout_s": TIMEOUT_S,
+    "steps_per_mm": STEPS,
+    "low_limit_mm": 0.0,
+    "high_limit_mm": 80.0,
+    "max_speed_mm_s": 50.0,
+    "torque_limit_percent": 30.0,
+}
+
+
+class BenchClock(Clock):
+    """Time passes on the bench when somebody sleeps, and only then."""
+
+    def __init__(self, bench: AxisBench):
+        super().__init__()
+        self.bench = bench
+
+    def now(self) -> float:
+        return self.bench.now_us * 1e-6
+
+    def _pass(self, seconds: float) -> None:
+        self.bench.now_us += max(1, round(seconds * 1e6))
+
+
+class Wire(RtuLine):
+    """The line with a memory: every frame in hexadecimal, and how much bench time it had."""
+
+    said: list[str]
+    at_us: list[int]
+
+    def exchanges(self, data: bytes, by: str) -> Iterator[Exchange]:
+        self.said.append(data[:-2].hex(" "))
+        self.at_us.append(self._timeline.now_us)
+        yield from super().exchanges(data, by)
+
+
+class Service:
+    """Two simulated drives on their line, and clients as they are asked for."""
+
+    def __init__(self, faults: Iterable[dict[str, Any]], own: dict[str, Any]):
+        self.bench = AxisBench()
+        self.clock = BenchClock(self.bench)
+        plan = FaultPlan.model_validate({"fault": list(faults)})
+        self.z, self.x = (
+            AzDrive(DriveSettings(name, number, STEPS, faults=plan.of(MoveFault, name)), self.bench)
+            for number, name in enumerate(("stage_z", "stage_x"), 1)
+        )
+        self.line = Wire([self.z, self.x], self.bench)
+        self.line.said, self.line.at_us = [], []
+        wire = {name: WireFaults(plan, name, RTU_DIALECT) for name in ("stage_z", "stage_x")}
+        self.server = PtyServer(self.line, self.bench, slaved=True, faults=wire)
+        self._own = {**OWN, **own}
+        self.axes: list[Axis] = []
+
+    def settings(self, axis: str = "z") -> Settings:
+        unit = {"axis": axis, "unit_id": "zx".index(axis) + 1, "port": self.server.path}
+        return Settings(**{**self._own, **unit})
+
+    def connect(self, axis: str = "z") -> Axis:
+        connected = oriental_az.connect(self.settings(axis), self.clock)
+        self.axes.append(connected)
+        return connected
+
+    def homed(self, axis: str = "z") -> Axis:
+        connected = self.connect(axis)
+        self.clock.each_slice(connected.keep_alive)
+        connected.home()
+        self.line.said.clear()
+        return connected
+
+    def speed(self, drive: AzDrive) -> float:
+        return drive.velocity_mm_s(self.bench.now_us)
+
+    def run_dry(self, seconds: float) -> None:
+        """Time passes and nobody says anything."""
+        self.bench.now_us += round(seconds * 1e6)
+
+
+@contextmanager
+def service(*faults: dict[str, Any], **own: Any) -> Iterator[Service]:
+    running = Service(faults, own)
+    with serving(running.server):
+        try:
+            yield running
+        finally:
+            for axis in running.axes:
+                axis.close()
+
+
+def silent(device: str, **when: Any) -> dict[str, Any]:
+    return {"device": device, "kind": "silence", **when}
+
+
+# --- what goes over the line -----------------------------------------------------------------
+
+
+def test_a_move_is_one_write_of_everything_and_a_change_of_it_another() -> None:
+    with service() as bench:
+        axis = bench.homed()
+        axis.start_move(25.0, 10.0)
+        axis.start_move(24.0, 10.0)
+        writes = [said for said in bench.line.said if said.startswith("01 10")]
+        values = [
+            "00",
+            "00",
+            "00",
+            "01",
+            "00",
+            "00",
+            "61",
+            "a8",
+            "00",
+            "00",
+            "27",
+            "10",
+            "00",
+            "03",
+            "0d",
+            "40",
+            "00",
+            "03",
+            "0d",
+            "40",
+            "00",
+            "00",
+            "01",
+            "2c",
+            "00",
+            "00",
+            "00",
+            "01",
+        ]
+        changed = " ".join(values).replace("61 a8", "5d c0")
+        assert writes in (
+            [f"01 10 00 58 00 10 20 00 00 00 00 {' '.join(values)}", f"01 10 00 5a 00 0e 1c {changed}"],
+            [f"01 10 00 5a 00 0e 1c {' '.join(values)}", f"01 10 00 58 00 10 20 00 00 00 00 {changed}"],
+        )  # fmt: skip
+        tasks = [value for value in bench.bench.told("move")]
+        assert tasks == [{"target_mm": 25.0, "speed_mm_s": 10.0}], "the second changed the first"
+
+
+def test_the_line_has_its_silence_on_the_benchs_clock() -> None:
+    """17 bytes at 230400 baud, 3 ms until the drive answers, 3 ms after it has."""
+    with service() as bench:
+        axis = bench.homed()
+        bench.line.at_us.clear()
+        for _ in range(50):
+            axis.position_mm()
+        gaps = [b - a for a, b in zip(bench.line.at_us, bench.line.at_us[1:], strict=False)]
+        shortest = (8 + 21) * 11 / 230_400 * 1e6 + 6000
+        assert min(gaps) == pytest.approx(shortest, abs=2)
+        assert axis.reach()["update_rate"].high == pytest.approx(50.0)
+
+
+def test_a_slow_line_carries_fewer_updates() -> None:
+    with service(baudrate=19_200, communication_timeout_ms=2000) as bench:
+        axis = bench.connect()
+        assert 10 < axis.reach()["update_rate"].high < 25
+        assert "its line carries a look and a new target in" in axis.reach()["update_rate"].owner
+
+
+def test_two_axes_share_one_port_and_close_it_together() -> None:
+    with service() as bench:
+        z, x = bench.connect("z"), bench.connect("x")
+        assert z._line is x._line
+        z.close()
+        assert x.position_mm() == pytest.approx(47.5, abs=1e-3), "unhomed by 37.5 mm"
+        x.close()
+        assert DriverLine._open == {}
+
+
+def test_a_line_with_two_baudrates_is_refused() -> None:
+    with service() as bench:
+        bench.connect("z")
+        wrong = bench.settings("x").model_copy(update={"baudrate": 9600})
+        with pytest.raises(InstrumentError, match="is in use at 230400 baud") as caught:
+            oriental_az.connect(wrong, bench.clock)
+        assert "same baudrate" in str(caught.value.hint)
+
+
+def test_a_port_that_cannot_do_the_parity_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As some pseudo-terminals cannot; it is no OSError."""
+
+    def refuse(*arguments: object, **named: object) -> None:
+        raise termios.error(22, "Invalid argument")
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with service() as bench, pytest.raises(InstrumentError, match="Invalid argument") as caught:
+        bench.connect()
+    assert "parity" in str(caught.value.hint)
+
+
+# --- what the instrument itself keeps --------------------------------------------------------
+
+
+def test_time_out_limits_and_error_reply_are_set_at_connect_and_the_stop_is_lifted() -> None:
+    with service(communication_timeout_ms=700) as bench:
+        bench.connect()
+        values = bench.z._values
+        kept = [values[one] for one in (LINE_TIMEOUT_ms, LOW_LIMIT, HIGH_LIMIT)]
+        assert kept == [700, 0, 80 * STEPS]
+        assert values[SLAVE_ERROR_RESPONSE] == 1
+        assert values[0x7C] == 0
+
+
+@pytest.mark.parametrize(
+    ("register", "what"),
+    [(LINE_TIMEOUT_ms, "138A"), (LOW_LIMIT, "038A"), (HIGH_LIMIT, "0388")],
+)
+def test_a_value_that_is_not_kept_ends_the_connection(register: int, what: str) -> None:
+    with service(low_limit_mm=1.0) as bench:
+        honest = bench.z._register
+
+        def forgetful(address: int) -> int:
+            return 5 if address == register + 1 else honest(address)
+
+        bench.z._register = forgetful  # type: ignore[method-assign]
+        with pytest.raises(InstrumentError, match=f"{what}h: set to .* but reads back"):
+            bench.connect()
+        assert DriverLine._open == {}
+
+
+def test_the_torque_limit_goes_with_every_motion_and_ends_one_into_something() -> None:
+    """30 N against 100 N/mm: held 0.3 mm into the wall, and told before the drive's own alarm."""
+    with service() as bench:
+        axis = bench.homed()
+        bench.bench.wall_mm = 30.0
+        with pytest.raises(InstrumentError, match=r"is held back by 0\.\d+ mm at 30\.\d+ mm") as e:
+            axis.move_to(40.0, 5.0)
+        assert "torque_limit_percent" in str(e.value.hint)
+        assert bench.z.axis.force_limit_N == 30.0
+        bench.run_dry(0.2)
+        assert bench.speed(bench.z) == 0
+
+
+def test_a_move_outside_a_limit_sends_nothing() -> None:
+    with service() as bench:
+        axis = bench.homed()
+        for position, speed in ((80.5, 10.0), (-0.5, 10.0), (10.0, 51.0), (10.0, 0.0)):
+            with pytest.raises(LimitError, match="stage_z AZ"):
+                axis.start_move(position, speed)
+        assert bench.line.said == []
+
+
+def test_settings_that_contradict_each_other_are_refused() -> None:
+    good = {**OWN, "axis": "z", "unit_id": 1, "port": "p"}
+    for change, words in (
+        ({"low_limit_mm": 90.0}, "below high_limit_mm"),
+        ({"max_speed_mm_s": 1000, "steps_per_mm": 50_000}, "above the drive's 4000000 steps/s"),
+        ({"high_limit_mm": 3e6}, "do not fit the drive's steps"),
+        ({"unit_id": 32}, "less than or equal to 31"),
+        ({"baudrate": 12_345}, "baudrate"),
+    ):
+        with pytest.raises(ValidationError, match=words):
+            Settings(**{**good, **change})
+
+
+# --- stopping --------------------------------------------------------------------------------
+
+
+def test_the_stop_stands_until_it_is_answered_and_the_drive_itself_refuses_to_start() -> None:
+    with service() as bench:
+        axis = bench.homed()
+        axis.start_move(60.0, 10.0)
+        axis.make_safe()
+        assert bench.z._values[0x7C] == 0x20
+        bench.run_dry(0.2)
+        with pytest.raises(InstrumentError, match="made safe"):
+            axis.start_move(60.0, 10.0)
+        frame = bytes.fromhex("0110005a000e1c 00000001 00001388 00002710 00030d40 00030d40")
+        words = [int.from_bytes(frame[7 + i : 9 + i], "big") for i in range(0, 20, 2)]
+        with pytest.raises(Exception, match="exception 4"):
+            bench.z.write(0x5A, [*words, 0, 300, 0, 1], "a late line of a procedure")
+        axis.stop()
+        assert bench.z._values[0x7C] == 0
+        axis.move_to(20.0, 40.0)
+
+
+def test_a_stop_by_somebody_else_is_not_set_aside() -> None:
+    """Another program makes the axis safe while the servo tells new targets."""
+    with service() as bench:
+        axis = bench.homed()
+        axis.start_move(60.0, 10.0)
+        bench.z.write(0x7C, [0, 0x20], "somebody")
+        with pytest.raises(InstrumentError, match="by somebody else"):
+            axis.start_move(60.1, 10.0)
+        with pytest.raises(InstrumentError, match="stopped by somebody else"):
+            axis.start_move(60.1, 10.0)
+        bench.run_dry(0.2)
+        assert bench.speed(bench.z) == 0
+
+
+def test_a_keep_alive_tells_a_stop_by_somebody_else() -> None:
+    with service() as bench:
+        axis = bench.homed()
+        axis.start_move(60.0, 10.0)
+        bench.z.write(0x7C, [0, 0x20], "somebody")
+        with pytest.raises(InstrumentError, match="ended by somebody else"):
+            bench.clock.sleep(0.3)
+
+
+def test_a_watchers_make_safe_is_not_kept_waiting_by_a_procedure_that_waits_for_the_line() -> None:
+    """The procedure waits on a clock that stands until the watcher is done."""
+    with service() as bench:
+        axis = bench.homed()
+        axis.start_move(60.0, 10.0)
+        made_safe: list[bool] = []
+
+        def watcher() -> None:
+            axis.make_safe()
+            made_safe.append(True)
+
+        def trip() -> None:
+            unregister()
+            thread = threading.Thread(target=watcher)
+            thread.start()
+            thread.join(5)
+
+        unregister = bench.clock.each_slice(trip)
+        with pytest.raises(InstrumentError, match="made safe"):
+            axis.start_move(61.0, 10.0)
+        assert made_safe == [True]
+        bench.run_dry(0.2)
+        assert bench.speed(bench.z) == 0
+
+
+def test_a_stop_goes_out_although_the_drive_owes_an_answer() -> None:
+    fault = silent("stage_z", command="FC3 198", at=3, count=0)
+    with service(fault) as bench:
+        axis = bench.homed()
+        axis.start_move(60.0, 10.0)
+        with pytest.raises(InstrumentTimeoutError):
+            for _ in range(5):
+                axis.position_mm()
+        axis.make_safe()
+        assert bench.z._values[0x7C] == 0x20
+
+
+# --- faults of drive and axis ----------------------------------------------------------------
+
+ALARMS = {
+    "overload": ({"kind": "drive-fault", "code": 0x30}, "30h (overload)", "blocks the axis"),
+    "limit sensor": ({"kind": "limit-switch"}, "66h (limit sensor reached)", "home again"),
+    "reference lost": ({"kind": "reference-lost"}, "33h (the absolute position", "find the ref"),
+    "unknown": ({"kind": "drive-fault", "code": 0x7E}, "7Eh (see the drive's manual)", "look the"),
+}
+
+
+@pytest.mark.parametrize("what", ALARMS)
+def test_an_alarm_is_told_with_its_meaning_and_remedy(what: str) -> None:
+    fault, words, remedy = ALARMS[what]
+    with service({"device": "stage_z", "move": 1, "after_s": 0.5, **fault}) as bench:
+        axis = bench.homed()
+        with pytest.raises(InstrumentError) as caught:
+            axis.move_to(60.0, 10.0)
+        assert f"stage_z: drive alarm: {words}" in caught.value.message
+        assert remedy in str(caught.value.hint)
+        with pytest.raises(InstrumentError, match="drive alarm"):
+            axis.start_move(20.0, 10.0)
+        axis.stop()
+        assert bench.speed(bench.z) == 0
+        bench.clock.sleep(1.0)  # told once: other waits go on
+
+
+def test_an_alarm_of_before_is_reset_at_the_first_motion() -> None:
+    with service() as bench:
+        first = bench.connect()
+        first.home()
+        first.close()
+        bench.run_dry(1.0)  # longer than the communication time-out
+        assert bench.z.alarm == 0
+        bench.z.heard()
+        assert bench.z.alarm == 0x85
+        axis = bench.connect()
+        axis.move_to(20.0, 40.0)
+        assert bench.bench.told("acknowledged") == ["85h"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ({"kind": "stuck"}, "is held back by"),
+        ({"kind": "runaway"}, "ran past its target"),
+        ({"kind": "slow", "share": 0.05}, "has not arrived"),
+    ],
+)
+def test_an_axis_that_goes_wrong_is_stopped(kind: dict[str, Any], words: str) -> None:
+    with service({"device": "stage_z", "move": 1, "after_s": 0.3, **kind}) as bench:
+        axis = bench.homed()
+        with pytest.raises(InstrumentError, match=words):
+            axis.move_to(20.0, 10.0)
+        axis.stop()
+        assert bench.speed(bench.z) == 0
+
+
+def test_beyond_a_software_limit_of_the_drive_it_stops_there_and_that_is_told() -> None:
+    with service() as bench:
+        axis = bench.homed()
+        bench.z._values[HIGH_LIMIT] = 40 * STEPS
+        with pytest.raises(InstrumentError, match="stands at 40 mm and has not arrived at 60 mm"):
+            axis.move_to(60.0, 40.0)
+
+
+# --- two drives on one line ------------------------------------------------------------------
+
+
+def test_frames_to_one_drive_feed_the_other_as_well_and_silence_stops_both() -> None:
+    with service() as bench:
+        z, x = bench.homed("z"), bench.homed("x")
+        z.start_move(60.0, 1.0)
+        x.start_move(60.0, 1.0)
+        for _ in range(10):
+            bench.run_dry(0.3)
+            z.position_mm()
+        assert bench.x.alarm == 0
+        assert bench.speed(bench.x) == pytest.approx(1.0)
+        bench.run_dry(0.6)
+        assert [bench.speed(drive) for drive in (bench.z, bench.x)] == [0, 0]
+        assert (bench.z.alarm, bench.x.alarm) == (0x85, 0x85)
+
+
+def test_a_drive_whose_answers_are_lost_while_the_other_answers_is_told() -> None:
+    """Its communication time-out is fed, it goes on moving: nobody but the program can notice."""
+    with service(silent("stage_x", command="FC3 124", at=60, count=0)) as bench:
+        z, x = bench.homed("z"), bench.homed("x")
+        x.start_move(60.0, 1.0)
+        with pytest.raises(InstrumentError) as caught:
+            bench.clock.sleep(60.0)
+        assert caught.value.device == "stage_x"
+        assert bench.speed(bench.x) == pytest.approx(1.0)
+        assert z.position_mm() == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_keep_alive_of_either_minds_the_other() -> None:
+    """x's own keep-alives do not come any more; z's notice, once."""
+    with service() as bench:
+        z = bench.homed("z")
+        bench.connect("x")
+        with pytest.raises(InstrumentError) as caught:
+            bench.clock.sleep(2.0)
+        error = caught.value
+        assert (error.device, error.command) == ("stage_x", "keep alive")
+        assert "which feeds its communication time-out" in error.cause
+        assert error.hint is not None
+        bench.clock.sleep(2.0)
+        bench.axes[1].position_mm()
+        with pytest.raises(InstrumentError, match="stage_x: keep alive"):
+            bench.clock.sleep(2.0)
+        assert z.position_mm() == pytest.approx(0.0, abs=0.01)
+
+
+# --- the link --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "kind", ["silence", "garbage", "truncate", "stale", "double", "checksum", "error", "close"]
+)
+def test_an_answer_is_right_or_an_error_and_the_next_but_one_is_right(kind: str) -> None:
+    """The axis moves on between two questions: an old answer would be another position."""
+    code = {"code": 4} if kind == "error" else {}
+    fault = {"device": "stage_z", "kind": kind, "command": "FC3 198", "at": 6, "count": 1, **code}
+    with service(fault) as bench:
+        z, x = bench.homed("z"), bench.homed("x")
+        z.start_move(60.0, 10.0)
+        failures = []
+        for _ in range(20):
+            try:
+                seen = z.position_mm()
+            except InstrumentError as failure:
+                failures.append(failure)
+                assert failure.hint
+                continue
+            truth = bench.z.position_mm(bench.bench.now_us)
+            assert seen == pytest.approx(truth, abs=2e-3)
+            assert x.position_mm() == pytest.approx(0.0, abs=2e-3)
+        assert len(failures) == (0 if kind == "double" else 1)
+
+
+def test_late_answers_of_the_other_drive_are_passed_over() -> None:
+    fault = {"device": "stage_x", "kind": "stale", "command": "FC3 198", "at": 2}
+    with service(fault) as bench:
+        z, x = bench.homed("z"), bench.homed("x")
+        failures = 0
+        for _ in range(10):
+            for axis in (x, z):
+                try:
+                    assert axis.position_mm() == pytest.approx(0.0, abs=1e-3)
+                except InstrumentTimeoutError:
+                    failures += 1
+        assert failures == 1
+
+
+def test_a_refusal_tells_the_exception_and_what_it_means() -> None:
+    fault = {"device": "stage_z", "kind": "error", "code": 4, "command": "FC3 248"}
+    with service(fault) as bench, pytest.raises(InstrumentError) as caught:
+        bench.connect()
+    assert caught.value.__cause__ is not None
+    assert "exception 4: slave error" in str(caught.value.__cause__)
+
+
+def test_make_safe_of_the_module_leaves_the_stop_standing() -> None:
+    with service() as bench:
+        axis = bench.homed()
+        axis.start_move(60.0, 10.0)
+        began = time.monotonic()
+        released = threading.Event()
+
+        def pass_time() -> None:
+            while not released.wait(0.001):
+                bench.bench.now_us += round((time.monotonic() - began) * 1e3)
+
+        passing = threading.Thread(target=pass_time)
+        passing.start()
+        try:
+            oriental_az.make_safe(bench.settings())
+        finally:
+            released.set()
+            passing.join()
+        assert bench.speed(bench.z) == 0
+        assert bench.z._values[0x7C] == 0x20
