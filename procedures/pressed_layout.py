@@ -62,7 +62,7 @@ HELD = (
     Column("contact", "contact_mm", "mm", "z of the contact (mm)"),
     Column("stiffness", "stiffness_N_mm", "N/mm", "Stiffness at the force (N/mm)"),
     Column("overshoot", "overshoot_percent", "%", "Overshoot of the approach (%)"),
-    Column("normal_force", "normal_force_N", "N", "Mean normal force in the slide (N)"),
+    Column("normal_force", "normal_force_N", "N", "Mean normal force in the motion (N)"),
     Column("force_error_rms", "force_error_rms_percent", "%", "Force error, rms (%)"),
     Column("force_error_peak", "force_error_peak_percent", "%", "Force error, peak (%)"),
 )

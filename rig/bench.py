@@ -130,6 +130,10 @@ class FixtureSettings(Settings):
     """Position at which it has met the object: no contact by then means that there is none."""
     parked_mm: float = 5.0
     """Position at which the z stage waits, clear of everything."""
+    centre_mm: float | None = None
+    """Of an object that rolls: position of x at which the middle of the skin is above it."""
+    upright_deg: float | None = None
+    """Of an object that rolls: angle of the rotary stage at which it stands upright."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:

@@ -28,11 +28,13 @@ if TYPE_CHECKING:
     from drivers.simulated.fault_plan import FaultPlan
     from drivers.simulated.faults import Dialect, WireFaults
     from drivers.simulated.festo_cmmt import CmmtDrive
+    from drivers.simulated.meeting import Where
     from drivers.simulated.monitor import Monitor, WatchSettings
     from drivers.simulated.oriental_az import AzDrive
     from drivers.simulated.serial_server import PtyServer
     from drivers.simulated.servers import HislipServer, ScpiSocketServer
     from drivers.simulated.world import World, WorldSettings
+    from drivers.simulated.zaber_rst import RotaryStage
 
 LINGER_S = 10.0
 """How long a bench whose owner died goes on in real time: time for the guard to come and act."""
@@ -40,7 +42,8 @@ LINGER_S = 10.0
 ABANDONED_S = 0.5
 """How long a bench that nobody has connected to may take to end by itself."""
 
-Fixture = Literal["film-clamp", "plate"]
+Fixture = Literal["film-clamp", "plate", "semi-spherical-object"]
+HEAD: Fixture = "semi-spherical-object"
 Stages = Literal["festo", "az"]
 """Two drives on Modbus TCP, or two on one Modbus RTU line."""
 
@@ -50,7 +53,7 @@ class Options:
     """How to run the bench."""
 
     fixture: Fixture = "film-clamp"
-    """What is mounted: the film in its clamp, or the skin above its plate."""
+    """What is mounted: the film in its clamp, or the skin above a plate or a head that rolls."""
     stages: Stages = "festo"
     """What moves it."""
     seed: int = 0
@@ -82,6 +85,9 @@ AZ_LINE = "stages"
 SKIN_UNIT_MM = 0.0001
 """A count of the stages that carry the skin: 1 um would be 0.15 N of normal force (assumed)."""
 
+ROTARY_START_deg, ROTARY_REACH_deg = 8.0, 30.0
+"""Where the rotary stage stands when it is switched on, and how far it may turn."""
+
 SETTLE_EVERY_S = 0.02
 """How often drives in real time look at what has befallen them."""
 
@@ -95,6 +101,7 @@ class Endpoints:
     """Of z and x: ports of drives on TCP, or the serial line that both are on."""
     force_sensor: str
     generator: str = ""
+    rotary: str = ""
 
 
 def bench_toml(options: Options, world: dict[str, Any], endpoints: Endpoints) -> str:
@@ -103,7 +110,7 @@ def bench_toml(options: Options, world: dict[str, Any], endpoints: Endpoints) ->
 
     simulation = {"seed": options.seed, **world}
     lines = "".join(f"{key} = {_toml(value)}\n" for key, value in simulation.items())
-    own = _skin_tables if options.fixture == "plate" else _film_tables
+    own = _film_tables if options.fixture == "film-clamp" else _skin_tables
     return f"""# A simulated bench: whatever is measured on it is computed, not measured.
 name = "simulated"
 
@@ -112,8 +119,8 @@ name = "simulated"
 [fixture]
 mounted = "{options.fixture}"
 contact_from_mm = 12.0
-contact_to_mm = 13.0
-
+contact_to_mm = {13.6 if options.fixture == HEAD else 13.0}
+{_head_lines(options)}
 {own(options, endpoints)}
 [force_sensor]
 driver = "me-gsv8"
@@ -123,6 +130,16 @@ nominal_force_N = 50.0
 max_force_N = 40.0
 matrix_N_mV_V = {json.dumps(Sensor().matrix)}
 """
+
+
+def _head_lines(options: Options) -> str:
+    """Where the head is, in the table of the fixture."""
+    if options.fixture != HEAD:
+        return ""
+    from drivers.simulated.meeting import HeadSettings
+
+    head = HeadSettings()
+    return f"centre_mm = {head.centre_mm}\nupright_deg = {head.upright_deg}\n"
 
 
 def _film_tables(options: Options, endpoints: Endpoints) -> str:
@@ -164,7 +181,25 @@ timeout_s = {LINK_TIMEOUT_S}
 channels = {{ strip_1 = 101, strip_2 = 102 }}
 
 {_stage_table(options, endpoints, "z", 14.0, 45.0)}
-{_stage_table(options, endpoints, "x", 40.0, 30.0)}"""
+{_stage_table(options, endpoints, "x", 40.0, 30.0)}{_rotary_table(options, endpoints)}"""
+
+
+def _rotary_table(options: Options, endpoints: Endpoints) -> str:
+    if options.fixture != HEAD:
+        return ""
+    from drivers.simulated.zaber_rst import StageSettings
+
+    return f"""
+[rotary]
+driver = "zaber-rst"
+port = "{endpoints.rotary}"
+timeout_s = {LINK_TIMEOUT_S}
+microstep_deg = {StageSettings().microstep_deg}
+low_limit_deg = 0.0
+high_limit_deg = {ROTARY_REACH_deg}
+max_speed_deg_s = 20.0
+max_acceleration_deg_s2 = 500.0
+"""
 
 
 def _stage_table(
@@ -186,7 +221,7 @@ axis = "{axis}"
 host = "127.0.0.1"
 port = {where}
 """
-        if options.fixture == "plate":
+        if options.fixture != "film-clamp":
             link += f"position_unit_mm = {SKIN_UNIT_MM}\n"
     return f"""[stage_{axis}]
 {link}timeout_s = {LINK_TIMEOUT_S}
@@ -291,6 +326,8 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
     def settle() -> None:
         for drive in bench.drives:
             drive.settle(world.now_us)
+        if bench.rotary is not None:
+            bench.rotary.settle(world.now_us)
         world.settle()
 
     def after_time_passed() -> None:
@@ -359,11 +396,12 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
 def _read_world(options: Options) -> WorldSettings:
     from drivers.simulated.world import read_world
 
-    if options.fixture == "plate":
-        from drivers.simulated.plate_world import PlateWorldSettings
+    if options.fixture == "film-clamp":
+        return read_world(options.world)
+    from drivers.simulated.plate_world import HeadWorldSettings, PlateWorldSettings
 
-        return read_world(options.world, PlateWorldSettings)
-    return read_world(options.world)
+    kind = HeadWorldSettings if options.fixture == HEAD else PlateWorldSettings
+    return read_world(options.world, kind)
 
 
 def _read_faults(options: Options) -> FaultPlan:
@@ -380,7 +418,8 @@ def _read_faults(options: Options) -> FaultPlan:
 
     if options.fault is None:
         return FaultPlan()
-    missing = {"film-clamp": {STAGE_X}, "plate": {GENERATOR}}.get(options.fixture, set()) | {ROTARY}
+    missing = {GENERATOR} if options.fixture == HEAD else {ROTARY}
+    missing |= {"film-clamp": {STAGE_X}, "plate": {GENERATOR}}.get(options.fixture, set())
     if not options.slaved:
         missing.add(DISK)  # whoever records is another process
     befallen = BEFALLEN_ON_A_LINE if options.stages == "az" else BEFALLEN
@@ -407,6 +446,7 @@ class _Instruments:
             DAQ,
             FORCE_STREAM,
             GENERATOR,
+            ROTARY,
             SensorFault,
             TimedFault,
         )
@@ -416,6 +456,7 @@ class _Instruments:
         from drivers.simulated.monitor import WatchedLine
         from drivers.simulated.serial_server import PtyServer
         from drivers.simulated.servers import SCPI_DIALECT, HislipServer
+        from drivers.simulated.zaber_rst import ZABER_DIALECT
 
         def wire(device: str, dialect: Dialect) -> WireFaults:
             tell = partial(world.log, device, "injected", by="plan")
@@ -423,19 +464,31 @@ class _Instruments:
 
         self._world = world
         settings = world.settings
-        plate = options.fixture == "plate"
+        skin = options.fixture != "film-clamp"
         self._link = settings.generator_link
-        self.generator = None if plate else _generator(world, wire(GENERATOR, SCPI_DIALECT))
+        self.generator = None if skin else _generator(world, wire(GENERATOR, SCPI_DIALECT))
         daq = KeysightU2300A(
             settings.daq_model, world, world, buffer_samples=settings.daq_buffer_samples
         )
         self.daq = HislipServer(daq, faults=wire(DAQ, SCPI_DIALECT))
         world.befall(DAQ, lambda fault, t_us: daq.overrun())
         make_drive = _az_drive if options.stages == "az" else _cmmt_drive
-        mount = _plate_drives if plate else _clamp_drives
-        self.drives = mount(world, partial(make_drive, world, faults, plate))
         self.serial: list[PtyServer] = []
         """Servers that need be told when nobody owns the time any more."""
+        self.rotary = _rotary(world, faults) if options.fixture == HEAD else None
+        self.turning: PtyServer | None = None
+        if self.rotary is not None:
+            self.turning = PtyServer(
+                self.rotary.line(),
+                world,
+                slaved=options.slaved,
+                faults=wire(ROTARY, ZABER_DIALECT),
+                name=ROTARY,
+            )
+            self.serial.append(self.turning)
+        turned = None if self.rotary is None else self.rotary.angles_deg
+        mount = partial(_skin_drives, turned) if skin else _clamp_drives
+        self.drives = mount(world, partial(make_drive, world, faults, skin))
         self.stages = self._serve_stages(options, wire)
         sensor = Sensor(zero_mV_V=settings.force_sensor_zero_mV_V)
         amplifier = Gsv8(world, world, FORCE_SENSOR, sensor)
@@ -498,6 +551,8 @@ class _Instruments:
             speed = drive.velocity_mm_s(now_us)
             if speed:
                 yield f"{drive.settings.name} moves at {speed:.3g} mm/s"
+        if self.rotary is not None and (speed := self.rotary.speed_deg_s(now_us)):
+            yield f"rotary turns at {speed:.3g} deg/s"
         if self.generator is not None and self._world.driven:
             yield "generator drives the vibrator"
 
@@ -505,21 +560,23 @@ class _Instruments:
     def servers(self) -> list[Any]:
         """All of them, in the order in which they start."""
         first = [] if self.generator is None else [self.generator]
-        return [*first, self.daq, *self.stages, self.force]
+        last = [] if self.turning is None else [self.turning]
+        return [*first, self.daq, *self.stages, *last, self.force]
 
     def listening(self) -> Endpoints:
         """Where each listens."""
         generator = 0 if self.generator is None else self.generator.port
         stages = [getattr(stage, "port", None) or stage.path for stage in self.stages]
-        return self._endpoints(generator, self.daq.port, stages, self.force.path)
+        rotary = "" if self.turning is None else self.turning.path
+        return self._endpoints(generator, self.daq.port, stages, self.force.path, rotary)
 
     def anywhere(self) -> Endpoints:
         """The same without this process's port numbers, for a text that is only recorded."""
         stages = [ANY_PORT if hasattr(stage, "port") else AZ_LINE for stage in self.stages]
-        return self._endpoints(0, 0, stages, FORCE_SENSOR)
+        return self._endpoints(0, 0, stages, FORCE_SENSOR, "rotary")
 
     def _endpoints(
-        self, generator: int, daq: int, stages: list[int | str], force: str
+        self, generator: int, daq: int, stages: list[int | str], force: str, rotary: str
     ) -> Endpoints:
         by_link = {
             "socket": f"TCPIP::127.0.0.1::{generator}::SOCKET",
@@ -530,6 +587,7 @@ class _Instruments:
             stages=(stages[0], stages[-1]),
             force_sensor=force,
             generator=by_link[self._link],
+            rotary=rotary,
         )
 
 
@@ -564,17 +622,27 @@ def _clamp_drives(
     return [z]
 
 
-def _plate_drives(
-    world: World, make_drive: Callable[[str], CmmtDrive | AzDrive]
+def _rotary(world: World, faults: FaultPlan) -> RotaryStage:
+    """The rotary stage, which carries the head."""
+    from drivers.simulated.fault_plan import ROTARY, RotaryFault
+    from drivers.simulated.zaber_rst import RotaryStage, StageSettings
+
+    own = StageSettings(ROTARY, start_deg=ROTARY_START_deg, faults=faults.of(RotaryFault, ROTARY))
+    return RotaryStage(own, world)
+
+
+def _skin_drives(
+    turned_deg: Where | None, world: World, make_drive: Callable[[str], CmmtDrive | AzDrive]
 ) -> list[CmmtDrive | AzDrive]:
-    """The z and the x stage, with the skin on them above the plate."""
+    """The z and the x stage, with the skin on them above the plate or the head that is turned."""
     from drivers.simulated.fault_plan import STAGES
     from drivers.simulated.plate_world import PlateWorldSettings, hang_skin
 
     settings = world.settings
     assert isinstance(settings, PlateWorldSettings)
     drives = [make_drive(name) for name in STAGES]
-    stiffness = hang_skin(world, settings, drives[0].positions_mm, drives[1].positions_mm)
+    z, x = drives
+    stiffness = hang_skin(world, settings, z.positions_mm, x.positions_mm, turned_deg)
     for drive in drives:
         drive.axis.stiffest_load_N_mm = stiffness
     return drives

@@ -33,7 +33,7 @@ class HeadSettings(Settings):
     """Its head: a sphere (the paper's), or a roller as wide as the skin."""
     centre_mm: float = 10.0
     """Position of the x stage at which the middle of the skin is above it."""
-    upright_deg: float = 90.0
+    upright_deg: float = 15.0
     """Angle of the rotary stage at which it stands upright."""
     axis_offset_mm: float = Field(default=0.3, ge=-20, le=20)
     """How far the rotary axis lies above where pure rolling wants it (assumed)."""

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 def simulate(
     fixture: Annotated[
-        Literal["film-clamp", "plate"], typer.Option(help="What is mounted.")
+        Literal["film-clamp", "plate", "semi-spherical-object"],
+        typer.Option(help="What is mounted."),
     ] = "film-clamp",
     stages: Annotated[
         Literal["festo", "az"], typer.Option(help="What moves it: Modbus TCP, or one RTU line.")

@@ -15,6 +15,7 @@ from rig.errors import ConfigurationError
 FIGURES = {
     "sweep": ("rig.figures.sweep:draw_data", "rig.figures.sweep:draw_model"),
     "slip_trial": ("rig.figures.slip_trial:draw_trials",),
+    "roll_trial": ("rig.figures.roll_trial:draw_trials",),
 }
 """The functions by the figure's name: known before anything heavy is imported."""
 

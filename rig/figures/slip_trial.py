@@ -10,22 +10,25 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from rig.figures.pressed import (
+    LEAST_FORCE,
+    TRIALS_SHOWN,
+    from_touch_on,
+    heading,
+    seconds,
+    shade,
+    show_allowed_error,
+)
 from rig.figures.style import STYLE, legend_above, set_margins
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from rig.recording.runfile import RunFile, Waveform
+    from rig.recording.runfile import RunFile
 
-TRIALS_SHOWN = 20
-"""Trials that get a figure of their own; the file holds them all."""
-BEFORE_S = 0.3
-"""What is shown before the force is felt; the file holds all of it."""
 REASON_WIDTH = 80
 """Characters of a line that fits into a panel."""
-LEAST_FORCE = 0.1
-"""Share of the normal force from which F_t / F_n is drawn."""
 
 
 def draw_trials(run: RunFile) -> dict[str, Figure]:
@@ -39,7 +42,6 @@ def draw_trials(run: RunFile) -> dict[str, Figure]:
 
 def draw_trial(run: RunFile, number: int, point: str) -> Figure:
     """Signal, forces, ratio and force error over time; the slide is shaded."""
-    doubt = str(run.column("invalid")[number])
     series = {w.stream: w for w in run.waveforms(point)}
     signals, force = series["signals"], series["force"]
     begin, end = (float(run.column(name)[number]) for name in ("slide_from", "slide_to"))
@@ -49,12 +51,12 @@ def draw_trial(run: RunFile, number: int, point: str) -> Figure:
         volts, newtons, ratio, error = figure.subplots(
             4, 1, sharex=True, gridspec_kw={"height_ratios": [2.4, 1.6, 1.2, 1.0]}
         )
-        t, mV = _time(signals), {name: 1e3 * signals.values(name) for name in signals.counts}
+        t, mV = seconds(signals), {name: 1e3 * signals.values(name) for name in signals.counts}
         volts.plot(t, mV["v_d"], linewidth=0.8, color="C0", label="$v_d = v_1 - v_2$")
         for colour, name, label in (("C1", "v_1", "$v_1$"), ("C2", "v_2", "$v_2$")):
             volts.plot(t, mV[name], linewidth=0.5, alpha=0.5, color=colour, label=label)
         volts.set_ylabel("Signal (mV)")
-        t, pressing, sideways = _time(force), force.values("F_n"), force.values("F_t")
+        t, pressing, sideways = seconds(force), force.values("F_n"), force.values("F_t")
         newtons.plot(t, pressing, linewidth=0.8, label="$F_n$")
         newtons.plot(t, sideways, linewidth=0.8, label="$F_t$")
         newtons.set_ylabel("Force (N)")
@@ -62,28 +64,16 @@ def draw_trial(run: RunFile, number: int, point: str) -> Figure:
         _coefficients(ratio, run, number)
         held = (t >= begin) & (t <= end)
         error.plot(t[held], 100 * (pressing[held] / wanted - 1), linewidth=0.6, color="C3")
-        _allowed(error, run)
+        show_allowed_error(error, run)
         error.set_ylabel("$F_n$ error (%)")
         error.set_xlabel("Time since the record's start (s)")
+        shade((volts, newtons, ratio, error), begin, end, "the slide")
         for axes in (volts, newtons, ratio, error):
-            axes.axvspan(
-                begin, end, color="C2", alpha=0.07, linewidth=0,
-                label="the slide" if axes is volts else None,
-            )  # fmt: skip
             legend_above(axes)
-        touched = t[pressing > LEAST_FORCE * wanted]
-        if touched.size:
-            error.set_xlim(max(0.0, float(touched[0]) - BEFORE_S), float(t[-1]))
-        set_margins(figure, top=0.9 if doubt else 0.72, between=0.22)
-        invalid = f"\ndoes not count: {doubt}" if doubt else ""
-        figure.suptitle(f"{run.header.title}: {point}\n{run.path.name}{invalid}", fontsize=9)
+        from_touch_on(error, t, pressing, wanted)
+        lines = heading(figure, run, number, point)
+        set_margins(figure, top=0.72 + 0.18 * (lines - 2), between=0.22)
     return figure
-
-
-def _time(waveform: Waveform) -> NDArray[np.float64]:
-    """Seconds since the record's start."""
-    first = next(iter(waveform.counts.values()))
-    return np.arange(len(first)) / (waveform.rate_Hz or 1.0)
 
 
 def _ratio(
@@ -109,11 +99,3 @@ def _coefficients(axes: Axes, run: RunFile, number: int) -> None:
     if why:
         told = textwrap.fill(f"no friction coefficients: {why}", REASON_WIDTH)
         axes.text(0.02, 0.9, told, transform=axes.transAxes, va="top", fontsize=8)
-
-
-def _allowed(axes: Axes, run: RunFile) -> None:
-    """The rms error beyond which a trial does not count, as a band."""
-    allowed = float(run.settings.get("force_error_rms_percent", 0.0))
-    if allowed:
-        label = f"rms up to {allowed:g} % counts"
-        axes.axhspan(-allowed, allowed, color="0.5", alpha=0.12, linewidth=0, label=label)

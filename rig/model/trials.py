@@ -221,12 +221,3 @@ def high_frequency(signal: Floats, rate_Hz: float, corner_Hz: float = 100.0) -> 
     sections = butter(3, corner_Hz, "highpass", fs=rate_Hz, output="sos")
     filtered: Floats = np.asarray(sosfilt(sections, signal))
     return filtered
-
-
-def share_above(signal: Floats, rate_Hz: float, corner_Hz: float = 100.0) -> float:
-    """Share of a stretch of signal's energy above `corner_Hz`, mean included, between 0 and 1."""
-    power = np.abs(np.fft.rfft(signal)) ** 2
-    power[1 : (signal.size + 1) // 2] *= 2
-    above = np.fft.rfftfreq(signal.size, 1 / rate_Hz) > corner_Hz
-    total = float(power.sum())
-    return float(power[above].sum()) / total if total > 0 else 0.0

@@ -92,9 +92,14 @@ class ForceMonitor:
         self, seconds: float
     ) -> npt.NDArray[np.float64]:
         """Mean force (3,) over the latest `seconds`; InstrumentError where no frame has come."""
-        latest = np.concatenate([f.force_N[-n:] for f, n in self._latest(seconds)])
-        mean: npt.NDArray[np.float64] = latest.mean(axis=0)
+        mean: npt.NDArray[np.float64] = self.latest_N(seconds).mean(axis=0)
         return mean
+
+    def latest_N(  # noqa: N802 - the unit keeps its capital
+        self, seconds: float
+    ) -> npt.NDArray[np.float64]:
+        """Forces (n, 3) of the latest `seconds`; InstrumentError where no frame has come."""
+        return np.concatenate([f.force_N[-n:] for f, n in self._latest(seconds)])
 
     def frames_since(self, index: int) -> ForceFrames | None:
         """Every frame from number `index` on, as one batch, or None where none has come yet.

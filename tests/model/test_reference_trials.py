@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from rig.analysis.spectrum import share_above
 from rig.model.contact.settings import ContactSettings, Cylinder, FrictionSettings, Plate, Sphere
 from rig.model.skin.condensed import CondensedSkin, build_skin
 from rig.model.skin.settings import SkinSettings
@@ -14,7 +15,6 @@ from rig.model.trials import (
     Trial,
     high_frequency,
     roll,
-    share_above,
     slide,
 )
 
@@ -79,8 +79,8 @@ def test_the_slip_of_ridge_3_is_a_short_impulse_against_the_hump(reference_slide
 def test_the_impulse_has_a_high_frequency_part_and_the_hump_has_none(reference_slide: Trial):
     """Reference: 37 % above 100 Hz around the slip, 2 % before; windows of 64 ms and 95 ms."""
     at = reference_slide.truth.whole_slip_s[2]
-    around = share_above(v_d_between(reference_slide, at - 0.032, at + 0.032), 1000.0)
-    before = share_above(v_d_between(reference_slide, at - 0.1, at - 0.005), 1000.0)
+    around = share_above(v_d_between(reference_slide, at - 0.032, at + 0.032), 1000.0, 100.0)
+    before = share_above(v_d_between(reference_slide, at - 0.1, at - 0.005), 1000.0, 100.0)
     assert 0.32 <= around <= 0.42
     assert before <= 0.02
 
@@ -129,7 +129,7 @@ def test_a_roll_shows_both_patterns_of_figure_19_without_an_impulse(
     volts = trial.sampled[rolling] * 1e3
     seen = [volts[np.abs(volts[:, c]).argmax(), c] for c in (0, 1)]
     assert seen == pytest.approx(peaks_mV, rel=0.05)
-    assert share_above(trial.v_d[rolling], 1000.0) <= 0.004
+    assert share_above(trial.v_d[rolling], 1000.0, 100.0) <= 0.004
     assert np.isnan(trial.truth.whole_slip_s[2])
 
 

@@ -15,7 +15,7 @@ from rig.model.contact.slices import SlicedStepper, hertz_force
 from rig.model.skin.condensed import CondensedSkin
 
 QUIET = {"noise_density_V_sqrtHz": 0.0, "mains_amplitude_mV": 0.0}
-CONTACT_mm, CENTRE_mm, UPRIGHT_deg = 12.4, 10.0, 90.0
+CONTACT_mm, CENTRE_mm, UPRIGHT_deg = 12.4, 10.0, 15.0
 ROLLER = {"body": {"shape": "cylinder", "radius_mm": 30.0}}
 
 

@@ -1,0 +1,107 @@
+"""What a roll trial shows besides: the strips' peaks, the angle, and what was dragged."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from procedures import pressed_reading
+from procedures.pressed_reading import DECIMATED_Hz, Taken, frame_times_s
+from rig.analysis.spectrum import share_above
+
+if TYPE_CHECKING:
+    from procedures.roll_trial import Settings
+    from rig.analysis.estimate import Estimate
+    from rig.runner.points import Reading
+    from rig.runner.run import Run
+
+HIGH_Hz = 100.0
+"""Above, a roll has next to nothing (paper 5), and a slip has much."""
+ZERO_S = 0.1
+"""Of rest before the roll: the strips' zero is its mean."""
+
+
+@dataclass
+class RollTaken(Taken):
+    """What a roll trial has recorded so far; its motion is the roll, there and back."""
+
+    end_deg: float = 0.0
+    """Where the object stood at the end, from upright."""
+    rotation: list[tuple[float, float, float]] = field(default_factory=list)
+    """Time, angle from upright, the same commanded."""
+
+
+def reading_of(run: Run, taken: RollTaken, offset: Estimate | None) -> Reading:
+    """Figures of the trial, and why it does not count if it does not."""
+    settings: Settings = run.settings
+    reading = pressed_reading.reading_of(run, taken)
+    force = np.concatenate(taken.force)
+    t = frame_times_s(force)
+    rolled = (t >= taken.motion_from_s) & (t <= taken.motion_to_s)
+    reading |= {
+        "start_on_skin_mm": settings.start_mm,
+        "roll_from_s": taken.motion_from_s,
+        "roll_to_s": taken.motion_to_s,
+        "largest_tangential_N": float(np.abs(force[rolled, 1]).max()),
+        "axis_offset_mm": None if offset is None else offset.value,
+        "axis_offset_error_mm": None if offset is None else offset.standard_error,
+    }
+    reading |= _angles(settings, taken)
+    reading |= _strips(settings, taken)
+    reading |= _lifted(taken, reading)
+    doubts = [str(reading["invalid"])] if reading["invalid"] else []
+    error_deg = float(reading["angle_error_deg"] or 0)
+    if error_deg > settings.angle_error_deg:
+        doubts.append(f"angle error {error_deg:.2g} deg is above {settings.angle_error_deg:g} deg")
+    reading["invalid"] = "; ".join(doubts)
+    run.check_stop()  # computing takes a while: still alive
+    return reading
+
+
+def _angles(settings: Settings, taken: RollTaken) -> Reading:
+    """Largest errors: where the object stands still, and underway."""
+    rows = np.array(taken.rotation)
+    since = rows[:, 0] - taken.motion_from_s
+    inside = (since >= 0) & (rows[:, 0] <= taken.motion_to_s)
+    extreme = max(settings.angles_deg, key=abs)
+    reached = float(rows[inside, 1][np.argmax(np.abs(rows[inside, 1]))])
+    errors = [abs(reached - extreme), abs(taken.end_deg)]
+    return {
+        "angle_deg": reached,
+        "angle_error_deg": max(errors),
+        "angle_lag_deg": float(np.abs(rows[inside, 1] - rows[inside, 2]).max()),
+    }
+
+
+def _strips(settings: Settings, taken: RollTaken) -> Reading:
+    """Largest excursions of both strips on the way there, and what of v_d lies above 100 Hz."""
+    volts = np.concatenate(taken.volts)
+    t = np.arange(len(volts)) / DECIMATED_Hz - taken.filter_delay_s
+    before = (t >= taken.motion_from_s - ZERO_S) & (t < taken.motion_from_s)
+    volts = volts - volts[before].mean(axis=0)
+    way_s = settings.profile.duration_s / 2
+    there = (t >= taken.motion_from_s) & (t < taken.motion_from_s + way_s)
+    rolled = (t >= taken.motion_from_s) & (t < taken.motion_to_s)
+    peaks = [1e3 * float(column[np.argmax(np.abs(column))]) for column in volts[there].T]
+    difference = volts[rolled, 0] - volts[rolled, 1]
+    return {
+        "peak_1_mV": peaks[0],
+        "peak_2_mV": peaks[1],
+        "above_100_Hz_percent": 100 * share_above(difference, DECIMATED_Hz, HIGH_Hz),
+    }
+
+
+def _lifted(taken: RollTaken, reading: Reading) -> Reading:
+    """On a simulated bench, whether the ridge with the strips left the head during the roll."""
+    truth = reading.get("simulated_truth")
+    if not truth:
+        return {"ridge_lifted": None}
+    lifts_us = json.loads(str(truth))["ridge_lift_off_us"]
+    begun_us = 1e6 * taken.begun_s
+    span = range(
+        round(begun_us + 1e6 * taken.motion_from_s), round(begun_us + 1e6 * taken.motion_to_s)
+    )
+    return {"ridge_lifted": float(any(at_us in span for at_us in lifts_us))}

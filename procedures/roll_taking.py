@@ -1,0 +1,179 @@
+"""One roll trial under way: the measurement of the rotary axis, and the roll itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from procedures.contact import TRAVEL_mm_s
+from procedures.pressed_reading import AFTER_S
+from procedures.pressed_trial import PressedSeries, PressedTrial
+from procedures.roll_reading import RollTaken, reading_of
+from rig.analysis.axis_offset import Look, axis_offset
+from rig.errors import LimitError
+
+if TYPE_CHECKING:
+    from procedures.roll_trial import Settings
+    from rig.analysis.estimate import Estimate
+    from rig.runner.loop import Tick
+    from rig.runner.points import Reading
+    from rig.runner.run import Run
+
+UPRIGHT_deg_s, UPRIGHT_deg_s2 = 10.0, 100.0
+"""How the object is brought upright, the skin being clear of it."""
+NUDGE_mm, NUDGE_deg = 0.02, 0.5
+"""By how much x and the object are moved to either side to measure the axis: far below a slip."""
+NUDGE_mm_s, NUDGE_deg_s, NUDGE_deg_s2 = 0.2, 2.0, 20.0
+NUDGES = (0, 1, 0, -1, 0)
+NUDGED_S, LOOKED_S = 0.35, 0.1
+"""For a nudge and until the rubber is at rest; and the stretch of force at the end of that which is
+looked at."""
+SETTLED_S = 0.05
+"""What a stage may be late at the end of its profile."""
+LARGEST_COMPENSATED_mm = 8.0
+"""Beyond, the object stands wrong: x would have to follow as fast as the head rolls."""
+SLOWEST_mm_s = 0.02
+CATCH_UP = 2.0
+"""How much faster than the turn wants it x may go, to be there in time."""
+
+
+@dataclass
+class Series(PressedSeries):
+    """What the trials of a series have taught the ones that follow."""
+
+    offset: Estimate | None = None
+    """How far the rotary axis lies above where the head touches, mm; None where not measured."""
+
+
+class _OnHead(PressedTrial):
+    """A trial on an object that the rotary stage carries."""
+
+    series: Series
+    settings: Settings
+    taken: RollTaken
+
+    def __init__(self, run: Run, number: int, series: Series):
+        super().__init__(run, number, series, RollTaken(number, series.pace.tick_Hz))
+        self._rotary = run.bench.rotary
+        fixture = run.bench.settings.fixture
+        assert fixture.centre_mm is not None
+        assert fixture.upright_deg is not None, "arm() has seen to both"
+        self._upright_deg = fixture.upright_deg
+        self._start_mm = fixture.centre_mm + self.settings.start_mm
+        self._commanded_deg = 0.0
+
+    def make_ready(self, start_mm: float | None = None) -> None:
+        """Up, the object upright, x to where the roll begins; zero the force in free air."""
+        self.z.move_to(self.fixture.parked_mm, TRAVEL_mm_s)
+        self._rotary.turn_to(self._upright_deg, UPRIGHT_deg_s, UPRIGHT_deg_s2)
+        super().make_ready(self._start_mm if start_mm is None else start_mm)
+
+
+class AlignTrial(_OnHead):
+    """A press that measures how far the rotary axis is off: nothing is recorded."""
+
+    def __init__(self, run: Run, series: Series):
+        super().__init__(run, 0, series)
+
+    def measure(self) -> Estimate:
+        """Nudge x, then the object, to either side and back, and see what each does to the
+        tangential force; LimitError for an offset that x cannot take back."""
+        self.make_ready()
+        self.press()
+        along_x = [self._nudged(side * NUDGE_mm, self._nudge_x) for side in NUDGES]
+        turned = [
+            self._nudged(side * math.radians(NUDGE_deg), self._nudge_object) for side in NUDGES
+        ]
+        self.lift()
+        offset = axis_offset(along_x, turned)
+        self.run.event(
+            "info",
+            "alignment",
+            f"the rotary axis lies {offset.value:.3f} mm above where the head touches, standard "
+            f"error {offset.standard_error:.3f} mm; x takes it back",
+        )
+        if abs(offset.value) > LARGEST_COMPENSATED_mm:
+            raise LimitError(
+                f"rotary: its axis is {offset.value:.2f} mm off, x takes back "
+                f"{LARGEST_COMPENSATED_mm:g} mm at most",
+                "mount the object anew, its head's top on the axis of the rotary stage",
+            )
+        return offset
+
+    def _nudged(self, by: float, nudge: Callable[[float], None]) -> Look:
+        nudge(by)
+        self._loop(NUDGED_S, self._hold)
+        frames = self.run.force.latest_N(LOOKED_S)
+        return Look(by, frames[:, 0])
+
+    def _nudge_x(self, by_mm: float) -> None:
+        self.x.start_move(self._start_mm + by_mm, NUDGE_mm_s)
+
+    def _nudge_object(self, by_rad: float) -> None:
+        to_deg = self._upright_deg + math.degrees(by_rad)
+        self._rotary.start_turn(to_deg, NUDGE_deg_s, NUDGE_deg_s2)
+
+
+class Trial(_OnHead):
+    """One trial under way."""
+
+    def __init__(self, run: Run, number: int, series: Series):
+        super().__init__(run, number, series)
+        self._offset_mm = 0.0 if series.offset is None else series.offset.value
+        self._profile = self.settings.profile
+        self._turns = list(self._profile.turns(self._pace.tick_s))
+
+    def roll(self) -> None:
+        """Turn the object along the profile under the held normal force, x taking back what the
+        axis is off; hold it a moment longer."""
+        taken = self.taken
+        self._await_tick()
+        taken.motion_from_s = self._since_s()
+        self._servo.slide_begins()
+        self._in_motion = True
+        self._loop(self._profile.duration_s + SETTLED_S, self._roll_on)
+        taken.motion_to_s = self._since_s()
+        self._loop(AFTER_S, self._hold)
+        self._rotary.stop()
+        self.x.stop()
+        self._in_motion = False
+        taken.end_deg = self._rotary.angle_deg() - self._upright_deg
+
+    def _roll_on(self, tick: Tick) -> bool:
+        """Tell the rotary stage what is due, have x follow, hold F_n."""
+        since_s = tick.began_s - self.taken.begun_s - self.taken.motion_from_s
+        while self._turns and self._turns[0].at_s <= since_s + self._pace.tick_s / 2:
+            turn = self._turns.pop(0)
+            self._rotary.start_turn(
+                self._upright_deg + turn.to_deg, turn.speed_deg_s, turn.acceleration_deg_s2
+            )
+        self._commanded_deg = self._profile.at_deg(since_s)
+        self._hold(tick)
+        if self._offset_mm:
+            self._take_back(since_s)
+        return True
+
+    def _take_back(self, since_s: float) -> None:
+        """Move x by what the turn will have dragged the skin by at the next tick."""
+        soon_s = since_s + self._pace.tick_s + self._pace.delay_s
+        shift_mm = -self._offset_mm * math.sin(math.radians(self._profile.at_deg(soon_s)))
+        target_mm = self._start_mm + shift_mm
+        speed_mm_s = CATCH_UP * abs(target_mm - self._x_commanded) / self._pace.tick_s
+        self._x_commanded = target_mm
+        self.x.start_move(target_mm, max(speed_mm_s, SLOWEST_mm_s))
+
+    def _record_position(self) -> None:
+        super()._record_position()
+        taken, now_s = self.taken, self._since_s()
+        angle_deg = self._rotary.angle_deg() - self._upright_deg
+        row = np.array([[angle_deg, self._commanded_deg]])
+        self.run.put("rotation", len(taken.rotation), row, None, units="deg")
+        taken.rotation.append((now_s, angle_deg, self._commanded_deg))
+
+    def reading(self) -> Reading:
+        """Figures of the trial, and why it does not count if it does not."""
+        return reading_of(self.run, self.taken, self.series.offset) | self._load_rates()

@@ -1,0 +1,228 @@
+"""Roll of an object with a head over the artificial skin at constant normal force: paper 5.
+
+The object stands on the rotary stage, the rotary stage on the force sensor; the skin hangs on the
+x-z stage above it. A trial goes down until the head is felt, brings the normal force up and holds
+it by a servo on z, rests, and turns the object from upright to an angle and back: the head rolls
+along the skin. Where it begins decides between the two patterns of Figure 19.
+
+It rolls purely only if the rotary axis lies where the head touches. An axis h above that drags the
+skin by h times the angle; a first press measures h, and x takes it back while the object turns.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field, model_validator
+
+from procedures import roll_layout
+from procedures.pressed import WAY_S, PressedSettings, arm_pressed, import_what_a_trial_needs
+from procedures.roll_profile import Curve, Profile, ThereAndBack
+from rig.bench import Fixture
+from rig.errors import ConfigurationError
+from rig.runner.points import Move, Point, Reading
+
+if TYPE_CHECKING:
+    from rig.runner.run import Run
+
+NAME = "roll-trial"
+FIXTURES: tuple[Fixture, ...] = ("semi-spherical-object",)
+FIGURE = "roll_trial"
+LAYOUT = roll_layout.LAYOUT
+STREAMS = roll_layout.STREAMS
+
+ALIGNING_S = 12.0
+"""Expected of a press that measures the axis."""
+
+
+class Settings(PressedSettings):
+    """What a roll trial may be asked for."""
+
+    angle_deg: float = 3.5
+    """Angle that is rolled from upright and back (paper 5); positive rolls towards +x."""
+    speed_deg_s: float = Field(default=12.0, gt=0)
+    """Largest speed of the turn."""
+    acceleration_deg_s2: float = Field(default=60.0, gt=0)
+    """Of the turn."""
+    stay_s: float = Field(default=0.3, ge=0, le=60)
+    """Stay at the angle, before the way back."""
+    profile_times_s: tuple[float, ...] = ()
+    """Times of a curve of angles that is rolled instead, from 0."""
+    profile_angles_deg: tuple[float, ...] = ()
+    """Its angles, from 0 back to 0."""
+    start_mm: float = -5.0
+    """Place on the skin, from its middle, at which the roll begins: -5 mm rolls over the third
+    ridge (Figure 19 b), -6.5 mm up to it (19 a)."""
+    align: bool = True
+    """Measure first how far the rotary axis is off, and have x take it back."""
+    largest_offset_mm: float = Field(default=0.5, gt=0)
+    """Offset of the axis that nothing takes back at which a trial is refused."""
+    angle_error_deg: float = Field(default=0.02, gt=0)
+    """Error of the angle at the ends of the roll beyond which a trial does not count."""
+    force_error_rms_percent: float = Field(default=3.0, gt=0)
+    """Error of the normal force during the roll, rms, beyond which a trial does not count."""
+    force_error_peak_percent: float = Field(default=10.0, gt=0)
+    """Its largest error beyond which a trial does not count."""
+
+    @model_validator(mode="after")
+    def _can_be_rolled(self) -> Settings:
+        times, angles = self.profile_times_s, self.profile_angles_deg
+        if len(times) != len(angles):
+            raise ValueError(
+                f"profile_times_s has {len(times)} values, profile_angles_deg has {len(angles)}: "
+                "each time needs its angle"
+            )
+        if times and (len(times) < 3 or times[0] != 0 or sorted(set(times)) != list(times)):
+            raise ValueError("profile_times_s has to ascend from 0 and to hold at least 3 times")
+        if angles and (angles[0] != 0 or angles[-1] != 0):
+            raise ValueError("profile_angles_deg has to begin and to end with 0 deg, upright")
+        return self
+
+    @property
+    def profile(self) -> Profile:
+        """What is rolled."""
+        if self.profile_times_s:
+            own = (self.profile_times_s, self.profile_angles_deg)
+            return Curve(*own, acceleration_deg_s2=self.acceleration_deg_s2)
+        return ThereAndBack(self.angle_deg, self.speed_deg_s, self.acceleration_deg_s2, self.stay_s)
+
+    @property
+    def angles_deg(self) -> tuple[float, float]:
+        """Between which it is rolled."""
+        angles = self.profile_angles_deg or (0.0, self.angle_deg)
+        return min(angles), max(angles)
+
+    @property
+    def updates_a_tick(self) -> int:
+        """See `PressedSettings`: x follows the turn."""
+        return 2
+
+
+# --- what will be done ------------------------------------------------------------------------
+
+
+def points(settings: Settings) -> tuple[Point, ...]:
+    """One point a trial."""
+    trial_s = settings.profile.duration_s + settings.rest_s + WAY_S
+    first_s = settings.search_s + settings.align * ALIGNING_S
+    return tuple(
+        Point(
+            id=f"trial-{number:03d}",
+            condition=number,
+            moves=(
+                Move("force_sensor.force", settings.largest_force_N),
+                Move("rotary.speed", settings.speed_deg_s),
+                Move("rotary.acceleration", settings.acceleration_deg_s2),
+                Move("stage_z.update_rate", settings.updates_Hz),
+            ),
+            acquisitions=(settings.acquisition,),
+            duration_s=trial_s + (first_s if number == 1 else 0.0),
+        )
+        for number in range(1, settings.trials + 1)
+    )
+
+
+def invalid(settings: Settings, reading: Reading) -> str:
+    """Why a trial does not count; empty where it does."""
+    return str(reading.get("invalid") or "")
+
+
+def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, Any]:
+    """Patterns, forces and angle, means of the trials that count, and how many count."""
+    counting = [r for r in readings if not r["invalid"]]
+    found: dict[str, Any] = {"trials": len(readings), "valid_trials": len(counting)}
+    if readings:
+        found["tick_Hz"] = readings[-1]["tick_Hz"]
+        found["axis_offset_mm"] = readings[-1]["axis_offset_mm"]
+        found["axis_offset_error_mm"] = readings[-1]["axis_offset_error_mm"]
+    for name in (
+        "peak_1_mV",
+        "peak_2_mV",
+        "above_100_Hz_percent",
+        "largest_tangential_N",
+        "angle_error_deg",
+        "force_error_rms_percent",
+        "force_error_peak_percent",
+    ):
+        values = [float(value) for r in counting if (value := r[name]) is not None]
+        if values:
+            found[f"mean_{name}"] = statistics.fmean(values)
+    lifted = [r["ridge_lifted"] for r in readings if r.get("ridge_lifted") is not None]
+    if lifted:
+        found["simulated_ridge_lifted"] = int(sum(float(v or 0) for v in lifted))
+    return found
+
+
+# --- doing it ---------------------------------------------------------------------------------
+
+
+def import_ahead() -> None:
+    """See `rig.runner.procedure`."""
+    import_what_a_trial_needs()
+    import procedures.roll_taking  # noqa: F401
+
+
+def arm(run: Run) -> None:
+    """Watch the force; have the end of everything known before it begins; park, then find the
+    object's reference, the skin being clear of it."""
+    from procedures.pressed_trial import pace_on, scales_on
+    from procedures.roll_taking import Series
+
+    _where_it_stands(run)
+    run.state = run.state or Series(pace_on(run), scales_on(run))
+    rotary, x = run.bench.rotary, run.bench.stage_x
+    run.arm("x", x.stop, at_once=x.make_safe)
+    arm_pressed(run, "roll", lambda: _stand(run), rotary.make_safe)
+    if not rotary.homed():  # the skin is clear of the object
+        rotary.home()
+
+
+def _stand(run: Run) -> None:
+    """Stop the object, and x whatever comes of that."""
+    try:
+        run.bench.rotary.stop()
+    finally:
+        run.bench.stage_x.stop()
+
+
+def take(run: Run, point: Point) -> Reading:
+    """One trial: down, hold, rest, roll there and back, up; then what it shows. Before the first
+    the axis is measured."""
+    from procedures.roll_taking import AlignTrial, Series, Trial
+
+    series: Series = run.state
+    if run.settings.align and series.offset is None:
+        series.offset = AlignTrial(run, series).measure()
+    trial = Trial(run, int(point.condition), series)
+    trial.make_ready()
+    trial.record()
+    trial.press()
+    trial.roll()
+    trial.end_record()
+    trial.lift()
+    return trial.reading()
+
+
+def _where_it_stands(run: Run) -> None:
+    """Refuse a fixture that does not say where the object is, or a roll beyond a stage's limits."""
+    from rig.bench import require
+
+    bench, settings = run.bench, run.settings
+    fixture = bench.settings.fixture
+    if fixture.centre_mm is None or fixture.upright_deg is None:
+        raise ConfigurationError(
+            f"{bench.plan.source}: [fixture] does not say where the object stands",
+            "add centre_mm, position of x at which the middle of the skin is above it, and "
+            "upright_deg, angle of the rotary stage at which it stands upright",
+        )
+    reach = bench.rotary.reach()
+    for angle_deg in settings.angles_deg:
+        require("angle of the roll", fixture.upright_deg + angle_deg, reach["angle"])
+    start_mm = fixture.centre_mm + settings.start_mm
+    require("start of the roll", start_mm, bench.stage_x.reach()["position"])
+    if settings.profile_times_s:
+        turns = settings.profile.turns(settings.tick_s)
+        fastest = max((turn.speed_deg_s for turn in turns), default=0.0)
+        require("speed of the profile", fastest, reach["speed"])
