@@ -13,7 +13,7 @@ What keeps a lost, doubled or late line from becoming a motion:
 
 The stage has no communication time-out of its own [not confirmed]: when nobody talks to it any
 more, a turn goes on to its target, within the limits of angle, speed and acceleration that are set
-in the stage at connect. A longer stretch is told it in pieces by whoever streams set points.
+in the stage at connect.
 
 Every answer carries the gravest warning flag. One of them, once seen, keeps the stage from turning
 until `home` has acknowledged it: a knob's flag goes by itself with the next command to move, but
@@ -44,8 +44,6 @@ from drivers.zaber_settings import (
 from rig.clock import Clock, WallClock
 from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
 from rig.instruments import Identity, Reach
-
-__all__ = ["ROLES", "RotaryAxis", "Settings", "connect", "make_safe"]
 
 ROLES = ("rotary",)
 

@@ -52,8 +52,11 @@ from rig.settings import Settings
 
 ROLES = ("generator", "daq", "stage_z", "stage_x", "rotary", "force_sensor")
 
-WIRING = ("resource", "timeout_s", "channels", "host", "port", "unit_id", "matrix_N_mV_V")
-"""Settings of a driver that say where an instrument is and what is wired to it."""
+WIRING = (
+    *("resource", "timeout_s", "channels", "host", "port", "unit_id", "matrix_N_mV_V"),
+    *("device", "axis", "microstep_deg", "resolution"),
+)
+"""Settings of a driver that say where an instrument is, what is wired to it and how it counts."""
 
 WAITS_PER_CALL = 2
 """A call on an instrument may wait twice for its time-out: to reconnect, and for the answer."""
