@@ -93,6 +93,7 @@ class RotaryAxis:
         self._disturbed = ""
         """The flag that keeps it from turning until it is homed."""
         self._halting = False
+        self._let_go = False
         self._seen_deg = 0.0
         self._seen_busy = False
         self._seen_at_s = -math.inf
@@ -224,8 +225,12 @@ class RotaryAxis:
 
     def keep_alive(self) -> None:
         """Ask for angle, status and flag, unless that has just been done; a flag raises, once when
-        it appears, and so does a stage that runs past its target."""
-        if self._link.charging or self._clock.now() - self._seen_at_s < KEEP_ALIVE_S:
+        it appears, and so does a stage that runs past its target. Nobody is asked after `close`."""
+        if (
+            self._let_go
+            or self._link.charging
+            or self._clock.now() - self._seen_at_s < KEEP_ALIVE_S
+        ):
             return
         if self._halting:
             self._read()
@@ -250,6 +255,7 @@ class RotaryAxis:
 
     def close(self) -> None:
         """Let go of the port; a turn under way goes on to its target."""
+        self._let_go = True
         self._link.close()
 
     # --- connecting ---------------------------------------------------------------------------
