@@ -13,7 +13,7 @@ What keeps a lost, doubled or late line from becoming a motion:
 
 The stage has no communication time-out of its own [not confirmed]: when nobody talks to it any
 more, a turn goes on to its target, within the limits of angle, speed and acceleration that are set
-in the stage at connect. A longer stretch is told it in pieces by whoever streams set points.
+in the stage at connect.
 
 Every answer carries the gravest warning flag. One of them, once seen, keeps the stage from turning
 until `home` has acknowledged it: a knob's flag goes by itself with the next command to move, but
@@ -44,8 +44,6 @@ from drivers.zaber_settings import (
 from rig.clock import Clock, WallClock
 from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
 from rig.instruments import Identity, Reach
-
-__all__ = ["ROLES", "RotaryAxis", "Settings", "connect", "make_safe"]
 
 ROLES = ("rotary",)
 
@@ -95,6 +93,7 @@ class RotaryAxis:
         self._disturbed = ""
         """The flag that keeps it from turning until it is homed."""
         self._halting = False
+        self._let_go = False
         self._seen_deg = 0.0
         self._seen_busy = False
         self._seen_at_s = -math.inf
@@ -226,8 +225,12 @@ class RotaryAxis:
 
     def keep_alive(self) -> None:
         """Ask for angle, status and flag, unless that has just been done; a flag raises, once when
-        it appears, and so does a stage that runs past its target."""
-        if self._link.charging or self._clock.now() - self._seen_at_s < KEEP_ALIVE_S:
+        it appears, and so does a stage that runs past its target. Nobody is asked after `close`."""
+        if (
+            self._let_go
+            or self._link.charging
+            or self._clock.now() - self._seen_at_s < KEEP_ALIVE_S
+        ):
             return
         if self._halting:
             self._read()
@@ -252,6 +255,7 @@ class RotaryAxis:
 
     def close(self) -> None:
         """Let go of the port; a turn under way goes on to its target."""
+        self._let_go = True
         self._link.close()
 
     # --- connecting ---------------------------------------------------------------------------

@@ -54,9 +54,10 @@ ROLES = ("generator", "daq", "stage_z", "stage_x", "rotary", "force_sensor")
 
 WIRING = (
     *("resource", "timeout_s", "channels", "host", "port", "unit_id", "matrix_N_mV_V"),
-    *("parity", "steps_per_mm"),
+    *("parity", "steps_per_mm", "device", "axis", "microstep_deg", "resolution"),
 )
-"""Settings of a driver that say where and how an instrument is reached, and what is wired to it."""
+"""Settings of a driver that say where and how an instrument is reached, what is wired to it and how
+it counts."""
 
 WAITS_PER_CALL = 2
 """A call on an instrument may wait twice for its time-out: to reconnect, and for the answer."""

@@ -244,8 +244,9 @@ class RotaryStage(Instrument, Protocol):
         at the angle in the end. A turn under way goes over into the new one from the speed that it
         has, without a stop between; where the new angle lies behind, or too near to brake for, the
         stage passes it, stops and comes back. So a profile that is given as data can be streamed as
-        set points, up to 100 a second; should they cease, the stage stands at the last one.
-        Saying the same twice asks for nothing new.
+        set points, up to 100 a second; one or two steps ahead and at the profile's own speed, they
+        keep the stage from braking between. Should they cease, it stands at the last one. Saying
+        the same twice asks for nothing new.
         """
         ...
 

@@ -341,7 +341,9 @@ def test_require_names_value_unit_limit_device_and_place() -> None:
     assert caught.value.message == "point 3: load 5.5 N is outside 0 to 5 N of the load cell"
 
 
-@pytest.mark.parametrize("part", ["generator", "daq", "stage_x", "film", "load_cell", "skin"])
+@pytest.mark.parametrize(
+    "part", ["generator", "daq", "stage_x", "rotary", "film", "load_cell", "skin"]
+)
 def test_a_part_that_the_bench_has_not_is_named_when_it_is_asked_for(part: str) -> None:
     plan = parse_bench('name = "bare"\n[fixture]\nmounted = "plate"\n', "bare.toml")
     with pytest.raises(ConfigurationError, match=rf"bare\.toml.*{part}.*"):

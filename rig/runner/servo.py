@@ -33,6 +33,11 @@ MEMORY = 1.3
 1.3 times the one assumed, and the axis's counts keep it going to and fro."""
 ARRIVAL_OF_TICK = 0.5
 """When a command counts as carried out: in the middle of the tick it has for it."""
+EVENLY = 1.25
+"""How much faster than a tick needs it a move is made: it fills most of the tick, so that an axis
+that follows a slow change goes on instead of jumping from tick to tick, which the strips would
+feel."""
+SLOWEST_mm_s = 0.01
 FASTEST_N_s = 200.0
 """How fast the servo may change the force: many times what a slide needs, and no knock."""
 GRID_s = 0.00025
@@ -56,7 +61,7 @@ class ServoSettings:
     memory_s: float
     """Of the filter that follows the disturbance."""
     speed_mm_s: float
-    """Of every move."""
+    """Largest of any move."""
 
 
 def settings_from(
@@ -163,8 +168,9 @@ class ForceServo:
         reach_mm = own.speed_mm_s * own.tick_s
         increment = wanted_mm - axis.target_mm
         increment = max(-reach_mm, min(increment, reach_mm))
-        axis.tell(increment)
-        return ServoStep(increment, own.speed_mm_s)
+        speed_mm_s = min(max(EVENLY * abs(increment) / own.tick_s, SLOWEST_mm_s), own.speed_mm_s)
+        axis.tell(increment, speed_mm_s)
+        return ServoStep(increment, speed_mm_s)
 
     def correct(self, difference_mm: float) -> None:
         """The axis was told to go `difference_mm` further than the latest step said: its counts are
@@ -192,6 +198,7 @@ class _AxisAccount:
         past = max(1, round(settings.delay_s / self._dt))
         self._past: deque[float] = deque([0.0] * (past + 1), maxlen=past + 1)
         self._told = False
+        self._speed = settings.speed_mm_s
 
     def seen_mm(self) -> float:
         """The position that the force given to the present step belongs to."""
@@ -200,9 +207,10 @@ class _AxisAccount:
                 self._cycle()
         return self._past[0]
 
-    def tell(self, increment_mm: float) -> None:
-        """A new target, from now on."""
+    def tell(self, increment_mm: float, speed_mm_s: float) -> None:
+        """A new target, from now on, and how fast to go there."""
         self.target_mm += increment_mm
+        self._speed = speed_mm_s
         self._told = True
 
     def correct(self, difference_mm: float) -> None:
@@ -214,7 +222,7 @@ class _AxisAccount:
         rest = self.target_mm - self._position
         change = acceleration * dt
         allowed = change * (math.sqrt(0.25 + 2 * abs(rest) / (change * dt)) - 0.5)
-        wanted = math.copysign(min(allowed, self._settings.speed_mm_s, abs(rest) / dt), rest)
+        wanted = math.copysign(min(allowed, self._speed, abs(rest) / dt), rest)
         before = self._velocity
         self._velocity += max(-change, min(wanted - before, change))
         self._position += (self._velocity + before) / 2 * dt

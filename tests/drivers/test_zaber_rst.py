@@ -371,8 +371,10 @@ def test_a_turn_whose_program_is_gone_ends_at_its_target() -> None:
         axis = it.homed()
         axis.start_turn(10.0, 5.0, 100.0)
         axis.close()
-        it.clock._pass(20.0)
+        it.wire.heard()
+        it.clock.sleep(20.0)
         assert it.angle == pytest.approx(10.0, abs=TURNED_deg)
+        assert it.wire.heard() == [], "nobody keeps it alive any more"
         zaber_rst.make_safe(it.settings)
         assert it.speed == 0
 

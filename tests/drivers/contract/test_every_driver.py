@@ -304,7 +304,7 @@ def test_make_safe_of_the_module_gets_in_beside_a_live_connection(case: Case) ->
     """Who has it to himself has to be gone before somebody else can come."""
     with case.serve() as service:
         settings = module.Settings.model_validate(service.settings)
-        instrument = module.connect(settings, service.clock) if dies else connect(case, service)
+        instrument = connect(case, service)
         role_of(case).excite(instrument, service)
         assert not service.at_rest()
         if dies:

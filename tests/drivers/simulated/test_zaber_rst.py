@@ -38,7 +38,7 @@ class Talk:
 @pytest.mark.parametrize(
     ("message", "told"),
     [
-        (b"/1 1 00 get pos:2C\n", b"@01 1 00 OK IDLE -- 0:16\r\n"),
+        (b"/1 1 00 get pos:2C\n", b"@01 1 00 OK IDLE -- 0:0C\r\n"),
         (b"/\n", b"@01 0 OK IDLE -- 0\r\n"),
         (b"/0 0 07\r\n", b"@01 0 07 OK IDLE -- 0\r\n"),
         (b"noise/1 nonsense\n", b"@01 0 RJ IDLE -- BADCOMMAND\r\n"),
