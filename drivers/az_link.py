@@ -369,6 +369,8 @@ class AzLink:
         self.where = f"unit {unit_id} on {line.path}"
         self.charging = False
         """Whether a time-out is being charged to the clock just now."""
+        self.failures = 0
+        """How many exchanges have failed."""
         self._unit, self._timeout_s, self._clock = unit_id, timeout_s, clock
         self._closed = False
 
@@ -421,6 +423,7 @@ class AzLink:
         try:
             yield
         except NoAnswerError as nothing:
+            self.failures += 1
             if charge:
                 self._charge()
             came = f": {nothing}" if str(nothing) else ""
@@ -431,6 +434,7 @@ class AzLink:
                 f"check that {self.where} is switched on, and its baudrate and parity",
             ) from nothing
         except BrokenAnswerError as broken:
+            self.failures += 1
             raise InstrumentError(
                 self.device,
                 what,

@@ -163,7 +163,10 @@ class Axis:
         self._begun_at_s = 0.0
         self._arrive_by_s = 0.0
         self._place = Place(0, 0)
-        self._place_at_s = 0.0
+        self._place_at_s = -1.0
+        self._abspen_seen = -1
+        """The link's failures when the drive was seen to know where it is: it forgets that only
+        with an alarm or without power, and without power it does not answer."""
 
     # --- the role -----------------------------------------------------------------------------
 
@@ -191,6 +194,7 @@ class Axis:
         """Find the reference by the method in the drive's parameters, and wait for it."""
         self._take_charge()
         self._halt(self._rearmed)
+        self._abspen_seen = -1
         was_homed = bool(self._internal() & Internal.ABSPEN)
         self._put(INPUT_COMMAND, halves(Input.HOME))
         self._await(
@@ -388,13 +392,20 @@ class Axis:
 
     def _prepare_motion(self) -> None:
         """Before the first write of a motion: no alarm, no stop of ours that was not lifted because
-        an answer was lost, homed, and its place known."""
-        self._take_charge()
+        an answer was lost, homed, and its place known. What has just been seen is not asked again:
+        with an alarm the drive does not start."""
+        self._refuse_if_made_safe("move")
+        now_s = self._clock.now()
+        if not self._in_charge or now_s - self._state_at_s > OVERDUE * self._keep_alive_s():
+            self._take_charge()
         if self._stop_stands:
             self._halt(self._rearmed)
-        if not self._internal() & Internal.ABSPEN:
-            raise self._error("move", "the axis has not been homed", "home it first")
-        self._where()
+        if self._abspen_seen != self._link.failures:
+            if not self._internal() & Internal.ABSPEN:
+                raise self._error("move", "the axis has not been homed", "home it first")
+            self._abspen_seen = self._link.failures
+        if now_s - self._place_at_s > JUST_SEEN_S:
+            self._where()
 
     # --- stopping -----------------------------------------------------------------------------
 
@@ -592,7 +603,7 @@ class Axis:
             )
 
     def _alarmed(self, code: int) -> InstrumentError:
-        self._target = None
+        self._target, self._abspen_seen = None, -1
         known = ALARMS.get(code)
         meaning = known.meaning if known else "see the drive's manual"
         remedy = known.remedy if known else "look the number up in the vendor's software"

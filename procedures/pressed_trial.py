@@ -130,6 +130,9 @@ def scales_on(run: Run) -> dict[str, LoadScale]:
 class PressedTrial:
     """One trial under way; what moves under the held force is a procedure's own."""
 
+    EVENLY = False
+    """Whether the servo's moves fill their ticks (`rig.runner.servo`)."""
+
     def __init__(self, run: Run, number: int, series: PressedSeries, taken: Taken):
         self.run, self.number, self.series, self.taken = run, number, series, taken
         self.settings: PressedSettings = run.settings
@@ -191,6 +194,7 @@ class PressedTrial:
                 tick_s,
                 delay_s,
                 settings.acceleration_mm_s2,
+                self.EVENLY,
             )
         )
         self._tap()

@@ -37,8 +37,8 @@ SETTLED_S = 0.05
 LARGEST_COMPENSATED_mm = 8.0
 """Beyond, the object stands wrong: x would have to follow as fast as the head rolls."""
 SLOWEST_mm_s = 0.02
-CATCH_UP = 2.0
-"""How much faster than the turn wants it x may go, to be there in time."""
+CATCH_UP = 1.02
+"""How much faster than the turn wants it x goes: it fills its ticks, and is there in time."""
 
 
 @dataclass
@@ -52,6 +52,7 @@ class Series(PressedSeries):
 class _OnHead(PressedTrial):
     """A trial on an object that the rotary stage carries."""
 
+    EVENLY = True
     series: Series
     settings: Settings
     taken: RollTaken

@@ -29,6 +29,8 @@ settings.load_profile("any computer")
 """A loaded machine is no failure: wall-clock bounds live in benchmarks."""
 
 RIG = [sys.executable, "-c", "from rig.cli import main; main()"]
+STAGES = os.environ.get("RIG_STAGES", "")
+"""Stages of every simulated bench that a test does not choose; empty for the command's own."""
 PATIENCE_S = 120.0
 GUARD_PATIENCE_S = 30.0
 
@@ -123,7 +125,10 @@ class Rig:
         self._started: list[Running] = []
 
     def start(self, *arguments: str) -> Running:
-        """Start a command."""
+        """Start a command; on a bench that it simulates with the stages of `RIG_STAGES`."""
+        simulates = arguments[0] in ("sweep", "slip-trial", "simulate")
+        if STAGES and simulates and not {"--stages", "--bench"} & set(arguments):
+            arguments = (*arguments, "--stages", STAGES)
         running = Running(list(arguments), self.folder, self.env)
         self._started.append(running)
         return running

@@ -108,7 +108,8 @@ def bench_toml(options: Options, world: dict[str, Any], endpoints: Endpoints) ->
     """The bench file that drives this bench."""
     from drivers.simulated.me_gsv8 import Sensor
 
-    simulation = {"seed": options.seed, **world}
+    stages = {} if options.stages == "festo" else {"stages": options.stages}
+    simulation = {"seed": options.seed, **stages, **world}
     lines = "".join(f"{key} = {_toml(value)}\n" for key, value in simulation.items())
     own = _film_tables if options.fixture == "film-clamp" else _skin_tables
     return f"""# A simulated bench: whatever is measured on it is computed, not measured.

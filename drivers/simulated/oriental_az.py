@@ -346,7 +346,7 @@ class AzDrive:
         else:
             target = here + distance
         target = self._limited(target)
-        again = self._moving and self._target_mm is not None
+        again = self._target_mm is not None  # until a stop or an alarm
         self._target_mm = target
         if not again:
             self._tasks += 1

@@ -15,6 +15,7 @@ from rig.cli.outcome import printable, reported, say
 from rig.errors import ConfigurationError, ExitCode, FoundWrongError
 
 if TYPE_CHECKING:
+    from rig.cli.procedures import Stages
     from rig.recording.header import RunHeader
     from rig.runner.points import Reading
 
@@ -53,7 +54,7 @@ def resume(
             settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
         except ValidationError as error:
             raise ConfigurationError.from_validation(error, str(file)) from error
-        with _world_of(header.bench_toml, str(file)) as world:
+        with _world_of(header.bench_toml, str(file)) as (world, stages):
             bench_file = None if world is not None else Path(header.bench_file)
             request = Request(
                 bench=bench_file,
@@ -61,6 +62,7 @@ def resume(
                 seed=header.seed,
                 as_json=as_json,
                 figures=figures,
+                stages=stages,
                 world=world,
                 world_log=world_log,
                 debug=debug,
@@ -196,8 +198,9 @@ def _told(value: Any) -> str:
 
 
 @contextlib.contextmanager
-def _world_of(bench_toml: str, source: str) -> Iterator[Path | None]:
-    """The World settings of a run on a bench that its command had started, as a file again.
+def _world_of(bench_toml: str, source: str) -> Iterator[tuple[Path | None, Stages | None]]:
+    """The World settings of a run on a bench that its command had started, as a file again, and
+    its stages.
 
     None for any other bench: that one's file is read from where it was.
     """
@@ -206,10 +209,11 @@ def _world_of(bench_toml: str, source: str) -> Iterator[Path | None]:
     plan = parse_bench(bench_toml, f"{source}: its bench file")
     simulation = dict(plan.settings.simulation or {})
     if not simulation or ("::0::" not in bench_toml and ",0::" not in bench_toml):
-        yield None
+        yield None, None
         return
     simulation.pop("seed", None)
+    stages = simulation.pop("stages", None)
     with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as file:
         file.write("".join(f"{key} = {json.dumps(value)}\n" for key, value in simulation.items()))
         file.flush()
-        yield Path(file.name)
+        yield Path(file.name), stages

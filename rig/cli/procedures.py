@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from rig.runner.procedure import Procedure
     from rig.settings import Settings
 
+Stages = Literal["festo", "az"]
+"""Of a simulated bench: on Modbus TCP, or on one Modbus RTU line."""
 BENCH_FILE = Path("bench.toml")
 STARTING: dict[Fixture, str] = {
     "film-clamp": "film in its clamp",
@@ -48,7 +50,7 @@ class Request:
     notes: str = ""
     figures: bool = True
     allow_expired: bool = False
-    stages: Literal["festo", "az"] | None = None
+    stages: Stages | None = None
     world: Path | None = None
     fault: Path | None = None
     world_log: Path | None = None
@@ -74,7 +76,7 @@ def _common(
         bool, typer.Option("--allow-expired", help="Use calibration records that have expired.")
     ] = False,
     stages: Annotated[
-        Literal["festo", "az"] | None,
+        Stages | None,
         typer.Option(help="Stages of a simulated bench: festo by default."),
     ] = None,
     world: Annotated[

@@ -33,10 +33,9 @@ MEMORY = 1.3
 1.3 times the one assumed, and the axis's counts keep it going to and fro."""
 ARRIVAL_OF_TICK = 0.5
 """When a command counts as carried out: in the middle of the tick it has for it."""
-EVENLY = 1.25
-"""How much faster than a tick needs it a move is made: it fills most of the tick, so that an axis
-that follows a slow change goes on instead of jumping from tick to tick, which the strips would
-feel."""
+EVENLY = 1.02
+"""How much faster than a tick needs it an even move is made: it fills the tick, so that an
+axis that follows a slow change goes on instead of jumping from tick to tick."""
 SLOWEST_mm_s = 0.01
 FASTEST_N_s = 200.0
 """How fast the servo may change the force: many times what a slide needs, and no knock."""
@@ -62,6 +61,8 @@ class ServoSettings:
     """Of the filter that follows the disturbance."""
     speed_mm_s: float
     """Largest of any move."""
+    evenly: bool = False
+    """Whether a move fills its tick instead of being over at once."""
 
 
 def settings_from(
@@ -70,8 +71,13 @@ def settings_from(
     tick_s: float,
     delay_s: float,
     acceleration_mm_s2: float = 200.0,
+    evenly: bool = False,
 ) -> ServoSettings:
-    """A servo for this contact at this tick and delay; ValueError where one is not positive."""
+    """A servo for this contact at this tick and delay; ValueError where one is not positive.
+
+    Where the force changes slowly, moves may be made `evenly`: the strips then feel no jump from
+    tick to tick, and a fast change is followed less well.
+    """
     for name, value in (
         ("target_N", target_N),
         ("stiffness_N_mm", stiffness_N_mm),
@@ -89,6 +95,7 @@ def settings_from(
         acceleration_mm_s2,
         memory_s=MEMORY * (delay_s + ARRIVAL_OF_TICK * tick_s),
         speed_mm_s=FASTEST_N_s / stiffness_N_mm,
+        evenly=evenly,
     )
 
 
@@ -168,7 +175,9 @@ class ForceServo:
         reach_mm = own.speed_mm_s * own.tick_s
         increment = wanted_mm - axis.target_mm
         increment = max(-reach_mm, min(increment, reach_mm))
-        speed_mm_s = min(max(EVENLY * abs(increment) / own.tick_s, SLOWEST_mm_s), own.speed_mm_s)
+        speed_mm_s = own.speed_mm_s
+        if own.evenly:
+            speed_mm_s = min(max(EVENLY * abs(increment) / own.tick_s, SLOWEST_mm_s), speed_mm_s)
         axis.tell(increment, speed_mm_s)
         return ServoStep(increment, speed_mm_s)
 

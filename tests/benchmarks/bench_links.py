@@ -25,14 +25,17 @@ from typing import Any
 import pytest
 from measured import heading, row, target
 
-from drivers import festo_cmmt, keysight_33500b, me_gsv8, zaber_rst
+from drivers import festo_cmmt, keysight_33500b, me_gsv8, oriental_az, zaber_rst
 from drivers.gsv_frames import request as gsv_request
 from drivers.simulated.fault_plan import FaultPlan, ReplyFault, WireFault
 from drivers.simulated.faults import WireFaults
 from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
 from drivers.simulated.keysight_33500b import Keysight33500B
 from drivers.simulated.me_gsv8 import Gsv8
+from drivers.simulated.modbus_rtu import RtuLine
 from drivers.simulated.modbus_tcp import ModbusTcpServer
+from drivers.simulated.oriental_az import POSITION, AzDrive
+from drivers.simulated.oriental_az import DriveSettings as AzDriveSettings
 from drivers.simulated.serial_server import PtyServer
 from drivers.simulated.serial_tcp import SerialTcpServer
 from drivers.simulated.servers import HislipServer, ScpiSocketServer
@@ -316,6 +319,54 @@ class Stage(Side):
         return ask
 
 
+class LineDrive(Side):
+    """A register of an AZ drive over Modbus RTU."""
+
+    name = "Modbus RTU"
+    request = b"FC3 92"
+
+    def __init__(self) -> None:
+        super().__init__()
+        bench = AxisBench()
+        self._drive = AzDrive(AzDriveSettings("it"), bench)
+        self._server = PtyServer(
+            RtuLine([self._drive], bench), bench, slaved=True, faults={"it": self.faults}
+        )
+
+    @property
+    def server(self) -> Any:
+        return self._server
+
+    def become(self, value: int) -> None:
+        self._drive.write(POSITION, [0, value], "bench")
+
+    def connect(self, timeout_s: float) -> Any:
+        own = oriental_az.Settings(
+            axis="z", port=self._server.path, parity="N", unit_id=1, timeout_s=timeout_s,
+            steps_per_mm=1000, low_limit_mm=0, high_limit_mm=80, max_speed_mm_s=20,
+        )  # fmt: skip
+        return oriental_az.connect(own, WallClock())._link
+
+    def ask(self) -> int:
+        return int(self.link.read_value(POSITION))
+
+    def stock(self) -> Callable[[], int]:
+        from pymodbus.client import ModbusSerialClient
+
+        client = ModbusSerialClient(
+            self._server.path, baudrate=230_400, timeout=TIMEOUT_S, retries=0
+        )
+        client.connect()
+
+        def ask() -> int:
+            reply = client.read_holding_registers(POSITION, count=2, device_id=1)
+            if reply.isError():
+                raise OSError(reply)
+            return int(reply.registers[1])
+
+        return ask
+
+
 SIDES: dict[str, Callable[[], Side]] = {
     "socket": lambda: Generator("socket"),
     "hislip": lambda: Generator("HiSLIP"),
@@ -323,6 +374,7 @@ SIDES: dict[str, Callable[[], Side]] = {
     "serial": Amplifier,
     "zaber-serial": lambda: Stage("serial"),
     "zaber-tcp": lambda: Stage("TCP"),
+    "rtu": LineDrive,
 }
 
 

@@ -62,6 +62,30 @@ def test_benches_that_share_one_instrument_exclude_each_other() -> None:
         assert in_use(plan("d", generator=5026)) is not None
 
 
+DRIVE = """
+[stage_z]
+driver = "oriental-az"
+axis = "z"
+port = "/dev/ttyX"
+unit_id = {unit}
+steps_per_mm = 1000
+low_limit_mm = 0
+high_limit_mm = 20
+max_speed_mm_s = 20
+"""
+
+
+def test_a_serial_line_is_one_programs_whoever_is_on_it() -> None:
+    """Two masters on an RS-485 line would talk into each other's answers."""
+    head = 'name = "{}"\n[fixture]\nmounted = "film-clamp"\n'
+    one, another = (
+        parse_bench(head.format(name) + DRIVE.format(unit=unit), "bench.toml")
+        for name, unit in (("one", 1), ("another", 2))
+    )
+    with BenchLock(one), pytest.raises(ConfigurationError, match="bench one is in use"):
+        BenchLock(another)
+
+
 def test_a_refused_lock_keeps_nothing() -> None:
     """The first of its instruments is free, the second is not."""
     both = plan()
