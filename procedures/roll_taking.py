@@ -82,7 +82,7 @@ class AlignTrial(_OnHead):
 
     def measure(self) -> Estimate:
         """Nudge x, then the object, to either side and back, and see what each does to the
-        tangential force; LimitError for an offset that x cannot take back."""
+        tangential force; LimitError for an offset of which too much would be left."""
         self.make_ready()
         self.press()
         along_x = [self._nudged(side * NUDGE_mm, self._nudge_x) for side in NUDGES]
@@ -91,17 +91,21 @@ class AlignTrial(_OnHead):
         ]
         self.lift()
         offset = axis_offset(along_x, turned)
-        self.run.event(
-            "info",
-            "alignment",
-            f"the rotary axis lies {offset.value:.3f} mm above where the head touches, standard "
-            f"error {offset.standard_error:.3f} mm; x takes it back",
-        )
-        if abs(offset.value) > LARGEST_COMPENSATED_mm:
+        told = f"the rotary axis lies {offset.value:.2f} mm above where the head touches"
+        error = f"standard error {offset.standard_error:.2f} mm"
+        self.run.event("info", "alignment", f"{told}, {error}")
+        compensated, left_mm = self.settings.alignment == "compensate", abs(offset.value)
+        if compensated:
+            left_mm = max(left_mm - LARGEST_COMPENSATED_mm, 0.0)
+        if left_mm > self.settings.largest_offset_mm:
+            why = "x is not to take it back"
+            if compensated:
+                why = f"x takes back {LARGEST_COMPENSATED_mm:g} mm at most"
             raise LimitError(
-                f"rotary: its axis is {offset.value:.2f} mm off, x takes back "
-                f"{LARGEST_COMPENSATED_mm:g} mm at most",
-                "mount the object anew, its head's top on the axis of the rotary stage",
+                f"rotary: {told}, {error}; {why}, and {left_mm:.2f} mm are more than the "
+                f"{self.settings.largest_offset_mm:g} mm that may be left (largest_offset_mm)",
+                "mount the object anew, the top of its head on the axis of the rotary stage, or "
+                "have x take it back with --alignment compensate",
             )
         return offset
 
@@ -124,7 +128,10 @@ class Trial(_OnHead):
 
     def __init__(self, run: Run, number: int, series: Series):
         super().__init__(run, number, series)
-        self._offset_mm = 0.0 if series.offset is None else series.offset.value
+        self._offset_mm = 0.0
+        """Of the axis, as far as x takes it back."""
+        if series.offset is not None and self.settings.alignment == "compensate":
+            self._offset_mm = series.offset.value
         self._profile = self.settings.profile
         self._turns = list(self._profile.turns(self._pace.tick_s))
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -55,10 +55,12 @@ class Settings(PressedSettings):
     start_mm: float = -5.0
     """Place on the skin, from its middle, at which the roll begins: -5 mm rolls over the third
     ridge (Figure 19 b), -6.5 mm up to it (19 a)."""
-    align: bool = True
-    """Measure first how far the rotary axis is off, and have x take it back."""
-    largest_offset_mm: float = Field(default=0.5, gt=0)
-    """Offset of the axis that nothing takes back at which a trial is refused."""
+    alignment: Literal["compensate", "measure", "none"] = "compensate"
+    """Before the first trial: measure how far the rotary axis is off and have x take it back; only
+    measure it; or neither."""
+    largest_offset_mm: float = Field(default=1.0, gt=0)
+    """Offset of the axis, as measured, that is left uncompensated and refused: 2 mm drag the skin
+    by half of what makes it slip."""
     angle_error_deg: float = Field(default=0.02, gt=0)
     """Error of the angle at the ends of the roll beyond which a trial does not count."""
     force_error_rms_percent: float = Field(default=3.0, gt=0)
@@ -96,8 +98,8 @@ class Settings(PressedSettings):
 
     @property
     def updates_a_tick(self) -> int:
-        """See `PressedSettings`: x follows the turn."""
-        return 2
+        """See `PressedSettings`: x may follow the turn."""
+        return 2 if self.alignment == "compensate" else 1
 
 
 # --- what will be done ------------------------------------------------------------------------
@@ -106,7 +108,7 @@ class Settings(PressedSettings):
 def points(settings: Settings) -> tuple[Point, ...]:
     """One point a trial."""
     trial_s = settings.profile.duration_s + settings.rest_s + WAY_S
-    first_s = settings.search_s + settings.align * ALIGNING_S
+    first_s = settings.search_s + (settings.alignment != "none") * ALIGNING_S
     return tuple(
         Point(
             id=f"trial-{number:03d}",
@@ -172,6 +174,8 @@ def arm(run: Run) -> None:
 
     _where_it_stands(run)
     run.state = run.state or Series(pace_on(run), scales_on(run))
+    if run.settings.alignment == "none":
+        run.event("warning", "alignment", "how far the rotary axis is off is not known")
     rotary, x = run.bench.rotary, run.bench.stage_x
     run.arm("x", x.stop, at_once=x.make_safe)
     arm_pressed(run, "roll", lambda: _stand(run), rotary.make_safe)
@@ -193,7 +197,7 @@ def take(run: Run, point: Point) -> Reading:
     from procedures.roll_taking import AlignTrial, Series, Trial
 
     series: Series = run.state
-    if run.settings.align and series.offset is None:
+    if run.settings.alignment != "none" and series.offset is None:
         series.offset = AlignTrial(run, series).measure()
     trial = Trial(run, int(point.condition), series)
     trial.make_ready()

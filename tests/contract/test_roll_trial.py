@@ -1,0 +1,170 @@
+"""`rig roll-trial` through the real command: both patterns, the axis, and what can go wrong."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+from nexusformat.nexus.validate import validate_application, validate_file
+
+from rig.recording.definitions import definition_path
+from rig.recording.runfile import RunFile
+from rig.recording.verify import verify
+
+ROLLER = 'shape = "cylinder", radius_mm = 30.0'
+"""What the reference figures belong to (decision 0020)."""
+QUIET = "strip_input = { noise_density_V_sqrtHz = 1e-7, mains_amplitude_mV = 0.0 }\n"
+SHORT = ("--rest", "100ms", "--stay", "100ms")
+
+
+def roller(offset_mm):
+    return f"head = {{ body = {{ {ROLLER} }}, axis_offset_mm = {offset_mm} }}\n"
+
+
+def roll(rig, world, *given):
+    return rig.run(
+        "roll-trial", "--json", "--no-figures", "--world-log", str(rig.world_log),
+        "--world", rig.world(world), *SHORT, *given,
+    )  # fmt: skip
+
+
+def moves(rig, device):
+    return [entry for entry in rig.log() if entry["device"] == device]
+
+
+def assert_off_the_object(rig):
+    """Lifted, and nothing moves any more."""
+    z = [e for e in moves(rig, "stage_z") if e["what"] in ("move", "at-rest")]
+    assert z[-1]["what"] == "at-rest"
+    assert z[-1]["value"] == pytest.approx(5.0, abs=0.01)
+    touched = [e["what"] for e in rig.log() if e["what"] in ("touch-down", "lift-off")]
+    assert touched[-1:] != ["touch-down"]
+
+
+def the_reading(rig):
+    with RunFile.open(rig.only("*.h5")) as run:
+        (reading,) = run.readings()
+        return reading
+
+
+@pytest.mark.parametrize(
+    ("start", "v_1", "v_2"), [("-5", 5.7, -3.8), ("-6.5", -11.7, -14.3)], ids=["19b", "19a"]
+)
+def test_both_patterns_of_a_roll(rig, start, v_1, v_2):
+    """Signs of Figure 19; sizes of the model's raised cosine, which is steeper at its ends."""
+    ended = roll(rig, QUIET + roller(0.0), "--start", start)
+    assert ended.code == 0, ended.stderr
+    assert_off_the_object(rig)
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    assert validate_file(str(file)) == (0, 0)
+    definition = definition_path("NXrig_roll_trial")
+    assert validate_application(str(file), application=str(definition)) == (0, 0)
+    reading = the_reading(rig)
+    assert reading["peak_1_mV"] == pytest.approx(v_1, rel=0.3)
+    assert reading["peak_2_mV"] == pytest.approx(v_2, rel=0.3)
+    assert reading["above_100_Hz_percent"] < 1
+    assert reading["angle_error_deg"] < 0.02
+    assert reading["force_error_rms_percent"] < 3
+    assert reading["largest_tangential_N"] < 0.3
+    assert abs(reading["axis_offset_mm"]) < 0.3
+    assert reading["ridge_lifted"] == 0
+    with RunFile.open(file) as run:
+        series = {w.stream: w for w in run.waveforms("trial-001")}
+        ticks, angle = series["ticks"].values("elapsed"), series["rotation"].values("angle")
+        assert "ridge_lift_off_us" in run.entry["simulated_truth/trial_001"]
+    assert len(ticks) == len(angle)
+    assert angle.max() == pytest.approx(3.5, abs=0.02)
+    shown = rig.run("show", str(file))
+    assert shown.code == 0, shown.stderr
+    assert file.with_suffix(".png").stat().st_size > 10_000
+    assert "SIMULATED" in file.with_suffix(".svg").read_text("utf-8")
+
+
+def test_x_takes_back_what_the_axis_is_off(rig):
+    ended = roll(rig, roller(2.0))
+    assert ended.code == 0, ended.stderr
+    reading = the_reading(rig)
+    half = 1.96 * reading["axis_offset_error_mm"]
+    assert reading["axis_offset_mm"] == pytest.approx(2.0, abs=half)
+    assert half < 1.0
+    assert reading["largest_tangential_N"] < 0.4, "1.4 N without"
+    assert_off_the_object(rig)
+
+
+def test_an_offset_that_nothing_takes_back_is_refused(rig):
+    ended = roll(rig, roller(2.0), "--alignment", "measure")
+    assert ended.code == 4, ended.stderr
+    (error,) = ended.errors
+    assert "rotary" in error
+    assert "more than the 1 mm that may be left" in error
+    assert_off_the_object(rig)
+
+
+def test_a_head_rolls_along_a_profile_of_its_own(rig):
+    times = ",".join(f"{t:g}" for t in np.arange(0, 1.01, 0.1))
+    angles = ",".join(f"{a:.6f}" for a in 2 * np.sin(np.pi * np.arange(0, 1.01, 0.1)) ** 2)
+    asked = ("--profile-times", times, "--profile-angles", angles, "--alignment", "none")
+    ended = roll(rig, "", *asked, "--angle-error", "0.1deg")
+    assert ended.code == 0, ended.stderr
+    assert "not known" in "\n".join(ended.object["warnings"])
+    reading = the_reading(rig)
+    assert reading["angle_deg"] == pytest.approx(2.0, abs=0.1)
+    assert reading["angle_lag_deg"] < 0.3
+    assert reading["axis_offset_mm"] is None
+
+
+TROUBLES = {
+    "held fast": ('kind = "stuck"', "rotary"),
+    "turned by its knob": ('kind = "knob"\nby_deg = 1.0', "rotary"),
+    "no answer": ('kind = "silence"\ncommand = "move abs"\nat = 2\ncount = 0', "rotary"),
+}
+
+
+@pytest.mark.parametrize("what", TROUBLES)
+def test_a_rotary_stage_that_fails_in_the_roll_is_told_and_the_skin_lifted(rig, what):
+    kind, words = TROUBLES[what]
+    when = "" if "silence" in kind else "move = 3\nafter_s = 0.2\n"
+    plan = f'[[fault]]\ndevice = "rotary"\n{kind}\n{when}'
+    ended = roll(rig, roller(0.0), "--alignment", "none", "--fault", rig.fault(plan))
+    assert ended.code in (3, 7), ended.stderr
+    assert words in ended.errors[0]
+    assert "; " in ended.errors[0], "the remedy follows the cause"
+    touched = [e["what"] for e in rig.log() if e["what"] in ("touch-down", "lift-off")]
+    assert touched == ["touch-down", "lift-off"]
+
+
+def test_ctrl_c_in_a_roll_stops_it_and_lifts_off(rig):
+    running = rig.start(
+        "roll-trial", "--no-figures", "--world-log", str(rig.world_log), "--alignment", "none",
+        "--world", rig.world(roller(0.0)), "--speed", "1deg/s", "--stay", "20s",
+    )  # fmt: skip
+    deadline = time.monotonic() + 120
+    while not rig.world_log.exists() or [e["what"] for e in moves(rig, "rotary")].count("move") < 2:
+        assert time.monotonic() < deadline, "it never rolled"
+        time.sleep(0.05)
+    os.kill(running.process.pid, signal.SIGINT)
+    ended = running.finish()
+    assert ended.code == 130, ended.stderr
+    assert_off_the_object(rig)
+
+
+REFUSED = [
+    (("--angle", "80"), "angle of the roll"),
+    (("--start", "-80"), "start of the roll"),
+    (("--speed", "90"), "90 deg/s is outside"),
+    (("--profile-times", "0,1"), "each time needs its angle"),
+    (("--tick", "600"), "500"),
+]
+
+
+@pytest.mark.parametrize(("given", "words"), REFUSED, ids=lambda x: str(x))
+def test_what_cannot_be_rolled_is_refused_before_anything_moves(rig, given, words):
+    ended = roll(rig, "", *given)
+    assert ended.code in (2, 4), ended.stderr
+    assert words in ended.stderr
+    moved = [e for e in rig.log() if e["what"] == "move"] if rig.world_log.exists() else []
+    assert not moved
