@@ -1,7 +1,7 @@
 """Stages on one RS-485 line under the real commands: the AZ pair in place of the Festo pair.
 
-`RIG_STAGES=az` has the other tests of this folder run on them, too: those hold that neither quote the
-words of the Festo drives nor place a fault by the times of a trial at 100 Hz.
+`RIG_STAGES=az` has the other tests of this folder run on them, too: those hold that neither quote
+the words of the Festo drives nor place a fault by the times of a trial at 100 Hz.
 """
 
 from __future__ import annotations
