@@ -396,7 +396,8 @@ class Axis:
         with an alarm the drive does not start."""
         self._refuse_if_made_safe("move")
         now_s = self._clock.now()
-        if not self._in_charge or now_s - self._state_at_s > OVERDUE * self._keep_alive_s():
+        unseen = now_s - self._state_at_s > OVERDUE * self._keep_alive_s()
+        if not self._in_charge or self._told_alarm or unseen:
             self._take_charge()
         if self._stop_stands:
             self._halt(self._rearmed)

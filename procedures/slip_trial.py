@@ -135,7 +135,7 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
     count, and why trials have no friction coefficients."""
     counting = [r for r in readings if not r["invalid"]]
     found: dict[str, Any] = {"trials": len(readings), "valid_trials": len(counting)}
-    if readings:
+    if readings and "tick_Hz" in readings[-1]:  # not in files of before
         found["tick_Hz"] = readings[-1]["tick_Hz"]
     for name in (
         "static_friction",

@@ -258,7 +258,7 @@ class AzDrive:
     def _fail(self, code: int, t_us: int, braking: bool = False) -> None:
         """ALM-A on, READY off, the motor stops."""
         self.alarm = code
-        self._log("alarm", f"{code:02X}h", "drive")
+        self._log("fault", code, "drive")
         if self.homing:
             self.homed = False
         if not braking:
@@ -288,7 +288,7 @@ class AzDrive:
 
     def _reset_alarm(self, by: str) -> None:
         if self.alarm:
-            self._log("acknowledged", f"{self.alarm:02X}h", by)
+            self._log("acknowledged", self.alarm, by)
             self.alarm = 0
 
     def _input(self, before: int, now: int, by: str) -> None:

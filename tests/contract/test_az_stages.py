@@ -44,7 +44,7 @@ def assert_told_to_stop(rig):
     """x has stopped on its way, because it was told to: its time-out was fed by frames to z."""
     happened = [e["what"] for e in rig.log() if e["device"] == "stage_x"]
     said = [what for what in happened if what != "injected"]
-    assert "alarm" not in said
+    assert "fault" not in said
     assert said[-2:] == ["stop", "at-rest"]
 
 

@@ -386,7 +386,7 @@ def test_an_alarm_of_before_is_reset_at_the_first_motion() -> None:
         assert bench.z.alarm == 0x85
         axis = bench.connect()
         axis.move_to(20.0, 40.0)
-        assert bench.bench.told("acknowledged") == ["85h"]
+        assert bench.bench.told("acknowledged") == [0x85]
 
 
 @pytest.mark.parametrize(
