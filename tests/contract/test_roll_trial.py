@@ -143,7 +143,7 @@ def test_ctrl_c_in_a_roll_stops_it_and_lifts_off(rig):
         "--world", rig.world(roller(0.0)), "--speed", "1deg/s", "--stay", "20s",
     )  # fmt: skip
     deadline = time.monotonic() + 120
-    while not rig.world_log.exists() or [e["what"] for e in moves(rig, "rotary")].count("move") < 2:
+    while not rig.world_log.exists() or [e["what"] for e in moves(rig, "rotary")].count("turn") < 2:
         assert time.monotonic() < deadline, "it never rolled"
         time.sleep(0.05)
     os.kill(running.process.pid, signal.SIGINT)
@@ -166,5 +166,7 @@ def test_what_cannot_be_rolled_is_refused_before_anything_moves(rig, given, word
     ended = roll(rig, "", *given)
     assert ended.code in (2, 4), ended.stderr
     assert words in ended.stderr
-    moved = [e for e in rig.log() if e["what"] == "move"] if rig.world_log.exists() else []
+    moved = (
+        [e for e in rig.log() if e["what"] in ("move", "turn")] if rig.world_log.exists() else []
+    )
     assert not moved
