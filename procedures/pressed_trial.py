@@ -95,7 +95,8 @@ def pace_on(run: Run) -> Pace:
     z_Hz, x_Hz = (
         stage.reach()["update_rate"].high for stage in (run.bench.stage_z, run.bench.stage_x)
     )
-    tick_Hz = settings.tick_Hz or min(TICK_Hz, z_Hz / settings.updates_a_tick)
+    both_Hz = 1 / (1 / z_Hz + 1 / x_Hz)
+    tick_Hz = settings.tick_Hz or min(TICK_Hz, z_Hz if settings.updates_a_tick == 1 else both_Hz)
     if tick_Hz < TICK_Hz and settings.tick_Hz is None:
         run.event(
             "warning",
@@ -104,7 +105,7 @@ def pace_on(run: Run) -> Pace:
             f"time for, not at {TICK_Hz:g} Hz: the force errors show what it costs",
         )
     delay_s = DELAY_S + max(0.0, 1 / z_Hz - LINK_S) / 2
-    return Pace(tick_Hz, delay_s, min(LOOKS_Hz, 1 / (1 / z_Hz + 1 / x_Hz)))
+    return Pace(tick_Hz, delay_s, min(LOOKS_Hz, both_Hz))
 
 
 def scales_on(run: Run) -> dict[str, LoadScale]:

@@ -6,6 +6,7 @@ understand it. What the values mean is for the settings classes to say.
 
 from __future__ import annotations
 
+import json
 import stat
 import tomllib
 from pathlib import Path
@@ -94,3 +95,13 @@ def check_nesting(value: Any) -> None:
         if not level:
             return
     raise ValueError(f"nested deeper than {MAX_DEPTH}")
+
+
+def toml_value(value: Any) -> str:
+    """A value of plain settings in TOML on one line: JSON but for tables."""
+    if isinstance(value, dict):
+        inside = ", ".join(f"{json.dumps(key)} = {toml_value(own)}" for key, own in value.items())
+        return f"{{ {inside} }}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(toml_value(own) for own in value)}]"
+    return json.dumps(value)

@@ -21,6 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from rig.documents import toml_value
 from rig.errors import ConfigurationError, InstrumentError, RigError
 
 if TYPE_CHECKING:
@@ -44,8 +45,8 @@ ABANDONED_S = 0.5
 
 Fixture = Literal["film-clamp", "plate", "semi-spherical-object"]
 HEAD: Fixture = "semi-spherical-object"
-Stages = Literal["festo", "az"]
-"""Two drives on Modbus TCP, or two on one Modbus RTU line."""
+Stages = Literal["festo", "az", "festo-az", "az-festo"]
+"""Drives on Modbus TCP, on one Modbus RTU line, or z of the first kind and x of the second."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def bench_toml(options: Options, world: dict[str, Any], endpoints: Endpoints) ->
 
     stages = {} if options.stages == "festo" else {"stages": options.stages}
     simulation = {"seed": options.seed, **stages, **world}
-    lines = "".join(f"{key} = {_toml(value)}\n" for key, value in simulation.items())
+    lines = "".join(f"{key} = {toml_value(value)}\n" for key, value in simulation.items())
     own = _film_tables if options.fixture == "film-clamp" else _skin_tables
     return f"""# A simulated bench: whatever is measured on it is computed, not measured.
 name = "simulated"
@@ -208,7 +209,7 @@ def _stage_table(
 ) -> str:
     number = "zx".index(axis)
     where = endpoints.stages[number]
-    if options.stages == "az":
+    if _kind(options.stages, f"stage_{axis}") == "az":
         link = f"""driver = "oriental-az"
 axis = "{axis}"
 port = "{where}"
@@ -234,13 +235,10 @@ torque_limit_percent = {torque_percent}
 """
 
 
-def _toml(value: Any) -> str:
-    """A value of the World's settings in TOML: JSON but for tables."""
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_toml(own)}" for key, own in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(_toml(own) for own in value) + "]"
-    return json.dumps(value)
+def _kind(stages: Stages, name: str) -> str:
+    """Of the drive of one stage."""
+    z, _, x = stages.partition("-")
+    return z if name == "stage_z" or not x else x
 
 
 class StartedBench:
@@ -407,14 +405,14 @@ def _read_world(options: Options) -> WorldSettings:
 
 def _read_faults(options: Options) -> FaultPlan:
     from drivers.simulated.fault_plan import (
-        BEFALLEN,
-        BEFALLEN_ON_A_LINE,
         DEVICES,
         DISK,
         GENERATOR,
         ROTARY,
         STAGE_X,
+        STAGES,
         FaultPlan,
+        befallen_with,
     )
 
     if options.fault is None:
@@ -423,7 +421,8 @@ def _read_faults(options: Options) -> FaultPlan:
     missing |= {"film-clamp": {STAGE_X}, "plate": {GENERATOR}}.get(options.fixture, set())
     if not options.slaved:
         missing.add(DISK)  # whoever records is another process
-    befallen = BEFALLEN_ON_A_LINE if options.stages == "az" else BEFALLEN
+    on_a_line = [name for name in STAGES if _kind(options.stages, name) == "az"]
+    befallen = befallen_with(on_a_line)
     there = [name for name in DEVICES if name not in missing]
     return FaultPlan.read(Path(options.fault), there, befallen)
 
@@ -473,7 +472,6 @@ class _Instruments:
         )
         self.daq = HislipServer(daq, faults=wire(DAQ, SCPI_DIALECT))
         world.befall(DAQ, lambda fault, t_us: daq.overrun())
-        make_drive = _az_drive if options.stages == "az" else _cmmt_drive
         self.serial: list[PtyServer] = []
         """Servers that need be told when nobody owns the time any more."""
         self.rotary = _rotary(world, faults) if options.fixture == HEAD else None
@@ -489,7 +487,7 @@ class _Instruments:
             self.serial.append(self.turning)
         turned = None if self.rotary is None else self.rotary.angles_deg
         mount = partial(_skin_drives, turned) if skin else _clamp_drives
-        self.drives = mount(world, partial(make_drive, world, faults, skin))
+        self.drives = mount(world, partial(_drive, options.stages, world, faults, skin))
         self.stages = self._serve_stages(options, wire)
         sensor = Sensor(zero_mV_V=settings.force_sensor_zero_mV_V)
         amplifier = Gsv8(world, world, FORCE_SENSOR, sensor)
@@ -513,28 +511,29 @@ class _Instruments:
     def _serve_stages(
         self, options: Options, wire: Callable[[str, Dialect], WireFaults]
     ) -> list[Any]:
-        """In front of the drives: a server each, or their common line."""
+        """In front of z and x: a server each, or their common line."""
         from drivers.simulated.modbus_rtu import RTU_DIALECT, RtuLine
         from drivers.simulated.modbus_tcp import MODBUS_DIALECT, ModbusTcpServer
         from drivers.simulated.oriental_az import AzDrive
         from drivers.simulated.serial_server import PtyServer
 
-        pair = [drive for drive in self.drives if isinstance(drive, AzDrive)]
-        if not pair:
-            return [
-                ModbusTcpServer(drive, faults=wire(drive.settings.name, MODBUS_DIALECT))
-                for drive in self.drives
-                if not isinstance(drive, AzDrive)
-            ]
-        line = PtyServer(
-            RtuLine(pair, self._world),
-            self._world,
-            slaved=options.slaved,
-            faults={drive.name: wire(drive.name, RTU_DIALECT) for drive in pair},
-            name=AZ_LINE,
-        )
-        self.serial.append(line)
-        return [line]
+        servers: list[Any] = [
+            ModbusTcpServer(drive, faults=wire(drive.settings.name, MODBUS_DIALECT))
+            for drive in self.drives
+            if not isinstance(drive, AzDrive)
+        ]
+        if on_line := [drive for drive in self.drives if isinstance(drive, AzDrive)]:
+            line = PtyServer(
+                RtuLine(on_line, self._world),
+                self._world,
+                slaved=options.slaved,
+                faults={drive.name: wire(drive.name, RTU_DIALECT) for drive in on_line},
+                name=AZ_LINE,
+            )
+            self.serial.append(line)
+            first = isinstance(self.drives[0], AzDrive)
+            servers.insert(0 if first else len(servers), line)
+        return servers
 
     def monitor(self, settings: WatchSettings | None) -> Monitor | None:
         """Who watches over the bench, where that is asked for."""
@@ -590,6 +589,13 @@ class _Instruments:
             generator=by_link[self._link],
             rotary=rotary,
         )
+
+
+def _drive(
+    stages: Stages, world: World, faults: FaultPlan, fine: bool, name: str
+) -> CmmtDrive | AzDrive:
+    make = _az_drive if _kind(stages, name) == "az" else _cmmt_drive
+    return make(world, faults, fine, name)
 
 
 def _cmmt_drive(world: World, faults: FaultPlan, fine: bool, name: str) -> CmmtDrive:

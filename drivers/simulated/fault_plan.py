@@ -26,7 +26,7 @@ docs/fault-plans.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar, get_args
 
@@ -269,15 +269,15 @@ BEFALLEN: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("disk-full", "read-only", "slow-sync"), (DISK,)),
 }
 """Whom each kind may befall, where the stages are on Modbus TCP."""
-BEFALLEN_ON_A_LINE: dict[str, tuple[str, ...]] = {
-    **BEFALLEN,
-    "checksum": (*BEFALLEN["checksum"], *STAGES),
-    **{
-        kind: tuple(device for device in ON_TCP if device not in STAGES)
-        for kind in ("reset", "half-open", "refused")
-    },
-}
-"""The same where they are on a serial line."""
+
+
+def befallen_with(on_a_line: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """The same where these stages are on a serial line."""
+    tcp_only = ("reset", "half-open", "refused")
+    there = {kind: tuple(d for d in ON_TCP if d not in on_a_line) for kind in tcp_only}
+    return {**BEFALLEN, "checksum": (*BEFALLEN["checksum"], *on_a_line), **there}
+
+
 _WHY_NOT = {
     "double": "nothing in its protocol tells a doubled message from the next one",
     "checksum": "its protocol has no checksum of its own",

@@ -30,7 +30,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "make-safe": simulate.make_safe,
 }
 
-HELP = """Tactile bench controller: sweeps, slip trials, calibrations, and their files.
+HELP = """Tactile bench controller: sweeps, slip and roll trials, calibrations, and their files.
 
 Without a bench file (--bench FILE, or bench.toml here) a command runs on the simulated bench and
 says so.

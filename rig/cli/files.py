@@ -205,6 +205,7 @@ def _world_of(bench_toml: str, source: str) -> Iterator[tuple[Path | None, Stage
     None for any other bench: that one's file is read from where it was.
     """
     from rig.bench import parse_bench
+    from rig.documents import toml_value
 
     plan = parse_bench(bench_toml, f"{source}: its bench file")
     simulation = dict(plan.settings.simulation or {})
@@ -214,6 +215,6 @@ def _world_of(bench_toml: str, source: str) -> Iterator[tuple[Path | None, Stage
     simulation.pop("seed", None)
     stages = simulation.pop("stages", None)
     with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as file:
-        file.write("".join(f"{key} = {json.dumps(value)}\n" for key, value in simulation.items()))
+        file.write("".join(f"{key} = {toml_value(value)}\n" for key, value in simulation.items()))
         file.flush()
         yield Path(file.name), stages

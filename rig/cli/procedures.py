@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rig.runner.procedure import Procedure
     from rig.settings import Settings
 
-Stages = Literal["festo", "az"]
+Stages = Literal["festo", "az", "festo-az", "az-festo"]
 """Of a simulated bench: on Modbus TCP, or on one Modbus RTU line."""
 BENCH_FILE = Path("bench.toml")
 STARTING: dict[Fixture, str] = {
@@ -77,7 +77,7 @@ def _common(
     ] = False,
     stages: Annotated[
         Stages | None,
-        typer.Option(help="Stages of a simulated bench: festo by default."),
+        typer.Option(help="Stages of a simulated bench, z and x: festo by default."),
     ] = None,
     world: Annotated[
         Path | None, typer.Option(help="World settings (TOML) of a simulated bench.")

@@ -20,7 +20,8 @@ def simulate(
         typer.Option(help="What is mounted."),
     ] = "film-clamp",
     stages: Annotated[
-        Literal["festo", "az"], typer.Option(help="What moves it: Modbus TCP, or one RTU line.")
+        Literal["festo", "az", "festo-az", "az-festo"],
+        typer.Option(help="Stages z and x: on Modbus TCP, on one RTU line, or one each."),
     ] = "festo",
     seed: Annotated[int, typer.Option(help="Seed of films and noise.", min=0)] = 0,
     world: Annotated[Path | None, typer.Option(help="World settings (TOML).")] = None,

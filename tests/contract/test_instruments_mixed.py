@@ -28,3 +28,45 @@ def test_every_combination_measures_the_film(rig, daq, link):
                 run.column(f"response_var_{variance}") ** 0.5
             )
             assert abs(pull).max() < 4.5
+
+
+STAGES = ("festo", "az", "festo-az", "az-festo")
+
+
+@pytest.mark.parametrize("daq", ["U2331A", "U2542A"])
+@pytest.mark.parametrize("stages", STAGES)
+def test_every_combination_of_stages_and_daq_slides_the_skin(rig, stages, daq):
+    world = f'daq_model = "{daq}"\nskin_mount.contact_mm = 12.05\n'
+    ended = rig.run(
+        "slip-trial", "--stages", stages, "--no-figures", "--json", "--world", rig.world(world),
+        "--world-log", str(rig.world_log), "--distance", "0.4mm", "--rest", "100ms",
+    )  # fmt: skip
+    assert ended.code == 0, ended.stderr
+    touched = [e["what"] for e in rig.log() if e["what"] in ("touch-down", "lift-off")]
+    assert touched == ["touch-down", "lift-off"]
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        models = {i.role: i.model for i in run.header.instruments}
+        assert models["daq"] == daq
+        assert models["stage_z"].startswith("AZ") == stages.startswith("az")
+        assert models["stage_x"].startswith("AZ") == stages.endswith("az")
+        assert run.settings["loading"] == "slide"
+        (reading,) = run.readings()
+    assert reading["tick_Hz"] == (50 if stages.startswith("az") else 100)
+    assert reading["force_error_rms_percent"] < 2
+    assert reading["kinetic_friction"] == pytest.approx(0.65, rel=0.03)
+
+
+@pytest.mark.parametrize("stages", ["az", "festo-az"])
+def test_a_head_rolls_on_other_stages(rig, stages):
+    head = "head = { body = { shape = 'cylinder', radius_mm = 30.0 }, axis_offset_mm = 1.0 }\n"
+    ended = rig.run(
+        "roll-trial", "--stages", stages, "--no-figures", "--json", "--world", rig.world(head),
+        "--rest", "100ms", "--stay", "100ms", "--speed", "4deg/s",
+    )  # fmt: skip
+    assert ended.code == 0, ended.stderr
+    with RunFile.open(rig.only("*.h5")) as run:
+        (reading,) = run.readings()
+    assert reading["largest_tangential_N"] < 0.5
+    assert reading["force_error_rms_percent"] < 3
