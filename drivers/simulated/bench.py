@@ -369,7 +369,7 @@ async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> N
         port = await control.start()
         if options.slaved:  # its end is seen however early it was: what it sets free has started
             await loop.connect_read_pipe(lambda: _OwnersPipe(orphaned), sys.stdin)
-        overrides = settings.model_dump(mode="json", exclude_defaults=True)
+        overrides = settings.model_dump(mode="json", exclude_unset=True)
         ready(
             {
                 "control_port": port,

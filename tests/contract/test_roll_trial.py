@@ -137,10 +137,10 @@ def test_a_rotary_stage_that_fails_in_the_roll_is_told_and_the_skin_lifted(rig, 
     assert touched == ["touch-down", "lift-off"]
 
 
-def test_ctrl_c_in_a_roll_stops_it_and_lifts_off(rig):
+def test_ctrl_c_in_a_roll_stops_it_and_lifts_off_and_a_resume_rolls_again(rig):
     running = rig.start(
         "roll-trial", "--no-figures", "--world-log", str(rig.world_log), "--alignment", "none",
-        "--world", rig.world(roller(0.0)), "--speed", "1deg/s", "--stay", "20s",
+        "--world", rig.world(roller(0.0)), "--speed", "3deg/s", "--stay", "5s",
     )  # fmt: skip
     deadline = time.monotonic() + 120
     while not rig.world_log.exists() or [e["what"] for e in moves(rig, "rotary")].count("turn") < 2:
@@ -150,6 +150,10 @@ def test_ctrl_c_in_a_roll_stops_it_and_lifts_off(rig):
     ended = running.finish()
     assert ended.code == 130, ended.stderr
     assert_off_the_object(rig)
+    resumed = rig.run("resume", str(rig.only("*.rigj")), "--no-figures", "--json")
+    assert resumed.code == 0, resumed.stderr
+    assert resumed.object["points_done"] == 1
+    assert the_reading(rig)["angle_error_deg"] < 0.02
 
 
 REFUSED = [
