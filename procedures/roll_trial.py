@@ -42,9 +42,9 @@ class Settings(PressedSettings):
 
     angle_deg: float = 3.5
     """Angle that is rolled from upright and back (paper 5); positive rolls towards +x."""
-    speed_deg_s: float = Field(default=12.0, gt=0)
+    turn_speed_deg_s: float = Field(default=12.0, gt=0)
     """Largest speed of the turn."""
-    acceleration_deg_s2: float = Field(default=60.0, gt=0)
+    turn_acceleration_deg_s2: float = Field(default=60.0, gt=0)
     """Of the turn."""
     stay_s: float = Field(default=0.3, ge=0, le=60)
     """Stay at the angle, before the way back."""
@@ -87,8 +87,10 @@ class Settings(PressedSettings):
         """What is rolled."""
         if self.profile_times_s:
             own = (self.profile_times_s, self.profile_angles_deg)
-            return Curve(*own, acceleration_deg_s2=self.acceleration_deg_s2)
-        return ThereAndBack(self.angle_deg, self.speed_deg_s, self.acceleration_deg_s2, self.stay_s)
+            return Curve(*own, acceleration_deg_s2=self.turn_acceleration_deg_s2)
+        return ThereAndBack(
+            self.angle_deg, self.turn_speed_deg_s, self.turn_acceleration_deg_s2, self.stay_s
+        )
 
     @property
     def angles_deg(self) -> tuple[float, float]:
@@ -115,8 +117,8 @@ def points(settings: Settings) -> tuple[Point, ...]:
             condition=number,
             moves=(
                 Move("force_sensor.force", settings.largest_force_N),
-                Move("rotary.speed", settings.speed_deg_s),
-                Move("rotary.acceleration", settings.acceleration_deg_s2),
+                Move("rotary.speed", settings.turn_speed_deg_s),
+                Move("rotary.acceleration", settings.turn_acceleration_deg_s2),
                 Move("stage_z.update_rate", settings.updates_Hz),
             ),
             acquisitions=(settings.acquisition,),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from importlib.metadata import EntryPoint, entry_points
 
 import pytest
 from pydantic import Field
@@ -162,3 +163,10 @@ def test_every_field_becomes_one_option_with_unit_and_default_in_its_help() -> N
     assert found["speeds_mm_s"].help == "Speeds. [2 values, 1 to 5 mm/s]"
     assert found["cycles"].metavar == "VALUE"
     assert found["rate_S_s"].help == "Rate, if not the usual one."
+
+
+@pytest.mark.parametrize("procedure", entry_points(group="rig.procedures"), ids=lambda e: e.name)
+def test_no_two_options_of_a_procedure_have_one_name(procedure: EntryPoint) -> None:
+    fields = procedure.load().Settings.model_fields
+    names = [option_name(field) for field in fields]
+    assert len(set(names)) == len(names)

@@ -63,7 +63,7 @@ def test_a_head_rolls_on_other_stages(rig, stages):
     head = "head = { body = { shape = 'cylinder', radius_mm = 30.0 }, axis_offset_mm = 1.0 }\n"
     ended = rig.run(
         "roll-trial", "--stages", stages, "--no-figures", "--json", "--world", rig.world(head),
-        "--rest", "100ms", "--stay", "100ms", "--speed", "4deg/s",
+        "--rest", "100ms", "--stay", "100ms", "--turn-speed", "4deg/s",
     )  # fmt: skip
     assert ended.code == 0, ended.stderr
     with RunFile.open(rig.only("*.h5")) as run:

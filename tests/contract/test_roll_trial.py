@@ -140,7 +140,7 @@ def test_a_rotary_stage_that_fails_in_the_roll_is_told_and_the_skin_lifted(rig, 
 def test_ctrl_c_in_a_roll_stops_it_and_lifts_off_and_a_resume_rolls_again(rig):
     running = rig.start(
         "roll-trial", "--no-figures", "--world-log", str(rig.world_log), "--alignment", "none",
-        "--world", rig.world(roller(0.0)), "--speed", "3deg/s", "--stay", "5s",
+        "--world", rig.world(roller(0.0)), "--turn-speed", "3deg/s", "--stay", "5s",
     )  # fmt: skip
     deadline = time.monotonic() + 120
     while not rig.world_log.exists() or [e["what"] for e in moves(rig, "rotary")].count("turn") < 2:
@@ -159,7 +159,7 @@ def test_ctrl_c_in_a_roll_stops_it_and_lifts_off_and_a_resume_rolls_again(rig):
 REFUSED = [
     (("--angle", "80"), "angle of the roll"),
     (("--start", "-80"), "start of the roll"),
-    (("--speed", "90"), "90 deg/s is outside"),
+    (("--turn-speed", "90"), "90 deg/s is outside"),
     (("--profile-times", "0,1"), "each time needs its angle"),
     (("--tick", "600"), "500"),
 ]

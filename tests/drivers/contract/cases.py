@@ -426,6 +426,7 @@ class RotaryCase(Case):
     def __init__(self, link: str):
         self.name = f"rst-{link}"
         self._link = link
+        self.every_fault = link == "serial"
         if link == "serial":
             self.exclusive_link = "a serial port belongs to the one who has opened it"
 
