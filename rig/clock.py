@@ -14,6 +14,7 @@ stop by themselves.
 from __future__ import annotations
 
 import json
+import select
 import socket
 import time
 from abc import ABC, abstractmethod
@@ -31,6 +32,9 @@ STREAM_SLICE_S = 0.01
 STREAM_PATIENCE_S = 3.0
 """Wall time that a stream reader may take to consume what the simulated bench has sent: less than
 the guard's patience with a run that gives no sign of life."""
+
+BEAT_S = 1.0
+"""Between two signs of life of who waits for a simulated bench that computes."""
 
 CONTROL_TIMEOUT_S = 60.0
 """Wall time the simulated bench may take to answer an advance: only a dead one takes longer."""
@@ -80,6 +84,10 @@ class Clock(ABC):
 
     def announce(self, run: int, point: int) -> None:  # noqa: B027 - hardware need not know
         """Tell a simulated bench which point comes next: it keys the point's noise."""
+
+    def while_computing(self, beat: Callable[[], None]) -> None:  # noqa: B027 - hardware does not
+        """Call `beat` about once a second while a simulated bench takes its time over a stretch of
+        bench time: who waits for it is alive."""
 
     def act(self, do: str, **values: object) -> bool:
         """Have a simulated bench do what a person would do to a real one, such as ``weigh``.
@@ -163,6 +171,10 @@ class SlavedClock(Clock):
         self._consumed[name] = lambda: consumed() + missing
         return lambda: self._consumed.pop(name, None) and None
 
+    def while_computing(self, beat: Callable[[], None]) -> None:
+        """Of each request to the bench."""
+        self._control.beat = beat
+
     def act(self, do: str, **values: object) -> bool:
         """Have the bench do it."""
         self._control.request(do, **values)
@@ -219,11 +231,17 @@ class ControlLink:
             raise _control_failed("connect", error) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._lines = self._socket.makefile("rb")
+        self.beat: Callable[[], None] = lambda: None
+        """Called about once a second while an answer takes so long."""
 
     def request(self, do: str, **values: object) -> dict[str, Any]:
         """Send one request and return the bench's answer; InstrumentError where it is gone."""
         try:
             self._socket.sendall(json.dumps({"do": do, **values}).encode() + b"\n")
+            for _ in range(round(CONTROL_TIMEOUT_S / BEAT_S)):
+                if select.select([self._socket], [], [], BEAT_S)[0]:
+                    break
+                self.beat()
             line = self._lines.readline()
         except OSError as error:
             raise _control_failed(do, error) from error

@@ -326,8 +326,8 @@ def test_a_reader_that_died_is_told_with_its_own_cause() -> None:
             clock.sleep(0.01)
 
 
-def answering(lines: list[bytes]) -> int:
-    """A bench that gives these answers and dies; its port."""
+def answering(lines: list[bytes], after: threading.Event | None = None) -> int:
+    """A bench that gives these answers, once `after` has happened, and dies; its port."""
     server = socket.create_server(("127.0.0.1", 0))
 
     def serve() -> None:
@@ -335,6 +335,8 @@ def answering(lines: list[bytes]) -> int:
         with server, connection, connection.makefile("rb") as asked:
             for line in lines:
                 asked.readline()
+                if after is not None:
+                    after.wait(30)
                 connection.sendall(line)
 
     threading.Thread(target=serve, daemon=True).start()
@@ -360,3 +362,15 @@ def test_a_bench_that_is_not_there_is_an_instrument_error() -> None:
         port = server.getsockname()[1]
     with pytest.raises(InstrumentError, match="connect"):
         ControlLink(port)
+
+
+def test_who_waits_for_a_bench_that_computes_gives_signs_of_life() -> None:
+    """Its guard would take it for hung otherwise."""
+    waited_for = threading.Event()
+    good = json.dumps({"now_us": 20_000}).encode() + b"\n"
+    clock = SlavedClock(ControlLink(answering([good], waited_for)))
+    clock.while_computing(waited_for.set)
+    clock.sleep(0.02)
+    assert waited_for.is_set()
+    assert clock.now() == pytest.approx(0.02)
+    clock.close()

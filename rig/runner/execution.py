@@ -144,6 +144,7 @@ class _Loop:
     def go(self) -> None:
         """Take the points, then safe, data, report."""
         unregister = self.bench.clock.each_slice(self._each_slice)
+        self.bench.clock.while_computing(self.guard.beat)
         try:
             with PauseSwitch(self.run.holds):
                 self._take_all()
