@@ -1,4 +1,4 @@
-"""Jogging: what keys, one after the other, ask of the axes. Keys, time, places in; actions out; no I/O.
+"""Jogging: what keys ask of the axes. Keys, time and places in, actions out; no I/O.
 
 A terminal tells that a key is pressed and pressed again by its auto-repeat, never that it is let
 go. So each press asks for one step from where the axis is, and a held key for one after the other:
