@@ -19,6 +19,7 @@ from rig.runner.jog import Key
 from rig.runner.stopping import StopRequestedError
 
 if TYPE_CHECKING:
+    from rig.runner.jog import Axis
     from rig.runner.jog_session import Status
 
 ESCAPE_S = 0.05
@@ -149,18 +150,20 @@ class Terminal:
 
 
 def in_a_line(status: Status) -> str:
-    """Axes with their positions, the chosen one marked, and the force."""
-    parts = []
-    for axis in status.axes:
-        place = status.places[axis.name]
-        mark = ">" if axis is status.chosen else " "
-        homed = "" if place.homed else " (not homed)"
-        moves = " moving" if axis is status.moving else ""
-        parts.append(f"{mark}{axis.name} {place.position:.3f} {axis.unit}{homed}{moves}")
+    """The chosen axis, the force, then the other axes: what a narrow terminal cuts off is least."""
+    parts = [_axis_in_words(status.chosen, status)]
     if status.force_N is not None:
         over = " OVER THE LIMIT" if status.pressed else ""
         values = " ".join(
             f"{axis} {value:+.2f}" for axis, value in zip("xyz", status.force_N, strict=True)
         )
         parts.append(f"force {values} N{over}")
+    parts += [_axis_in_words(axis, status) for axis in status.axes if axis is not status.chosen]
     return " | ".join(parts)
+
+
+def _axis_in_words(axis: Axis, status: Status) -> str:
+    place = status.places[axis.name]
+    homed = "" if place.homed else " (not homed)"
+    moves = " moving" if axis is status.moving else ""
+    return f"{axis.name} {place.position:.3f} {axis.unit}{homed}{moves}"

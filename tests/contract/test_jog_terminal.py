@@ -184,6 +184,32 @@ def test_force_over_the_limit_stops_everything_and_leaves_only_the_way_off(rig, 
     assert "(tripped)" in log
 
 
+def test_a_second_trip_on_the_way_off_ends_it(rig, jogs):
+    """The sensor's zero is over this limit from the beginning; then something pushes."""
+    fault = rig.fault(
+        '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nafter_s = 2.0\nforce_N = 10.0\n'
+    )
+    code, shown = jogs("--largest-force", "1.5N", "--fault", fault).ends()
+    assert code == 4, shown
+    assert "only stage_z - moves until the force is below 1.2 N" in shown
+    assert re.search(r"error: force along . of .* N .* on the way off: the force does not", shown)
+    assert "every axis is at rest" in shown
+
+
+def test_a_key_stops_homing(rig, jogs):
+    fault = rig.fault('[[fault]]\ndevice = "stage_z"\nkind = "slow"\nafter_s = 0.1\nshare = 0.02\n')
+    typist = jogs("--fault", fault)
+    typist.types_after(r"not homed\)", b"h")
+    typist.types_after(r"y within", b"y")
+    typist.types_after(r"homing stage_z", b" ")
+    stopped = typist.sees(r"homing was stopped by a key")
+    typist.sees(r"not homed\)", since=stopped)
+    typist.types(b"q")
+    code, shown = typist.ends()
+    assert code == 0, shown
+    assert "stage_z is homed" not in shown[stopped:]
+
+
 def test_ctrl_c_at_a_held_key_ends_in_order_and_a_second_owner_is_refused(rig, jogs, bench_file):
     typist = jogs("--bench", bench_file, "--largest-force", "30N")
     typist.sees(r"stage_z 10\.000 mm \|")
@@ -191,6 +217,10 @@ def test_ctrl_c_at_a_held_key_ends_in_order_and_a_second_owner_is_refused(rig, j
     assert second.code == 2
     assert f"in use by pid {typist.process.pid}" in second.stderr
     typist.holds(MORE, r"stage_z 10\.\d+ mm moving")
+    typist.types(b"\x1a")
+    paused = typist.sees(r"stopped: paused by the operator; nothing moves until that is over")
+    typist.types(b"\x1a")
+    typist.sees(r"going on", since=paused)
     typist.types(b"\x03")
     code, shown = typist.ends()
     assert code == 130, shown
