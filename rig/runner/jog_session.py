@@ -441,8 +441,14 @@ class JogSession:
                 self._places[name] = Place(self._drives[name].position(), homed)
 
     def _home(self, axis: Axis) -> None:
-        self._tell(f"homing {axis.name}; any key stops it")
-        log.info("jog: %s is homed; force %s", axis.name, self._force_in_words())
+        self._person.say(f"homing {axis.name}; any key stops it")
+        log.info(
+            "jog: %s homes from %.4f %s; force %s",
+            axis.name,
+            self._places[axis.name].position,
+            axis.unit,
+            self._force_in_words(),
+        )
         self._person.forget()
         self._homing = True
         try:
