@@ -221,6 +221,20 @@ class SlavedClock(Clock):
             time.sleep(20e-6)
 
 
+class PacedClock(SlavedClock):
+    """The time of a simulated bench that goes no faster than a wall clock: for a person at it."""
+
+    def __init__(self, control: ControlLink):
+        super().__init__(control)
+        self._due_s = time.monotonic()
+
+    def _advance(self, step_us: int) -> None:
+        """What the bench takes longer than real time is not caught up."""
+        self._due_s = max(self._due_s + step_us * 1e-6, time.monotonic())
+        super()._advance(step_us)
+        time.sleep(max(0.0, self._due_s - time.monotonic()))
+
+
 class ControlLink:
     """The control socket of a simulated bench: one JSON line asks, one JSON line answers."""
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import typer
 
-from rig.cli import calibrate, files, simulate, skin
+from rig.cli import calibrate, files, jog, simulate, skin
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
 
@@ -27,6 +27,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "verify": files.verify,
     "recover": files.recover,
     "simulate": simulate.simulate,
+    "jog": jog.jog,
     "make-safe": simulate.make_safe,
 }
 

@@ -184,10 +184,11 @@ def bench_for(
     at_the_end: ExitStack,
     fixture: Fixture = "film-clamp",
     meanwhile: Callable[[], None] = _nothing,
+    paced: bool = False,
 ) -> ChosenBench:
     """The bench file's plan with a wall clock, locked until `at_the_end`, or a started simulated
-    bench, on which `fixture` is mounted, with its own clock. `meanwhile` is called before anything
-    is connected, while that one boots."""
+    bench, on which `fixture` is mounted, with its own clock, `paced` for a person. `meanwhile` is
+    called before anything is connected, while that one boots."""
     path = request.bench or (BENCH_FILE if BENCH_FILE.exists() else None)
     started = None
     if path is None or request.dry_run:
@@ -199,7 +200,7 @@ def bench_for(
 
         real = read_bench(path) if path is not None else None
         if started is not None:
-            return _simulated_bench(request, started, real, meanwhile)
+            return _simulated_bench(request, started, real, meanwhile, paced)
     except BaseException:
         if started is not None:
             started.abandon()
@@ -233,10 +234,14 @@ def _real_bench(
 
 
 def _simulated_bench(
-    request: Request, started: RunningBench, real: BenchPlan | None, meanwhile: Callable[[], None]
+    request: Request,
+    started: RunningBench,
+    real: BenchPlan | None,
+    meanwhile: Callable[[], None],
+    paced: bool,
 ) -> ChosenBench:
     from rig.bench import parse_bench, rehearsal
-    from rig.clock import ControlLink, SlavedClock
+    from rig.clock import ControlLink, PacedClock, SlavedClock
     from rig.runner.guard import GUARD_SUFFIX
 
     _tell_killed(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
@@ -248,7 +253,8 @@ def _simulated_bench(
     plan = parse_bench(ready["bench_toml"], "the simulated bench")
     if real is not None:
         plan = rehearsal(real, plan)
-    clock = SlavedClock(ControlLink(ready["control_port"]))
+    control = ControlLink(ready["control_port"])
+    clock = PacedClock(control) if paced else SlavedClock(control)
     return ChosenBench(plan, clock, None, started, ready["recorded_toml"])
 
 

@@ -56,9 +56,10 @@ def tell_killed(path: Path) -> str | None:
             return None
         told = (
             f"the guard of an earlier run had to act at {report['time']}: {report['cause']}; "
-            f"the bench was made safe; data: {report['file']}; go on with: rig resume "
-            f"{report['journal']}"
+            "the bench was made safe"
         )
+        if report["journal"] is not None:
+            told += f"; data: {report['file']}; go on with: rig resume {report['journal']}"
     except (OSError, ValueError, KeyError, TypeError):
         return None
     _mark_told(path, report)
@@ -97,10 +98,13 @@ def refuse_unsafe(results: Path, bench_name: str) -> None:
 class GuardLink:
     """The run's side: starts the guard and keeps it informed."""
 
-    def __init__(self, plan: BenchPlan, journal: Path, report: Path, held: Sequence[int] = ()):
-        """`held`: files that the guard keeps open as long as it lives, the bench's locks."""
+    def __init__(
+        self, plan: BenchPlan, journal: Path | None, report: Path, held: Sequence[int] = ()
+    ):
+        """`journal`: of the run, None where nothing is recorded. `held`: files that the guard keeps
+        open as long as it lives, the bench's locks."""
         self._report = report.resolve()
-        self._journal = str(journal.resolve())
+        self._journal = None if journal is None else str(journal.resolve())
         order = {
             "run_pid": os.getpid(),
             "journal": self._journal,
@@ -151,7 +155,8 @@ class GuardLink:
             report = json.loads(self._report.read_text())
         except (subprocess.TimeoutExpired, OSError, ValueError) as error:
             return f"the guard did not report: {error}"
-        if report["journal"] != self._journal:  # an earlier run's
+        own = (os.getpid(), self._journal)
+        if (report["run_pid"], report["journal"]) != own:  # an earlier run's
             return f"the guard did not report: it ended with code {self._process.returncode}"
         if report["safe"]:
             _mark_told(self._report, report)
@@ -212,7 +217,8 @@ def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[s
     }
     with contextlib.suppress(OSError):  # a report that cannot be written keeps no data back
         _write(Path(order["report"]), report)  # safety first: it does not wait for the file
-    report["file"] = _compile(Path(order["journal"]))
+    journal = order["journal"]
+    report["file"] = None if journal is None else _compile(Path(journal))
     with contextlib.suppress(OSError):
         _write(Path(order["report"]), report)
     return report

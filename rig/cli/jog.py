@@ -1,0 +1,186 @@
+"""The command ``rig jog``: somebody at a terminal moves the axes of a bench by its keys."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from rig.cli.outcome import log, reported, say, start_log, tell_failure
+from rig.errors import ConfigurationError, ExitCode, RigError
+
+if TYPE_CHECKING:
+    from rig.cli.procedures import ChosenBench, Request
+    from rig.cli.terminal import Terminal
+    from rig.runner.jog_session import Ended, JogSettings
+    from rig.runner.stopping import StopFlag
+
+OWN_BENCH_REPORT = "jog.guard.json"
+"""Of the guard of a simulated bench that ended with the command."""
+
+
+def jog(
+    bench: Annotated[
+        Path | None,
+        typer.Option(help="Bench file; without one, ./bench.toml or the simulated bench."),
+    ] = None,
+    axis: Annotated[
+        str | None, typer.Option(help="Axis to begin with: stage_z, stage_x or rotary.")
+    ] = None,
+    step: Annotated[
+        str | None, typer.Option(help="What a press moves a linear axis by [0.1 mm].", metavar="mm")
+    ] = None,
+    speed: Annotated[
+        str | None, typer.Option(help="Of linear axes [1 mm/s, the largest].", metavar="mm/s")
+    ] = None,
+    angle_step: Annotated[
+        str | None, typer.Option(help="What a press turns by [0.2 deg].", metavar="deg")
+    ] = None,
+    turn_speed: Annotated[
+        str | None,
+        typer.Option(help="Of the rotary stage [2 deg/s, the largest].", metavar="deg/s"),
+    ] = None,
+    largest_force: Annotated[
+        str | None,
+        typer.Option(
+            help="Along any axis, not tared; over it everything stops [5 N].", metavar="N"
+        ),
+    ] = None,
+    results: Annotated[Path, typer.Option(help="Folder for the log.")] = Path("results"),
+    fixture: Annotated[
+        Literal["film-clamp", "plate", "semi-spherical-object"] | None,
+        typer.Option(help="What is mounted on a simulated bench: film-clamp by default."),
+    ] = None,
+    stages: Annotated[
+        Literal["festo", "az"] | None,
+        typer.Option(help="Stages of a simulated bench: festo by default."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0)] = 0,
+    world: Annotated[
+        Path | None, typer.Option(help="World settings (TOML) of a simulated bench.")
+    ] = None,
+    fault: Annotated[
+        Path | None, typer.Option(help="Fault plan (TOML) of a simulated bench.")
+    ] = None,
+    world_log: Annotated[
+        Path | None, typer.Option(help="File for a simulated bench's own log.")
+    ] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Move an axis by keys: small slow steps, stopped when the key is let go.
+
+    Up, left or - is less (z: up), down, right or + is more. Tab chooses the next axis, h homes it.
+    Space or any other key stops, q or Esc leaves. Every move is in rig.log beside the results.
+    """
+    with reported(debug):
+        from rig.cli.options import settings_from
+        from rig.cli.procedures import Request
+        from rig.runner.jog_session import JogSettings
+
+        given = {
+            "step_mm": step,
+            "speed_mm_s": speed,
+            "angle_step_deg": angle_step,
+            "turn_speed_deg_s": turn_speed,
+            "largest_force_N": largest_force,
+        }
+        settings = settings_from(JogSettings, given)
+        assert isinstance(settings, JogSettings)
+        request = Request(
+            bench=bench,
+            results=results,
+            seed=seed,
+            stages=stages,
+            world=world,
+            fault=fault,
+            world_log=world_log,
+            debug=debug,
+        )
+        _perform(request, settings, axis, fixture)
+
+
+def _perform(
+    request: Request,
+    settings: JogSettings,
+    axis: str | None,
+    fixture: Literal["film-clamp", "plate", "semi-spherical-object"] | None,
+) -> None:
+    """Choose the bench, jog it, tell how it ended, and end with the exit code."""
+    from rig.cli.procedures import bench_for
+    from rig.cli.streams import say_at_once
+    from rig.cli.terminal import Terminal
+    from rig.runner.stopping import StopFlag
+
+    terminal = Terminal()
+    with ExitStack() as stack:
+        stop = stack.enter_context(StopFlag(say_at_once))
+        start_log(request.results)
+        log.setLevel(logging.INFO)
+        with stop.nothing_connected():
+            chosen = bench_for(request, stack, fixture or "film-clamp", paced=True)
+        if chosen.started is not None:
+            stack.callback(chosen.started.wait)
+        elif fixture is not None:
+            raise ConfigurationError(
+                f"--fixture belongs to a simulated bench, not to {chosen.plan.source}",
+                "leave it out: the bench file says what is mounted",
+            )
+        ended = _at_the_bench(chosen, request, settings, axis, stop, terminal, stack)
+        for failure in ended.failures:
+            if failure.code in (ExitCode.SIGINT, ExitCode.SIGTERM, ExitCode.SIGHUP):
+                say(failure.one_line())
+            else:
+                tell_failure(failure, request.debug)
+        for off in ended.off_failures:
+            say(f"error: NOT SAFE: {off.name} could not be stopped: {off.reason}")
+        if not ended.off_failures:
+            say(f"every axis is at rest; the moves are in {request.results / 'rig.log'}")
+    raise typer.Exit(int(ended.code))
+
+
+def _at_the_bench(
+    chosen: ChosenBench,
+    request: Request,
+    settings: JogSettings,
+    axis: str | None,
+    stop: StopFlag,
+    terminal: Terminal,
+    at_the_end: ExitStack,
+) -> Ended:
+    """Connect axes and force sensor, nothing else; jog; leave the rest to the guard if an axis
+    could not be stopped."""
+    from datetime import datetime
+
+    from rig import bench as benches
+    from rig.cli.terminal import HELP
+    from rig.runner.guard import GuardLink, report_path
+    from rig.runner.jog_session import AXES, JogSession
+
+    plan, clock = chosen.plan, chosen.clock
+    needed = tuple(p for p in plan.instruments if p.role in (*AXES, "force_sensor"))
+    try:
+        connected = benches.connect(replace(plan, instruments=needed), clock, stop.check)
+    except RigError:
+        clock.close()
+        raise
+    at_the_end.callback(connected.close)
+    _, warnings = benches.apply_calibrations(connected, datetime.now().astimezone(), True)
+    for warning in warnings:
+        say(f"warning: {warning}")
+    session = JogSession(connected, settings, axis, stop, terminal)
+    report = report_path(request.results, plan.settings.name)
+    if chosen.started is not None:
+        report = request.results / OWN_BENCH_REPORT
+    guard = GuardLink(plan, None, report, chosen.lock.files if chosen.lock is not None else ())
+    with terminal:
+        say(HELP)
+        ended = session.go(guard)
+    if ended.off_failures:
+        say(guard.take_over())
+    else:
+        guard.done()
+    return ended

@@ -1,0 +1,274 @@
+"""`rig jog` at a real terminal, on a simulated bench in real time and on the command's own."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import termios
+import threading
+import time
+
+import pytest
+
+from rig.bench import read_bench
+from rig.clock import WallClock
+from rig.runner.jog import SILENCE_S
+
+LESS, MORE = b"\x1b[A", b"\x1b[B"
+REPEAT_S = 0.033
+PATIENCE_S = 30.0
+STEP_mm, SPEED_mm_s = 0.1, 1.0
+LATE_S = 1.5
+"""What a loaded machine may add to a stop; the figure itself is a benchmark's business."""
+START_mm, CONTACT_mm = 10.0, 10.5
+
+
+class Typist:
+    """A command at a pseudo-terminal, and somebody who types there."""
+
+    def __init__(self, rig, *arguments):
+        self._master, self.slave = pty.openpty()
+        self.before = termios.tcgetattr(self.slave)
+        self.process = subprocess.Popen(
+            [*rig.COMMAND, *arguments],
+            cwd=rig.folder,
+            env=rig.env,
+            stdin=self.slave,
+            stdout=self.slave,
+            stderr=self.slave,
+            start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        )
+        self._shown = ""
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def sees(self, pattern, since=0):
+        """Wait until the terminal has shown it; where the shown text then ends."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not re.search(pattern, self._shown[since:]):
+            assert time.monotonic() < deadline, f"{pattern!r} was never shown:\n{self._shown}"
+            assert self.process.poll() is None, f"it ended without {pattern!r}:\n{self._shown}"
+            time.sleep(0.02)
+        return len(self._shown)
+
+    def types(self, key):
+        os.write(self._master, key)
+
+    def holds(self, key, until):
+        """Hold a key down until the terminal shows a pattern; the seconds it was held for."""
+        begun, since = time.monotonic(), len(self._shown)
+        while not re.search(until, self._shown[since:]):
+            assert time.monotonic() - begun < PATIENCE_S, f"{until!r} never came:\n{self._shown}"
+            self.types(key)
+            time.sleep(REPEAT_S)
+        return time.monotonic() - begun
+
+    def types_after(self, pattern, key):
+        self.sees(pattern)
+        self.types(key)
+
+    def ends(self):
+        """Wait for the end: exit code and everything that was shown."""
+        code = self.process.wait(PATIENCE_S)
+        time.sleep(0.1)
+        return code, self._shown
+
+    def close(self):
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+        print(self._shown)
+        os.close(self.slave)
+
+    def _read(self):
+        while True:
+            try:
+                typed = os.read(self._master, 4096)
+            except OSError:
+                return
+            if not typed:
+                return
+            self._shown += typed.decode(errors="replace")
+
+
+@pytest.fixture
+def jogs(rig):
+    """Start `rig jog` at a terminal."""
+    started = []
+
+    def start(*arguments):
+        started.append(Typist(rig, "jog", *arguments))
+        return started[-1]
+
+    yield start
+    for typist in started:
+        typist.close()
+
+
+@pytest.fixture
+def bench_file(rig):
+    """A bench in real time, its z stage homed and half a millimetre above the film."""
+    world = rig.world(f"[clamp]\ncontact_mm = {CONTACT_mm}\n")
+    log = ("--world-log", str(rig.world_log))
+    serving = rig.start("simulate", "--write", "sim.toml", "--world", world, *log)
+    serving.wait_for("Ctrl-C ends it")
+    plan = read_bench(rig.folder / "sim.toml")
+    (z,) = (part for part in plan.instruments if part.role == "stage_z")
+    with contextlib.closing(z.driver.connect(z.settings, WallClock())) as stage:
+        stage.home()
+        stage.move_to(START_mm, 20.0)
+    yield "sim.toml"
+    serving.send(signal.SIGINT)
+    assert serving.finish().code == 0
+
+
+def stage_log(rig, *whats):
+    return [e for e in rig.log() if e["device"] == "stage_z" and e["what"] in whats]
+
+
+def test_a_held_key_moves_an_axis_up_to_a_limit_and_letting_go_stops_it(rig, jogs):
+    """On the command's own bench, where the World keeps the time."""
+    typist = jogs("--world-log", str(rig.world_log), "--step", "5mm", "--speed", "3mm/s")
+    typist.sees(r"SIMULATED bench")
+    typist.sees(r"speed 3 is limited to 1 mm/s")
+    typist.sees(r"step 5 is limited to 0.15 mm")
+    typist.types_after(r"not homed\)", MORE)
+    typist.sees(r"stage_z is not homed and does not move")
+    typist.types(b"h")
+    typist.types_after(r"y within", b"y")
+    typist.sees(r"stage_z is homed")
+    time.sleep(2 * SILENCE_S)
+    typist.types(LESS)
+    typist.sees(r"limit 0 mm of stage_z reached")
+    assert stage_log(rig, "move") == []
+    held_s = typist.holds(MORE, r"stage_z 0\.[6-9]\d\d mm moving")
+    typist.sees(r"stage_z \d\.\d+ mm \|", since=typist.sees(r"moving"))
+    typist.types(b"q")
+    code, shown = typist.ends()
+
+    assert code == 0, shown
+    (move, *_), rest = stage_log(rig, "move"), stage_log(rig, "at-rest")[-1]
+    assert 0.6 <= rest["value"] <= held_s * SPEED_mm_s + 0.15
+    assert (rest["t_us"] - move["t_us"]) * 1e-6 <= held_s + SILENCE_S + LATE_S
+    log = (rig.results / "rig.log").read_text()
+    assert re.search(r"stage_z from 0\.0000 mm towards more.*force x [-+]\d", log)
+    assert re.search(rf"came from 0\.0000 to {rest['value']:.3f}\d mm \(released\)", log)
+    assert termios.tcgetattr(typist.slave) == typist.before
+
+
+def test_force_over_the_limit_stops_everything_and_leaves_only_the_way_off(rig, jogs, bench_file):
+    typist = jogs("--bench", bench_file, "--largest-force", "4N")
+    typist.sees(r"stage_z 10\.000 mm \|")
+    typist.holds(MORE, r"stopped: force along z of .* N is over the limit of 4 N")
+    typist.sees(r"only stage_z - moves until the force is below 3.2 N")
+    typist.sees(r"OVER THE LIMIT")
+    pressed_mm = stage_log(rig, "at-rest")[-1]["value"]
+    moves = len(stage_log(rig, "move"))
+    time.sleep(2 * SILENCE_S)
+    typist.types(MORE)
+    typist.sees(r"this way stays closed")
+    assert len(stage_log(rig, "move")) == moves
+    typist.holds(LESS, r"the force has fallen to")
+    typist.types(b" ")
+    typist.types(b"q")
+    code, shown = typist.ends()
+    assert code == 0, shown
+    assert stage_log(rig, "at-rest")[-1]["value"] < pressed_mm
+    assert "came from" in (log := (rig.results / "rig.log").read_text())
+    assert "(tripped)" in log
+
+
+def test_a_second_trip_on_the_way_off_ends_it(rig, jogs):
+    """The sensor's zero is over this limit from the beginning; then something pushes."""
+    fault = rig.fault(
+        '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nafter_s = 2.0\nforce_N = 10.0\n'
+    )
+    code, shown = jogs("--largest-force", "1.5N", "--fault", fault).ends()
+    assert code == 4, shown
+    assert "only stage_z - moves until the force is below 1.2 N" in shown
+    assert re.search(r"error: force along . of .* N .* on the way off: the force does not", shown)
+    assert "every axis is at rest" in shown
+
+
+def test_a_key_stops_homing(rig, jogs):
+    fault = rig.fault('[[fault]]\ndevice = "stage_z"\nkind = "slow"\nafter_s = 0.1\nshare = 0.02\n')
+    typist = jogs("--fault", fault)
+    typist.types_after(r"not homed\)", b"h")
+    typist.types_after(r"y within", b"y")
+    typist.types_after(r"homing stage_z", b" ")
+    stopped = typist.sees(r"homing was stopped by a key")
+    typist.sees(r"not homed\)", since=stopped)
+    typist.types(b"q")
+    code, shown = typist.ends()
+    assert code == 0, shown
+    assert "stage_z is homed" not in shown[stopped:]
+
+
+def test_ctrl_c_at_a_held_key_ends_in_order_and_a_second_owner_is_refused(rig, jogs, bench_file):
+    typist = jogs("--bench", bench_file, "--largest-force", "30N")
+    typist.sees(r"stage_z 10\.000 mm \|")
+    second = rig.run("sweep", "--bench", bench_file)
+    assert second.code == 2
+    assert f"in use by pid {typist.process.pid}" in second.stderr
+    typist.holds(MORE, r"stage_z 10\.\d+ mm moving")
+    typist.types(b"\x1a")
+    paused = typist.sees(r"stopped: paused by the operator; nothing moves until that is over")
+    typist.types(b"\x1a")
+    typist.sees(r"going on", since=paused)
+    typist.types(b"\x03")
+    code, shown = typist.ends()
+    assert code == 130, shown
+    assert "stopped by SIGINT" in shown
+    assert "every axis is at rest" in shown
+    assert termios.tcgetattr(typist.slave) == typist.before
+    rig.await_world("streaming", False, count=2)
+    assert stage_log(rig, "move", "at-rest")[-1]["what"] == "at-rest"
+
+
+def test_a_killed_program_leaves_at_most_a_step_and_the_guard_tells(rig, jogs, bench_file):
+    typist = jogs("--bench", bench_file, "--largest-force", "30N")
+    typist.sees(r"stage_z 10\.000 mm \|")
+    typist.holds(MORE, r"stage_z 10\.[12]\d+ mm moving")
+    typist.process.send_signal(signal.SIGKILL)
+    typist.process.wait()
+    rig.await_world("at-rest", count=3)
+    last_seen_mm = float(re.findall(r"stage_z (\d+\.\d+) mm", typist.ends()[1])[-1])
+    rest_mm = stage_log(rig, "at-rest")[-1]["value"]
+    shown_late_mm = LATE_S * SPEED_mm_s  # the line is shown now and then
+    assert rest_mm <= last_seen_mm + shown_late_mm + STEP_mm
+
+    report = rig.results / "guard-simulated.json"
+    deadline = time.monotonic() + PATIENCE_S
+    while not (report.exists() and "file" in report.read_text()):
+        assert time.monotonic() < deadline, "the guard never reported"
+        time.sleep(0.05)
+    assert json.loads(report.read_text())["safe"] is True
+    again = jogs("--bench", bench_file)
+    again.sees(r"the guard of an earlier run had to act at .*; the bench was made safe")
+    again.sees(r"stage_z 10\.\d+ mm \|")
+    again.process.send_signal(signal.SIGTERM)
+    code, shown = again.ends()
+    assert code == 143, shown
+    assert "rig resume" not in shown
+
+
+def test_a_terminal_that_goes_away_ends_it(rig, jogs, bench_file):
+    typist = jogs("--bench", bench_file)
+    typist.sees(r"stage_z 10\.000 mm \|")
+    os.close(typist._master)
+    assert typist.process.wait(PATIENCE_S) == 129
+
+
+def test_without_a_terminal_it_refuses_before_anything_is_connected(rig, bench_file):
+    refused = rig.run("jog", "--bench", bench_file)
+    assert refused.code == 2
+    assert "stdin is no terminal" in refused.errors[0]
+    assert "run it in a terminal" in refused.errors[0]
+    assert rig.run("jog", "--speed", "-1mm/s").code == 2
+    assert len(stage_log(rig, "move")) == 1, "the preparation's own"
