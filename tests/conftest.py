@@ -163,8 +163,9 @@ class Rig:
         return str(path)
 
     def log(self) -> list[dict[str, Any]]:
-        """The World's log so far."""
-        return [json.loads(line) for line in self.world_log.read_text().splitlines()]
+        """The World's log so far; a line that is being written is not yet one."""
+        whole, _, _ = self.world_log.read_text().rpartition("\n")
+        return [json.loads(line) for line in whole.splitlines()]
 
     def outputs(self) -> list[bool]:
         """Every state the generator's output went through, in order."""

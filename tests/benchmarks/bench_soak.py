@@ -18,9 +18,7 @@ import pytest
 from measured import heading
 from soak.invariants import Ran, breaches
 from soak.running import Rigs
-from soak.trials import draw
-
-from drivers.simulated.fault_plan import BEFALLEN
+from soak.trials import KINDS, draw
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(36_000)]
 
@@ -67,7 +65,7 @@ def test_a_thousand_trials_break_nothing(tmp_path: Path) -> None:
         rigs.close()
     shown = sorted({code for _, code in codes})
     print(f"\n{'kind':16s} {'trials':>6s}  " + " ".join(f"exit {code:<4d}" for code in shown))
-    for kind in BEFALLEN:
+    for kind in KINDS:
         row = " ".join(f"{became[kind][code]:<9d}" for code in shown)
         print(f"{kind:16s} {befallen[kind]:6d}  {row}")
     for procedure in sorted({name for name, _ in codes}):
@@ -75,4 +73,4 @@ def test_a_thousand_trials_break_nothing(tmp_path: Path) -> None:
         print(f"{procedure:16s} {sum(codes[procedure, c] for c in shown):6d}  {row}")
     print(f"violations: {len(broken)} of {len(SEEDS)} trials")
     assert not broken
-    assert CHOSEN or min(befallen[kind] for kind in BEFALLEN) >= LEAST_OF_EACH
+    assert CHOSEN or min(befallen[kind] for kind in KINDS) >= LEAST_OF_EACH

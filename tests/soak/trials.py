@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from drivers.simulated.fault_plan import BEFALLEN, FORCE_STREAM, STAGE_X
+from drivers.simulated.fault_plan import BEFALLEN, FORCE_STREAM, ROTARY, STAGE_X
 
 Fault = dict[str, Any]
 
@@ -59,13 +59,17 @@ class Trial:
         )
 
 
+KINDS = tuple(kind for kind, able in BEFALLEN.items() if set(able) - {ROTARY})
+"""That befall sweeps and slip trials; roll trials are not among what is drawn."""
+
+
 def draw(seed: int, slip_share: float = 0.15) -> Trial:
     """The trial of a seed; a share of them are slip trials, which take longer."""
     chance = random.Random(seed)
     slip = chance.random() < slip_share
     arguments = _slip(chance) if slip else _sweep(chance)
     devices = {STAGE_X} if slip else {"generator"}
-    absent = {"generator", STAGE_X} - devices
+    absent = {"generator", STAGE_X, ROTARY} - devices
     kinds = [kind for kind, able in BEFALLEN.items() if set(able) - absent]
     faults = tuple(
         _fault(chance, chance.choice(kinds), absent) for _ in range(chance.choice((1, 1, 2, 3)))

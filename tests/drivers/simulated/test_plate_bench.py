@@ -251,9 +251,9 @@ def test_the_bench_file_describes_skin_and_plate(started: Started) -> None:
 
 
 def test_what_no_simulated_bench_has_is_refused(tmp_path: Path) -> None:
-    unknown: Any = "semi-spherical-object"
+    unknown: Any = "glove"
     refused = start({"fixture": unknown})
-    with pytest.raises(ConfigurationError, match="no semi-spherical-object to mount"):
+    with pytest.raises(ConfigurationError, match="no glove to mount"):
         refused.ready()
     refused.wait()
     plan = tmp_path / "fault.toml"
