@@ -32,6 +32,8 @@ NUDGES = (0, 1, 0, -1, 0)
 NUDGED_S, LOOKED_S = 0.35, 0.1
 """For a nudge and until the rubber is at rest; and the stretch of force at the end of that which is
 looked at."""
+LOOKS_Hz = 50.0
+"""How often three axes and the DAQ are asked at most: a hundred times would fill every tick."""
 SETTLED_S = 0.05
 """What a stage may be late at the end of its profile."""
 LARGEST_COMPENSATED_mm = 8.0
@@ -65,12 +67,15 @@ class _OnHead(PressedTrial):
         assert fixture.upright_deg is not None, "arm() has seen to both"
         self._upright_deg = fixture.upright_deg
         self._start_mm = fixture.centre_mm + self.settings.start_mm
-        self._commanded_deg = 0.0
+        self._commanded_deg = self._angle_deg = 0.0
+        ticks = max(1, round(self._pace.tick_Hz / LOOKS_Hz))
+        self._look_every = max(self._look_every, ticks)
 
     def make_ready(self, start_mm: float | None = None) -> None:
         """Up, the object upright, x to where the roll begins; zero the force in free air."""
         self.z.move_to(self.fixture.parked_mm, TRAVEL_mm_s)
         self._rotary.turn_to(self._upright_deg, UPRIGHT_deg_s, UPRIGHT_deg_s2)
+        self._angle_deg = self._rotary.angle_deg() - self._upright_deg
         super().make_ready(self._start_mm if start_mm is None else start_mm)
 
 
@@ -177,10 +182,11 @@ class Trial(_OnHead):
     def _record_position(self) -> None:
         super()._record_position()
         taken, now_s = self.taken, self._since_s()
-        angle_deg = self._rotary.angle_deg() - self._upright_deg
-        row = np.array([[angle_deg, self._commanded_deg]])
+        if self._in_motion:  # else it stands where it was brought
+            self._angle_deg = self._rotary.angle_deg() - self._upright_deg
+        row = np.array([[self._angle_deg, self._commanded_deg]])
         self.run.put("rotation", len(taken.rotation), row, None, units="deg")
-        taken.rotation.append((now_s, angle_deg, self._commanded_deg))
+        taken.rotation.append((now_s, self._angle_deg, self._commanded_deg))
 
     def reading(self) -> Reading:
         """Figures of the trial, and why it does not count if it does not."""

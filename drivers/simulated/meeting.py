@@ -29,8 +29,9 @@ Where = Callable[[Times], Reals]
 class HeadSettings(Settings):
     """The object with a head that the rotary stage carries."""
 
-    body: Object = Sphere()
-    """Its head: a sphere (the paper's), or a roller as wide as the skin."""
+    body: Object = Cylinder()
+    """Its head: a roller as wide as the skin, or the paper's sphere, whose slices take five times
+    the computing: more than real time leaves on a slow computer."""
     centre_mm: float = 10.0
     """Position of the x stage at which the middle of the skin is above it."""
     upright_deg: float = 15.0
