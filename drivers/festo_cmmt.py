@@ -56,7 +56,7 @@ from drivers.telegram111 import (
     Zsw1,
 )
 from rig.clock import Clock, WallClock
-from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
+from rig.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments import Identity, Reach
 
 ROLES = ("stage_z", "stage_x")
@@ -202,8 +202,8 @@ class Axis:
         """
         own = self._settings
         reach = self.reach()
-        self._require("position", position_mm, reach["position"])
-        self._require("speed", speed_mm_s, reach["speed"])
+        reach["position"].require(self._device, "position", position_mm)
+        reach["speed"].require(self._device, "speed", speed_mm_s)
         fresh = self._target is None or not self._acknowledged
         if fresh:
             self._prepare_task()
@@ -567,14 +567,6 @@ class Axis:
         if self._made_safe != self._rearmed:
             raise self._error(
                 command, "the axis was made safe meanwhile", "stop it before the next motion"
-            )
-
-    def _require(self, what: str, value: float, reach: Reach) -> None:
-        if not reach.holds(value):
-            raise LimitError(
-                f"{self._device}: {what} {value:g} {reach.unit} is outside {reach.low:g} to "
-                f"{reach.high:g} {reach.unit} of the {reach.owner}",
-                "choose a value inside, or correct the bench file if the limit is wrong",
             )
 
     def _mm(self, counts: int) -> float:

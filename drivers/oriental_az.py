@@ -45,7 +45,7 @@ from enum import IntFlag
 from drivers.az_link import AzLink, RefusedError, RtuLine, halves, reading, signed, writing
 from drivers.az_settings import ALARMS, Settings
 from rig.clock import Clock, WallClock
-from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
+from rig.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments import Identity, Reach
 
 ROLES = ("stage_z", "stage_x")
@@ -227,8 +227,8 @@ class Axis:
         stands. LimitError outside `reach`.
         """
         reach = self.reach()
-        self._require("position", position_mm, reach["position"])
-        self._require("speed", speed_mm_s, reach["speed"])
+        reach["position"].require(self._device, "position", position_mm)
+        reach["speed"].require(self._device, "speed", speed_mm_s)
         fresh = self._target is None
         if fresh:
             self._prepare_motion()
@@ -593,14 +593,6 @@ class Axis:
         if self._made_safe != self._rearmed:
             raise self._error(
                 command, "the axis was made safe meanwhile", "stop it before the next motion"
-            )
-
-    def _require(self, what: str, value: float, reach: Reach) -> None:
-        if not reach.holds(value):
-            raise LimitError(
-                f"{self._device}: {what} {value:g} {reach.unit} is outside {reach.low:g} to "
-                f"{reach.high:g} {reach.unit} of the {reach.owner}",
-                "choose a value inside, or correct the bench file if the limit is wrong",
             )
 
     def _alarmed(self, code: int) -> InstrumentError:

@@ -42,7 +42,7 @@ from drivers.zaber_settings import (
     Settings,
 )
 from rig.clock import Clock, WallClock
-from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
+from rig.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments import Identity, Reach
 
 ROLES = ("rotary",)
@@ -508,13 +508,7 @@ class RotaryAxis:
             ("speed", speed_deg_s),
             ("acceleration", acceleration_deg_s2),
         ):
-            own = reach[what]
-            if not own.holds(value):
-                raise LimitError(
-                    f"{DEVICE}: {what} {value:g} {own.unit} is outside {own.low:g} to "
-                    f"{own.high:g} {own.unit} of the {own.owner}",
-                    "choose a value inside, or correct the bench file if the limit is wrong",
-                )
+            reach[what].require(DEVICE, what, value)
 
     def _refuse_if_made_safe(self, command: str) -> None:
         if self._made_safe != self._rearmed:

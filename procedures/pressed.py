@@ -7,7 +7,8 @@ something moves, and lifts off. Whatever ends it, what moves stops first, then z
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import statistics
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, model_validator
 
@@ -15,10 +16,11 @@ from procedures.contact import contact_range_mm, park, unload
 from rig.bench import STRIPS
 from rig.errors import RigError
 from rig.instruments import Acquisition, InputChannel
+from rig.runner.points import Move, Point, Reading
 from rig.settings import Settings as BaseSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from rig.runner.run import Run
 
@@ -114,6 +116,46 @@ class PressedSettings(BaseSettings):
     def updates_Hz(self) -> float:  # noqa: N802 - the unit keeps its capital
         """How often the stages are to be told a new target, 0 where that is left to them."""
         return (self.tick_Hz or 0.0) * self.updates_a_tick
+
+
+def trial_points(
+    settings: PressedSettings, moves: tuple[Move, ...], trial_s: float, first_s: float
+) -> tuple[Point, ...]:
+    """One point a trial: `trial_s` is expected of each, `first_s` of the first one besides."""
+    held = (
+        Move("force_sensor.force", settings.largest_force_N),
+        Move("stage_z.update_rate", settings.updates_Hz),
+    )
+    return tuple(
+        Point(
+            id=f"trial-{number:03d}",
+            condition=number,
+            moves=(*held, *moves),
+            acquisitions=(settings.acquisition,),
+            duration_s=trial_s + (first_s if number == 1 else 0.0),
+        )
+        for number in range(1, settings.trials + 1)
+    )
+
+
+def why_invalid(settings: PressedSettings, reading: Reading) -> str:
+    """Why a trial does not count; empty where it does."""
+    return str(reading.get("invalid") or "")
+
+
+def summary_of(readings: Sequence[Reading], names: Sequence[str]) -> dict[str, Any]:
+    """How many trials count; of those the means of what is named, and its standard deviations."""
+    counting = [r for r in readings if not r["invalid"]]
+    found: dict[str, Any] = {"trials": len(readings), "valid_trials": len(counting)}
+    if readings and "tick_Hz" in readings[-1]:  # not in files of before
+        found["tick_Hz"] = readings[-1]["tick_Hz"]
+    for name in names:
+        values = [float(value) for r in counting if (value := r[name]) is not None]
+        if values:
+            found[f"mean_{name}"] = statistics.fmean(values)
+        if len(values) > 1:
+            found[f"standard_deviation_{name}"] = statistics.stdev(values)
+    return found
 
 
 def import_what_a_trial_needs() -> None:

@@ -11,14 +11,21 @@ skin by h times the angle; a first press measures h, and x takes it back while t
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, model_validator
 
 from procedures import roll_layout
-from procedures.pressed import WAY_S, PressedSettings, arm_pressed, import_what_a_trial_needs
+from procedures.pressed import (
+    WAY_S,
+    PressedSettings,
+    arm_pressed,
+    import_what_a_trial_needs,
+    summary_of,
+    trial_points,
+    why_invalid,
+)
 from procedures.roll_profile import Curve, Profile, ThereAndBack
 from rig.bench import Fixture
 from rig.errors import ConfigurationError
@@ -32,6 +39,7 @@ FIXTURES: tuple[Fixture, ...] = ("semi-spherical-object",)
 FIGURE = "roll_trial"
 LAYOUT = roll_layout.LAYOUT
 STREAMS = roll_layout.STREAMS
+invalid = why_invalid
 
 ALIGNING_S = 12.0
 """Expected of a press that measures the axis."""
@@ -111,37 +119,16 @@ def points(settings: Settings) -> tuple[Point, ...]:
     """One point a trial."""
     trial_s = settings.profile.duration_s + settings.rest_s + WAY_S
     first_s = settings.search_s + (settings.alignment != "none") * ALIGNING_S
-    return tuple(
-        Point(
-            id=f"trial-{number:03d}",
-            condition=number,
-            moves=(
-                Move("force_sensor.force", settings.largest_force_N),
-                Move("rotary.speed", settings.turn_speed_deg_s),
-                Move("rotary.acceleration", settings.turn_acceleration_deg_s2),
-                Move("stage_z.update_rate", settings.updates_Hz),
-            ),
-            acquisitions=(settings.acquisition,),
-            duration_s=trial_s + (first_s if number == 1 else 0.0),
-        )
-        for number in range(1, settings.trials + 1)
+    moves = (
+        Move("rotary.speed", settings.turn_speed_deg_s),
+        Move("rotary.acceleration", settings.turn_acceleration_deg_s2),
     )
-
-
-def invalid(settings: Settings, reading: Reading) -> str:
-    """Why a trial does not count; empty where it does."""
-    return str(reading.get("invalid") or "")
+    return trial_points(settings, moves, trial_s, first_s)
 
 
 def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, Any]:
     """Patterns, forces and angle, means of the trials that count, and how many count."""
-    counting = [r for r in readings if not r["invalid"]]
-    found: dict[str, Any] = {"trials": len(readings), "valid_trials": len(counting)}
-    if readings:
-        found["tick_Hz"] = readings[-1]["tick_Hz"]
-        found["axis_offset_mm"] = readings[-1]["axis_offset_mm"]
-        found["axis_offset_error_mm"] = readings[-1]["axis_offset_error_mm"]
-    for name in (
+    names = (
         "peak_1_mV",
         "peak_2_mV",
         "above_100_Hz_percent",
@@ -149,10 +136,11 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
         "angle_error_deg",
         "force_error_rms_percent",
         "force_error_peak_percent",
-    ):
-        values = [float(value) for r in counting if (value := r[name]) is not None]
-        if values:
-            found[f"mean_{name}"] = statistics.fmean(values)
+    )
+    found = summary_of(readings, names)
+    if readings:
+        found["axis_offset_mm"] = readings[-1]["axis_offset_mm"]
+        found["axis_offset_error_mm"] = readings[-1]["axis_offset_error_mm"]
     lifted = [r["ridge_lifted"] for r in readings if r.get("ridge_lifted") is not None]
     if lifted:
         found["simulated_ridge_lifted"] = int(sum(float(v or 0) for v in lifted))

@@ -11,7 +11,6 @@ force asks for. Whatever ends a trial, x stops first, then z goes up.
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -24,6 +23,9 @@ from procedures.pressed import (
     PressedSettings,
     arm_pressed,
     import_what_a_trial_needs,
+    summary_of,
+    trial_points,
+    why_invalid,
 )
 from rig.bench import Fixture
 from rig.runner.points import Move, Point, Reading
@@ -36,6 +38,7 @@ FIXTURES: tuple[Fixture, ...] = ("plate",)
 FIGURE = "slip_trial"
 LAYOUT = slip_layout.LAYOUT
 STREAMS = pressed_layout.STREAMS
+invalid = why_invalid
 
 UNREHEARSED_mm = 0.0175
 """Travel within delay and tick up to which the servo holds the force through a slide that it has
@@ -107,48 +110,25 @@ def points(settings: Settings) -> tuple[Point, ...]:
     """One point a trial."""
     trial_s = settings.longest_slide_s + settings.rest_s + WAY_S
     first_s = settings.search_s + settings.rehearsed(settings.tick_s) * trial_s
-    return tuple(
-        Point(
-            id=f"trial-{number:03d}",
-            condition=number,
-            moves=(
-                Move("force_sensor.force", settings.largest_force_N),
-                Move("stage_x.position", settings.start_mm),
-                Move("stage_x.position", settings.end_mm),
-                Move("stage_x.speed", settings.speed_mm_s),
-                Move("stage_z.update_rate", settings.updates_Hz),
-            ),
-            acquisitions=(settings.acquisition,),
-            duration_s=trial_s + (first_s if number == 1 else 0.0),
-        )
-        for number in range(1, settings.trials + 1)
+    moves = (
+        Move("stage_x.position", settings.start_mm),
+        Move("stage_x.position", settings.end_mm),
+        Move("stage_x.speed", settings.speed_mm_s),
     )
-
-
-def invalid(settings: Settings, reading: Reading) -> str:
-    """Why a trial does not count; empty where it does."""
-    return str(reading.get("invalid") or "")
+    return trial_points(settings, moves, trial_s, first_s)
 
 
 def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, Any]:
     """Friction and servo, means of the trials that count and their standard deviations, how many
     count, and why trials have no friction coefficients."""
-    counting = [r for r in readings if not r["invalid"]]
-    found: dict[str, Any] = {"trials": len(readings), "valid_trials": len(counting)}
-    if readings and "tick_Hz" in readings[-1]:  # not in files of before
-        found["tick_Hz"] = readings[-1]["tick_Hz"]
-    for name in (
+    names = (
         "static_friction",
         "kinetic_friction",
         "force_error_rms_percent",
         "force_error_peak_percent",
         "overshoot_percent",
-    ):
-        values = [float(value) for r in counting if (value := r[name]) is not None]
-        if values:
-            found[f"mean_{name}"] = statistics.fmean(values)
-        if len(values) > 1:
-            found[f"standard_deviation_{name}"] = statistics.stdev(values)
+    )
+    found = summary_of(readings, names)
     reasons = [str(why) for r in readings if (why := r.get("no_friction"))]
     if reasons:
         found["no_friction"] = [

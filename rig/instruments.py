@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
+from rig.errors import LimitError
+
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
@@ -47,6 +49,16 @@ class Reach:
     def holds(self, value: float) -> bool:
         """Whether `value` lies inside; NaN never does."""
         return self.low <= value <= self.high
+
+    def require(self, device: str, what: str, value: float) -> None:
+        """LimitError that names device, quantity, value, unit and limit unless `value` lies inside:
+        the check of a driver, before anything is sent."""
+        if not self.holds(value):
+            raise LimitError(
+                f"{device}: {what} {value:g} {self.unit} is outside {self.low:g} to {self.high:g} "
+                f"{self.unit} of the {self.owner}",
+                "choose a value inside, or correct the bench file if the limit is wrong",
+            )
 
 
 class Instrument(Protocol):
