@@ -102,7 +102,10 @@ def quantity(text: str, unit: str | None) -> float:
     """A number in `unit` from text with or without a unit."""
     match = _QUANTITY.match(text)
     if match is None:
-        return float(text)  # nan and inf go on to the settings, which refuse them by name
+        try:
+            return float(text)  # nan and inf go on to the settings, which refuse them by name
+        except ValueError:
+            raise ValueError(f"is no number{f' of {unit}' if unit else ''}") from None
     number, written = float(match[1]), match[2]
     if written in ("", unit):
         return number

@@ -28,9 +28,11 @@ if TYPE_CHECKING:
 Stages = Literal["festo", "az", "festo-az", "az-festo"]
 """Of a simulated bench: on Modbus TCP, or on one Modbus RTU line."""
 BENCH_FILE = Path("bench.toml")
+FIRST_TIME = "the first time on a computer it takes up to two minutes"
 STARTING: dict[Fixture, str] = {
     "film-clamp": "film in its clamp",
-    "plate": "skin above its plate; the first time on a computer it takes up to two minutes",
+    "plate": f"skin above its plate; {FIRST_TIME}",
+    "semi-spherical-object": f"skin above a head on the rotary stage; {FIRST_TIME}",
 }
 LIBRARIES_OF_LINKS = ("pyvisa_py.highlevel", "pymodbus.client", "serial")
 """What the simulated bench's drivers import when they connect."""
@@ -192,7 +194,7 @@ def bench_for(
     path = request.bench or (BENCH_FILE if BENCH_FILE.exists() else None)
     started = None
     if path is None or request.dry_run:
-        say(f"starting the simulated bench ({STARTING.get(fixture, fixture)}) ...")
+        say(f"starting the simulated bench ({STARTING[fixture]}) ...")
         # It boots while this process goes on importing.
         started = _start_simulated(request, fixture)
     try:
