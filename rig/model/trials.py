@@ -164,24 +164,58 @@ def _run(
     time: Floats = dt * np.arange(1.0, 1 + round((begin + motion_s) / dt) + 1)
     force = press.normal_force_N * (1 - np.cos(np.pi * np.clip(time / press.loading_s, 0, 1))) / 2
     x, angle = travel(time - begin)
+    script = Script(force, x, angle, motion_s=begin, start_x_mm=start_mm)
+    return follow(skin, settings, script, keep_forces=keep_forces)
+
+
+@dataclass(frozen=True)
+class Script:
+    """What an object does, given at the end of every step of the contact's time step."""
+
+    force_N: Floats
+    """Normal force, (k,)."""
+    x_mm: Floats
+    """The object's x, (k,)."""
+    angle_rad: Floats
+    """The angle that it has rolled, from 0, (k,)."""
+    motion_s: float
+    """When the slide or roll begins: what slips before is not judged."""
+    start_x_mm: float
+    """The object's x before the first step."""
+
+
+def follow(
+    skin: CondensedSkin,
+    settings: SlideSettings | RollSettings,
+    script: Script,
+    *,
+    keep_forces: bool = False,
+) -> Trial:
+    """The trial of a script; of `settings` count the contact, body, transducer, sampling, ridge.
+
+    Raises ConvergenceError where a step has no solution.
+    """
+    dt = settings.contact.step_us * 1e-6
     stepper = make_stepper(
         skin,
         settings.contact,
         settings.body,
-        position_mm=start_mm,
+        position_mm=script.start_x_mm,
         watched_ridge=settings.ridge - 1,
         keep_forces=keep_forces,
-        largest_force_N=max(LARGEST_FORCE_N, press.normal_force_N),
+        largest_force_N=max(LARGEST_FORCE_N, float(script.force_N.max())),
     )
-    block = stepper.advance(force, x, rotation_rad=np.diff(angle, prepend=0.0))
-    watch = SlipWatch(skin.ridge, dt, since_s=begin)
+    rotation = np.diff(script.angle_rad, prepend=0.0)
+    block = stepper.advance(script.force_N, script.x_mm, rotation_rad=rotation)
+    watch = SlipWatch(skin.ridge, dt, since_s=script.motion_s)
     watch.add(block.status)
     chain = TransducerChain(settings.transducer, dt)
     volts = chain.advance(block.stress_MPa[:, :, 1])
     filtered, picked = sample(volts, dt, settings.sample)
+    time: Floats = dt * np.arange(1.0, 1 + script.force_N.size)
     return Trial(
         time_s=time,
-        motion_s=begin,
+        motion_s=script.motion_s,
         block=block,
         truth=watch.truth(),
         volts=volts,

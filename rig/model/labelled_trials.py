@@ -1,0 +1,413 @@
+"""Random trials on the skin whose truth is known: what detectors are tuned on and judged by.
+
+Every trial is drawn from its kind and seed alone: friction, rubber, force, motion and the stage's
+jitter from stated ranges (all assumed). A trial holds clean volts at the data acquisition's rate,
+beginning with quiet; noise, mains and unequal gains are laid on apart, so that one contact can be
+heard through several front ends. Everything here is simulated.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rig.cache import Cache, NoCache
+from rig.model.contact.settings import ContactSettings, Cylinder, FrictionSettings, Object, Plate
+from rig.model.contact.stepper import ConvergenceError
+from rig.model.skin.condensed import CondensedSkin
+from rig.model.skin.settings import SkinSettings
+from rig.model.trials import RollSettings, Script, SlideSettings, Trial, follow
+from rig.settings import Settings, fingerprint
+
+Floats = NDArray[np.float64]
+
+Kind = Literal["slide", "roll", "hold", "tap"]
+Label = Literal["slip", "roll", "lift-off", "hold", "tap", "slip in a roll"]
+LABELS: tuple[Label, ...] = get_args(Label)
+
+_FORMAT = 1
+_RAMP_S = 0.05
+_SETTLE_S = 0.1
+_AFTER_GROSS_S = 0.06
+_REDRAWS = 20
+
+
+class Range(Settings):
+    """What a number is drawn from."""
+
+    low: float
+    high: float
+    logarithmic: bool = False
+
+    def draw(self, chance: np.random.Generator) -> float:
+        """A number in the range, evenly in itself or in its logarithm."""
+        if self.logarithmic:
+            return math.exp(chance.uniform(math.log(self.low), math.log(self.high)))
+        return float(chance.uniform(self.low, self.high))
+
+
+def _evenly(low: float, high: float) -> Range:
+    return Range(low=low, high=high)
+
+
+def _by_ratio(low: float, high: float) -> Range:
+    return Range(low=low, high=high, logarithmic=True)
+
+
+class PopulationSettings(Settings):
+    """The ranges (assumed); units are in the names, ratios have none."""
+
+    skin: SkinSettings = SkinSettings(elements_per_ridge=6)
+    ridge: int = Field(3, ge=1)
+    """The ridge whose strips are read, 1 is the leftmost."""
+    static_coefficient: Range = _evenly(0.3, 1.2)
+    friction_ratio: Range = _evenly(0.65, 0.97)
+    """μ_k / μ_s."""
+    weakening_distance_um: Range = _by_ratio(1.0, 20.0)
+    relaxation_time_ms: Range = _by_ratio(0.25, 1.3)
+    normal_force_N: Range = _evenly(2.0, 8.0)
+    speed_mm_s: Range = _by_ratio(0.3, 6.0)
+    loading_s: Range = _evenly(0.15, 0.4)
+    rest_s: Range = _evenly(0.1, 0.25)
+    jitter_um: Range = _evenly(0.0, 0.3)
+    """Amplitude of the stage's vibration along x, in every second trial."""
+    jitter_Hz: Range = _evenly(20.0, 120.0)
+    radius_mm: Range = _evenly(15.0, 60.0)
+    angle_deg: Range = _evenly(3.5 * 0.7, 3.5 * 1.3)
+    """In either direction."""
+    start_x_mm: Range = _evenly(-7.5, -0.5)
+    """Where a roll begins."""
+    roll_s: Range = _evenly(0.12, 0.8)
+    held_share: Range = _evenly(0.15, 0.6)
+    """Where a hold stops, as a share of the way to gross slip."""
+    held_s: float = Field(0.4, gt=0)
+    """How long it stays there."""
+    tap_share: Range = _evenly(0.05, 0.5)
+    """Rise of the normal force in a tap on the finger, as a share of F_n."""
+    tap_um: Range = _evenly(0.0, 5.0)
+    """How far the tap moves the object sideways, there and back."""
+    tap_s: Range = _by_ratio(0.005, 0.04)
+    """Duration of the tap, half a sine."""
+    quiet_s: float = Field(0.3, ge=0)
+    """Nothing touches before a trial."""
+
+
+class FrontEndSettings(Settings):
+    """What the amplifiers and the mains add (assumed)."""
+
+    noise_mV: Range = _by_ratio(0.1, 2.0)
+    """White noise of each channel at the sampling rate, rms."""
+    mains_mV: Range = _evenly(0.0, 1.0)
+    """Amplitude of the mains on each channel."""
+    mains_Hz: float = 50.0
+    gain_mismatch: Range = _evenly(-0.08, 0.08)
+    """By how much the first channel's gain exceeds the second's."""
+
+
+@dataclass(frozen=True)
+class LabelledTrial:
+    """A trial and its truth; times in s from its first sample, NaN where it did not happen."""
+
+    kind: Kind
+    seed: int
+    label: Label
+    rate_Hz: float
+    volts: Floats
+    """v_1 and v_2 without noise, V, (n, 2)."""
+    force_N: Floats
+    """F_n and F_t, (n, 2)."""
+    motion_s: float
+    """When slide, roll or tap begin."""
+    node_slip_s: float
+    """First slipping node of the ridge read."""
+    ridge_slip_s: float
+    """The ridge as a whole slips."""
+    gross_slip_s: float
+    lift_off_s: float
+    """The ridge leaves the object."""
+    traits: dict[str, float]
+    """What was drawn, by name and unit."""
+
+
+def heard(
+    trial: LabelledTrial, front_end: FrontEndSettings, hearing: int = 0
+) -> tuple[Floats, dict[str, float]]:
+    """Volts (n, 2) as a bench would record them, and what was laid on, by name and unit.
+
+    `hearing` numbers front ends: each draws anew, from the trial's kind and seed.
+    """
+    chance = np.random.default_rng([get_args(Kind).index(trial.kind), trial.seed, 1, hearing])
+    noise = front_end.noise_mV.draw(chance)
+    mains = front_end.mains_mV.draw(chance)
+    mismatch = front_end.gain_mismatch.draw(chance)
+    size = len(trial.volts)
+    phase = 2 * np.pi * front_end.mains_Hz * np.arange(size) / trial.rate_Hz
+    phases = chance.uniform(0, 2 * np.pi) + np.array([0.0, chance.uniform(-0.3, 0.3)])
+    volts = trial.volts * np.array([1 + mismatch / 2, 1 - mismatch / 2])
+    volts = volts + 1e-3 * mains * np.sin(phase[:, None] + phases)
+    volts = volts + 1e-3 * noise * chance.standard_normal((size, 2))
+    return volts, {"noise_mV": noise, "mains_mV": mains, "gain_mismatch": mismatch}
+
+
+def labelled_trial(
+    skin: CondensedSkin,
+    kind: Kind,
+    seed: int,
+    population: PopulationSettings | None = None,
+    cache: Cache | None = None,
+) -> LabelledTrial:
+    """The trial of a kind and seed, from the cache where it holds it.
+
+    A draw for which a step of the contact has no solution is drawn anew; ConvergenceError after
+    the 20th.
+    """
+    population = PopulationSettings() if population is None else population
+    cache = NoCache() if cache is None else cache
+    key = f"labelled-trial-{_FORMAT}-{kind}-{seed}-{fingerprint(population)}"
+    stored = cache.get(key)
+    trial = None if stored is None else _unpack(stored, kind, seed)
+    if trial is None:
+        trial = _perform(skin, kind, seed, population)
+        cache.put(key, _pack(trial))
+    return trial
+
+
+def _perform(
+    skin: CondensedSkin, kind: Kind, seed: int, population: PopulationSettings
+) -> LabelledTrial:
+    for redraw in range(_REDRAWS):
+        chance = np.random.default_rng([get_args(Kind).index(kind), seed, 0, redraw])
+        try:
+            return _KINDS[kind](_Drawing(skin, kind, seed, population, chance))
+        except ConvergenceError as error:
+            last = error
+    raise last
+
+
+class _Drawing:
+    """The part that all kinds of trials draw alike, and the way from a script to a trial."""
+
+    def __init__(
+        self,
+        skin: CondensedSkin,
+        kind: Kind,
+        seed: int,
+        population: PopulationSettings,
+        chance: np.random.Generator,
+    ):
+        self.skin, self.kind, self.seed = skin, kind, seed
+        self.population, self.chance = population, chance
+        self.traits: dict[str, float] = {}
+        static = self.draw("static_coefficient")
+        ratio = self.draw("friction_ratio")
+        self.contact = ContactSettings(
+            friction=FrictionSettings(
+                static_coefficient=static,
+                kinetic_coefficient=static * ratio,
+                weakening_distance_um=self.draw("weakening_distance_um"),
+            ),
+            relaxation_time_ms=self.draw("relaxation_time_ms"),
+        )
+        self.force_N = self.draw("normal_force_N")
+        self.loading_s, self.rest_s = self.draw("loading_s"), self.draw("rest_s")
+        jitters = chance.random() < 0.5
+        self.jitter_mm = 1e-3 * self.draw("jitter_um") * jitters
+        self.jitter_Hz = self.draw("jitter_Hz")
+        self.traits["jitter_um"] *= jitters
+
+    def draw(self, name: str) -> float:
+        """A number of the population, kept among the traits."""
+        within: Range = getattr(self.population, name)
+        self.traits[name] = within.draw(self.chance)
+        return self.traits[name]
+
+    def draw_sign(self, name: str) -> float:
+        """+1 or -1, kept among the traits."""
+        self.traits[name] = float(self.chance.choice((-1.0, 1.0)))
+        return self.traits[name]
+
+    @property
+    def motion_s(self) -> float:
+        """When the motion begins, from first touch."""
+        return self.loading_s + self.rest_s
+
+    def times(self, duration_s: float) -> Floats:
+        """The end of every step from first touch until `duration_s` after the motion's begin."""
+        step = self.contact.step_us * 1e-6
+        times: Floats = step * np.arange(1.0, 1 + round((self.motion_s + duration_s) / step))
+        return times
+
+    def pressed(self, time_s: Floats) -> Floats:
+        """The normal force: a raised cosine, then constant."""
+        share = np.clip(time_s / self.loading_s, 0, 1)
+        force: Floats = self.force_N * (1 - np.cos(np.pi * share)) / 2
+        return force
+
+    def follow(
+        self,
+        force_N: Floats,
+        x_mm: Floats,
+        angle_rad: Floats | None = None,
+        *,
+        body: Object | None = None,
+        start_x_mm: float = 0.0,
+    ) -> Trial:
+        """The trial of a script, with the stage's jitter."""
+        body = Plate() if body is None else body
+        times = self.contact.step_us * 1e-6 * np.arange(1.0, 1 + force_N.size)
+        shaken = x_mm + self.jitter_mm * np.sin(2 * np.pi * self.jitter_Hz * times)
+        angle = np.zeros_like(force_N) if angle_rad is None else angle_rad
+        settings = (SlideSettings if isinstance(body, Plate) else RollSettings)(
+            contact=self.contact, body=body, ridge=self.population.ridge
+        )
+        script = Script(force_N, shaken, angle, motion_s=self.motion_s, start_x_mm=start_x_mm)
+        return follow(self.skin, settings, script)
+
+    def finish(self, trial: Trial, label: Label, end_s: float = math.inf) -> LabelledTrial:
+        """What is kept of a trial up to `end_s` after first touch."""
+        at, truth = self.population.ridge - 1, trial.truth
+        rate = SlideSettings().sample.rate_Hz
+        kept = trial.sample_time_s <= end_s
+        rows = np.searchsorted(trial.time_s, trial.sample_time_s[kept] - 1e-9)
+        quiet = round(self.population.quiet_s * rate)
+        forces = np.column_stack([trial.block.normal_force_N, trial.block.tangential_force_N])
+        return LabelledTrial(
+            kind=self.kind,
+            seed=self.seed,
+            label=label,
+            rate_Hz=rate,
+            volts=_rounded(np.vstack([np.zeros((quiet, 2)), trial.sampled[kept]])),
+            force_N=_rounded(np.vstack([np.zeros((quiet, 2)), forces[rows]])),
+            motion_s=quiet / rate + self.motion_s,
+            node_slip_s=quiet / rate + float(truth.first_slip_s[at]),
+            ridge_slip_s=quiet / rate + float(truth.whole_slip_s[at]),
+            gross_slip_s=quiet / rate + truth.gross_slip_s,
+            lift_off_s=quiet / rate + float(truth.lift_off_s[at]),
+            traits=self.traits,
+        )
+
+
+def _rounded(values: Floats) -> Floats:
+    """To the precision that the cache keeps, so that a trial is the same with and without it."""
+    return values.astype(np.float32).astype(np.float64)
+
+
+def _to_gross_slip(drawing: _Drawing) -> tuple[Trial, float, float]:
+    """A slide until everything slips, its velocity in mm/s, and when that is after first touch."""
+    speed = drawing.draw("speed_mm_s")
+    velocity = speed * drawing.draw_sign("direction")
+    softness = 1.7 / drawing.population.skin.youngs_modulus_MPa
+    reach_mm = 0.03 + 0.09 * softness * drawing.force_N * drawing.traits["static_coefficient"]
+    for _ in range(3):
+        time = drawing.times(reach_mm / speed + _RAMP_S + _AFTER_GROSS_S)
+        since = time - drawing.motion_s
+        inside = np.clip(since, 0.0, _RAMP_S)
+        x = velocity * (inside**2 / (2 * _RAMP_S) + np.clip(since - _RAMP_S, 0.0, None))
+        trial = drawing.follow(drawing.pressed(time), x)
+        if math.isfinite(trial.truth.gross_slip_s):
+            return trial, velocity, trial.truth.gross_slip_s
+        reach_mm *= 2
+    raise ConvergenceError(f"no gross slip within {reach_mm / 2:.2f} mm of a slide")
+
+
+def _slide(drawing: _Drawing) -> LabelledTrial:
+    trial, _, gross = _to_gross_slip(drawing)
+    return drawing.finish(trial, "slip", gross + _AFTER_GROSS_S)
+
+
+def _hold(drawing: _Drawing) -> LabelledTrial:
+    """A slide that stops short; where the ridge slips as a whole all the same it is a slip."""
+    whole, velocity, gross = _to_gross_slip(drawing)
+    row = int(np.searchsorted(whole.time_s, gross))
+    way_mm = drawing.draw("held_share") * abs(float(whole.block.position_mm[row]))
+    speed = abs(velocity)
+    acceleration = speed / _RAMP_S
+    peak = min(speed, math.sqrt(acceleration * way_mm))
+    rise_s, cruise_s = peak / acceleration, way_mm / peak - peak / acceleration
+    time = drawing.times(2 * rise_s + cruise_s + drawing.population.held_s)
+    since = time - drawing.motion_s
+    corners = np.cumsum([0.0, rise_s, cruise_s, rise_s])
+    pace = np.interp(since, corners, [0.0, peak, peak, 0.0])
+    x = math.copysign(drawing.contact.step_us * 1e-6, velocity) * np.cumsum(pace)
+    trial = drawing.follow(drawing.pressed(time), x)
+    slipped = math.isfinite(trial.truth.whole_slip_s[drawing.population.ridge - 1])
+    return drawing.finish(trial, "slip" if slipped else "hold")
+
+
+def _roll(drawing: _Drawing) -> LabelledTrial:
+    duration = drawing.draw("roll_s")
+    body = Cylinder(radius_mm=drawing.draw("radius_mm"))
+    angle = math.radians(drawing.draw("angle_deg")) * drawing.draw_sign("direction")
+    start = drawing.draw("start_x_mm")
+    time = drawing.times(duration + _SETTLE_S)
+    share = np.clip((time - drawing.motion_s) / duration, 0.0, 1.0)
+    turned = angle * (1 - np.cos(np.pi * share)) / 2
+    x = start + body.radius_mm * turned
+    trial = drawing.follow(drawing.pressed(time), x, turned, body=body, start_x_mm=start)
+    at = drawing.population.ridge - 1
+    label: Label = "roll"
+    if math.isfinite(trial.truth.lift_off_s[at]):
+        label = "lift-off"
+    elif math.isfinite(trial.truth.whole_slip_s[at]):
+        label = "slip in a roll"
+    return drawing.finish(trial, label)
+
+
+def _tap(drawing: _Drawing) -> LabelledTrial:
+    """Somebody knocks at the finger while an object rests on it."""
+    duration = drawing.draw("tap_s")
+    rise_N = drawing.draw("tap_share") * drawing.force_N
+    aside_mm = 1e-3 * drawing.draw("tap_um") * drawing.draw_sign("direction")
+    time = drawing.times(duration + 2 * _SETTLE_S)
+    pulse = np.sin(np.pi * np.clip((time - drawing.motion_s) / duration, 0.0, 1.0))
+    trial = drawing.follow(drawing.pressed(time) + rise_N * pulse, aside_mm * pulse)
+    slipped = math.isfinite(trial.truth.whole_slip_s[drawing.population.ridge - 1])
+    return drawing.finish(trial, "slip" if slipped else "tap")
+
+
+_KINDS: dict[Kind, Callable[[_Drawing], LabelledTrial]] = {
+    "slide": _slide,
+    "roll": _roll,
+    "hold": _hold,
+    "tap": _tap,
+}
+
+_TIMES = ("rate_Hz", "motion_s", "node_slip_s", "ridge_slip_s", "gross_slip_s", "lift_off_s")
+
+
+def _pack(trial: LabelledTrial) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(
+        buffer,
+        volts=trial.volts.astype(np.float32),
+        force_N=trial.force_N.astype(np.float32),
+        times=np.array([getattr(trial, name) for name in _TIMES]),
+        label=np.array(trial.label),
+        names=np.array(list(trial.traits)),
+        traits=np.array(list(trial.traits.values())),
+    )
+    return buffer.getvalue()
+
+
+def _unpack(content: bytes, kind: Kind, seed: int) -> LabelledTrial | None:
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+            return LabelledTrial(
+                kind=kind,
+                seed=seed,
+                label=next(label for label in LABELS if label == str(stored["label"])),
+                volts=stored["volts"].astype(np.float64),
+                force_N=stored["force_N"].astype(np.float64),
+                traits=dict(zip(stored["names"].tolist(), stored["traits"].tolist(), strict=True)),
+                **dict(zip(_TIMES, stored["times"].tolist(), strict=True)),
+            )
+    except (OSError, ValueError, KeyError, EOFError, StopIteration, zipfile.BadZipFile):
+        return None
