@@ -17,7 +17,7 @@ from pathlib import Path
 
 import typer
 
-from rig.cli import calibrate, files, jog, simulate, skin
+from rig.cli import calibrate, files, jog, score, simulate, skin
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
 
@@ -28,6 +28,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "recover": files.recover,
     "simulate": simulate.simulate,
     "jog": jog.jog,
+    "score": score.score,
     "make-safe": simulate.make_safe,
 }
 

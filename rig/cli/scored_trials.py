@@ -120,9 +120,9 @@ def tune_baselines(
         one.model_copy(update={"floor_mV": floor}) for one in baselines for floor in FLOORS_mV
     ]
 
-    def work(
-        trial: LabelledTrial, volts: Floats, traits: Traits
-    ) -> tuple[str, list[float]]:
+    def work(trial: LabelledTrial, volts: Floats, traits: Traits) -> tuple[str, list[float]]:
+        if trial.label not in ("roll", "slip"):
+            return trial.label, []
         truth = _truth(trial)
         counted = slice(0, len(volts))
         if truth.slipped:

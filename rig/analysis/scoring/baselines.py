@@ -175,9 +175,7 @@ def _noise(filtered: Floats, rate_Hz: float, settings: BaselineSettings) -> floa
     return max(settings.floor_mV, float(np.sqrt(np.mean(filtered[quiet] ** 2))))
 
 
-def _band_power(
-    signal: Floats, armed: Flags, rate_Hz: float, settings: BaselineSettings
-) -> Floats:
+def _band_power(signal: Floats, armed: Flags, rate_Hz: float, settings: BaselineSettings) -> Floats:
     """The rms of 16 ms of the high-passed signal."""
     passed = _high_passed(signal, rate_Hz)
     window = max(1, round(BAND_POWER_S * rate_Hz))

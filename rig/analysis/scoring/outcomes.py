@@ -101,9 +101,9 @@ def judge(truth: Truth, said: Said, traits: Mapping[str, float | str]) -> Outcom
 
     Raises ValueError for a trial labelled as a slip without the times of node and ridge.
     """
-    if truth.slipped and not (math.isfinite(truth.node_slip_s) and truth.node_slip_s <= (
-        truth.ridge_slip_s
-    )):
+    if truth.slipped and not (
+        math.isfinite(truth.node_slip_s) and truth.node_slip_s <= (truth.ridge_slip_s)
+    ):
         raise ValueError(
             f"a trial labelled {truth.label!r} has node_slip_s {truth.node_slip_s:g} s and "
             f"ridge_slip_s {truth.ridge_slip_s:g} s: both must be times, the node's not the later"

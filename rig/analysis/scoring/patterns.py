@@ -22,8 +22,8 @@ def roll_pattern(volts: ArrayLike, rate_Hz: float, motion_s: float) -> Literal["
     begin = round(motion_s * rate_Hz)
     if not length <= begin < len(given) - length:
         raise ValueError(
-            f"motion_s {motion_s:g} s must leave {SMOOTHED_S:g} s of the {len(given) / rate_Hz:g} s "
-            "recorded on either side of it"
+            f"motion_s {motion_s:g} s must leave {SMOOTHED_S:g} s on either side of it, of "
+            f"{len(given) / rate_Hz:g} s recorded"
         )
     rest = given[begin - length : begin].mean(axis=0)
     mean = np.ones(length) / length

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -106,7 +107,7 @@ def by_trait(outcomes: Sequence[Outcome], trait: str) -> list[Group]:
         ]
     edges = (-math.inf, *BINS[trait], math.inf)
     groups = []
-    for low, high in zip(edges, edges[1:], strict=False):
+    for low, high in pairwise(edges):
         inside = tuple(one for one in having if low <= float(one.traits[trait]) < high)
         if inside:
             groups.append(Group(trait, _bin(low, high), inside))
