@@ -98,7 +98,7 @@ def _rows(listing: Path) -> list[dict[str, str]]:
         raise ConfigurationError(
             f"{listing}: has no column 'file'", "its first line names the columns"
         )
-    rows = []
+    rows: list[dict[str, str]] = []
     for row in reader:
         if None in row or None in row.values():
             raise ConfigurationError(

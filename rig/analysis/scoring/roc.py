@@ -29,10 +29,15 @@ class Roc:
     alarms: Floats
     """Share of the trials without, (k,)."""
 
-    def found_at(self, most_alarms: float) -> float:
-        """The largest share found at no more than that share of false alarms, 0 where none."""
-        within = self.found[self.alarms <= most_alarms]
-        return float(within.max()) if within.size else 0.0
+    def found_at(self, alarms: float) -> float:
+        """Share of the slips found at that share of false alarms: linear between the neighbouring
+        thresholds, NaN beyond the swept ones."""
+        order = np.lexsort((self.found, self.alarms))
+        if alarms < self.alarms[order[0]]:
+            return math.nan
+        last = np.searchsorted(self.alarms[order], alarms, side="right")
+        best = np.maximum.accumulate(self.found[order])
+        return float(np.interp(alarms, self.alarms[order][: last + 1], best[: last + 1]))
 
 
 def roc(
