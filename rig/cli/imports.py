@@ -153,7 +153,7 @@ def _draw(run_file: Path) -> list[str]:
     try:
         drawn = [str(path) for path in draw("import", run_file)]
     except OSError as error:
-        say(f"warning: no figure was drawn: {error.strerror or error}")
+        say(f"warning: no figure was drawn: {error.strerror or error}; rig show draws it again")
         return []
     for path in drawn:
         say(f"figure: {path}")

@@ -53,7 +53,9 @@ def draw_recording(run: RunFile) -> dict[str, Figure]:
         axes[-1].set_xlabel("Time since the recording's start (s)")
         for panel in axes:
             legend_above(panel)
-        figure.suptitle(f"{run.header.marked(run.header.title)}\n{run.path.name}", fontsize=9)
+        figure.suptitle(
+            f"{run.header.marked(run.header.title)}\n{run.path.name}", fontsize=9, parse_math=False
+        )
         set_margins(figure, top=0.72, between=0.22)
     return {"": figure}
 

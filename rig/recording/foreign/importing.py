@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.recording.compiled import compile_run
 from rig.recording.errors import ForeignFileError, RecordingError
-from rig.recording.foreign import lvm, matlab
+from rig.recording.foreign import lvm, matlab, matlab_variables
 from rig.recording.foreign.dialect import Decimal, Delimiter
 from rig.recording.foreign.series import FORCES, STRIPS, UNIT, Recording, Told, recording_of
 from rig.recording.foreign.source import MAX_BYTES, Source
@@ -90,7 +90,7 @@ def read_foreign(
             name, f"longer than {MAX_BYTES >> 20} MiB", "cut it into several recordings"
         )
     source: Source
-    if content.startswith((matlab.MAGIC_5, matlab.MAGIC_73)):
+    if content.startswith((matlab_variables.MAGIC_5, matlab_variables.MAGIC_73)):
         source = matlab.read_matlab(content, name)
     elif content.startswith(lvm.MAGIC):
         source = lvm.read_lvm(content, name)

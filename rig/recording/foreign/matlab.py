@@ -6,22 +6,20 @@ refused by name, and never made: MATLAB can unpack them into variables.
 
 from __future__ import annotations
 
-import io
+import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import shortened
 from rig.recording.errors import ForeignFileError
-from rig.recording.foreign.source import MAX_HEAD, Format
-from rig.recording.reading import DAMAGE, refuse_links, whole
+from rig.recording.foreign.matlab_variables import MAGIC_73, Variables, arrays_of, variables_of
+from rig.recording.foreign.source import Format
 
 if TYPE_CHECKING:
-    import h5py
     import numpy as np
     from numpy.typing import NDArray
 
-MAGIC_5, MAGIC_73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 HEAD_BYTES = 116
 MAX_VALUES = 64 << 20
 """Of a variable; compressed ones can declare any number."""
@@ -41,20 +39,12 @@ class MatlabTable:
     rate_Hz: float | None = None
     time: str | None = None
 
-    def __init__(
-        self,
-        name: str,
-        kind: Format,
-        head: str,
-        variables: dict[str, tuple[str, tuple[int, ...]]],
-        load: Callable[[str], NDArray[Any]],
-    ) -> None:
+    def __init__(self, name: str, content: bytes, variables: Variables) -> None:
         self._file = name
-        self.format = kind
-        self.head = head
+        self._content = content
         self._variables = variables
-        """Class and shape by name."""
-        self._load = load
+        self.format: Format = "MATLAB 7.3" if content.startswith(MAGIC_73) else "MATLAB 5"
+        self.head = content[:HEAD_BYTES].decode("latin-1").strip("\0 ")
         self._columns: list[tuple[str, int]] = []
         """Variable and its column (from 0), in the order in which they were asked for."""
 
@@ -117,7 +107,11 @@ class MatlabTable:
         """Numbers of shape (rows, columns)."""
         import numpy as np
 
-        loaded = {name: self._exact(name) for name, _ in map(self._columns.__getitem__, columns)}
+        names = list(dict.fromkeys(self._columns[column][0] for column in columns))
+        for variable in names:
+            self._check_size(variable)
+        arrays = arrays_of(self._content, self._file, names)
+        loaded = {variable: self._exact(variable, array) for variable, array in arrays.items()}
         taken = []
         for column in columns:
             variable, number = self._columns[column]
@@ -140,24 +134,20 @@ class MatlabTable:
                 )
         return np.column_stack(taken)
 
-    def _exact(self, variable: str) -> NDArray[np.float64]:
-        """A variable as doubles; ForeignFileError where a whole number has none."""
-        import numpy as np
-
-        kind, shape = self._variables[variable]
-        count = 1
-        for length in shape:
-            count *= length
+    def _check_size(self, variable: str) -> None:
+        count = math.prod(self._variables[variable][1])
         if count > MAX_VALUES:
             raise ForeignFileError(
                 self._file,
                 f"variable {variable} has {count} values, {MAX_VALUES} are allowed",
                 "save the channels that are wanted alone",
             )
-        try:
-            array = np.asarray(self._load(variable))
-        except (*DAMAGE, MemoryError, EOFError) as error:
-            raise _damaged(self._file, error) from error
+
+    def _exact(self, variable: str, array: NDArray[Any]) -> NDArray[np.float64]:
+        """A variable as doubles; ForeignFileError where a whole number has none."""
+        import numpy as np
+
+        kind, shape = self._variables[variable]
         if array.shape != shape or array.dtype.kind not in "iuf":
             raise ForeignFileError(
                 self._file,
@@ -165,7 +155,11 @@ class MatlabTable:
                 "the file announces",
                 "save it again as an array of real numbers",
             )
-        if array.dtype.kind in "iu" and array.size and max(array.max(), -int(array.min())) > EXACT:
+        if (
+            array.dtype.kind in "iu"
+            and array.size
+            and max(int(array.max()), -int(array.min())) > EXACT
+        ):
             raise ForeignFileError(
                 self._file,
                 f"variable {variable}: whole numbers beyond {EXACT} have no double",
@@ -175,57 +169,5 @@ class MatlabTable:
 
 
 def read_matlab(content: bytes, name: str) -> MatlabTable:
-    """The variables of a MATLAB file; ForeignFileError where it is damaged."""
-    head = content[:HEAD_BYTES].decode("latin-1").strip("\0 ")[:MAX_HEAD]
-    try:
-        if content.startswith(MAGIC_73):
-            return _hdf5_table(content, name, head)
-        return _table(content, name, head)
-    except (*DAMAGE, MemoryError, EOFError) as error:
-        raise _damaged(name, error) from error
-
-
-def _table(content: bytes, name: str, head: str) -> MatlabTable:
-    from scipy.io import loadmat, whosmat
-
-    file: Any = io.BytesIO(content)  # SciPy's types know names alone
-    variables: dict[str, tuple[str, tuple[int, ...]]] = {
-        variable: (kind, shape) for variable, shape, kind in whosmat(file)
-    }
-
-    def load(variable: str) -> NDArray[Any]:
-        loaded = loadmat(file, variable_names=[variable], verify_compressed_data_integrity=True)
-        array: NDArray[Any] = loaded[variable]
-        return array
-
-    return MatlabTable(name, "MATLAB 5", head, variables, load)
-
-
-def _hdf5_table(content: bytes, name: str, head: str) -> MatlabTable:
-    import h5py
-
-    file = h5py.File(io.BytesIO(content), "r")
-    refuse_links(file)
-    variables: dict[str, tuple[str, tuple[int, ...]]] = {}
-    for variable, item in file.items():
-        if variable.startswith("#"):  # what cells refer to
-            continue
-        kind = item.attrs.get("MATLAB_class", b"struct")
-        kind = kind.decode() if isinstance(kind, bytes) else str(kind)
-        if not isinstance(item, h5py.Dataset):
-            variables[variable] = ("sparse" if kind in NUMERIC else kind, ())
-            continue
-        empty = "MATLAB_empty" in item.attrs
-        variables[variable] = (kind, (0, 0) if empty else tuple(reversed(item.shape)))
-    return MatlabTable(name, "MATLAB 7.3", head, variables, lambda v: _transposed(file[v]))
-
-
-def _transposed(field: h5py.Dataset) -> NDArray[Any]:
-    """MATLAB stores columns first."""
-    array: NDArray[Any] = whole(field)
-    return array.T
-
-
-def _damaged(name: str, error: BaseException) -> ForeignFileError:
-    reason = shortened(" ".join(str(error).split()) or type(error).__name__, 200)
-    return ForeignFileError(name, f"no readable MATLAB file: {reason}", "save it again")
+    """The variables of a MATLAB file; ForeignFileError where it cannot be read."""
+    return MatlabTable(name, content, variables_of(content, name))

@@ -28,9 +28,12 @@ LINE_TOLERANCE = 0.25
 RATE_TOLERANCE = 1e-3
 """Relative, by which the rate that was told may differ from the file's."""
 ROUND_TOLERANCE = 0.01
-"""Of a period, by which the last row may move when a measured rate is rounded."""
+"""Of a period, by which the last row may move when a measured rate is rounded; more where the times
+are less even than that."""
 LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 1.0, 1e7
 LEAST_ROWS = 2
+LARGEST = {"V": 1e3, "N": 1e4}
+"""Beyond, a column holds no such signal, or counts whose scale was not told."""
 LATEST_S = 1e11
 """Since any of the years from which clocks count."""
 
@@ -108,12 +111,24 @@ def recording_of(source: Source, told: Told, name: str) -> Recording:
         ),
     )
     for channel in raw:
-        if not np.isfinite(recording.values(channel)).all():
-            unit = UNIT[channel]
-            raise ForeignFileError(
-                name, f"{channel} times {scale[channel]:g} {unit} is beyond any double"
-            )
+        _check_size(source, recording, channel, name)
     return recording
+
+
+def _check_size(source: Source, recording: Recording, channel: str, name: str) -> None:
+    unit = UNIT[channel]
+    limit = LARGEST[unit] / abs(recording.scale[channel])
+    sizes = abs(recording.raw[channel])
+    if sizes.max() > limit:
+        row = int(sizes.argmax())
+        raise ForeignFileError(
+            name,
+            f"{recording.columns[channel]}: {recording.raw[channel][row]:g} times "
+            f"{recording.scale[channel]:g} {unit} is no {channel}, {LARGEST[unit]:g} {unit} are "
+            "allowed",
+            f"say what one unit of the file is, such as --scale {channel}=1m{unit}",
+            source.place(row),
+        )
 
 
 def _check_unit(source: Source, channel: str, column: int, told: Told, name: str) -> None:
@@ -196,5 +211,6 @@ def uniform_rate(times_s: NDArray[np.float64], source: Source, name: str) -> flo
             row,
             f"its time is {off[row]:.2g} periods off even spacing, {LINE_TOLERANCE:g} are allowed",
         )
+    allowed = max(ROUND_TOLERANCE, float(off.max()))
     rounded = (float(f"{rate_Hz:.{digits}g}") for digits in range(1, 18))
-    return next(r for r in rounded if count * abs(r / rate_Hz - 1) <= ROUND_TOLERANCE)
+    return next(r for r in rounded if count * abs(r / rate_Hz - 1) <= allowed)
