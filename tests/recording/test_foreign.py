@@ -3,7 +3,9 @@ in a sentence that names the line."""
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,12 +25,13 @@ from rig.errors import RigError
 from rig.recording import Program, RecordingError, RunHeader
 from rig.recording.definitions import definition_path
 from rig.recording.errors import ForeignFileError
+from rig.recording.foreign import importing
 from rig.recording.foreign.importing import About, read_foreign, write_import
 from rig.recording.foreign.series import Recording, Told, recording_of
 from rig.recording.foreign.source import MAX_BYTES
 from rig.recording.foreign.text import read_text
 from rig.recording.records import to_json
-from rig.recording.recover import interrupted
+from rig.recording.recover import interrupted, recover
 from rig.recording.runfile import RunFile
 from rig.recording.verify import verify
 
@@ -184,6 +187,22 @@ def test_a_row_of_units_counts_as_label_and_a_told_scale_settles_it(tmp_path: Pa
     assert recording.values("v_1")[0] == 1e-3
 
 
+def test_numbers_of_columns_are_no_sample(tmp_path: Path) -> None:
+    columns = {"v_1": "2", "v_2": "3"}
+    for content in ("0,1,2\n" + ROWS, "1,2,3\n" + ROWS):
+        with refused("line 1: .* numbers of columns; --header-lines 0 if it is a sample, 1 if"):
+            read(content, tmp_path, columns, rate_Hz=1000.0)
+        for header_lines, rows in ((0, 4), (1, 3)):
+            recording = read(content, tmp_path, columns, rate_Hz=1e3, header_lines=header_lines)
+            assert recording.rows == rows
+    assert read("1,2,3\n2,1,4\n", tmp_path, columns, rate_Hz=1000.0).rows == 2
+
+
+def test_a_scale_of_times_needs_times(tmp_path: Path) -> None:
+    with refused("a scale of times without times"):
+        read(ROWS, tmp_path, {"v_1": "2", "v_2": "3"}, {"time": 1e-3}, rate_Hz=1000.0)
+
+
 def test_counts_without_a_scale_are_no_volts(tmp_path: Path) -> None:
     content = "12,30000\n15,-31000\n"
     with refused("line 2: column 2: -31000 times 1 V is no v_2"):
@@ -207,7 +226,7 @@ def test_files_that_are_no_recordings_are_refused(tmp_path: Path) -> None:
     huge = tmp_path / "huge"
     with huge.open("wb") as file:
         file.truncate(MAX_BYTES + 1)
-    with refused("longer than 256 MiB"):
+    with refused("longer than 128 MiB"):
         read_foreign(huge)
 
 
@@ -408,6 +427,17 @@ def test_damaged_matlab_files_are_refused(tmp_path: Path, make: Any) -> None:
             read(whole[:size], tmp_path, {"v_1": "a", "v_2": "b"}, rate_Hz=1000.0)
 
 
+def test_a_file_that_crashes_scipy_costs_a_sentence(tmp_path: Path) -> None:
+    """A struct's length, damaged: SciPy 1.17 ends with SIGSEGV on it."""
+    t = np.arange(200.0)
+    content = bytearray(
+        files.matlab_5(a=np.sin(t), b=np.cos(t)[:, None], s={"x": 1}, m=np.outer(t, [1, 2, 3]))
+    )
+    content[3617] = 126
+    with refused("no readable MATLAB file"):
+        read(bytes(content), tmp_path, {"v_1": "a", "v_2": "b", "F_n": "m:2"}, rate_Hz=1000.0)
+
+
 # The run file
 
 
@@ -567,6 +597,41 @@ def test_what_ends_an_import_leaves_nothing(
             imported(tmp_path)
         assert [p for p in (tmp_path / "results").rglob("*") if p.is_file()] == []
         monkeypatch.undo()
+
+
+def test_a_killed_import_is_recovered_as_failed_and_not_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from nexusformat.nexus.validate import validate_application, validate_file
+
+    left = tmp_path / "left.rigj"
+    write_rows = importing._write_rows
+
+    def killed(writer: Any, stream: int, *rows: Any) -> None:
+        write_rows(writer, stream, *rows)
+        if stream == 1:
+            shutil.copy(writer.path, left)
+
+    monkeypatch.setattr(importing, "_write_rows", killed)
+    imported(tmp_path)
+    with pytest.raises(RigError, match="an import cannot be resumed"):
+        interrupted(left)
+    file = recover(left)
+    assert verify(file) == []
+    assert validate_file(str(file)) == (0, 0)
+    definition = definition_path("NXrig_import")
+    assert validate_application(str(file), application=str(definition)) == (0, 0)
+    with RunFile.open(file) as opened:
+        assert opened.outcome.status == "failed"
+        assert opened.outcome.imported
+        assert opened.point_ids() == []
+
+
+def test_names_that_are_no_text_are_kept_as_far_as_they_are(tmp_path: Path) -> None:
+    file = imported(tmp_path, name=os.fsdecode(b"\xff\xfe$.csv"))
+    assert verify(file) == []
+    with RunFile.open(file) as opened:
+        assert opened.header.title == "IMPORTED recording ??$.csv"
 
 
 def test_every_import_is_a_file_of_its_own(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from rig.recording.header import IMPORTED, Origin, Program
 from rig.recording.journal import JournalWriter, begin_journal
 from rig.recording.layout import Column, Layout, Trace
 from rig.recording.naming import RUN_SUFFIX, checksum_path
-from rig.recording.nexus import CHUNK_ROWS
+from rig.recording.nexus import CHUNK_ROWS, plain_text
 from rig.settings import fingerprint
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def read_foreign(
     The last three are for text, where they are not to be recognised. ForeignFileError for anything
     else, and for a file beyond MAX_BYTES.
     """
-    name = path.name
+    name = plain_text(path.name)
     try:
         if not stat.S_ISREG(path.stat().st_mode):  # a pipe would be waited for
             raise ForeignFileError(str(path), "not a regular file")
@@ -158,7 +158,7 @@ def _header(
         if text
     }
     origin = Origin(
-        file_name=foreign.name[:1000],
+        file_name=foreign.name,
         sha256=foreign.sha256,
         bytes=foreign.size,
         format=foreign.source.format,
@@ -170,7 +170,7 @@ def _header(
     return {
         "procedure": PROCEDURE,
         "layout": layout_of(recording).to_json(),
-        "title": f"{IMPORTED} recording {foreign.name}"[:1000],
+        "title": f"{IMPORTED} recording {foreign.name}",
         "run_uuid": str(uuid.uuid4()),
         "start_time": about.start_time,
         "program": program,

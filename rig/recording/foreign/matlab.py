@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 HEAD_BYTES = 116
-MAX_VALUES = 64 << 20
+MAX_VALUES = 16 << 20
 """Of a variable; compressed ones can declare any number."""
 EXACT = 2**53
 """Beyond it a whole number may have no double."""

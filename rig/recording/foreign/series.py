@@ -84,6 +84,8 @@ def recording_of(source: Source, told: Told, name: str) -> Recording:
     wanted = dict(told.columns)
     if TIME not in wanted and source.time is not None:
         wanted[TIME] = source.time
+    if TIME in told.scale and TIME not in wanted:
+        raise ForeignFileError(name, "a scale of times without times", "give their --time column")
     columns = {channel: source.column(column) for channel, column in wanted.items()}
     for channel, column in columns.items():
         twin = next(other for other, its in columns.items() if its == column)

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
 Format = Literal["text", "LVM", "MATLAB 5", "MATLAB 7.3"]
 
-MAX_BYTES = 256 << 20
-"""Of a file: two hours of four columns at 1 kHz, as text. It is read in one piece."""
+MAX_BYTES = 128 << 20
+"""Of a file: an hour of four columns at 1 kHz, as text. It is read in one piece."""
 MAX_HEAD = 64 << 10
 """Characters of what stands before the numbers that are kept with them."""
 

@@ -231,6 +231,7 @@ def _first_row(lines: Sequence[str], shape: Shape, name: str) -> int:
         if line.startswith(_COMMENT) or not line.strip():
             continue
         if shape.fits(line):
+            _refuse_column_numbers(lines[number : number + 2], number, shape, name)
             return number
         if shape.nearly(line):
             raise ForeignFileError(
@@ -241,3 +242,16 @@ def _first_row(lines: Sequence[str], shape: Shape, name: str) -> int:
                 f"line {number + 1}",
             )
     raise ForeignFileError(name, "no rows of numbers")
+
+
+def _refuse_column_numbers(rows: Sequence[str], number: int, shape: Shape, name: str) -> None:
+    """Some programs write 0, 1, 2 above columns without names: that would be read as a sample."""
+    first, *below = (shape.dialect.cells(row) for row in rows)
+    counted = first in ([str(k + begin) for k in range(shape.width)] for begin in (0, 1))
+    if counted and below and not all(cell.isdecimal() for cell in below[0]):
+        raise ForeignFileError(
+            name,
+            f"{', '.join(first[:4])} can be a sample, or numbers of columns",
+            f"--header-lines {number} if it is a sample, {number + 1} if it is none",
+            f"line {number + 1}",
+        )
