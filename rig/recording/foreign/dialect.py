@@ -28,6 +28,10 @@ _NUMBER: dict[Decimal, str] = {
 }
 _NO_VALUE = re.compile(r"[+-]?(?:nan|inf|infinity)\Z|n/?a\Z|null\Z", re.IGNORECASE)
 
+_BLANKS = re.compile(r"[ \t]+")
+_OF_NUMBERS = re.compile(r"[-+.,;eE\s]*[0-9][-+0-9.,;eE\s]*")
+"""A line of nothing but what numbers are made of."""
+
 
 @dataclass(frozen=True)
 class Dialect:
@@ -46,13 +50,13 @@ class Dialect:
     def cells(self, line: str) -> list[str]:
         """The cells of a line, without the quotes and blanks around them."""
         if self.delimiter == "space":
-            return line.split()
+            return _BLANKS.split(line.strip(" \t"))
         mark = CHARACTER[self.delimiter]
         try:
             found = next(csv.reader([line], delimiter=mark, skipinitialspace=True, strict=True), [])
         except csv.Error:  # quotes that quote nothing
             found = line.split(mark)
-        return [cell.strip() for cell in found]
+        return [cell.strip(" \t") for cell in found]
 
     def is_number(self, cell: str) -> bool:
         """Whether a cell is a number of this dialect."""
@@ -71,8 +75,8 @@ class Dialect:
         cell, in their order in the row."""
         number = f"({_NUMBER[self.decimal]})"
         if self.delimiter == "space":
-            cells = [number if k in wanted else r"\S+" for k in range(width)]
-            return re.compile(r"\s*" + r"\s+".join(cells) + r"\s*")
+            cells = [number if k in wanted else r"[^ \t]+" for k in range(width)]
+            return re.compile(r"[ \t]*" + r"[ \t]+".join(cells) + r"[ \t]*")
         mark = re.escape(CHARACTER[self.delimiter])
         cells = [f" *{number} *" if k in wanted else f'[^"{mark}]*' for k in range(width)]
         return re.compile(mark.join(cells))
@@ -97,9 +101,9 @@ class Shape:
         """Whether it looks like such a row with something wrong, and not like text above them."""
         cells = self.dialect.cells(line)
         like = [self.dialect.is_number_or_none(cell) for cell in cells]
-        if len(cells) == self.width:
-            return any(like[k] for k in self.numbers)
-        return len(cells) > 1 and all(like)
+        if len(cells) == self.width and any(like[k] for k in self.numbers):
+            return True
+        return 2 * sum(like) > len(cells) or _OF_NUMBERS.fullmatch(line) is not None
 
 
 def recognised(
@@ -111,7 +115,10 @@ def recognised(
     """
     sample = [line for line in lines[-SAMPLED_LINES:] if line.strip()]
     best: tuple[tuple[int, float], Shape] | None = None
+    tabs = any("\t" in line for line in sample)
     for candidate in _candidates(delimiter, decimal):
+        if candidate.delimiter == "space" and tabs and delimiter is None:
+            continue  # an empty cell between tabs would vanish, and the columns behind it shift
         found = _shape(sample, candidate)
         if found is not None and (best is None or found[0] > best[0]):
             best = found
