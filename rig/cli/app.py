@@ -17,7 +17,7 @@ from pathlib import Path
 
 import typer
 
-from rig.cli import calibrate, files, imports, jog, simulate, skin
+from rig.cli import calibrate, files, imports, jog, score, simulate, skin
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
 
@@ -29,6 +29,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "import": imports.import_,
     "simulate": simulate.simulate,
     "jog": jog.jog,
+    "score": score.score,
     "make-safe": simulate.make_safe,
 }
 
