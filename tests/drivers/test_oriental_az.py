@@ -353,8 +353,12 @@ def test_a_stop_goes_out_although_the_drive_owes_an_answer() -> None:
 
 ALARMS = {
     "overload": ({"kind": "drive-fault", "code": 0x30}, "30h (overload)", "blocks the axis"),
-    "limit sensor": ({"kind": "limit-switch"}, "66h (limit sensor reached)", "home again"),
-    "reference lost": ({"kind": "reference-lost"}, "33h (the absolute position", "find the ref"),
+    "limit switch": ({"kind": "limit-switch"}, "66h (limit switch reached)", "home again"),
+    "reference lost": (
+        {"kind": "reference-lost"},
+        "33h (absolute position error: the axis has lost its reference)",
+        "home it",
+    ),
     "unknown": ({"kind": "drive-fault", "code": 0x7E}, "7Eh (see the drive's manual)", "look the"),
 }
 
