@@ -17,7 +17,7 @@ from pathlib import Path
 
 import typer
 
-from rig.cli import calibrate, files, jog, score, simulate, skin
+from rig.cli import calibrate, files, imports, jog, score, simulate, skin
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
 
@@ -26,6 +26,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "show": files.show,
     "verify": files.verify,
     "recover": files.recover,
+    "import": imports.import_,
     "simulate": simulate.simulate,
     "jog": jog.jog,
     "score": score.score,
