@@ -62,8 +62,14 @@ def tune(
     """The floor, and the threshold on it, that find most and keep to `ROLL_ALARMS`.
 
     Largest scores of whole rolls (m, floors) and of slips where they would have been found
-    (n, floors). Returns floor, threshold and the share of slips found.
+    (n, floors). Returns floor, threshold and the share of slips found. Raises ValueError where
+    rolls or slips are missing.
     """
+    if not (len(roll_peaks) and len(slip_peaks)):
+        raise ValueError(
+            f"thresholds cannot be chosen on {len(roll_peaks)} rolls and {len(slip_peaks)} slips: "
+            "both must be there; take more seeds, and slides and rolls among the kinds"
+        )
     best = (floors[0], math.inf, -1.0)
     for column, floor in enumerate(floors):
         threshold = threshold_for(roll_peaks[:, column])
@@ -76,6 +82,4 @@ def tune(
 def threshold_for(others: ArrayLike, most_alarms: float = ROLL_ALARMS) -> float:
     """The least threshold that no more than this share of the trials' largest scores exceeds."""
     ordered = np.sort(np.asarray(others, dtype=np.float64))[::-1]
-    if not ordered.size:
-        raise ValueError("no trial to keep the alarms of: add trials without a slip")
     return float(ordered[int(most_alarms * ordered.size)])

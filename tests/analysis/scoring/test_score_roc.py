@@ -36,14 +36,14 @@ def test_no_more_trials_than_allowed_exceed_the_threshold():
     threshold = threshold_for(peaks, 0.02)
     assert (peaks > threshold).sum() == 2
     assert threshold_for(peaks[:10], 0.02) == 9.0
-    with pytest.raises(ValueError, match="no trial to keep the alarms of"):
-        threshold_for([])
 
 
 def test_the_floor_that_finds_most_is_chosen_with_its_threshold():
     rolls = np.array([[1.0, 3.0], [2.0, 1.0]])
     slips = np.array([[1.5, 5.0], [2.5, 4.0], [0.0, 2.0]])
     assert tune((0.1, 0.5), rolls, slips) == (0.5, 3.0, pytest.approx(2 / 3))
+    with pytest.raises(ValueError, match="0 rolls and 3 slips: both must be there"):
+        tune((0.1, 0.5), rolls[:0], slips)
 
 
 def rolled(first: float, second: float) -> np.ndarray:
