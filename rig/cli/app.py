@@ -17,7 +17,7 @@ from pathlib import Path
 
 import typer
 
-from rig.cli import calibrate, files, imports, jog, score, simulate, skin
+from rig.cli import calibrate, files, imports, jog, score, simulate, skin, train
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
 
@@ -30,6 +30,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "simulate": simulate.simulate,
     "jog": jog.jog,
     "score": score.score,
+    "train": train.train,
     "make-safe": simulate.make_safe,
 }
 

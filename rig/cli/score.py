@@ -38,138 +38,102 @@ BY_TRAIT = ("found", "roll_alarms", "after_ridge_50", "armed")
 """Quantities whose tables by trait are printed; the files hold all."""
 SHOWN_TRAITS = ("noise_mV", "speed_mm_s", "static_coefficient", "friction_ratio", "pattern")
 """Traits by which they are printed; the files hold more."""
-_POPULATION = "Population"
-_DETECTORS = "Detectors"
+Seeds = Annotated[str, typer.Option(help="Random trials, END excluded.", metavar="FIRST:END")]
+Tuning = Annotated[bool, typer.Option("--tuning", help="Score tuning seeds; every table says so.")]
+Kinds = Annotated[str, typer.Option(help="Which trials.", metavar="LIST")]
+Files = Annotated[
+    Path | None,
+    typer.Option(
+        help="Labelled run files in place of random trials, listed as CSV.", metavar="CSV"
+    ),
+]
+Detectors = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--detector", help="rig, paper-literal or paper-hp; repeatable [rig].", metavar="NAME"
+    ),
+]
+DetectorFile = Annotated[
+    Path | None, typer.Option(help="JSON with parameters that differ from the one --detector's.")
+]
+WithBaselines = Annotated[
+    bool,
+    typer.Option("--baselines", help="Band power, wavelet, CUSUM and a single channel beside."),
+]
+BaselineFile = Annotated[Path | None, typer.Option(help="Theirs as JSON, as --tune writes it.")]
+Tune = Annotated[
+    Path | None,
+    typer.Option(
+        help="With --tuning: choose the baselines' thresholds on these trials, write them.",
+        metavar="FILE",
+    ),
+]
+Sweep = Annotated[bool, typer.Option(help="Sweep the thresholds.")]
+PopulationFile = Annotated[Path | None, typer.Option(help="Ranges of the trials as JSON.")]
+ShowPopulation = Annotated[
+    bool, typer.Option("--show-population", help="Print them as JSON to edit and stop.")
+]
+FrontEndFile = Annotated[
+    Path | None, typer.Option(help="Ranges of noise, mains and gains as JSON.")
+]
+ShowFrontEnd = Annotated[
+    bool, typer.Option("--show-front-end", help="Print them as JSON to edit and stop.")
+]
+SkinFile = Annotated[Path | None, typer.Option(help="The skin's settings as JSON.")]
+Elements = Annotated[int | None, typer.Option(help="Elements along a ridge [6].", min=2, max=40)]
+RidgeRead = Annotated[
+    int | None, typer.Option(help="Ridge that is read, 1 is the leftmost [3].", min=1)
+]
+YoungsModulus = Annotated[str | None, typer.Option(help="Of the skin.", metavar="MPa")]
+Speed = Annotated[
+    str | None, typer.Option(help="Of slides and holds, one or LOW:HIGH.", metavar="mm/s")
+]
+SwappedGains = Annotated[
+    bool, typer.Option("--swapped-gains", help="The channels' amplifiers change places.")
+]
+Jobs = Annotated[int, typer.Option(help="Processes.", min=1, max=64)]
+Out = Annotated[Path, typer.Option(help="New folder for tables and figures.", file_okay=False)]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 
 
 def score(
-    seeds: Annotated[
-        str, typer.Option(help="Random trials, END excluded.", metavar="FIRST:END")
-    ] = "1000000:1001000",
-    tuning: Annotated[
-        bool, typer.Option("--tuning", help="Score tuning seeds; every table says so.")
-    ] = False,
-    kinds: Annotated[str, typer.Option(help="Which trials.")] = "slide,roll,hold,tap",
-    files: Annotated[
-        Path | None,
-        typer.Option(
-            "--files",
-            help="Labelled run files in place of random trials, listed as CSV.",
-            metavar="CSV",
-        ),
-    ] = None,
-    detectors: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--detector",
-            help="rig, paper-literal or paper-hp; repeatable [rig].",
-            rich_help_panel=_DETECTORS,
-        ),
-    ] = None,
-    settings: Annotated[
-        Path | None,
-        typer.Option(
-            help="JSON with parameters that differ from the one --detector's.",
-            rich_help_panel=_DETECTORS,
-        ),
-    ] = None,
-    baselines: Annotated[
-        bool,
-        typer.Option(
-            "--baselines",
-            help="Band power, wavelet, CUSUM and a single channel beside.",
-            rich_help_panel=_DETECTORS,
-        ),
-    ] = False,
-    baseline_settings: Annotated[
-        Path | None,
-        typer.Option(help="Theirs as JSON, as --tune writes it.", rich_help_panel=_DETECTORS),
-    ] = None,
-    tune: Annotated[
-        Path | None,
-        typer.Option(
-            help="With --tuning: choose the baselines' thresholds on these trials, write them.",
-            metavar="FILE",
-            rich_help_panel=_DETECTORS,
-        ),
-    ] = None,
-    roc: Annotated[bool, typer.Option(help="Sweep the thresholds.")] = True,
-    population: Annotated[
-        Path | None,
-        typer.Option(help="Ranges of the trials as JSON.", rich_help_panel=_POPULATION),
-    ] = None,
-    show_population: Annotated[
-        bool,
-        typer.Option(
-            "--show-population",
-            help="Print them as JSON to edit and stop.",
-            rich_help_panel=_POPULATION,
-        ),
-    ] = False,
-    front_end: Annotated[
-        Path | None,
-        typer.Option(help="Ranges of noise, mains and gains as JSON.", rich_help_panel=_POPULATION),
-    ] = None,
-    show_front_end: Annotated[
-        bool,
-        typer.Option(
-            "--show-front-end",
-            help="Print them as JSON to edit and stop.",
-            rich_help_panel=_POPULATION,
-        ),
-    ] = False,
-    skin: Annotated[
-        Path | None,
-        typer.Option(help="The skin's settings as JSON.", rich_help_panel=_POPULATION),
-    ] = None,
-    elements: Annotated[
-        int | None,
-        typer.Option(
-            help="Elements along a ridge.",
-            min=2,
-            max=40,
-            rich_help_panel=_POPULATION,
-            show_default=False,
-        ),
-    ] = None,
-    ridge: Annotated[
-        int | None,
-        typer.Option(
-            help="Ridge that is read, 1 is the leftmost.",
-            min=1,
-            rich_help_panel=_POPULATION,
-            show_default=False,
-        ),
-    ] = None,
-    youngs_modulus: Annotated[
-        str | None, typer.Option(help="Of the skin.", metavar="MPa", rich_help_panel=_POPULATION)
-    ] = None,
-    speed: Annotated[
-        str | None,
-        typer.Option(
-            help="Of slides and holds, one or LOW:HIGH.",
-            metavar="mm/s",
-            rich_help_panel=_POPULATION,
-        ),
-    ] = None,
-    swapped_gains: Annotated[
-        bool,
-        typer.Option(
-            "--swapped-gains",
-            help="The channels' amplifiers change places.",
-            rich_help_panel=_POPULATION,
-        ),
-    ] = False,
-    jobs: Annotated[int, typer.Option(help="Processes.", min=1, max=64)] = 1,
-    out: Annotated[
-        Path, typer.Option(help="New folder for tables and figures.", file_okay=False)
-    ] = Path("results/score"),
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    seeds: Seeds = "1000000:1001000",
+    tuning: Tuning = False,
+    kinds: Kinds = "slide,roll,hold,tap",
+    files: Files = None,
+    detectors: Detectors = None,
+    settings: DetectorFile = None,
+    baselines: WithBaselines = False,
+    baseline_settings: BaselineFile = None,
+    tune: Tune = None,
+    roc: Sweep = True,
+    population: PopulationFile = None,
+    show_population: ShowPopulation = False,
+    front_end: FrontEndFile = None,
+    show_front_end: ShowFrontEnd = False,
+    skin: SkinFile = None,
+    elements: Elements = None,
+    ridge: RidgeRead = None,
+    youngs_modulus: YoungsModulus = None,
+    speed: Speed = None,
+    swapped_gains: SwappedGains = False,
+    jobs: Jobs = 1,
+    out: Out = Path("results/score"),
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """Score detectors on trials whose truth is known: found, false alarms, delays, prediction."""
     with reported(debug, as_json), _errors():
-        from rig.analysis.scoring.seeds import check_unseen, check_use, seed_range
+        from rig.analysis.scoring.contenders import BaselineContender
+        from rig.analysis.scoring.seeds import (
+            FIRST_REPORTING_SEED,
+            check_unseen,
+            check_use,
+            seed_range,
+        )
+        from rig.cli.labelled_files import judge_files
+        from rig.cli.scored_trials import judge_trials
         from rig.model.labelled_trials import FrontEndSettings, PopulationSettings
 
         ranges = _with_options(
@@ -180,45 +144,41 @@ def score(
             typer.echo((ranges if show_population else front).model_dump_json(indent=2))
             return
         _check_new(out)
-        asked = _detectors(detectors or ["rig"], settings)
+        contenders = _detectors(detectors or ["rig"], settings)
         beside = _baselines(baselines or tune is not None, baseline_settings)
         if files is not None:
-            if tune is not None:
-                raise ConfigurationError("--tune: files tune nothing", "tune on --seeds")
-            contenders = [*asked, *_contenders(beside)]
-            from rig.cli.labelled_files import judge_files
-
+            if tune is not None or tuning:
+                raise ConfigurationError("--files: files tune nothing", "tune on --seeds")
+            contenders += map(BaselineContender, beside)
             listed = judge_files(files, contenders, sweep=roc, done=_Progress("files"))
-            use, simulated = f"labelled files of {files}", listed.simulated
-            _report(contenders, listed.judged, use, simulated, {}, out, as_json)
+            use = f"labelled files of {files}"
+            _report(contenders, listed.judged, use, listed.simulated, {}, out, as_json)
             return
         drawn = seed_range(seeds)
         check_use(drawn, tuning=tuning)
         if tune is not None and not tuning:
             raise ConfigurationError(
                 f"--tune {tune}: thresholds are chosen on tuning seeds only",
-                "add --tuning and seeds below 1000000",
+                f"add --tuning and seeds below {FIRST_REPORTING_SEED}",
             )
         if not tuning:
-            for one in [*asked, *_contenders(beside)]:
+            for one in [*contenders, *map(BaselineContender, beside)]:
                 check_unseen(one.name, one.tuned_on, drawn)
         trials = _population(ranges, front, swapped_gains, kinds, drawn)
         if tune is not None:
             beside = _tuned(trials, beside, tune, jobs)
-        contenders = [*asked, *_contenders(beside)]
-        from rig.cli.scored_trials import judge_trials
-
-        total = len(trials.trials())
+        contenders += map(BaselineContender, beside)
         judged = judge_trials(
-            trials, contenders, sweep=roc, jobs=jobs, done=_Progress("trials", total)
-        )
-        side = "TUNING" if tuning else "reporting"
+            trials, contenders, sweep=roc, jobs=jobs,
+            done=_Progress("trials", len(trials.trials())),
+        )  # fmt: skip
         said = {
             "seeds": str(drawn), "kinds": list(trials.kinds), "swapped_gains": swapped_gains,
             "population": ranges.model_dump(mode="json"),
             "front_end": front.model_dump(mode="json"),
         }  # fmt: skip
-        _report(contenders, judged, f"{side} seeds {drawn}", True, said, out, as_json)
+        use = f"{'TUNING' if tuning else 'reporting'} seeds {drawn}"
+        _report(contenders, judged, use, True, said, out, as_json)
 
 
 class _Progress:
@@ -337,12 +297,6 @@ def _baselines(wanted: bool, file: Path | None) -> list[BaselineSettings]:
     if file is not None:
         return list(_read(Baselines, file).baselines)
     return list(tuned_baselines().baselines) if wanted else []
-
-
-def _contenders(baselines: Sequence[BaselineSettings]) -> list[Contender]:
-    from rig.analysis.scoring.contenders import BaselineContender
-
-    return [BaselineContender(one) for one in baselines]
 
 
 def _tuned(

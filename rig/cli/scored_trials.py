@@ -79,7 +79,7 @@ def judge_trials(
             contenders, sweep=sweep,
         )  # fmt: skip
 
-    return list(_counted(_over(population, work, jobs), done))
+    return list(each_trial(population, work, jobs, done))
 
 
 def judge_one(
@@ -131,7 +131,7 @@ def tune_baselines(
         scores = (baseline_score(volts, trial.rate_Hz, one)[counted] for one in variants)
         return trial.label, [float(score.max(initial=0.0)) for score in scores]
 
-    peaks = list(_counted(_over(population, work, jobs), done))
+    peaks = list(each_trial(population, work, jobs, done))
     shape = (-1, len(baselines), len(FLOORS_mV))
     rolls, slips = (
         np.array([each for label, each in peaks if label == wanted]).reshape(shape)
@@ -197,6 +197,13 @@ def _begin_worker() -> None:
 def _work_inherited(drawn: tuple[Kind, int]) -> Any:
     assert _inherited is not None
     return _inherited(drawn)
+
+
+def each_trial(
+    population: Population, each: Each[Result], jobs: int, done: Callable[[int], None]
+) -> Iterator[Result]:
+    """What `each` makes of every trial, in their order; `done` is told how many there are."""
+    yield from _counted(_over(population, each, jobs), done)
 
 
 def _over(population: Population, each: Each[Result], jobs: int) -> Iterator[Result]:
