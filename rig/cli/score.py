@@ -350,10 +350,10 @@ def _report(
         "results": [dict(zip(ROW, map(_plain, row), strict=True)) for row in rows(told, use)],
     }
     _make(out)
-    _write(out / "score.json", json.dumps(document, indent=1) + "\n")
-    _write_csv(out / "score.csv", ROW, rows(told, use))
-    _write_csv(out / "trials.csv", _TRIAL, _trials(contenders, judged))
     drawn = _draw(told, use, simulated, out)
+    _write_csv(out / "trials.csv", _TRIAL, _trials(contenders, judged))
+    _write_csv(out / "score.csv", ROW, rows(told, use))
+    _write(out / "score.json", json.dumps(document, indent=1) + "\n")  # the last: it is complete
     if as_json:
         files = [out / name for name in ("score.json", "score.csv", "trials.csv")]
         typer.echo(json.dumps({**document, "files": [str(file) for file in [*files, *drawn]]}))

@@ -79,6 +79,8 @@ def judge_trials(
             contenders, sweep=sweep,
         )  # fmt: skip
 
+    for one in contenders:  # compiled once, before there are workers
+        one.says(np.zeros((1000, 2)), 1000.0, (1.0,))
     return list(each_trial(population, work, jobs, done))
 
 
@@ -203,7 +205,9 @@ def each_trial(
     population: Population, each: Each[Result], jobs: int, done: Callable[[int], None]
 ) -> Iterator[Result]:
     """What `each` makes of every trial, in their order; `done` is told how many there are."""
-    yield from _counted(_over(population, each, jobs), done)
+    for number, result in enumerate(_over(population, each, jobs), 1):
+        done(number)
+        yield result
 
 
 def _over(population: Population, each: Each[Result], jobs: int) -> Iterator[Result]:
@@ -220,9 +224,3 @@ def _over(population: Population, each: Each[Result], jobs: int) -> Iterator[Res
     finally:
         pool.shutdown(cancel_futures=True)
         _inherited = None
-
-
-def _counted(results: Iterator[Result], done: Callable[[int], None]) -> Iterator[Result]:
-    for number, result in enumerate(results, 1):
-        done(number)
-        yield result
