@@ -414,7 +414,7 @@ def _tables(told: Sequence[Result], heading: str) -> Iterator[str]:
     names = [one.contender.name for one in told]
     known = dict.fromkeys(quantity for one in told for quantity in one.score)
     table = [
-        [_named(quantity), *(_shown(one.score[quantity]) for one in told)] for quantity in known
+        [_named(quantity), *(_shown(one.score.get(quantity)) for one in told)] for quantity in known
     ]
     yield from _aligned(f"All trials: {heading}", ["", *names], table)
     for quantity in BY_TRAIT:
@@ -423,9 +423,9 @@ def _tables(told: Sequence[Result], heading: str) -> Iterator[str]:
             for one in told
         ]
         table = [
-            [f"{trait} {name}", *(_shown(each[trait, name]) for each in groups)]
+            [f"{trait} {name}", *(_shown(each.get((trait, name))) for each in groups)]
             for trait, name in groups[0]
-            if trait in SHOWN_TRAITS and groups[0][trait, name] is not None
+            if trait in SHOWN_TRAITS and any(each.get((trait, name)) for each in groups)
         ]
         if table:
             yield from _aligned(f"{_named(quantity)} by trait: {heading}", ["", *names], table)
@@ -562,10 +562,14 @@ def _json(file: Path) -> Any:
 @contextmanager
 def _errors() -> Iterator[None]:
     """Trials without a solution, and values that a detector refuses, as one-line errors."""
+    from pydantic import ValidationError
+
     from rig.model.contact.stepper import ConvergenceError
 
     try:
         yield
+    except ValidationError as error:
+        raise ConfigurationError.from_validation(error, "options") from error
     except ConvergenceError as error:
         raise RigError(str(error), "leave its seed out") from error
     except ValueError as error:

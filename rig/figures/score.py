@@ -100,8 +100,8 @@ def draw_delays(results: Sequence[Result], title: str) -> Figure:
             axes.hist(np.clip(delays, *DELAYS_MS), edges, color=colour)
             axes.axvline(0, color="0.3", lw=0.8)
             axes.annotate(
-                f"{one.contender.name}: {delays.size} of {len(slips)} found", (0.01, 0.8),
-                xycoords="axes fraction", fontsize=8,
+                f"{one.contender.name}: {delays.size} of {len(slips)} found", (0.99, 0.8),
+                xycoords="axes fraction", ha="right", fontsize=8,
             )  # fmt: skip
             _whole_numbers(axes)
         figure.supylabel("slips", fontsize=9)

@@ -92,7 +92,8 @@ def baseline_score(volts: ArrayLike, rate_Hz: float, settings: BaselineSettings)
     Raises ValueError for a recording that is not longer than its quiet.
     """
     signal = _signal(volts, rate_Hz, settings)
-    return _armed_score(signal, _armed(signal, rate_Hz, settings), rate_Hz, settings)
+    values = _STATISTICS[settings.statistic](signal, rate_Hz, settings)
+    return _score(values, _armed(signal, rate_Hz, settings), settings)
 
 
 def baseline_says(
@@ -101,16 +102,20 @@ def baseline_says(
     """Alarms and armings in `volts` (n, 2), once for each factor on the threshold."""
     signal = _signal(volts, rate_Hz, settings)
     armed = _armed(signal, rate_Hz, settings)
-    score = _armed_score(signal, armed, rate_Hz, settings)
+    values = _STATISTICS[settings.statistic](signal, rate_Hz, settings)
+    score = _score(values, armed, settings)
     arms = np.flatnonzero(armed & ~np.concatenate([[False], armed[:-1]]))
     silent = max(1, round(settings.silence_s * rate_Hz))
+    row = np.arange(signal.size)
     said = []
     for factor in np.atleast_1d(np.asarray(factors, dtype=np.float64)):
-        rows, at = np.flatnonzero(score > factor * settings.threshold), 0
-        alarms = []
-        while at < rows.size:
-            alarms.append(rows[at])
-            at = int(np.searchsorted(rows, rows[at] + silent))
+        alarms: list[int] = []
+        left, begin = score, 0
+        while (over := left[begin:] > factor * settings.threshold).any():
+            alarms.append(begin + int(over.argmax()))
+            begin = alarms[-1] + silent
+            if settings.statistic == "cusum":
+                left = _score(values, armed & (row >= begin), settings)
         said.append(Said(np.array(alarms, dtype=np.float64) / rate_Hz, arms / rate_Hz))
     return said
 
@@ -146,12 +151,16 @@ def _armed(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Flags:
     return armed
 
 
-def _armed_score(
-    signal: Floats, armed: Flags, rate_Hz: float, settings: BaselineSettings
-) -> Floats:
-    score = np.where(armed, _STATISTICS[settings.statistic](signal, armed, rate_Hz, settings), 0.0)
-    score[: round(settings.quiet_s * rate_Hz)] = 0.0
-    return score
+def _score(values: Floats, armed: Flags, settings: BaselineSettings) -> Floats:
+    """A statistic's values where they are armed; those of the CUSUM summed up since the arming."""
+    if settings.statistic != "cusum":
+        return np.where(armed, values, 0.0)
+    level = np.zeros(values.size)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], armed, [False]]).astype(np.int8)))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        summed = np.cumsum(values[begin:end])
+        level[begin:end] = summed - np.minimum(np.minimum.accumulate(summed), 0.0)
+    return level
 
 
 def _high_passed(signal: Floats, rate_Hz: float) -> Floats:
@@ -175,7 +184,7 @@ def _noise(filtered: Floats, rate_Hz: float, settings: BaselineSettings) -> floa
     return max(settings.floor_mV, float(np.sqrt(np.mean(filtered[quiet] ** 2))))
 
 
-def _band_power(signal: Floats, armed: Flags, rate_Hz: float, settings: BaselineSettings) -> Floats:
+def _band_power(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats:
     """The rms of 16 ms of the high-passed signal."""
     passed = _high_passed(signal, rate_Hz)
     window = max(1, round(BAND_POWER_S * rate_Hz))
@@ -184,7 +193,7 @@ def _band_power(signal: Floats, armed: Flags, rate_Hz: float, settings: Baseline
     return level
 
 
-def _wavelet(signal: Floats, armed: Flags, rate_Hz: float, settings: BaselineSettings) -> Floats:
+def _wavelet(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats:
     """The larger of the two finest details of the undecimated transform, each to its noise."""
     details = wavelet_details(signal)
     levels: Floats = np.max(
@@ -205,30 +214,23 @@ def wavelet_details(signal: ArrayLike) -> tuple[Floats, Floats]:
     return first, second
 
 
-def _cusum(signal: Floats, armed: Flags, rate_Hz: float, settings: BaselineSettings) -> Floats:
-    """Page's cumulative sum for a rise of the variance (Page 1954, Biometrika 41, 100), of the
-    high-passed signal; it begins anew with every arming."""
+def _cusum(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats:
+    """Log-likelihood ratios of a risen variance of the high-passed signal, for Page's cumulative
+    sum (Page 1954, Biometrika 41, 100), which begins anew with an arming and after an alarm."""
     passed = _high_passed(signal, rate_Hz)
-    noise = _noise(passed, rate_Hz, settings)
-    gain = ((1 - 1 / CUSUM_RATIO) * (passed / noise) ** 2 - np.log(CUSUM_RATIO)) / 2
-    level = np.zeros(signal.size)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], armed, [False]]).astype(np.int8)))
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        summed = np.cumsum(gain[begin:end])
-        level[begin:end] = summed - np.minimum(np.minimum.accumulate(summed), 0.0)
-    return level
+    power = (passed / _noise(passed, rate_Hz, settings)) ** 2
+    ratio: Floats = ((1 - 1 / CUSUM_RATIO) * power - np.log(CUSUM_RATIO)) / 2
+    return ratio
 
 
-def _single_channel(
-    signal: Floats, armed: Flags, rate_Hz: float, settings: BaselineSettings
-) -> Floats:
+def _single_channel(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats:
     """The high-passed signal itself; it is v_1's."""
     passed = _high_passed(signal, rate_Hz)
     level: Floats = np.abs(passed) / _noise(passed, rate_Hz, settings)
     return level
 
 
-_STATISTICS: dict[Statistic, Callable[[Floats, Flags, float, BaselineSettings], Floats]] = {
+_STATISTICS: dict[Statistic, Callable[[Floats, float, BaselineSettings], Floats]] = {
     "band power": _band_power,
     "wavelet": _wavelet,
     "cusum": _cusum,

@@ -29,10 +29,15 @@ class Roc:
     alarms: Floats
     """Share of the trials without, (k,)."""
 
-    def found_at(self, most_alarms: float) -> float:
-        """The largest share found at no more than that share of false alarms, 0 where none."""
-        within = self.found[self.alarms <= most_alarms]
-        return float(within.max()) if within.size else 0.0
+    def found_at(self, alarms: float) -> float:
+        """Share of the slips found at that share of false alarms: linear between the neighbouring
+        thresholds, NaN beyond the swept ones."""
+        order = np.lexsort((self.found, self.alarms))
+        if alarms < self.alarms[order[0]]:
+            return math.nan
+        last = np.searchsorted(self.alarms[order], alarms, side="right")
+        best = np.maximum.accumulate(self.found[order])
+        return float(np.interp(alarms, self.alarms[order][: last + 1], best[: last + 1]))
 
 
 def roc(
@@ -57,8 +62,14 @@ def tune(
     """The floor, and the threshold on it, that find most and keep to `ROLL_ALARMS`.
 
     Largest scores of whole rolls (m, floors) and of slips where they would have been found
-    (n, floors). Returns floor, threshold and the share of slips found.
+    (n, floors). Returns floor, threshold and the share of slips found. Raises ValueError where
+    rolls or slips are missing.
     """
+    if not (len(roll_peaks) and len(slip_peaks)):
+        raise ValueError(
+            f"thresholds cannot be chosen on {len(roll_peaks)} rolls and {len(slip_peaks)} slips: "
+            "both must be there; take more seeds, and slides and rolls among the kinds"
+        )
     best = (floors[0], math.inf, -1.0)
     for column, floor in enumerate(floors):
         threshold = threshold_for(roll_peaks[:, column])
@@ -71,6 +82,4 @@ def tune(
 def threshold_for(others: ArrayLike, most_alarms: float = ROLL_ALARMS) -> float:
     """The least threshold that no more than this share of the trials' largest scores exceeds."""
     ordered = np.sort(np.asarray(others, dtype=np.float64))[::-1]
-    if not ordered.size:
-        raise ValueError("no trial to keep the alarms of: add trials without a slip")
     return float(ordered[int(most_alarms * ordered.size)])
