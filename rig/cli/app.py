@@ -17,7 +17,7 @@ from pathlib import Path
 
 import typer
 
-from rig.cli import calibrate, detect, files, jog, simulate, skin
+from rig.cli import calibrate, detect, files, imports, jog, simulate, skin
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
 
@@ -26,6 +26,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "show": files.show,
     "verify": files.verify,
     "recover": files.recover,
+    "import": imports.import_,
     "detect": detect.detect,
     "simulate": simulate.simulate,
     "jog": jog.jog,

@@ -159,6 +159,7 @@ def pvdf(
         _refuse_changed(file)
         with RunFile.open(file) as run:
             analysis = analysed(run)
+            assert run.header.start_time is not None, "a sweep has one"
             date = datetime.fromisoformat(run.header.start_time)
             fields = wanted.fields("pvdf", date, run.header.user.name)
             record = film_record(run, analysis, film, fields)

@@ -16,6 +16,7 @@ FIGURES = {
     "sweep": ("rig.figures.sweep:draw_data", "rig.figures.sweep:draw_model"),
     "slip_trial": ("rig.figures.slip_trial:draw_trials",),
     "roll_trial": ("rig.figures.roll_trial:draw_trials",),
+    "import": ("rig.figures.imported:draw_recording",),
 }
 """The functions by the figure's name: known before anything heavy is imported."""
 
@@ -40,7 +41,7 @@ def draw_part(part: str, run_file: Path, folder: Path | None = None) -> list[Pat
             path
             for added, figure in draw_figures(run).items()
             for path in save(
-                figure, beside.with_stem(beside.stem + added), simulated=run.outcome.simulated
+                figure, beside.with_stem(beside.stem + added), simulated=bool(run.outcome.simulated)
             )
         ]
 

@@ -31,6 +31,8 @@ def describe(file: Path, header: RunHeader, outcome: Outcome) -> dict[str, Any]:
         "duration_s": outcome.duration,
         "attempt": outcome.attempt,
         "simulated": outcome.simulated,
+        "imported": outcome.imported or None,
+        "origin": {} if header.origin is None else header.origin.model_dump(exclude={"head"}),
         "user": _named(header.user),
         "sample": _named(header.sample),
         "notes": header.notes,
@@ -61,6 +63,7 @@ def ending_of(contents: JournalContents) -> Outcome:
         exit=end.exit,
         duration=end.duration_s,
         warnings=end.warnings,
+        imported=header.origin is not None,
     )
 
 

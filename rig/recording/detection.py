@@ -209,10 +209,10 @@ def _source(run: RunFile, sha256: str) -> Source:
         definition=header.layout.definition,
         title=header.marked(header.title),
         run_uuid=header.run_uuid,
-        start_time=run.text("start_time"),
-        end_time=run.text("end_time"),
+        start_time=header.start_time,
+        end_time=run.end_time,
         simulated=header.simulated,
-        mark=header.marked("").strip(),
+        mark=header.mark,
     )
 
 

@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 from rig.recording.contents import JournalContents
-from rig.recording.header import SIMULATED, End, Instrument, Named, RunHeader
+from rig.recording.header import SIMULATED, End, Instrument, Named, Origin, RunHeader
 from rig.recording.nexus import (
     UniqueNames,
     array_field,
@@ -39,14 +39,16 @@ def ending(contents: JournalContents) -> End:
         if not warnings:
             return end
         return end.model_copy(update={"warnings": (*end.warnings, *warnings)})
-    start = datetime.fromisoformat(contents.header.start_time)
+    lasted = timedelta(seconds=max(contents.last_time, 0.0))
+    start = contents.header.start_time
+    end_time = None if start is None else (datetime.fromisoformat(start) + lasted).isoformat()
     damaged = contents.problem and not contents.torn
     return End(
         status="failed",
         reason=f"the journal is damaged: {contents.problem}" if damaged else NEVER_CLOSED,
         attempt=len(contents.ends) + 1,
-        end_time=(start + timedelta(seconds=max(contents.last_time, 0.0))).isoformat(),
-        duration_s=max(contents.last_time, 0.0),
+        end_time=end_time,
+        duration_s=lasted.total_seconds(),
         points_done=len(contents.grouping.kept),
         warnings=("end_time is the time of the last record", *warnings),
         exit=1,
@@ -65,7 +67,8 @@ def write_root(file: h5py.File, contents: JournalContents, name: str) -> h5py.Gr
     file.attrs["NX_class"] = "NXroot"
     file.attrs["default"] = "entry"
     file.attrs["file_name"] = name
-    file.attrs["file_time"] = ending(contents).end_time
+    origin = contents.header.origin
+    file.attrs["file_time"] = origin.imported_at if origin else ending(contents).end_time
     file.attrs["creator"] = program.name
     file.attrs["creator_version"] = program.version
     file.attrs["HDF5_Version"] = h5py.version.hdf5_version
@@ -81,8 +84,9 @@ def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable)
         header.layout.version
     )
     text_field(entry, "title", header.marked(header.title))
-    text_field(entry, "start_time", header.start_time)
-    text_field(entry, "end_time", end.end_time)
+    for name, time in (("start_time", header.start_time), ("end_time", end.end_time)):
+        if time is not None:
+            text_field(entry, name, time)
     number_field(entry, "duration", round(end.duration_s), "s")
     text_field(entry, "identifier_experiment", header.run_uuid)
     if header.collection is not None:
@@ -97,6 +101,8 @@ def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable)
     write_note(entry, "journal_header", "application/json", "header.json", to_json(header))
     if header.notes:
         write_note(entry, "notes", "text/plain", "", header.notes)
+    if header.origin is not None:
+        _write_origin(group(entry, "origin", "NXcollection"), header.origin)
     _write_outcome(group(entry, "outcome", "NXcollection"), contents, table, end)
     _write_events(group(entry, "events", "NXcollection"), contents)
     _write_instrument(group(entry, "instrument", "NXinstrument"), header)
@@ -169,6 +175,13 @@ def write_note(entry: h5py.Group, name: str, kind: str, file_name: str, data: st
     text_field(note, "data", data)
 
 
+def _write_origin(made: h5py.Group, origin: Origin) -> None:
+    for name in ("file_name", "sha256", "format", "imported_at", "head"):
+        text_field(made, name, getattr(origin, name))
+    number_field(made, "bytes", origin.bytes)
+    write_values(group(made, "options", "NXparameters"), origin.options, {})
+
+
 def _write_outcome(
     made: h5py.Group, contents: JournalContents, table: PointTable, end: End
 ) -> None:
@@ -181,7 +194,10 @@ def _write_outcome(
     number_field(made, "points_done", len(table.ids))
     number_field(made, "exit", end.exit)
     number_field(made, "duration", end.duration_s, "s")
-    number_field(made, "simulated", header.simulated)
+    if header.origin is None:
+        number_field(made, "simulated", header.simulated)
+    else:
+        number_field(made, "imported", True)
     number_field(made, "seed", header.seed)
     text_field(made, "fingerprint", header.fingerprint)
     texts_field(made, "warnings", [*end.warnings, *table.warnings])
@@ -191,7 +207,9 @@ def _write_events(made: h5py.Group, contents: JournalContents) -> None:
     import numpy as np
 
     times = np.array([event.time for event in contents.events], np.float64)
-    array_field(made, "time", times, "s", "Time (s)").attrs["start"] = contents.header.start_time
+    field = array_field(made, "time", times, "s", "Time (s)")
+    if contents.header.start_time is not None:
+        field.attrs["start"] = contents.header.start_time
     for name in ("level", "code", "message"):
         texts_field(made, name, [getattr(event, name) for event in contents.events])
 

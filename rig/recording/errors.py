@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from rig.errors import ExitCode, FoundWrongError, RigError
+from rig.errors import ConfigurationError, ExitCode, FoundWrongError, RigError
 
 _MISSING = re.compile(r"object '([^']+)' doesn't exist")
 
@@ -39,6 +39,17 @@ class RunFileError(FoundWrongError):
     def __init__(self, path: Path | str, reason: str, hint: str | None = None) -> None:
         super().__init__(f"{path}: {reason}", hint)
         self.path = Path(path)
+        self.reason = reason
+
+
+class ForeignFileError(ConfigurationError):
+    """A file from elsewhere that is not imported: names the file, the place and the reason."""
+
+    def __init__(
+        self, name: str, reason: str, hint: str | None = None, place: str | None = None
+    ) -> None:
+        super().__init__(f"{name}: {place}: {reason}" if place else f"{name}: {reason}", hint)
+        self.place = place
         self.reason = reason
 
 

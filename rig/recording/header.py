@@ -11,7 +11,15 @@ import re
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    StringConstraints,
+    model_serializer,
+    model_validator,
+)
 
 from rig.documents import check_nesting
 from rig.recording.layout import MOST_PARTS, Layout, Short
@@ -61,6 +69,22 @@ class Program(Settings):
 
 SIMULATED = "SIMULATED"
 """Before every title and vendor of what was computed and not measured."""
+IMPORTED = "IMPORTED"
+"""Before every title of what was recorded elsewhere."""
+
+
+class Origin(Settings):
+    """The file that an imported run was made of, and what was told about it."""
+
+    file_name: Short
+    sha256: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+    bytes: Annotated[int, Field(ge=0, le=2**63 - 1)]
+    format: Short
+    imported_at: IsoTime
+    options: dict[str, str]
+    """The command's options as they were written, by their names."""
+    head: str = ""
+    """What stands in the file before its numbers."""
 
 
 class Named(Settings):
@@ -162,7 +186,8 @@ class End(Settings):
     status: Literal["complete", "stopped", "failed"]
     reason: str = ""
     attempt: Annotated[int, Field(ge=1, le=LARGEST_COUNT)] = 1
-    end_time: IsoTime
+    end_time: IsoTime | None
+    """None where the run's start is not known."""
     duration_s: Annotated[Seconds, Field(ge=0)]
     points_done: Count
     points_planned: Count | None = None
@@ -180,7 +205,8 @@ class RunHeader(Settings):
     title: Short
     run_uuid: Short
     collection: Short | None = None
-    start_time: IsoTime
+    start_time: IsoTime | None
+    """None of an imported run where nobody told."""
     program: Program
     settings: Tree
     setting_units: dict[str, Short] = Field(default_factory=dict)
@@ -188,7 +214,8 @@ class RunHeader(Settings):
     fingerprint: Short
     bench_toml: str = ""
     bench_file: Short = ""
-    simulated: bool
+    simulated: bool | None
+    """None of an imported run: nobody here knows."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
     points: tuple[PointId, ...]
     """Ids of the planned points, in the planned order."""
@@ -198,6 +225,23 @@ class RunHeader(Settings):
     instruments: Annotated[tuple[Instrument, ...], Field(max_length=MOST_PARTS)] = ()
     calibrations: Annotated[tuple[Tree, ...], Field(max_length=MOST_PARTS)] = ()
     streams: Annotated[tuple[Stream, ...], Field(max_length=MOST_PARTS)] = ()
+    origin: Origin | None = None
+    """Of an imported run alone: no key of any other's header."""
+
+    @model_serializer(mode="wrap")
+    def _without_no_origin(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        plain: dict[str, Any] = serialize(self)
+        if self.origin is None:
+            del plain["origin"]
+        return plain
+
+    @model_validator(mode="after")
+    def _imported_or_run_here(self) -> RunHeader:
+        if self.origin is None and (self.simulated is None or self.start_time is None):
+            raise ValueError("a run that was not imported knows its start and what it ran on")
+        if self.origin is not None and self.simulated is not None:
+            raise ValueError("of an imported run nobody knows whether it was simulated")
+        return self
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> RunHeader:
@@ -212,11 +256,16 @@ class RunHeader(Settings):
             raise ValueError("an instrument is simulated, the run says it is not")
         return self
 
+    @property
+    def mark(self) -> str:
+        """What every title has to say first: that the run was simulated or imported, or nothing."""
+        return IMPORTED if self.origin is not None else SIMULATED if self.simulated else ""
+
     def marked(self, title: str) -> str:
-        """A title, which says first whether the run was simulated."""
-        if not self.simulated or title.startswith(SIMULATED):
+        """A title, which says first whether the run was simulated or imported."""
+        if not self.mark or title.startswith(self.mark):
             return title
-        return f"{SIMULATED} {title}"
+        return f"{self.mark} {title}"
 
     def check_state(self, state: StreamState) -> None:
         """ValueError unless the state is one of an existing stream, with a value a channel."""

@@ -11,6 +11,7 @@ import contextlib
 import fcntl
 import os
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -21,6 +22,7 @@ from rig.errors import ConfigurationError, ExitCode, RigError
 from rig.recording.contents import JournalContents, KeptPoint, read_journal
 from rig.recording.errors import JournalError, RecordingError
 from rig.recording.header import End, Event, RunHeader, StreamState
+from rig.recording.naming import journal_path, next_run_path
 from rig.recording.records import (
     BLOCK_HEAD,
     MAGIC,
@@ -40,6 +42,7 @@ __all__ = [
 ]
 
 _IOV_MAX = 1024
+_NAME_TRIES = 20
 _DISK_HINT = "free space or write access there, then `rig recover` the journal or resume the run"
 
 
@@ -291,6 +294,26 @@ class JournalWriter:
         cause = f"{act} failed: {error.strerror or error}"
         self._failure = RecordingError(self.path, cause, _DISK_HINT)
         return self._failure
+
+
+def begin_journal(
+    results: Path, procedure: str, header: RunHeader | Mapping[str, Any]
+) -> JournalWriter:
+    """A new journal in the folder of today, under the next number; RecordingError where none can
+    be begun."""
+    now = datetime.now().astimezone()
+    try:
+        for _ in range(_NAME_TRIES):
+            with contextlib.suppress(FileExistsError):  # another run took the number
+                path = next_run_path(results, procedure, now)
+                return JournalWriter.create(journal_path(path), header)
+    except OSError as error:
+        raise RecordingError(
+            results,
+            f"no run file can be begun there: {error.strerror or error}",
+            "give another folder with --results, or free the disk",
+        ) from error
+    raise RecordingError(results, "other runs keep taking the next file name")
 
 
 def refusing_nonsense(path: Path, encode: Any) -> Any:

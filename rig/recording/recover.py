@@ -30,6 +30,11 @@ def interrupted(file: Path | str) -> JournalContents:
     contents = read_journal(_journal_of(Path(file), "resume"))
     if contents.complete:
         raise JournalError(contents.path, None, "nothing to resume: the run is complete")
+    if contents.header.origin is not None:
+        name = contents.header.origin.file_name
+        raise JournalError(
+            contents.path, None, "an import cannot be resumed", f"`rig import` {name} again"
+        )
     contents.require_continuable()
     return contents
 

@@ -34,11 +34,14 @@ class Outcome:
     attempt: int
     points_planned: int
     points_done: int
-    simulated: bool
+    simulated: bool | None
+    """None of an imported run: nobody here knows."""
     seed: int
     exit: int
     duration: float
     warnings: tuple[str, ...]
+    imported: bool = False
+    """Made of a file from elsewhere, of which the header's origin tells."""
 
     def extent(self) -> str:
         """How far the run came: ``stopped, 2 of 81 points``."""
@@ -124,10 +127,11 @@ class RunFile:
         """The run's resolved settings, nested."""
         return self.header.settings
 
-    def text(self, name: str) -> str | None:
-        """A text field of the entry, such as ``start_time``; None where there is none."""
+    @property
+    def end_time(self) -> str | None:
+        """When the run ended, ISO 8601; None of an imported run where nobody told."""
         with _naming(self.path):
-            return text_of(self.entry[name]) if name in self.entry else None
+            return text_of(self.entry["end_time"]) if "end_time" in self.entry else None
 
     @property
     def outcome(self) -> Outcome:
@@ -135,17 +139,19 @@ class RunFile:
         with _naming(self.path):
             group = self.entry["outcome"]
             number = {name: int(whole(group[name])) for name in _NUMBERS}
+            imported = "imported" in group and bool(whole(group["imported"]))
             return Outcome(
                 status=text_of(group["status"]),
                 reason=text_of(group["reason"]),
                 attempt=number["attempt"],
                 points_planned=number["points_planned"],
                 points_done=number["points_done"],
-                simulated=bool(whole(group["simulated"])),
+                simulated=None if imported else bool(whole(group["simulated"])),
                 seed=number["seed"],
                 exit=number["exit"],
                 duration=float(whole(group["duration"])),
                 warnings=tuple(texts_of(group["warnings"])),
+                imported=imported,
             )
 
     def point_ids(self) -> list[str]:

@@ -23,7 +23,7 @@ from rig.recording.contents import read_journal
 from rig.recording.description import ending_of
 from rig.recording.errors import JournalError, RunFileError, in_words
 from rig.recording.file_kind import TOLD, kind_of
-from rig.recording.header import SIMULATED
+from rig.recording.header import IMPORTED, SIMULATED
 from rig.recording.naming import checksum_path, journal_path
 from rig.recording.nexus import plain_text, plot_sources
 from rig.recording.reading import DAMAGE, checked, text_of, whole
@@ -242,9 +242,12 @@ def _read_all(dataset: h5py.Dataset) -> None:
 
 def _structure(run: RunFile) -> Iterator[str]:
     """Structure: what every run file has."""
-    for name in REQUIRED:
-        if name not in run.entry:
-            yield f"{name} is missing"
+    header = run.header
+    unknown = {"start_time", "end_time"} if header.start_time is None else set()
+    further = ("origin",) if header.origin is not None else ()
+    for name in (*REQUIRED, *further):
+        if (name in run.entry) == (name in unknown):
+            yield f"{name} is {'there, and nobody knew it' if name in unknown else 'missing'}"
     layout = run.header.layout
     if text_of(run.entry["definition"]) != layout.definition:
         yield "definition is not that of the layout"
@@ -311,13 +314,19 @@ def _outcome(run: RunFile) -> Iterator[str]:
         yield "journal_header was changed"
 
 
-def _simulated(run: RunFile) -> Iterator[str]:
-    """Simulated: title, outcome, instruments and header agree."""
-    simulated = run.header.simulated
-    if run.outcome.simulated != simulated:
-        yield f"outcome/simulated is {run.outcome.simulated}, the header says {simulated}"
-    if text_of(run.entry["title"]).startswith(SIMULATED) != simulated:
-        yield "the title does not agree with outcome/simulated"
+def _marks(run: RunFile) -> Iterator[str]:
+    """Marks: title, outcome, instruments and header agree on simulated and imported."""
+    simulated, imported = run.header.simulated, run.header.origin is not None
+    for name, said, known in (
+        ("simulated", run.outcome.simulated, simulated),
+        ("imported", run.outcome.imported, imported),
+    ):
+        if said != known:
+            yield f"outcome/{name} is {said}, the header says {known}"
+    title = text_of(run.entry["title"])
+    for mark, known in ((SIMULATED, bool(simulated)), (IMPORTED, imported)):
+        if title.startswith(mark) != known:
+            yield f"the title does not agree with outcome/{mark.lower()}"
     for name, part in run.entry["instrument"].items():
         if "fabrication" not in part:
             continue
@@ -326,7 +335,7 @@ def _simulated(run: RunFile) -> Iterator[str]:
             yield f"instrument/{name} does not agree on whether it is simulated"
 
 
-_CHECKS = (_datasets, _structure, _points, _samples, _outcome, _simulated)
+_CHECKS = (_datasets, _structure, _points, _samples, _outcome, _marks)
 
 
 def _journal(file: Path) -> Iterator[str]:

@@ -228,7 +228,7 @@ class WaveformWriter:
             part = group(blocks, stream.name, "NXcollection")
             for name, values in table.arrays(number).items():
                 field = array_field(part, name, values, "s" if name == "host_time" else "1")
-                if name == "host_time":
+                if name == "host_time" and self._contents.header.start_time is not None:
                     field.attrs["start"] = self._contents.header.start_time
 
     def _piece(self, number: int, first: int, rows: NDArray[Any]) -> None:

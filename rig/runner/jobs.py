@@ -6,7 +6,6 @@ settings, bench and program are the ones it was begun with.
 
 from __future__ import annotations
 
-import contextlib
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,9 +17,7 @@ import rig
 from rig.bench import Bench
 from rig.errors import ConfigurationError
 from rig.recording.contents import JournalContents
-from rig.recording.errors import RecordingError
-from rig.recording.journal import JournalWriter
-from rig.recording.naming import journal_path, next_run_path
+from rig.recording.journal import JournalWriter, begin_journal
 from rig.runner.guard import GUARD_SUFFIX, report_path
 from rig.runner.lock import BenchLock
 from rig.runner.outcome import Outcome
@@ -30,7 +27,6 @@ from rig.runner.source_state import source_state
 from rig.settings import Settings, fingerprint, leaves
 
 PROGRAM = "tactile-rig"
-NAME_TRIES = 20
 
 
 @dataclass
@@ -105,7 +101,7 @@ class Job:
         """Begin the journal, or continue the interrupted one."""
         header = self._header(bench, points)
         if self.resume is None:
-            writer = self._new_journal(header)
+            writer = begin_journal(self.results, self.procedure.NAME, header)
             return Journal(writer.path, writer, 1, {})
         begun = self.resume.header
         for what, was, now in (
@@ -131,23 +127,10 @@ class Job:
         assert self.resume is not None
         if self.recorded_toml is not None:
             return self.resume.last_time
-        begun = datetime.fromisoformat(self.resume.header.start_time)
+        start_time = self.resume.header.start_time
+        assert start_time is not None, "only an import has none"
+        begun = datetime.fromisoformat(start_time)
         return (datetime.now().astimezone() - begun).total_seconds()
-
-    def _new_journal(self, header: dict[str, Any]) -> JournalWriter:
-        now = datetime.now().astimezone()
-        try:
-            for _ in range(NAME_TRIES):
-                with contextlib.suppress(FileExistsError):  # another run took the number
-                    path = next_run_path(self.results, self.procedure.NAME, now)
-                    return JournalWriter.create(journal_path(path), header)
-        except OSError as error:
-            raise RecordingError(
-                self.results,
-                f"no run file can be begun there: {error.strerror or error}",
-                "give another folder with --results, or free the disk",
-            ) from error
-        raise RecordingError(self.results, "other runs keep taking the next file name")
 
     def _header(self, bench: Bench, points: Sequence[Point]) -> dict[str, Any]:
         bench_toml = self.recorded_toml or bench.plan.text

@@ -39,7 +39,10 @@ def test_help_lists_every_procedure_with_its_summary_and_every_command() -> None
         first_line = (entry.load().__doc__ or "").split("\n", 1)[0]
         assert first_line.rstrip(".")[:40] in shown
         assert f" {entry.name} " in shown
-    for command in ("resume", "show", "verify", "recover", "simulate", "make-safe", "skin", "jog"):
+    for command in (
+        *("resume", "show", "verify", "recover", "import"),
+        *("simulate", "make-safe", "skin", "jog"),
+    ):
         assert f" {command} " in shown
     assert "simulated bench" in shown
 

@@ -1,0 +1,223 @@
+"""The command that makes a run file of a recording from elsewhere."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from rig.cli.outcome import reported, say, start_log
+from rig.errors import ConfigurationError
+
+CHANNELS = ("v_1", "v_2", "F_n", "F_t")
+SCALED = {"v_1": "V", "v_2": "V", "F_n": "N", "F_t": "N", "time": "s"}
+"""What a scale gives, for one unit of the file."""
+
+
+def import_(
+    file: Annotated[Path, typer.Argument(help="Text in columns (CSV, tabs), LVM, or MATLAB file.")],
+    channels: Annotated[
+        str,
+        typer.Option(
+            help="Column of each channel, a number from 1 or a name; of MATLAB a variable. F_n and "
+            "F_t may be left out.",
+            metavar="v_1=2,v_2=3,…",
+        ),
+    ],
+    rate: Annotated[
+        str | None, typer.Option(help="Sampling rate, where the file does not say.", metavar="Hz")
+    ] = None,
+    time: Annotated[
+        str | None,
+        typer.Option(help="Column of times, evenly spaced, in s.", metavar="COLUMN"),
+    ] = None,
+    scale: Annotated[
+        str,
+        typer.Option(
+            help="What one unit of the file is; negative for reversed polarity [1V, 1N, 1s].",
+            metavar="v_1=1mV,F_n=-2N,…",
+        ),
+    ] = "",
+    delimiter: Annotated[
+        Literal["tab", "semicolon", "comma", "space"] | None,
+        typer.Option(help="Between the cells of a text [recognised]."),
+    ] = None,
+    decimal: Annotated[
+        Literal["point", "comma"] | None,
+        typer.Option(help="Decimal sign of a text [recognised]."),
+    ] = None,
+    header_lines: Annotated[
+        int | None, typer.Option(help="Lines above the numbers of a text [recognised].", min=0)
+    ] = None,
+    sensor: Annotated[str, typer.Option(help="The sensor that was recorded.")] = "",
+    sample: Annotated[str, typer.Option(help="The sample that it was in.")] = "",
+    object_: Annotated[str, typer.Option("--object", help="What it touched.")] = "",
+    user: Annotated[str, typer.Option(help="Who recorded it.")] = "",
+    notes: Annotated[str, typer.Option(help="Anything worth keeping.")] = "",
+    start_time: Annotated[
+        str | None,
+        typer.Option(
+            help="When the recording began, with its offset from UTC.",
+            metavar="2026-11-22T09:30:00+01:00",
+        ),
+    ] = None,
+    results: Annotated[Path, typer.Option(help="Folder for run files.")] = Path("results"),
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    figures: Annotated[bool, typer.Option(help="Draw the figure of the recording.")] = True,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Make a run file of a recording from elsewhere: CSV, text in columns, LVM, MATLAB."""
+    texts = {
+        "channels": channels,
+        "rate": rate,
+        "time": time,
+        "scale": scale,
+        "delimiter": delimiter,
+        "decimal": decimal,
+        "header-lines": None if header_lines is None else str(header_lines),
+    }
+    with reported(debug, as_json):
+        columns = channel_map(channels) | ({} if time is None else {"time": time.strip()})
+        scales = scale_map(scale)
+        if unused := sorted(set(scales) - set(columns) - {"time"}):
+            raise ConfigurationError(
+                f"--scale {unused[0]}: no such channel in --channels", "leave it out, or map it"
+            )
+        rate_Hz = None if rate is None else _quantity("--rate", rate, "Hz")
+
+        import rig
+        from rig.recording.foreign.importing import About, read_foreign, write_import
+        from rig.recording.foreign.series import Told
+        from rig.recording.header import Program
+        from rig.runner.jobs import PROGRAM
+        from rig.runner.source_state import source_state
+
+        about = About(
+            sensor=sensor,
+            sample=sample,
+            object=object_,
+            user=user,
+            notes=notes,
+            start_time=None if start_time is None else _start(start_time),
+            options={name: text for name, text in texts.items() if text},
+        )
+        start_log(results)
+        foreign = read_foreign(file, delimiter, decimal, header_lines)
+        told = Told(columns, scales, rate_Hz)
+        program = Program(name=PROGRAM, version=rig.__version__, configuration=source_state())
+        run_file, recording = write_import(foreign, told, about, results, program)
+        for channel, column in recording.columns.items():
+            say(f"  {channel}: {column}, {recording.scale[channel]:g} {SCALED[channel]} a unit")
+        written = f" ({foreign.source.told})" if foreign.source.told else ""
+        say(
+            f"IMPORTED {foreign.name}: {foreign.source.format}{written}, {recording.rows} samples "
+            f"at {recording.rate_Hz:g} Hz"
+        )
+        for warning in recording.warnings:
+            say(f"warning: {warning}")
+        drawn = _draw(run_file) if figures else []
+        if as_json:
+            print(json.dumps(_as_object(run_file, recording, drawn)))  # noqa: T201 - data
+        else:
+            print(run_file)  # noqa: T201 - stdout carries data
+
+
+def _as_object(run_file: Path, recording: Any, drawn: list[str]) -> dict[str, Any]:
+    return {
+        "file": str(run_file),
+        "outcome": "complete",
+        "exit": 0,
+        "simulated": None,
+        "imported": True,
+        "summary": {
+            "samples": recording.rows,
+            "rate_Hz": recording.rate_Hz,
+            "columns": recording.columns,
+            "scale": recording.scale,
+        },
+        "errors": [],
+        "warnings": list(recording.warnings),
+        "figures": drawn,
+    }
+
+
+def _draw(run_file: Path) -> list[str]:
+    """The figures; a folder that does not take them costs a line, not the command."""
+    from rig.figures import draw
+
+    try:
+        drawn = [str(path) for path in draw("import", run_file)]
+    except OSError as error:
+        say(f"warning: no figure was drawn: {error.strerror or error}; rig show draws it again")
+        return []
+    for path in drawn:
+        say(f"figure: {path}")
+    return drawn
+
+
+def channel_map(text: str) -> dict[str, str]:
+    """``v_1=2,v_2=Voltage`` by channel; names of columns may hold commas and equals signs."""
+    found = _pairs("--channels", text, CHANNELS)
+    if missing := [channel for channel in ("v_1", "v_2") if channel not in found]:
+        raise ConfigurationError(
+            f"--channels {text}: {' and '.join(missing)} missing",
+            "both strips are needed, v_d is their difference",
+        )
+    return found
+
+
+def scale_map(text: str) -> dict[str, float]:
+    """``v_1=-1mV`` by channel, in V, N or s for one unit of the file."""
+    found: Mapping[str, str] = _pairs("--scale", text, tuple(SCALED)) if text.strip() else {}
+    return {
+        channel: _quantity(f"--scale {channel}", value, SCALED[channel])
+        for channel, value in found.items()
+    }
+
+
+def _pairs(option: str, text: str, known: tuple[str, ...]) -> dict[str, str]:
+    names = "|".join(known)
+    found: dict[str, str] = {}
+    for part in re.split(rf",(?=\s*(?:{names})\s*=)", text):
+        name, equals, value = (word.strip() for word in part.partition("="))
+        if not equals or not value or name not in known:
+            raise ConfigurationError(
+                f"{option} {text}: {part.strip()!r} is not NAME=VALUE, NAME one of "
+                f"{', '.join(known)}",
+                f"for example {option} v_1=2,v_2=3",
+            )
+        if name in found:
+            raise ConfigurationError(f"{option} {text}: {name} is there twice")
+        found[name] = value
+    return found
+
+
+def _quantity(option: str, text: str, unit: str) -> float:
+    from rig.cli.options import quantity
+
+    try:
+        value = quantity(text, unit)
+    except ValueError as error:
+        raise ConfigurationError(f"{option} {text}: {error}", "see --help for the units") from error
+    if not math.isfinite(value) or value == 0:
+        raise ConfigurationError(f"{option} {text}: has to be a finite number of {unit}, not 0")
+    return value
+
+
+def _start(text: str) -> str:
+    from pydantic import TypeAdapter, ValidationError
+
+    from rig.recording.header import IsoTime
+
+    try:
+        return TypeAdapter(IsoTime).validate_python(text)
+    except ValidationError as error:
+        raise ConfigurationError(
+            f"--start-time {text}: no ISO 8601 time with an offset from UTC",
+            "such as 2026-11-22T09:30:00+01:00",
+        ) from error

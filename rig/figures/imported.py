@@ -1,0 +1,76 @@
+"""An imported recording in a picture: both strips, their difference, and forces if it has any.
+
+Long recordings are drawn as the band between the smallest and largest of every few samples, which
+looks the same on paper and makes no file of a hundred megabytes.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from rig.figures.pressed import seconds
+from rig.figures.style import STYLE, legend_above, set_margins
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from rig.recording.runfile import RunFile
+
+MOST_DRAWN = 8000
+"""Points of a curve: several for each dot of the picture's width."""
+MILLIVOLTS_BELOW_V = 1.0
+
+
+def draw_recording(run: RunFile) -> dict[str, Figure]:
+    """One figure."""
+    series = {waveform.stream: waveform for waveform in run.waveforms()}
+    signals, force = series["signals"], series.get("force")
+    volts = {name: signals.values(name) for name in ("v_d", "v_1", "v_2")}
+    small = max(float(np.abs(v).max()) for v in volts.values()) < MILLIVOLTS_BELOW_V
+    factor, unit = (1e3, "mV") if small else (1.0, "V")
+    panels = 2 if force is None else 3
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 1.0 + 1.9 * panels))
+        axes = list(figure.subplots(panels, 1, sharex=True))
+        t = seconds(signals)
+        axes[0].plot(*thinned(t, factor * volts["v_d"]), linewidth=0.8, label="$v_d = v_1 - v_2$")
+        for colour, name, label in (("C1", "v_1", "$v_1$"), ("C2", "v_2", "$v_2$")):
+            axes[1].plot(
+                *thinned(t, factor * volts[name]), linewidth=0.6, color=colour, label=label
+            )
+        for panel in axes[:2]:
+            panel.set_ylabel(f"Signal ({unit})")
+        if force is not None:
+            for name, label in (("F_n", "$F_n$"), ("F_t", "$F_t$")):
+                if name in force.counts:
+                    values = force.values(name)
+                    axes[2].plot(*thinned(t, values), linewidth=0.8, label=label)
+            axes[2].set_ylabel("Force (N)")
+        axes[-1].set_xlabel("Time since the recording's start (s)")
+        for panel in axes:
+            legend_above(panel)
+        figure.suptitle(
+            f"{run.header.marked(run.header.title)}\n{run.path.name}", fontsize=9, parse_math=False
+        )
+        set_margins(figure, top=0.72, between=0.22)
+    return {"": figure}
+
+
+def thinned(
+    t: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A curve of MOST_DRAWN points at most with the same extremes: of every group of samples the
+    smallest and the largest, in their order."""
+    size = -(-2 * len(values) // MOST_DRAWN)
+    if size <= 2:
+        return t, values
+    whole = len(values) // size * size
+    groups = values[:whole].reshape(-1, size)
+    kept = np.sort(np.stack([groups.argmin(axis=1), groups.argmax(axis=1)], axis=1), axis=1)
+    index = (kept + size * np.arange(len(groups))[:, None]).reshape(-1)
+    index = np.concatenate([index, np.arange(whole, len(values))])
+    return t[index], values[index]

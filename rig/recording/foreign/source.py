@@ -1,0 +1,51 @@
+"""What the readers of all formats give: columns that can be found, named and read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal, Protocol
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+Format = Literal["text", "LVM", "MATLAB 5", "MATLAB 7.3"]
+
+MAX_BYTES = 128 << 20
+"""Of a file: an hour of four columns at 1 kHz, as text. It is read in one piece."""
+MAX_HEAD = 64 << 10
+"""Characters of what stands before the numbers that are kept with them."""
+
+
+class Source(Protocol):
+    """The columns of a file. Every error is a ForeignFileError that names the place."""
+
+    format: Format
+    head: str
+    """What stands before the numbers, verbatim, MAX_HEAD characters at most."""
+    told: str
+    """How the file is written, where that was recognised: ``tab, decimal comma``."""
+    rate_Hz: float | None
+    """The rate that the file itself states."""
+    time: str | None
+    """The column of times that the file itself names, as ``column`` takes it."""
+
+    def column(self, wanted: str) -> int:
+        """The column of a number (from 1) or name."""
+        ...
+
+    def name(self, column: int) -> str:
+        """A column as a person finds it: ``column 2 (Voltage)``."""
+        ...
+
+    def unit(self, column: int) -> str | None:
+        """The unit that the file says a column has; None where it names none that is known."""
+        ...
+
+    def values(self, columns: Sequence[int]) -> NDArray[np.float64]:
+        """The columns as they stand in the file, finite numbers of shape (rows, columns)."""
+        ...
+
+    def place(self, row: int) -> str:
+        """Where a row (from 0) stands: ``line 12``."""
+        ...

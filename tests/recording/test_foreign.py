@@ -1,0 +1,763 @@
+"""Recordings from elsewhere: every number comes through as it was written, or the file is refused
+in a sentence that names the line."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import foreign_files as files
+import h5py
+import numpy as np
+import pytest
+import recorded_run as run
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from rig.errors import RigError
+from rig.recording import Program, RecordingError, RunHeader
+from rig.recording.definitions import definition_path
+from rig.recording.errors import ForeignFileError
+from rig.recording.foreign import importing
+from rig.recording.foreign.importing import About, read_foreign, write_import
+from rig.recording.foreign.series import Recording, Told, recording_of
+from rig.recording.foreign.source import MAX_BYTES
+from rig.recording.foreign.text import read_text
+from rig.recording.records import to_json
+from rig.recording.recover import interrupted, recover
+from rig.recording.runfile import RunFile
+from rig.recording.verify import verify
+
+BY_NUMBER = {"time": "1", "v_1": "2", "v_2": "3"}
+PROGRAM = Program(name="tactile-rig", version="0.0.1")
+
+
+def read(
+    content: bytes | str,
+    folder: Path,
+    columns: dict[str, str] | None = None,
+    scale: dict[str, float] | None = None,
+    rate_Hz: float | None = None,
+    **options: Any,
+) -> Recording:
+    """The recording in a file of that content."""
+    path = folder / "given.dat"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    told = Told(columns or BY_NUMBER, scale or {}, rate_Hz)
+    return recording_of(read_foreign(path, **options).source, told, path.name)
+
+
+@contextmanager
+def refused(reason: str) -> Iterator[None]:
+    """A file is refused, with such words in message or remedy."""
+    with pytest.raises(ForeignFileError) as found:
+        yield
+    assert re.search(reason, found.value.one_line()), found.value.one_line()
+
+
+def assert_as_written(recording: Recording, written: dict[str, np.ndarray]) -> None:
+    for channel in ("v_1", "v_2"):
+        np.testing.assert_array_equal(recording.raw[channel], written[channel], strict=True)
+    assert recording.rate_Hz == files.RATE_Hz
+
+
+# Text
+
+
+@pytest.mark.parametrize(
+    "dialect",
+    [
+        *(("tab", "point"), ("tab", "comma"), ("semicolon", "point"), ("semicolon", "comma")),
+        *(("comma", "point"), ("space", "point"), ("space", "comma")),
+    ],
+)
+@pytest.mark.parametrize("header", [None, "# made by a logger; 3 channels, 1000 Hz\n\nt{0}S1{0}S2"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+def test_text_comes_through_to_the_last_digit(
+    tmp_path: Path, dialect: tuple[str, str], header: str | None, encoding: str
+) -> None:
+    mark = files.MARK[dialect[0]]
+    head = None if header is None else header.format(mark)
+    if encoding == "latin-1" and head is not None:
+        head = head.replace("logger", "logger for µV")
+    written = files.signals()
+    content = files.text(written, *dialect, head).replace("\n", "\r\n").encode(encoding)
+    assert_as_written(read(content, tmp_path), written)
+    given = {"delimiter": dialect[0], "decimal": dialect[1]}
+    header_lines = 0 if head is None else 3
+    assert_as_written(read(content, tmp_path, header_lines=header_lines, **given), written)
+    if head is not None:
+        named = {"time": "t", "v_1": "S1", "v_2": "S2"}
+        assert_as_written(read(content, tmp_path, named), written)
+
+
+def test_columns_of_text_blanks_and_quotes_do_not_disturb(tmp_path: Path) -> None:
+    written = files.signals(4)
+    rows = zip(*map(np.ndarray.tolist, written.values()), strict=True)
+    lines = [f'"2026-11-22, 10:00","{v_1}", {v_2} ,,ok' for _, v_1, v_2 in rows]
+    content = 'when,"Strip 1, left",S2,unused,remark\n' + "\n".join(lines)
+    columns = {"v_1": "Strip 1, left", "v_2": "S2"}
+    assert_as_written(read(content, tmp_path, columns, rate_Hz=1000.0), written)
+
+
+def test_an_empty_column_between_tabs_keeps_its_number(tmp_path: Path) -> None:
+    content = "0.5\t\t1.5\t2.5\t\n0.6\t\t1.6\t2.6\t\n"
+    recording = read(content, tmp_path, {"v_1": "3", "v_2": "4"}, rate_Hz=1000.0)
+    assert recording.raw["v_1"].tolist() == [1.5, 1.6]
+    aligned = "0.5 \t 1.5\n0.6 \t\t 1.6\n"
+    columns = {"v_1": "1", "v_2": "2"}
+    recording = read(aligned, tmp_path, columns, rate_Hz=1000.0, delimiter="space")
+    assert recording.raw["v_2"].tolist() == [1.5, 1.6]
+
+
+def test_scale_polarity_and_force_units_apply_to_the_values_alone(tmp_path: Path) -> None:
+    written = files.signals() | {"F_n": np.linspace(1.0, 2.0, 40)}
+    columns = BY_NUMBER | {"F_n": "4"}
+    recording = read(
+        files.text(written), tmp_path, columns, {"v_1": -1e-3, "v_2": 0.5, "F_n": 1e-3}
+    )
+    assert_as_written(recording, written)
+    np.testing.assert_array_equal(recording.values("v_1"), written["v_1"] * -1e-3)
+    np.testing.assert_array_equal(recording.values("F_n"), written["F_n"] * 1e-3)
+
+
+ROWS = "0.000,1.5,2.5\n0.001,1.5,2.6\n0.002,1.6,2.7\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("", "an empty file"),
+        (" \n\n", "an empty file"),
+        ("t,v1,v2\n", "no rows of two numbers"),
+        ("hello\nworld\n", "no rows of two numbers"),
+        ("1.0\n2.0\n3.0\n", "no rows of two numbers"),
+        (ROWS + "0.003,1.6\n", "line 4: 2 cells, the rows have 3 .*killed"),
+        (ROWS + "0.003,1.6\n" + ROWS, "line 4: 2 cells, the rows have 3"),
+        (ROWS + "0.003,1.6,2.7,9\n" + ROWS, "line 4: 4 cells"),
+        (ROWS + "0.003,,2.7\n" + ROWS, "line 4: column 2: an empty cell is no number"),
+        (ROWS + "0.003,NaN,2.7\n" + ROWS, "line 4: column 2: 'NaN' is no number"),
+        (ROWS + "0.003,1.6,inf\n" + ROWS, "line 4: column 3: 'inf' is no number"),
+        (ROWS + "0.003,1_0,2.7\n" + ROWS, "line 4: column 2: '1_0' is no number"),
+        (ROWS + "0.003,1.6,٢\n" + ROWS, "line 4: column 3: '٢' is no number"),
+        (ROWS + '0.003,"1.6"2,2.7\n' + ROWS, "line 4: column 2: .* is no number"),
+        (ROWS + "0.003,1e999,2.7\n" + ROWS, "line 4: column 2 has a number beyond any double"),
+        (ROWS + "# paused\n" + ROWS, "line 4: 1 cells"),
+        (ROWS + "\n" + ROWS, "line 4: empty, with rows behind it"),
+        ("NaN,NaN,NaN\n" + ROWS, "line 1: looks like a row, .*--header-lines 1"),
+        ("0.0,1.5\n" + ROWS, "line 1: looks like a row"),
+        ("0.0,1.5,2.50.001,1.6,2.6\n" + ROWS, "line 1: looks like a row"),
+        ("0.5\n" + ROWS, "line 1: looks like a row"),
+        ("t,v,v\n,NaN,1.0\n" + ROWS, "line 2: looks like a row"),
+        (ROWS + "0.003,\0,2.7\n", "line 4: character 0x00: a binary file"),
+        ("x" * 70_000 + "\n" + ROWS, "line 1: 70000 characters, 65536 are allowed"),
+        (",".join("1" * 1001) + "\n" + ",".join("1" * 1001), "1001 columns, 1000 are allowed"),
+        (ROWS[: ROWS.index("\n")], "1 rows, 2 are needed"),
+    ],
+)
+def test_what_is_no_recording_is_refused_by_its_line(
+    tmp_path: Path, content: str, reason: str
+) -> None:
+    with refused(reason):
+        read(content, tmp_path, {"v_1": "2", "v_2": "3"}, rate_Hz=1000.0)
+
+
+@pytest.mark.parametrize(
+    ("columns", "reason"),
+    [
+        ({"v_1": "0", "v_2": "3"}, "column 0 of 4"),
+        ({"v_1": "2", "v_2": "5"}, "column 5 of 4"),
+        ({"v_1": "S", "v_2": "2"}, "columns 2, 3 have the name 'S'; name it by its number"),
+        ({"v_1": "s", "v_2": "2"}, "no column 's'; the header has S, t, v \\(mV\\)"),
+        ({"v_1": "2", "v_2": "2"}, "v_1 and v_2 are both column 2"),
+        ({"v_1": "2", "v_2": "4"}, "column 4 \\(v \\(mV\\)\\) is labelled mV, v_2 is read in V"),
+    ],
+)
+def test_columns_are_what_the_file_calls_them(
+    tmp_path: Path, columns: dict[str, str], reason: str
+) -> None:
+    content = "t,S,S,v (mV)\n0,1,2,3\n1,2,3,4\n"
+    with refused(reason):
+        read(content, tmp_path, columns, rate_Hz=1000.0)
+
+
+def test_a_row_of_units_counts_as_label_and_a_told_scale_settles_it(tmp_path: Path) -> None:
+    content = "t\tA\tB\nms\tmV\tV\n" + "".join(f"{k}\t{k + 1}\t{k * k}\n" for k in range(5))
+    with refused("labelled mV.*--scale v_1=1mV"):
+        read(content, tmp_path, {"v_1": "A", "v_2": "B"}, rate_Hz=1000.0)
+    with refused("labelled ms, time is read in s"):
+        read(content, tmp_path, scale={"v_1": 1e-3})
+    recording = read(content, tmp_path, scale={"v_1": 1e-3, "time": 1e-3})
+    assert recording.rate_Hz == 1000.0
+    assert recording.values("v_1")[0] == 1e-3
+
+
+def test_numbers_of_columns_are_no_sample(tmp_path: Path) -> None:
+    columns = {"v_1": "2", "v_2": "3"}
+    for content in ("0,1,2\n" + ROWS, "1,2,3\n" + ROWS):
+        with refused("line 1: .* numbers of columns; --header-lines 0 if it is a sample, 1 if"):
+            read(content, tmp_path, columns, rate_Hz=1000.0)
+        for header_lines, rows in ((0, 4), (1, 3)):
+            recording = read(content, tmp_path, columns, rate_Hz=1e3, header_lines=header_lines)
+            assert recording.rows == rows
+    assert read("1,2,3\n2,1,4\n", tmp_path, columns, rate_Hz=1000.0).rows == 2
+
+
+def test_a_scale_of_times_needs_times(tmp_path: Path) -> None:
+    with refused("a scale of times without times"):
+        read(ROWS, tmp_path, {"v_1": "2", "v_2": "3"}, {"time": 1e-3}, rate_Hz=1000.0)
+
+
+def test_counts_without_a_scale_are_no_volts(tmp_path: Path) -> None:
+    content = "12,30000\n15,-31000\n"
+    with refused("line 2: column 2: -31000 times 1 V is no v_2"):
+        read(content, tmp_path, {"v_1": "1", "v_2": "2"}, rate_Hz=1000.0)
+    read(content, tmp_path, {"v_1": "1", "v_2": "2"}, {"v_2": 1e-3}, rate_Hz=1000.0)
+
+
+def test_a_dead_channel_is_told(tmp_path: Path) -> None:
+    recording = read("1;2\n1;3\n1;4\n", tmp_path, {"v_1": "1", "v_2": "2"}, rate_Hz=1000.0)
+    assert recording.warnings == ("v_1 is dead: column 1 is 1 in every row",)
+
+
+def test_files_that_are_no_recordings_are_refused(tmp_path: Path) -> None:
+    binary = np.random.default_rng(0).bytes(5000)
+    with refused("a binary file"):
+        read(binary, tmp_path)
+    with refused("not a regular file"):
+        read_foreign(tmp_path)
+    with refused("No such file"):
+        read_foreign(tmp_path / "missing")
+    huge = tmp_path / "huge"
+    with huge.open("wb") as file:
+        file.truncate(MAX_BYTES + 1)
+    with refused("longer than 128 MiB"):
+        read_foreign(huge)
+
+
+# Times
+
+
+def timed(times: list[float] | np.ndarray, digits: int = 6) -> str:
+    return "".join(f"{t:.{digits}f},{k},{-k % 7}\n" for k, t in enumerate(times))
+
+
+@pytest.mark.parametrize(
+    ("rate", "digits", "offset"),
+    [(1000.0, 3, 0.0), (3000.0, 4, 0.0), (1024.0, 7, 12.5), (10.0, 1, 3.8e9), (999.5, 9, 0.0)],
+)
+def test_printed_times_give_their_round_rate(
+    tmp_path: Path, rate: float, digits: int, offset: float
+) -> None:
+    content = timed(offset + np.arange(200) / rate, digits)
+    assert read(content, tmp_path).rate_Hz == rate
+
+
+@pytest.mark.parametrize(
+    ("times", "reason"),
+    [
+        ([0, 0.001, 0.002, 0.004, 0.005, 0.006], "line 4: 0.002 s after the row above, 0.001 s"),
+        ([0, 0.001, 0.002, 0.002, 0.003, 0.004], "line 4: 0 s after the row above"),
+        ([0, 0.001, 0.002, 0.000, 0.001, 0.002], "line 4: -0.002 s after the row above"),
+        ([0.0] * 5, "line 2: its time is not behind"),
+        ([0.0, -0.001, -0.002], "line 2: its time is not behind"),
+        (np.linspace(0, 1, 100) ** 1.1, "line 2: .* after the row above|off even spacing"),
+        (np.arange(400) / 1000 + 4e-4 * np.sin(np.arange(400) / 30), "line .* off even spacing"),
+        ([0, 1e12], "s is no time"),
+        ([0, 10.0, 20.0], "the times say 0.1 Hz: has to be 1 to 1e\\+07 Hz"),
+    ],
+)
+def test_uneven_times_are_refused_where_they_are(
+    tmp_path: Path, times: list[float], reason: str
+) -> None:
+    with refused(reason):
+        read(timed(times), tmp_path)
+
+
+def test_rate_and_times_have_to_agree(tmp_path: Path) -> None:
+    content = timed(np.arange(50) / 1000)
+    assert read(content, tmp_path, rate_Hz=1000.2).rate_Hz == 1000.2
+    with refused("--rate is 2000 Hz and the times say 1000 Hz"):
+        read(content, tmp_path, rate_Hz=2000.0)
+    with refused("nothing in it says how fast .*give --rate"):
+        read(content, tmp_path, {"v_1": "2", "v_2": "3"})
+
+
+# LVM
+
+
+@pytest.mark.parametrize("x_columns", ["One", "No", "Multi"])
+@pytest.mark.parametrize(("separator", "decimal"), [("Tab", "."), ("Tab", ","), ("Comma", ".")])
+def test_lvm_comes_through_with_its_rate(
+    tmp_path: Path, x_columns: str, separator: str, decimal: str
+) -> None:
+    written = files.signals()
+    delta = "0.001000".replace(".", decimal)
+    segment = {"Delta_X": f"{delta}|{delta}", "X0": "0|0"}
+    content = files.lvm(written, separator, decimal, x_columns, **segment)
+    second = "4" if x_columns == "Multi" else "3"
+    for columns in ({"v_1": "2", "v_2": second}, {"v_1": "v_1", "v_2": "v_2"}):
+        assert_as_written(read(content, tmp_path, columns), written)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"Samples": "40|39"}, "40 rows, the header says Samples 39"),
+        ({"Delta_X": "0.001|0.002"}, "Delta_X is 0.001 s for one channel and 0.002 s"),
+        ({"Delta_X": "0.01|0.01"}, "the header says 100 Hz and the times say 1000 Hz"),
+        ({"Delta_X": "0|0"}, "Delta_X 0 s is no period"),
+        ({"Delta_X": "fast|fast"}, "Delta_X 'fast' is no number"),
+        ({"X0": "0|0.5"}, "X0 is 0 s for one channel and 0.5 s for another"),
+        ({"X_Dimension": "Frequency|Frequency"}, "X_Dimension Frequency: not over time"),
+        ({"Y_Unit_Label": "mV|Volts"}, "labelled mV, v_1 is read in V"),
+        ({"separator": "Comma", "decimal": ";"}, "Decimal_Separator ';' is none of"),
+    ],
+)
+def test_an_lvm_header_that_says_otherwise_is_refused(
+    tmp_path: Path, change: dict[str, str], reason: str
+) -> None:
+    content = files.lvm(files.signals(), **change)
+    with refused(reason):
+        read(content, tmp_path, {"v_1": "2", "v_2": "3"})
+
+
+def test_several_segments_and_special_blocks_are_refused_by_name(tmp_path: Path) -> None:
+    content = files.lvm(files.signals(4))
+    again = content[content.index("Channels") :]
+    columns = {"v_1": "2", "v_2": "3"}
+    with refused("line 32: a second segment's header"):
+        read(content + "\r\n" + again, tmp_path, columns)
+    special = content.replace("Channels", "***Start_Special***\r\n***End_Special***\r\nChannels")
+    with refused("line 11: a special block"):
+        read(special, tmp_path, columns)
+    with refused("1 of 2 lines"):
+        read(content[: content.index("Channels")], tmp_path, columns)
+    with refused("LVM says itself how it is written"):
+        read(content, tmp_path, columns, delimiter="tab")
+
+
+# MATLAB
+
+
+@pytest.mark.parametrize("kind", ["5", "5 compressed", "7.3"])
+def test_matlab_variables_come_through(tmp_path: Path, kind: str) -> None:
+    written = files.signals()
+    variables = {
+        "t": written["time"][:, None],
+        "left": written["v_1"][None],
+        "both": np.column_stack([written["v_1"], written["v_2"]]),
+        "counts": np.arange(40, dtype=np.int16)[:, None],
+        "single": written["v_2"].astype(np.float32)[:, None],
+    }
+    content = (
+        files.matlab_73(**variables)
+        if kind == "7.3"
+        else files.matlab_5(compressed="compressed" in kind, **variables)
+    )
+    columns = {"time": "t", "v_1": "left", "v_2": "both:2", "F_n": "counts", "F_t": "single"}
+    recording = read(content, tmp_path, columns)
+    assert_as_written(recording, written)
+    assert recording.raw["F_n"].tolist() == list(range(40))
+    np.testing.assert_array_equal(recording.raw["F_t"], written["v_2"].astype(np.float32))
+    assert recording.columns["v_2"] == "column 2 of variable both"
+
+
+def test_the_only_matrix_needs_no_name(tmp_path: Path) -> None:
+    written = files.signals()
+    content = files.matlab_5(data=np.column_stack(list(written.values())), note="made in Kyoto")
+    assert_as_written(read(content, tmp_path), written)
+
+
+@pytest.mark.parametrize(
+    ("columns", "reason"),
+    [
+        ("x", "no variable 'x'; it has a, b, cube, empty, m, nan, short, z"),
+        ("s", "variable s is a struct, not an array of numbers; .*-struct"),
+        ("c", "variable c is a cell"),
+        ("word", "variable word is a char"),
+        ("flag", "variable flag is a logical"),
+        ("sparse", "variable sparse is a sparse"),
+        ("z", "variable z: complex128 .*real numbers"),
+        ("m", "variable m has 3 columns: m is none of them; write m:1 to m:3"),
+        ("m:4", "m:4 is none of them"),
+        ("cube", "variable cube is 2 x 2 x 2"),
+        ("empty", "variable empty is 0 x 0"),
+        ("short", "variable short has 5 values, variable a 6"),
+        ("nan", "row 3: variable nan: nan is no number"),
+    ],
+)
+def test_matlab_variables_that_are_no_signals_are_refused_by_name(
+    tmp_path: Path, columns: str, reason: str
+) -> None:
+    from scipy.sparse import csc_array
+
+    six = np.arange(6.0)
+    content = files.matlab_5(
+        a=six,
+        b=six,
+        m=np.ones((6, 3)),
+        s={"v": 1.0},
+        c=np.array([1, "x"], dtype=object),
+        word="words",
+        flag=np.array([True, False]),
+        sparse=csc_array(np.eye(6)),
+        z=six * 1j,
+        cube=np.ones((2, 2, 2)),
+        empty=np.zeros((0, 0)),
+        short=six[:5],
+        nan=np.where(six == 2, np.nan, six),
+    )
+    with refused(reason):
+        read(content, tmp_path, {"v_1": "a", "v_2": columns}, rate_Hz=1000.0)
+
+
+def test_whole_numbers_without_a_double_are_refused(tmp_path: Path) -> None:
+    content = files.matlab_5(a=np.array([1, 2**53 + 1]), b=np.array([1.0, 2.0]))
+    with refused("have no double"):
+        read(content, tmp_path, {"v_1": "a", "v_2": "b"}, {"v_1": 1e-16}, 1000.0)
+
+
+def test_structs_of_73_are_refused_by_name(tmp_path: Path) -> None:
+    content = files.matlab_73(a=np.arange(4.0), b=np.arange(4.0))
+    with refused("variable info is a struct"):
+        read(content, tmp_path, {"v_1": "a", "v_2": "info"}, rate_Hz=1000.0)
+
+
+@pytest.mark.parametrize("make", [files.matlab_5, files.matlab_73])
+def test_damaged_matlab_files_are_refused(tmp_path: Path, make: Any) -> None:
+    whole = make(a=np.arange(400.0), b=np.arange(400.0))
+    for size in (19, 200, 600, len(whole) // 2):
+        with refused("no readable MATLAB file|no variable"):
+            read(whole[:size], tmp_path, {"v_1": "a", "v_2": "b"}, rate_Hz=1000.0)
+
+
+def test_a_file_that_crashes_scipy_costs_a_sentence(tmp_path: Path) -> None:
+    """A struct's length, damaged: SciPy 1.17 ends with SIGSEGV on it."""
+    t = np.arange(200.0)
+    content = bytearray(
+        files.matlab_5(a=np.sin(t), b=np.cos(t)[:, None], s={"x": 1}, m=np.outer(t, [1, 2, 3]))
+    )
+    content[3617] = 126
+    with refused("no readable MATLAB file"):
+        read(bytes(content), tmp_path, {"v_1": "a", "v_2": "b", "F_n": "m:2"}, rate_Hz=1000.0)
+
+
+# The run file
+
+
+ABOUT = About(
+    sensor="skin 9",
+    sample="silicone",
+    object="glass",
+    user="A. Person",
+    notes="from the shelf",
+    options={"channels": "v_1=2,v_2=3", "time": "1"},
+)
+FORCED = BY_NUMBER | {"F_n": "4"}
+
+
+def imported(
+    folder: Path, about: About = ABOUT, columns: dict[str, str] = FORCED, name: str = "s.csv"
+) -> Path:
+    """A run file made of a text of four columns."""
+    path = folder / name
+    forced = files.signals() | {"F_n": np.linspace(1, 2, 40)}
+    path.write_text(files.text(forced, header="t,S1,S2,Fn"))
+    told = Told(columns, {"v_2": -1e-3})
+    return write_import(read_foreign(path), told, about, folder / "results", PROGRAM)[0]
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return imported(tmp_path_factory.mktemp("import"))
+
+
+def test_the_file_says_where_it_comes_from_and_claims_nothing_else(file: Path) -> None:
+    with RunFile.open(file) as opened:
+        assert opened.outcome.imported
+        assert opened.outcome.simulated is None
+        entry = opened.entry
+        assert entry["title"][()] == b"IMPORTED recording s.csv"
+        assert entry["data/title"][()].startswith(b"IMPORTED")
+        assert entry["outcome/imported"][()]
+        for unknown in ("outcome/simulated", "start_time", "end_time"):
+            assert unknown not in entry
+        origin = entry["origin"]
+        foreign = file.parents[2] / "s.csv"
+        told = subprocess.run(["sha256sum", foreign], capture_output=True, text=True, check=True)
+        assert origin["sha256"][()].decode() == told.stdout.split()[0]
+        assert origin["bytes"][()] == foreign.stat().st_size
+        assert origin["file_name"][()] == b"s.csv"
+        assert origin["format"][()] == b"text"
+        assert origin["head"][()] == b"t,S1,S2,Fn"
+        assert origin["options/channels"][()] == b"v_1=2,v_2=3"
+        assert entry["program_name"].attrs["version"] == "0.0.1"
+        assert opened.settings["sensor"] == "skin 9"
+        assert opened.settings["object"] == "glass"
+        assert opened.header.sample.name == "silicone"
+        assert opened.header.user.name == "A. Person"
+        assert entry["notes/data"][()] == b"from the shelf"
+        assert "start" not in entry["events/time"].attrs
+
+
+def test_raw_numbers_their_scale_and_what_follows_are_there(file: Path) -> None:
+    written = files.signals()
+    with RunFile.open(file) as opened:
+        series = {w.stream: w for w in opened.waveforms("recording")}
+        assert {w.rate_Hz for w in series.values()} == {1000.0}
+        strips = series["strips"]
+        np.testing.assert_array_equal(strips.counts["strip_2"], written["v_2"])
+        assert strips.scale == {"strip_1": 1.0, "strip_2": -1e-3}
+        assert strips.units == "V"
+        v_1, v_2 = strips.values("strip_1"), strips.values("strip_2")
+        np.testing.assert_array_equal(series["signals"].values("v_d"), v_1 - v_2)
+        assert series["force"].units == "N"
+        (reading,) = opened.readings()
+        assert reading == {"samples": 40, "rate_Hz": 1000.0, "length_s": 0.04}
+    with h5py.File(file) as opened:
+        data = opened["entry/data"]
+        np.testing.assert_array_equal(data["v_1"], v_1)
+        np.testing.assert_array_equal(data["v_2"], v_2)
+        np.testing.assert_array_equal(data["v_d"], v_1 - v_2)
+        np.testing.assert_array_equal(data["time"], np.arange(40) / 1000)
+        np.testing.assert_array_equal(opened["entry/force/F_n"], np.linspace(1, 2, 40))
+
+
+def test_validators_and_viewers_take_it(file: Path, tmp_path: Path) -> None:
+    import xarray
+    from nexusformat.nexus.validate import lint_nxdl, validate_application, validate_file
+    from silx.io.nxdata import NXdata, get_default
+
+    definition = definition_path("NXrig_import")
+    assert lint_nxdl(definition) == []
+    dated = replace(ABOUT, start_time="2026-01-02T10:00:00+01:00")
+    for path in (file, imported(tmp_path, dated, BY_NUMBER)):
+        assert verify(path) == []
+        assert validate_file(str(path)) == (0, 0)
+        assert validate_application(str(path), application=str(definition)) == (0, 0)
+        with h5py.File(path) as opened:
+            assert get_default(opened).group.name == "/entry/data"
+            for group in [opened["entry/data"], *opened["entry/waveforms"].values()]:
+                assert NXdata(group).is_valid, group.name
+        with xarray.open_dataset(
+            path, group="/entry/data", engine="h5netcdf", phony_dims="sort"
+        ) as data:
+            assert data["v_d"].shape == (40,)
+    with h5py.File(path) as opened:
+        assert opened["entry/start_time"][()] == b"2026-01-02T10:00:00+01:00"
+        assert opened["entry/end_time"][()] == b"2026-01-02T10:00:00.040000+01:00"
+        assert "force" not in opened["entry"]
+
+
+def test_it_is_read_only_with_its_checksum_and_cannot_be_resumed(file: Path) -> None:
+    assert file.stat().st_mode & 0o777 == 0o444
+    names = sorted(p.name for p in file.parent.iterdir())
+    assert names == [file.name, f"{file.name}.sha256"]
+    assert re.fullmatch(r"[0-9T-]+_import_r001\.h5", file.name)
+    with pytest.raises(RigError, match="nothing to resume"):
+        interrupted(file)
+
+
+def test_changed_marks_are_found(tmp_path: Path) -> None:
+    for change, finding in (
+        ("outcome/imported", "outcome/imported is False"),
+        ("origin", "origin is missing"),
+    ):
+        file = imported(tmp_path)
+        file.chmod(0o644)
+        with h5py.File(file, "a") as opened:
+            del opened[f"entry/{change}"]
+            if change == "outcome/imported":
+                opened["entry/outcome/simulated"] = False
+        assert finding in "; ".join(verify(file))
+    file = imported(tmp_path)
+    file.chmod(0o644)
+    with h5py.File(file, "a") as opened:
+        opened["entry/start_time"] = "2026-01-02T10:00:00+01:00"
+    assert "start_time is there, and nobody knew it" in verify(file)
+
+
+def test_a_run_of_this_bench_has_nothing_of_it() -> None:
+    """Journals and files of before verify as they did."""
+    header = RunHeader.model_validate(run.header())
+    assert "origin" not in to_json(header)
+    for change in ({"simulated": None}, {"start_time": None}):
+        with pytest.raises(ValueError, match="not imported"):
+            RunHeader.model_validate(run.header() | change)
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt, SystemExit, RecordingError])
+def test_what_ends_an_import_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: Any
+) -> None:
+    error = failure("x.h5", "full") if failure is RecordingError else failure()
+
+    def fail(*_: object) -> None:
+        raise error
+
+    for place in ("compiled._write", "compiled._write_checksum", "foreign.importing._record"):
+        monkeypatch.setattr(f"rig.recording.{place}", fail)
+        with pytest.raises(failure):
+            imported(tmp_path)
+        assert [p for p in (tmp_path / "results").rglob("*") if p.is_file()] == []
+        monkeypatch.undo()
+
+
+def test_a_killed_import_is_recovered_as_failed_and_not_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from nexusformat.nexus.validate import validate_application, validate_file
+
+    left = tmp_path / "left.rigj"
+    write_rows = importing._write_rows
+
+    def killed(writer: Any, stream: int, *rows: Any) -> None:
+        write_rows(writer, stream, *rows)
+        if stream == 1:
+            shutil.copy(writer.path, left)
+
+    monkeypatch.setattr(importing, "_write_rows", killed)
+    imported(tmp_path)
+    with pytest.raises(RigError, match="an import cannot be resumed"):
+        interrupted(left)
+    file = recover(left)
+    assert verify(file) == []
+    assert validate_file(str(file)) == (0, 0)
+    definition = definition_path("NXrig_import")
+    assert validate_application(str(file), application=str(definition)) == (0, 0)
+    with RunFile.open(file) as opened:
+        assert opened.outcome.status == "failed"
+        assert opened.outcome.imported
+        assert opened.point_ids() == []
+
+
+def test_names_that_are_no_text_are_kept_as_far_as_they_are(tmp_path: Path) -> None:
+    file = imported(tmp_path, name=os.fsdecode(b"\xff\xfe$.csv"))
+    assert verify(file) == []
+    with RunFile.open(file) as opened:
+        assert opened.header.title == "IMPORTED recording ??$.csv"
+
+
+def test_every_import_is_a_file_of_its_own(tmp_path: Path) -> None:
+    first = imported(tmp_path)
+    before = first.read_bytes()
+    second = imported(tmp_path)
+    assert second != first
+    assert first.read_bytes() == before
+    assert second.name.endswith("_r002.h5")
+
+
+# Whatever is in a text
+
+
+FEW = settings(
+    max_examples=60,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
+DIALECTS = st.sampled_from(
+    [
+        *(("tab", "point"), ("tab", "comma"), ("semicolon", "point"), ("semicolon", "comma")),
+        *(("comma", "point"), ("space", "point"), ("space", "comma")),
+    ]
+)
+VOLTS = st.floats(-900, 900)
+TABLES = st.lists(st.tuples(VOLTS, VOLTS, VOLTS), min_size=2, max_size=12)
+
+
+def accepted(content: str | bytes, columns: dict[str, str]) -> tuple[Any, Recording] | None:
+    """What is made of a text; None where it is refused in one sentence."""
+    raw = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
+    try:
+        source = read_text(raw, "x")
+        return source, recording_of(source, Told(columns, {}, 1000.0), "x")
+    except ForeignFileError as error:
+        refusal = error.one_line()
+    assert refusal.startswith("x: ")
+    assert len(refusal) < 1000
+    return None
+
+
+@FEW
+@given(TABLES, DIALECTS, st.sampled_from([None, "a{0}b{0}c"]))
+def test_any_table_comes_through(
+    rows: list[tuple[float, ...]], dialect: tuple[str, str], header: str | None
+) -> None:
+    columns = dict(zip("abc", np.array(rows).T, strict=True))
+    head = None if header is None else header.format(files.MARK[dialect[0]])
+    found = accepted(files.text(columns, *dialect, head), {"v_1": "1", "v_2": "3"})
+    assert found is not None
+    np.testing.assert_array_equal(found[1].raw["v_1"], columns["a"])
+    np.testing.assert_array_equal(found[1].raw["v_2"], columns["c"])
+
+
+SPOILT = st.sampled_from(
+    [*"0159.,;-+eE \t\n\r\"'#_", "\0", "NaN", "inf", "\n\n", "٣", "\u2028", "−", "1,5", ";;"]
+)
+
+
+@settings(FEW, max_examples=400)
+@given(TABLES, DIALECTS, st.data())
+def test_a_spoilt_text_is_refused_or_read_as_it_stands(
+    rows: list[tuple[float, ...]], dialect: tuple[str, str], data: st.DataObject
+) -> None:
+    """What is accepted is what a second, simpler reader finds in the lines that are named, and no
+    line is left out."""
+    columns = dict(zip("abc", np.array(rows).T, strict=True))
+    content = files.text(columns, *dialect)
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        cut = data.draw(st.integers(0, 3))
+        content = content[:at] + data.draw(SPOILT) + content[at + cut :]
+        assume(content)
+    found = accepted(content, {"v_1": "1", "v_2": "3"})
+    if found is None:
+        return
+    source, recording = found
+    lines = content.replace("\r\n", "\n").replace("\r", "\n").rstrip(" \t\n").split("\n")
+    numbers = [int(source.place(row).removeprefix("line ")) for row in range(recording.rows)]
+    assert numbers == list(range(numbers[0], len(lines) + 1))
+    above = [line for line in lines[: numbers[0] - 1] if line.strip()]
+    for line in above:
+        assert not re.fullmatch(r"[-+0-9.,;eE \t]*[0-9][-+0-9.,;eE \t]*", line), line
+    delimiter, decimal = source.told.split(", decimal ")
+    for row, number in enumerate(numbers):
+        line = lines[number - 1].replace('"', "")
+        mark = r"[ \t]+" if delimiter == "space" else files.MARK[delimiter]
+        cells = re.split(mark, line.strip(" \t") if delimiter == "space" else line)
+        for channel, k in (("v_1", 0), ("v_2", 2)):
+            text = cells[k].replace(",", ".") if decimal == "comma" else cells[k]
+            assert recording.raw[channel][row] == float(text)
+
+
+@settings(FEW, max_examples=300)
+@given(st.one_of(st.binary(max_size=300), st.text(max_size=300)))
+def test_anything_else_is_refused_in_a_sentence(content: bytes | str) -> None:
+    found = accepted(content, {"v_1": "1", "v_2": "2"})
+    if found is not None:
+        assert np.isfinite(found[1].raw["v_1"]).all()
+
+
+@settings(FEW, max_examples=150)
+@given(st.data())
+def test_a_spoilt_lvm_is_refused_or_read_in_full(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    written = files.signals(6)
+    content = files.lvm(written)
+    at = data.draw(st.integers(20, len(content) - 1))
+    content = content[:at] + data.draw(SPOILT) + content[at + data.draw(st.integers(0, 40)) :]
+    try:
+        recording = read(content, tmp_path_factory.getbasetemp(), {"v_1": "2", "v_2": "3"})
+    except ForeignFileError:
+        return
+    assert recording.rows == 6 or "Samples" not in content
