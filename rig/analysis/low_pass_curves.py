@@ -47,6 +47,9 @@ class LowPassSummary:
     """Where the stop band begins: the gain is down to that of its largest lobe."""
     attenuation_dB: float
     """Of that lobe."""
+    as_asked_from_Hz: float | None
+    """From there on the gain stays below the attenuation that was asked for; None where it never
+    does. (Lobes of Kaiser's window fall with frequency, and the first may be larger.)"""
     step_half_ms: float
     """When the step response passes one half."""
     overshoot_percent: float
@@ -63,7 +66,7 @@ def low_pass_curves(low_pass: LowPass) -> LowPassCurves:
         gain_dB=low_pass.level(frequency),
         phase_deg=np.degrees(np.unwrap(np.angle(low_pass.response(frequency)))),
         group_delay_ms=1e3 * low_pass.group_delay_s(frequency),
-        time_ms=1e3 * np.arange(taps.size) / low_pass.rate_Hz,
+        time_ms=np.arange(taps.size, dtype=np.float64) * (1e3 / low_pass.rate_Hz),
         step_response=low_pass.step_response(),
         tap=taps,
     )
@@ -71,11 +74,13 @@ def low_pass_curves(low_pass: LowPass) -> LowPassCurves:
 
 def low_pass_summary(low_pass: LowPass) -> LowPassSummary:
     """What the filter has become of its specification."""
-    lag_Hz, step = low_pass.settings.lag_Hz, low_pass.step_response()
+    asked, step = low_pass.settings, low_pass.step_response()
+    lag_Hz = asked.lag_Hz
     even = np.linspace(0.0, low_pass.rate_Hz / 2, 8 * max(low_pass.taps.size, POINTS))
     level = low_pass.level(even)
     rising = np.flatnonzero((np.diff(level) > 0) & (level[:-1] < 2 * HALF_POWER_dB))
     largest = float(level[rising[0] :].max()) if rising.size else float(level[-1])
+    loud = int(np.flatnonzero(level > -asked.stop_dB)[-1])
     unsettled = np.flatnonzero(np.abs(step - 1) > SETTLED)
     ms = 1e3 / low_pass.rate_Hz
     return LowPassSummary(
@@ -87,6 +92,7 @@ def low_pass_summary(low_pass: LowPass) -> LowPassSummary:
         delay_ms=1e3 * float(low_pass.group_delay_s(lag_Hz)[0]),
         stop_Hz=_crossing(even, level, largest),
         attenuation_dB=-largest,
+        as_asked_from_Hz=float(even[loud + 1]) if loud + 1 < even.size else None,
         step_half_ms=ms * _crossing(np.arange(step.size, dtype=np.float64), step, 0.5),
         overshoot_percent=100 * max(float(step.max()) - 1, 0.0),
         settled_ms=ms * float(unsettled[-1] + 1),

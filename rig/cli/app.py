@@ -17,7 +17,7 @@ from pathlib import Path
 
 import typer
 
-from rig.cli import calibrate, detect, files, imports, jog, simulate, skin
+from rig.cli import calibrate, detect, files, imports, jog, low_pass, simulate, skin
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
 
@@ -28,6 +28,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "recover": files.recover,
     "import": imports.import_,
     "detect": detect.detect,
+    "filter": low_pass.filter_,
     "simulate": simulate.simulate,
     "jog": jog.jog,
     "make-safe": simulate.make_safe,

@@ -117,8 +117,10 @@ def show(
 
 
 def verify(files: Files, debug: Debug = False) -> None:
-    """Check run files, processed files and journals: checksums, structure; say what they hold;
-    exit 8 where something is wrong."""
+    """Check run files, processed files and journals; exit 8 where something is wrong.
+
+    Checksums, structure, and how complete they are.
+    """
     with reported(debug):
         from rig.recording.verify import safe_verdict
 

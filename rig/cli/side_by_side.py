@@ -73,9 +73,7 @@ def _outcome(future: Future[Result]) -> Result | RigError:
             ExitCode.INTERNAL,
         )
     except CancelledError:
-        return RigError(
-            "the cluster gave it up", "see whether its scheduler and workers are alive"
-        )
+        return RigError("the cluster gave it up", "see whether its scheduler and workers are alive")
     except Exception as error:  # noqa: BLE001 - one file's trouble, whatever it is, is not all's
         failure = RigError(f"{type(error).__name__}: {error}", code=ExitCode.INTERNAL)
         failure.__cause__ = error
