@@ -31,7 +31,7 @@ def draw_low_pass(name: str, curves: LowPassCurves, summary: LowPassSummary) -> 
             label=f"stop band from {summary.stop_Hz:.1f} Hz: -{summary.attenuation_dB:.1f} dB",
         )  # fmt: skip
         gain.plot(
-            summary.half_power_Hz, -3.0, "o", markersize=4, color="C3",
+            summary.half_power_Hz, HALF_POWER_dB, "o", markersize=4, color="C3",
             label=f"-3 dB at {summary.half_power_Hz:.2f} Hz",
         )  # fmt: skip
         gain.set_ylim(-summary.attenuation_dB - BELOW_STOP_BAND_dB, 5.0)
