@@ -17,7 +17,7 @@ from pathlib import Path
 
 import typer
 
-from rig.cli import calibrate, files, imports, jog, score, simulate, skin, train
+from rig.cli import calibrate, detect, files, imports, jog, low_pass, score, simulate, skin, train
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
 
@@ -27,6 +27,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "verify": files.verify,
     "recover": files.recover,
     "import": imports.import_,
+    "detect": detect.detect,
+    "filter": low_pass.filter_,
     "simulate": simulate.simulate,
     "jog": jog.jog,
     "score": score.score,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +23,9 @@ if TYPE_CHECKING:
 LONGEST_LIST = 8
 """Numbers of a list that are shown one by one."""
 
-Files = Annotated[list[Path], typer.Argument(help="Run files (.h5) or journals (.rigj).")]
+Files = Annotated[
+    list[Path], typer.Argument(help="Run files and processed files (.h5) or journals (.rigj).")
+]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 
 
@@ -79,11 +82,12 @@ def show(
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Say what a run file or journal holds; draw a run file's figures again."""
+    """Say what a run file, processed file or journal holds; draw a file's figures again."""
     with reported(debug):
         from rig.recording.contents import read_journal
         from rig.recording.description import describe, ending_of
         from rig.recording.file_kind import kind_of
+        from rig.recording.processed_file import is_processed
         from rig.recording.runfile import RunFile
         from rig.recording.verify import checksum_findings, verify_apart
 
@@ -96,6 +100,9 @@ def show(
             doubts = list(checksum_findings(path))
             if doubts:
                 verify_apart(path)  # HDF5 may die of it, or hang
+            if is_processed(path):
+                _show_processed(path, doubts, figures, figures_to)
+                continue
             with RunFile.open(path) as run:
                 for finding in doubts:
                     say(f"warning: {path.name}: {finding}")
@@ -104,12 +111,16 @@ def show(
                 _tell(_results(run.header, readings))
                 figure = run.header.procedure.replace("-", "_")
             if figures and readings:
-                _draw(figure, path, figures_to)
+                from rig.figures import draw
+
+                _draw(partial(draw, figure), path, figures_to)
 
 
 def verify(files: Files, debug: Debug = False) -> None:
-    """Check run files and journals: checksums, structure; say how complete the run is; exit 8 where
-    something is wrong."""
+    """Check run files, processed files and journals; exit 8 where something is wrong.
+
+    Checksums, structure, and how complete they are.
+    """
     with reported(debug):
         from rig.recording.verify import safe_verdict
 
@@ -157,14 +168,30 @@ def _results(header: RunHeader, readings: Sequence[Reading]) -> dict[str, Any]:
         return {}
 
 
-def _draw(figure: str, run_file: Path, folder: Path | None) -> None:
-    """Draw the figures; a folder that does not take them costs a line, not the command."""
-    from rig.figures import draw
+def _show_processed(
+    path: Path, doubts: Sequence[str], figures: bool, figures_to: Path | None
+) -> None:
+    from rig.recording.description import describe_processed
+    from rig.recording.processed_file import ProcessedFile
 
+    with ProcessedFile.open(path) as processed:
+        for finding in doubts:
+            say(f"warning: {path.name}: {finding}")
+        _tell(describe_processed(processed))
+    if figures:
+        from rig.figures import draw_processed
+
+        _draw(draw_processed, path, figures_to)
+
+
+def _draw(
+    draw: Callable[[Path, Path | None], list[Path]], run_file: Path, folder: Path | None
+) -> None:
+    """Draw the figures; a folder that does not take them costs a line, not the command."""
     try:
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
-        for drawn in draw(figure, run_file, folder):
+        for drawn in draw(run_file, folder):
             print(f"figure: {drawn}")  # noqa: T201 - stdout carries data
     except OSError as error:
         say(

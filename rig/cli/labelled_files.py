@@ -133,7 +133,7 @@ def _recorded(path: Path, point: str, where: str) -> tuple[_Recorded, bool]:
         time_s = run.entry[f"{wave.path}/time"][:2]
         rate_Hz = wave.rate_Hz or round(1 / float(time_s[1] - time_s[0]), 6)
         truth = _simulated_truth(reading.get("simulated_truth"), run.header.procedure)
-        return _Recorded(point, volts, rate_Hz, truth), bool(run.outcome.simulated)
+        return _Recorded(point, volts, rate_Hz, truth), run.outcome.simulated is True
 
 
 def _simulated_truth(told: str | None, procedure: str) -> dict[str, Any]:

@@ -54,7 +54,7 @@ Detectors = Annotated[
     ),
 ]
 DetectorFile = Annotated[
-    Path | None, typer.Option(help="JSON with parameters that differ from the one --detector's.")
+    Path | None, typer.Option(help="TOML with parameters that differ from the one --detector's.")
 ]
 WithBaselines = Annotated[
     bool,
@@ -264,31 +264,19 @@ def _with_options(
 
 def _detectors(names: Sequence[str], overrides: Path | None) -> list[Contender]:
     from rig.analysis.scoring.contenders import DetectorContender
-    from rig.detector.settings import DetectorSettings, named_detectors
+    from rig.cli.detector_settings import detector_settings
 
-    known = named_detectors()
-    for name in names:
-        if name not in known:
-            raise ConfigurationError(
-                f"--detector {name}: is no detector", f"choose among {', '.join(known)}"
-            )
     if overrides is None:
-        return [DetectorContender(name, known[name]) for name in dict.fromkeys(names)]
+        return [
+            DetectorContender(name, detector_settings(name, None)) for name in dict.fromkeys(names)
+        ]
     if len(names) != 1:
         raise ConfigurationError(
             f"--settings {overrides}: says nothing of which of {len(names)} detectors it changes",
             "give one --detector",
         )
-    changed = _json(overrides)
-    if not isinstance(changed, dict):
-        raise ConfigurationError(f"{overrides}: must be an object of parameters")
-    from pydantic import ValidationError
-
-    try:
-        whole = DetectorSettings.model_validate({**known[names[0]].model_dump(), **changed})
-    except ValidationError as error:
-        raise ConfigurationError.from_validation(error, str(overrides)) from error
-    return [DetectorContender(f"{names[0]} with {overrides.stem}", whole)]
+    changed = detector_settings(names[0], overrides)
+    return [DetectorContender(f"{names[0]} with {overrides.stem}", changed)]
 
 
 def _baselines(wanted: bool, file: Path | None) -> list[BaselineSettings]:
@@ -503,14 +491,6 @@ def _read(kind: type[Model], file: Path | None) -> Model:
         return kind.model_validate_json(read_text(file, "file of settings", MAX_JSON_BYTES))
     except ValidationError as error:
         raise ConfigurationError.from_validation(error, str(file)) from error
-
-
-def _json(file: Path) -> Any:
-    text = read_text(file, "file of settings", MAX_JSON_BYTES)
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(f"{file}: no JSON: {error}") from error
 
 
 @contextmanager

@@ -44,3 +44,19 @@ def draw_part(part: str, run_file: Path, folder: Path | None = None) -> list[Pat
                 figure, beside.with_stem(beside.stem + added), simulated=bool(run.outcome.simulated)
             )
         ]
+
+
+def draw_processed(file: Path, folder: Path | None = None) -> list[Path]:
+    """Draw what a processed file holds as PNG and SVG, in the folder or beside it; their paths."""
+    from rig.figures.processed import draw_trials
+    from rig.figures.style import save
+    from rig.recording.processed_file import ProcessedFile
+
+    beside = file if folder is None else folder / file.name
+    with ProcessedFile.open(file) as processed:
+        simulated = bool(processed.source.simulated)
+        return [
+            path
+            for added, figure in draw_trials(processed).items()
+            for path in save(figure, beside.with_stem(beside.stem + added), simulated)
+        ]

@@ -19,6 +19,7 @@ from rig.recording.guarded_file import GuardedFile
 from rig.recording.journal import lock_journal, sync_folder
 from rig.recording.naming import JOURNAL_SUFFIX, RUN_SUFFIX, checksum_path
 from rig.recording.nexus import plain_text
+from rig.recording.publishing import publish
 from rig.recording.reading import DAMAGE, refuse_links, text_of
 from rig.recording.table import point_table
 from rig.recording.waveforms import WaveformWriter, write_traces
@@ -88,13 +89,9 @@ def _publish(contents: JournalContents, target: Path) -> None:
         findings = differences(contents, part)
         if findings:
             raise RunFileError(target, f"does not read back equal: {findings[0]}", "run it again")
-        checksum = sha256_of(part)
-        part.chmod(0o444)
-        part.replace(target)
+        publish(part, target, sha256_of(part))
     finally:
         part.unlink(missing_ok=True)
-    _write_checksum(checksum_path(target), f"{checksum}  {target.name}\n")
-    sync_folder(target.parent)
 
 
 def _write(contents: JournalContents, path: Path, name: str) -> None:
@@ -121,18 +118,6 @@ def _write(contents: JournalContents, path: Path, name: str) -> None:
         ) from error
     finally:
         guarded.close()
-
-
-def _write_checksum(path: Path, text: str) -> None:
-    part = path.with_name(f".{path.name}.part")
-    try:
-        with part.open("w") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _refuse_other_run(target: Path, contents: JournalContents) -> None:

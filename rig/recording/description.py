@@ -1,16 +1,20 @@
-"""What a run file or a journal says about its run, as names and values to be shown."""
+"""What a file says about its run, as names and values to be shown."""
 
 from __future__ import annotations
 
 import contextlib
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rig.recording.contents import JournalContents
 from rig.recording.entry import ending
 from rig.recording.header import Named, RunHeader
 from rig.recording.runfile import Outcome
+
+if TYPE_CHECKING:
+    from rig.detector.events import Event
+    from rig.recording.processed_file import ProcessedFile
 
 
 def describe(file: Path, header: RunHeader, outcome: Outcome) -> dict[str, Any]:
@@ -61,6 +65,36 @@ def ending_of(contents: JournalContents) -> Outcome:
         warnings=end.warnings,
         imported=header.origin is not None,
     )
+
+
+def describe_processed(file: ProcessedFile) -> dict[str, Any]:
+    """A processed file in JSON-able values: where it comes from, how, and what was found."""
+    source, settings = file.source, file.settings
+    parameters = settings.model_dump(exclude={"logic", "network"})
+    if settings.network is not None:
+        parameters["network"] = settings.network.name
+    events = file.events()
+    return {
+        "file": str(file.path),
+        "title": file.title,
+        "run": source.file_name,
+        "run_sha256": source.sha256,
+        **({} if source.start_time is None else {"start_time": source.start_time}),
+        **({} if source.simulated is None else {"simulated": source.simulated}),
+        "detector": settings.logic,
+        "version": file.version,
+        "parameters": parameters,
+        "trials": {
+            trial: [_event(event) for of, event in events if of == trial] or ["nothing found"]
+            for trial in file.trial_ids()
+        },
+    }
+
+
+def _event(event: Event) -> str:
+    """``incipient slip at 6.384 s, confidence 0.6``"""
+    reason = f" ({event.reason})" if event.reason else ""
+    return f"{event.kind} at {event.time_s:.3f} s, confidence {event.confidence:.2f}{reason}"
 
 
 def _named(who: Named) -> str:

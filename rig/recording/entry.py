@@ -97,10 +97,10 @@ def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable)
     _write_named(group(entry, "user", "NXuser"), header.user)
     _write_named(group(entry, "sample", "NXsample"), header.sample)
     _write_parameters(group(entry, "parameters", "NXparameters"), header)
-    _write_note(entry, "configuration", "application/toml", header.bench_file, header.bench_toml)
-    _write_note(entry, "journal_header", "application/json", "header.json", to_json(header))
+    write_note(entry, "configuration", "application/toml", header.bench_file, header.bench_toml)
+    write_note(entry, "journal_header", "application/json", "header.json", to_json(header))
     if header.notes:
-        _write_note(entry, "notes", "text/plain", "", header.notes)
+        write_note(entry, "notes", "text/plain", "", header.notes)
     if header.origin is not None:
         _write_origin(group(entry, "origin", "NXcollection"), header.origin)
     _write_outcome(group(entry, "outcome", "NXcollection"), contents, table, end)
@@ -117,14 +117,14 @@ def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable)
 def _write_named(made: h5py.Group, named: Named) -> None:
     text_field(made, "name", named.name)
     if named.details():
-        _write_values(group(made, "details", "NXparameters"), named.details(), {})
+        write_values(group(made, "details", "NXparameters"), named.details(), {})
 
 
 def _write_parameters(made: h5py.Group, header: RunHeader) -> None:
-    _write_values(made, header.settings, header.setting_units)
+    write_values(made, header.settings, header.setting_units)
 
 
-def _write_values(
+def write_values(
     made: h5py.Group, values: Mapping[str, Any], units: Mapping[str, str], prefix: str = ""
 ) -> None:
     """Nested values as nested groups; ``units`` are those of the dotted names."""
@@ -132,7 +132,7 @@ def _write_values(
     for key, value in values.items():
         name, dotted = names.name(key), f"{prefix}{key}"
         if isinstance(value, Mapping):
-            _write_values(group(made, name, "NXparameters"), value, units, f"{dotted}.")
+            write_values(group(made, name, "NXparameters"), value, units, f"{dotted}.")
             continue
         field = made.create_dataset(name, data=_field_value(value))
         if dotted in units:
@@ -167,7 +167,8 @@ def _is_matrix(value: Any) -> bool:
     )
 
 
-def _write_note(entry: h5py.Group, name: str, kind: str, file_name: str, data: str) -> None:
+def write_note(entry: h5py.Group, name: str, kind: str, file_name: str, data: str) -> None:
+    """A text of that media type as an NXnote."""
     note = group(entry, name, "NXnote")
     text_field(note, "type", kind)
     text_field(note, "file_name", file_name)
@@ -178,7 +179,7 @@ def _write_origin(made: h5py.Group, origin: Origin) -> None:
     for name in ("file_name", "sha256", "format", "imported_at", "head"):
         text_field(made, name, getattr(origin, name))
     number_field(made, "bytes", origin.bytes)
-    _write_values(group(made, "options", "NXparameters"), origin.options, {})
+    write_values(group(made, "options", "NXparameters"), origin.options, {})
 
 
 def _write_outcome(
@@ -239,7 +240,7 @@ def _write_instrument(made: h5py.Group, header: RunHeader) -> None:
             text_field(part, "last_process", calibration["date"])
         number_field(part, "applied", True)
         parameters = group(part, "calibration_parameters", "NXparameters")
-        _write_values(parameters, calibration, {})
+        write_values(parameters, calibration, {})
 
 
 def _class_of(instrument: Instrument) -> str:
@@ -287,7 +288,7 @@ def _write_truth(entry: h5py.Group, contents: JournalContents, table: PointTable
     for name, text in truths.items():
         found = from_json(str(text))
         values = found if isinstance(found, Mapping) else {"value": found}
-        _write_values(group(made, names.name(name), "NXparameters"), values, {})
+        write_values(group(made, names.name(name), "NXparameters"), values, {})
 
 
 def header_of(entry: h5py.Group) -> RunHeader:

@@ -128,6 +128,12 @@ class RunFile:
         return self.header.settings
 
     @property
+    def end_time(self) -> str | None:
+        """When the run ended, ISO 8601; None of an imported run where nobody told."""
+        with _naming(self.path):
+            return text_of(self.entry["end_time"]) if "end_time" in self.entry else None
+
+    @property
     def outcome(self) -> Outcome:
         """How the run ended."""
         with _naming(self.path):
@@ -177,15 +183,22 @@ class RunFile:
             results = texts_of(self.entry["attempts/result"])
             return [from_json(results[n])["reading"] for n in whole(self.entry["points/attempt"])]
 
-    def waveforms(self, point: str | None = None, status: str = "kept") -> Iterator[Waveform]:
-        """The samples of a point, or of all with that status, one segment at a time."""
+    def waveforms(
+        self, point: str | None = None, status: str = "kept", stream: str | None = None
+    ) -> Iterator[Waveform]:
+        """The samples of a point, or of all with that status, one segment at a time; of a stream,
+        or of all."""
         places = {"kept": "waveforms", "between": "between_points"}
         place = places.get(status, "discarded")
         with _naming(self.path):
             names = list(self.entry[place]) if place in self.entry else []
             for name in names:
                 data = self.entry[f"{place}/{name}"]
-                if data.attrs["status"] == status and point in (None, data.attrs.get("point")):
+                if (
+                    data.attrs["status"] == status
+                    and point in (None, data.attrs.get("point"))
+                    and stream in (None, data.attrs["stream"])
+                ):
                     yield _waveform(data)
 
 

@@ -1,4 +1,4 @@
-"""Verifying: what can be checked about a run file or a journal without its instruments.
+"""Verifying: what can be checked about a file of a run without its instruments.
 
 HDF5 can crash on a damaged file, or never come to an end inside one call, which nothing in its
 process can interrupt. ``python -m rig.recording.verify FILE`` prints the verdict as JSON: a file
@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from rig.recording.comparison import differences
 from rig.recording.compiled import sha256_of
@@ -32,6 +32,10 @@ from rig.recording.runfile import RunFile
 
 if TYPE_CHECKING:
     import h5py
+
+    from rig.recording.processed_file import ProcessedFile
+
+AnyFile = TypeVar("AnyFile")
 
 MAX_CHECKSUM_CHARACTERS = 4096
 """Of the line beside a file: a checksum and a name."""
@@ -68,7 +72,8 @@ def verify(file: Path | str) -> list[str]:
 
 
 def verdict(file: Path | str) -> Verdict:
-    """Check a run file or a journal; raises nothing for a bad file, however damaged.
+    """Check a run file, a processed file or a journal; raises nothing for a bad file, however
+    damaged.
 
     Of a run file: the SHA-256 beside it, every dataset's checksum, the structure, the points, the
     lengths, the outcome, the simulated marks, and its journal if that is still there. Of a journal:
@@ -80,7 +85,11 @@ def verdict(file: Path | str) -> Verdict:
         return _verdict_on_journal(file)
     if kind != "hdf5":
         return Verdict((TOLD[kind],), "")
+    from rig.recording.processed_file import is_processed
+
     extent, findings = "", list(checksum_findings(file))
+    if is_processed(file):
+        return _verdict_on_processed(file, findings)
     try:
         with RunFile.open(file) as run:
             for check in _CHECKS:
@@ -104,6 +113,20 @@ def _verdict_on_journal(file: Path) -> Verdict:
         return Verdict((), extent)
     where = "torn at its end" if contents.torn else "damaged, with sound records behind that"
     return Verdict((f"{where}: {contents.problem}; what is before it can be used",), extent)
+
+
+def _verdict_on_processed(file: Path, findings: list[str]) -> Verdict:
+    from rig.recording.processed_file import ProcessedFile
+
+    extent = ""
+    try:
+        with ProcessedFile.open(file) as processed:
+            findings += _guarded(_datasets, processed)
+            findings += _guarded(ProcessedFile.findings, processed)
+            extent = processed.extent()
+    except RunFileError as error:
+        findings.append(error.reason)
+    return Verdict(tuple(findings), extent)
 
 
 PATIENCE_S = 60.0
@@ -154,7 +177,7 @@ def verdict_apart(file: Path | str, patience_s: float = PATIENCE_S) -> Verdict:
 _DAMAGED_HINT = "compile it again if its journal is still there: rig recover"
 
 
-def _guarded(check: Callable[[RunFile], Iterator[str]], run: RunFile) -> list[str]:
+def _guarded(check: Callable[[AnyFile], Iterator[str]], run: AnyFile) -> list[str]:
     """A check's findings; its stumbling over damage is a finding too."""
     found: list[str] = []
     try:
@@ -191,7 +214,7 @@ def checksum_findings(file: Path) -> Iterator[str]:
         yield f"the file is not the one that was written: its SHA-256 is not that of {beside.name}"
 
 
-def _datasets(run: RunFile) -> Iterator[str]:
+def _datasets(run: RunFile | ProcessedFile) -> Iterator[str]:
     """Checksums of the datasets: every byte is read."""
     import h5py
 

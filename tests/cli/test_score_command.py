@@ -74,7 +74,7 @@ def population(tmp_path: Path) -> Path:
         (["--seeds", "10"], "--seeds 10: is no range of seeds"),
         (["--tune", "x.json"], "--tune x.json: thresholds are chosen on tuning seeds only"),
         (["--kinds", "slide,fall"], "'fall' is no kind of trial; choose among slide,roll"),
-        (["--detector", "ouija"], "--detector ouija: is no detector; choose among rig"),
+        (["--detector", "ouija"], "--detector ouija: has to be one of rig, paper-literal"),
         (["--speed", "0"], "--speed 0: must be one speed above 0 mm/s"),
         (["--speed", "3N"], "--speed 3N: 'N' does not convert to mm/s"),
         (["--youngs-modulus", "-1MPa"], "youngs_modulus_MPa = -1.0 MPa: has to be above 0 MPa"),
@@ -95,6 +95,19 @@ def test_a_detector_is_not_scored_on_trials_that_it_has_seen(tmp_path):
     file.write_text(json.dumps({"baselines": [seen]}))
     line = refused("--seeds", "1000000:1000010", "--baseline-settings", file)
     assert "wavelet was tuned on seeds 1000005:1000006 and is to be scored on" in line
+
+
+def test_parameters_that_differ_are_those_of_one_detector_and_named_in_the_table(tmp_path):
+    slip_file(tmp_path)
+    (tmp_path / "list.csv").write_text("file\nslip.h5\n")
+    deaf = tmp_path / "deaf.toml"
+    deaf.write_text("fire_mV = 100.0\n")
+    given = ("--files", tmp_path / "list.csv", "--no-roc", "--settings", deaf)
+    told = json.loads(run(*given, "--detector", "paper-hp", "--json", "--out", tmp_path / "out"))
+    assert [one["name"] for one in told["detectors"]] == ["paper-hp with deaf"]
+    assert values(told)["found"] == 0.0
+    line = refused(*given, "--detector", "paper-hp", "--detector", "rig", "--out", tmp_path / "no")
+    assert "says nothing of which of 2 detectors it changes" in line
 
 
 def test_an_earlier_score_is_never_overwritten(tmp_path):

@@ -1,0 +1,196 @@
+"""``rig detect``: slips in run files. Parses, calls, prints; what is found is found elsewhere."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+import typer
+
+from rig.cli.outcome import printable, reported, say, tell_failure
+from rig.errors import ExitCode, RigError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+    from rig.recording.detection import Failure, Found
+
+    Answer = Found | RigError
+
+
+def detect(
+    files: Annotated[list[Path], typer.Argument(help="Run files (.h5) with the strips' signals.")],
+    detector: Annotated[
+        str, typer.Option(help="rig, paper-literal or paper-hp.", metavar="NAME")
+    ] = "rig",
+    settings: Annotated[
+        Path | None,
+        typer.Option(help="Parameters of the detector that are to be otherwise.", metavar="TOML"),
+    ] = None,
+    to: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the results [processed beside each file].", metavar="DIR"),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(help="Files at a time [one a processor].", min=1)
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            help="Dask cluster that does it: same program and same paths there.",
+            metavar="ADDRESS",
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Look for incipient slips in run files; what is found goes into processed files."""
+    with reported(debug, as_json):
+        from rig.cli.detector_settings import detector_settings
+        from rig.cli.side_by_side import completed, processors
+
+        wanted = detector_settings(detector, settings)
+
+        from rig.recording.detection import Job, detect_file, prepare
+
+        if scheduler is None:
+            work = [Job(file, wanted, to) for file in files]
+            prepare(wanted)
+        else:  # workers are in folders of their own
+            there = None if to is None else to.absolute()
+            work = [Job(file.absolute(), wanted, there) for file in files]
+        answers: dict[int, Answer] = {}
+        told = 0
+        with _Progress(len(files)) as progress:
+            results = completed(detect_file, work, jobs or processors(), scheduler)
+            for number, result in results:
+                answers[number] = _answer(result, files[number])
+                progress.done(len(answers), files[number])
+                while told in answers:
+                    _tell(files[told], answers[told], as_json, debug)
+                    told += 1
+        code = _code(list(answers.values()))
+        if as_json:
+            ordered = [answers[number] for number in range(len(files))]
+            print(json.dumps(_as_object(files, ordered, code)))  # noqa: T201 - data
+        if code is not ExitCode.DONE:
+            raise typer.Exit(int(code))
+
+
+def _answer(result: Found | Failure | RigError, file: Path) -> Answer:
+    from rig.recording.detection import Failure
+
+    if isinstance(result, Failure):
+        return result.error()
+    if isinstance(result, RigError):
+        named = RigError(f"{file}: {result.message}", result.hint, result.code)
+        named.__cause__ = result.__cause__
+        return named
+    return result
+
+
+def _code(answers: Sequence[Answer]) -> ExitCode:
+    """Of files that all failed the first one's; 5 where some did not."""
+    failed = [answer for answer in answers if isinstance(answer, RigError)]
+    if not failed:
+        return ExitCode.DONE
+    return ExitCode.FINISHED_WITH_FAILURES if len(failed) < len(answers) else failed[0].code
+
+
+def _tell(file: Path, answer: Answer, as_json: bool, debug: bool) -> None:
+    if isinstance(answer, RigError):
+        tell_failure(answer, debug)
+        return
+    for warning in answer.warnings:
+        say(f"warning: {warning}")
+    if not as_json:
+        print(printable(f"{file}: {_in_words(answer)}"))  # noqa: T201 - stdout carries data
+
+
+def _in_words(found: Found) -> str:
+    """``2 predictive, 1 incipient slip, first at 6.384 s of trial-001; in FILE``"""
+    counts = [f"{count} {kind}" for kind, count in found.events.items() if count]
+    told = ", ".join(counts) or "nothing found"
+    if found.first_slip is not None:
+        trial, time_s = found.first_slip
+        told += f", first slip at {time_s:.3f} s of {trial}"
+    trials = "1 trial" if found.trials == 1 else f"{found.trials} trials"
+    return f"{told} in {trials}; {'kept' if found.kept else 'written'} {found.file}"
+
+
+def _as_object(files: Sequence[Path], answers: Sequence[Answer], code: ExitCode) -> dict[str, Any]:
+    results = [
+        {"run": str(file), **_result(answer)} for file, answer in zip(files, answers, strict=True)
+    ]
+    found = [answer for answer in answers if not isinstance(answer, RigError)]
+    simulated = {answer.simulated for answer in found}
+    return {
+        "file": results[0]["file"] if len(results) == 1 else None,
+        "outcome": "complete" if code is ExitCode.DONE else "failed",
+        "exit": int(code),
+        "simulated": simulated.pop() if len(simulated) == 1 else None,
+        "summary": {
+            "files": len(results),
+            "failed": len(results) - len(found),
+            "kept": sum(answer.kept for answer in found),
+        },
+        "results": results,
+        "errors": [answer.one_line() for answer in answers if isinstance(answer, RigError)],
+    }
+
+
+def _result(answer: Answer) -> dict[str, Any]:
+    if isinstance(answer, RigError):
+        return {"file": None, "exit": int(answer.code), "error": answer.one_line()}
+    trial, time_s = answer.first_slip or (None, None)
+    return {
+        "file": str(answer.file),
+        "exit": 0,
+        "kept": answer.kept,
+        "simulated": answer.simulated,
+        "trials": answer.trials,
+        "events": answer.events,
+        "first_slip_trial": trial,
+        "first_slip_s": time_s,
+        "warnings": list(answer.warnings),
+    }
+
+
+class _Progress:
+    """On a terminal a bar with the time left, elsewhere one plain line a file; on stderr."""
+
+    def __init__(self, files: int):
+        from rich.console import Console
+
+        self._console = Console(stderr=True)
+        self._files = files
+        self._bar: Progress | None = None
+        self._task: TaskID | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def done(self, number: int, file: Path) -> None:
+        """`number` files are done, `file` is the latest. (The bar, which is a thread, begins here:
+        by then every process has been forked.)"""
+        if not self._console.is_terminal:
+            say(f"{number}/{self._files} {file.name}")
+            return
+        if self._bar is None:
+            from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+            columns = (TextColumn("{task.completed}/{task.total}"), BarColumn())
+            self._bar = Progress(
+                *columns, TextColumn("left"), TimeRemainingColumn(),
+                console=self._console, transient=True,
+            )  # fmt: skip
+            self._task = self._bar.add_task("files", total=self._files)
+            self._bar.start()
+        assert self._task is not None
+        self._bar.update(self._task, completed=number)

@@ -1,0 +1,189 @@
+"""``rig filter``: a low-pass from its specification: numbers, curves, Figure 14 of the paper."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rig.cli.outcome import reported
+from rig.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from rig.analysis.low_pass_curves import LowPassCurves
+    from rig.detector.low_pass import LowPass, LowPassSettings
+
+OPTIONS = {
+    "half_power_Hz": "--half-power",
+    "stop_dB": "--attenuation",
+    "lag_deg": "--lag",
+    "lag_Hz": "--lag-at",
+    "stop_Hz": "--stop-from",
+}
+"""The option of each field of the specification; suffixes alone do not tell them apart."""
+CURVES = ("frequency_Hz", "gain_dB", "phase_deg", "group_delay_ms")
+ANSWERS = ("time_ms", "tap", "step_response")
+
+
+def filter_(
+    name: Annotated[str, typer.Argument(help="paper, fast or faster.", metavar="NAME")] = "paper",
+    half_power: Annotated[
+        str | None, typer.Option(help="Where its gain is -3 dB.", metavar="Hz")
+    ] = None,
+    attenuation: Annotated[
+        str | None, typer.Option(help="How far down the stop band lies.", metavar="dB")
+    ] = None,
+    lag: Annotated[
+        str | None, typer.Option(help="Phase lag, in place of --stop-from.", metavar="deg")
+    ] = None,
+    lag_at: Annotated[
+        str | None, typer.Option(help="Where the lag is stated.", metavar="Hz")
+    ] = None,
+    stop_from: Annotated[
+        str | None,
+        typer.Option(help="Where the stop band begins, in place of --lag.", metavar="Hz"),
+    ] = None,
+    rate: Annotated[str, typer.Option(help="Sampling rate.", metavar="Hz")] = "1000",
+    results: Annotated[
+        Path, typer.Option(help="Folder for figure and data.", file_okay=False)
+    ] = Path("results"),
+    figures: Annotated[bool, typer.Option(help="Draw the figure and write the data.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Design the low-pass of the predictive signal: its numbers, its curves, Figure 14."""
+    texts = dict(zip(OPTIONS, (half_power, attenuation, lag, lag_at, stop_from), strict=True))
+    with reported(debug, as_json):
+        from rig.analysis.low_pass_curves import low_pass_curves, low_pass_summary
+
+        low_pass = _designed(_specification(name, texts), _quantity("--rate", rate, "Hz"))
+        summary = low_pass_summary(low_pass)
+        changed = any(text is not None for text in texts.values())
+        files: list[Path] = []
+        if figures:
+            from rig.figures.low_pass import draw_low_pass
+
+            curves = low_pass_curves(low_pass)
+            named = f"{name}, changed" if changed else name
+            files = _save(
+                results,
+                _stem(name, changed, low_pass),
+                draw_low_pass(named, curves, summary),
+                curves,
+            )
+        _tell(name, low_pass, asdict(summary), files, as_json)
+
+
+def _specification(name: str, texts: dict[str, str | None]) -> LowPassSettings:
+    from pydantic import ValidationError
+
+    from rig.cli.detector_settings import low_pass_values
+    from rig.detector.low_pass import NAMED_LOW_PASSES, LowPassSettings
+    from rig.settings import unit_of
+
+    if name not in NAMED_LOW_PASSES:
+        raise ConfigurationError(
+            f"low-pass {name}: has to be one of {', '.join(NAMED_LOW_PASSES)}",
+            "options change the one that is named",
+        )
+    given = {
+        field: _quantity(OPTIONS[field], text, unit_of(field) or "")
+        for field, text in texts.items()
+        if text is not None
+    }
+    try:
+        return LowPassSettings.model_validate(low_pass_values(NAMED_LOW_PASSES[name], given))
+    except ValidationError as error:
+        wrong = ConfigurationError.from_validation(error, f"low-pass {name}")
+        raise ConfigurationError(_by_options(wrong.message)) from error
+
+
+def _designed(settings: LowPassSettings, rate_Hz: float) -> LowPass:
+    """ConfigurationError, with the bound, where no filter does what is asked for."""
+    from rig.detector.low_pass import design_low_pass
+
+    if not 0 < rate_Hz < float("inf"):
+        raise ConfigurationError(f"--rate {rate_Hz:g} Hz: has to be above 0 Hz")
+    try:
+        return design_low_pass(settings, rate_Hz)
+    except ValueError as error:
+        raise ConfigurationError(_by_options(str(error))) from error
+
+
+def _by_options(message: str) -> str:
+    """A message about the fields in the words of the command line."""
+    import re
+
+    names = "|".join(sorted(OPTIONS, key=len, reverse=True))
+    return re.sub(rf"\b({names})\b", lambda match: OPTIONS[match[1]], message)
+
+
+def _quantity(option: str, text: str, unit: str) -> float:
+    from rig.cli.options import quantity
+
+    try:
+        return quantity(text, unit)
+    except ValueError as error:
+        raise ConfigurationError(f"{option} {text}: {error}", "see --help for the units") from error
+
+
+def _stem(name: str, changed: bool, low_pass: LowPass) -> str:
+    """One name a specification and rate, so that the same filter has the same files."""
+    from rig.settings import fingerprint
+
+    shown = fingerprint(low_pass.settings)[:8] if changed else name
+    return f"low-pass-{shown}-{low_pass.rate_Hz:g}Hz"
+
+
+def _save(results: Path, stem: str, figure: Any, curves: LowPassCurves) -> list[Path]:
+    from rig.figures.style import save
+
+    try:
+        results.mkdir(parents=True, exist_ok=True)
+        return [
+            *save(figure, results / f"{stem}.png", simulated=False),
+            _table(results / f"{stem}-frequency.csv", curves, CURVES),
+            _table(results / f"{stem}-step.csv", curves, ANSWERS),
+        ]
+    except OSError as error:
+        raise ConfigurationError(
+            f"figure and data cannot be written to {results}: {error.strerror or error}",
+            "name another --results, or leave them out with --no-figures",
+        ) from error
+
+
+def _table(path: Path, curves: LowPassCurves, columns: Sequence[str]) -> Path:
+    """Columns as CSV; numbers read back as they were."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(
+            zip(*(getattr(curves, column).tolist() for column in columns), strict=True)
+        )
+    return path
+
+
+def _tell(
+    name: str, low_pass: LowPass, summary: dict[str, Any], files: list[Path], as_json: bool
+) -> None:
+    if as_json:
+        specification = low_pass.settings.model_dump()
+        told = {
+            "file": str(files[0]) if files else None,
+            "outcome": "complete",
+            "exit": 0,
+            "simulated": None,
+            "summary": {"name": name, "specification": specification, **summary},
+            "files": [str(file) for file in files],
+        }
+        typer.echo(json.dumps(told))
+        return
+    for key, value in summary.items():
+        typer.echo(f"{key}: {'never' if value is None else f'{value:.6g}'}")
+    for file in files:
+        typer.echo(f"file: {file}")

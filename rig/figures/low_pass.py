@@ -1,0 +1,69 @@
+"""A low-pass in pictures, as the paper's Figure 14: gain, phase, group delay, step response."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from rig.detector.low_pass import HALF_POWER_dB
+from rig.figures.style import STYLE, decades, legend_above, set_margins
+
+if TYPE_CHECKING:
+    from rig.analysis.low_pass_curves import LowPassCurves, LowPassSummary
+
+BELOW_STOP_BAND_dB = 40.0
+"""What is shown of the gain below the largest lobe of the stop band."""
+
+
+def draw_low_pass(name: str, curves: LowPassCurves, summary: LowPassSummary) -> Figure:
+    """The four curves; phase and group delay up to the stop band, where both mean nothing."""
+    f = curves.frequency_Hz
+    passed = f < summary.stop_Hz
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 8.4))
+        gain, phase, delay, step = figure.subplots(4, 1)
+        gain.plot(f, curves.gain_dB, linewidth=0.8)
+        gain.axhline(
+            -summary.attenuation_dB, color="0.5", linestyle="--", linewidth=0.8,
+            label=f"stop band from {summary.stop_Hz:.1f} Hz: -{summary.attenuation_dB:.1f} dB",
+        )  # fmt: skip
+        gain.plot(
+            summary.half_power_Hz, HALF_POWER_dB, "o", markersize=4, color="C3",
+            label=f"-3 dB at {summary.half_power_Hz:.2f} Hz",
+        )  # fmt: skip
+        gain.set_ylim(-summary.attenuation_dB - BELOW_STOP_BAND_dB, 5.0)
+        gain.set_ylabel("Gain (dB)")
+        phase.plot(f, np.where(passed, curves.phase_deg, np.nan), linewidth=0.8)
+        phase.plot(
+            summary.lag_Hz, -summary.lag_deg, "o", markersize=4, color="C3",
+            label=f"{-summary.lag_deg:.2f}° at {summary.lag_Hz:g} Hz",
+        )  # fmt: skip
+        phase.set_ylabel("Phase (deg)")
+        delay.plot(f, np.where(passed, curves.group_delay_ms, np.nan), linewidth=0.8)
+        delay.plot(
+            summary.lag_Hz, summary.delay_ms, "o", markersize=4, color="C3",
+            label=f"{summary.delay_ms:.1f} ms at {summary.lag_Hz:g} Hz",
+        )  # fmt: skip
+        delay.set_ylabel("Group delay (ms)")
+        for axes in (gain, phase, delay):
+            decades(axes, float(f[0]), float(f[-1]))
+        step.plot(curves.time_ms, curves.step_response, linewidth=0.8)
+        step.plot(
+            summary.step_half_ms, 0.5, "o", markersize=4, color="C3",
+            label=f"one half after {summary.step_half_ms:.1f} ms, "
+            f"overshoot {summary.overshoot_percent:.1f} %",
+        )  # fmt: skip
+        step.set_ylabel("Step response")
+        step.set_xlabel("Time since the step (ms)")
+        for axes in (gain, phase, delay, step):
+            legend_above(axes)
+        figure.suptitle(
+            f"Low-pass {name}: {summary.taps} taps at {summary.rate_Hz:g} Hz",
+            fontsize=9,
+            parse_math=False,
+        )
+        set_margins(figure, top=0.65, between=0.62)
+    return figure

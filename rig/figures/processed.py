@@ -1,0 +1,102 @@
+"""What a detector found in a trial: v_d, the predictive signal, and the events where they were
+decided."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from rig.figures.pressed import TRIALS_SHOWN
+from rig.figures.style import STYLE, legend_above, set_margins
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from rig.detector.events import EventKind
+    from rig.recording.processed import DetectedTrial
+    from rig.recording.processed_file import ProcessedFile
+
+MARKS: dict[EventKind, tuple[str, str]] = {
+    "predictive": ("C1", ":"),
+    "incipient slip": ("C3", "-"),
+    "roll": ("C2", "--"),
+    "rejected": ("0.6", ":"),
+}
+"""Colour and line of each kind of event."""
+AROUND_S = 0.5
+"""What is shown before the first and after the last event; the file holds all of it."""
+
+
+def draw_trials(processed: ProcessedFile) -> dict[str, Figure]:
+    """One figure a trial: the first has the file's name, the others add their own."""
+    return {
+        "" if number == 0 else f"-{trial.id}": draw_trial(processed, trial)
+        for number, trial in enumerate(processed.trials()[:TRIALS_SHOWN])
+    }
+
+
+def draw_trial(processed: ProcessedFile, trial: DetectedTrial) -> Figure:
+    """Both signals around the events, or over the whole trial where it has none, and the
+    confidence of each event below."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 5.6))
+        signal, low, confidence = figure.subplots(
+            3, 1, sharex=True, gridspec_kw={"height_ratios": [2.0, 1.6, 1.0]}
+        )
+        t, v_d = _with_gaps(trial, trial.v_d)
+        signal.plot(t, 1e3 * v_d, linewidth=0.6, color="C0", label="$v_d = v_1 - v_2$")
+        signal.set_ylabel("Signal (mV)")
+        t, predictive = _with_gaps(trial, trial.predictive)
+        low.plot(t, 1e3 * predictive, linewidth=0.8, color="C4", label="low-passed $v_d$")
+        low.set_ylabel("Predictive (mV)")
+        _mark_events((signal, low), confidence, trial)
+        confidence.set_ylim(0.0, 1.05)
+        confidence.set_ylabel("Confidence")
+        confidence.set_xlabel("Time since the record's start (s)")
+        if trial.events:
+            times = [event.time_s for event in trial.events]
+            end = min(float(trial.time_s[-1]), max(times) + AROUND_S)
+            signal.set_xlim(max(0.0, min(times) - AROUND_S), end)
+        for axes in (signal, low):
+            legend_above(axes)
+        settings = processed.settings
+        figure.suptitle(
+            f"{processed.title}: {trial.id}\n"
+            f"detector {settings.logic} {processed.version}: {_told(trial)}\n"
+            f"{processed.path.name}",
+            fontsize=9,
+            parse_math=False,
+        )
+        set_margins(figure, top=0.9, between=0.22)
+    return figure
+
+
+def _mark_events(panels: tuple[Axes, Axes], confidence: Axes, trial: DetectedTrial) -> None:
+    """A line an event through the signals, named once a kind; its confidence below."""
+    for kind, (colour, line) in MARKS.items():
+        events = [event for event in trial.events if event.kind == kind]
+        for number, event in enumerate(events):
+            label = f"{kind} ({len(events)})" if number == 0 else None
+            for axes, named in zip(panels, (label, None), strict=True):
+                axes.axvline(event.time_s, color=colour, linestyle=line, linewidth=0.8, label=named)
+        if events:
+            times = [event.time_s for event in events]
+            sure = [event.confidence for event in events]
+            confidence.plot(times, sure, "o", markersize=4, color=colour)
+
+
+def _told(trial: DetectedTrial) -> str:
+    first = next((event for event in trial.events if event.kind == "incipient slip"), None)
+    return "no slip found" if first is None else f"first slip at {first.time_s:.3f} s"
+
+
+def _with_gaps(
+    trial: DetectedTrial, values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times and values with a NaN in every gap, so that no line is drawn across it."""
+    behind = np.flatnonzero(np.diff(trial.sample) > 1) + 1
+    return np.insert(trial.time_s, behind, np.nan), np.insert(values, behind, np.nan)

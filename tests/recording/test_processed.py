@@ -1,0 +1,370 @@
+"""Processed files: what was found, from what and how; the same bytes from the same file."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import recorded_run
+import recorded_trials as trials
+
+from rig.detector.detector import DETECTOR_VERSION
+from rig.detector.fir import StreamingFir
+from rig.detector.low_pass import design_low_pass
+from rig.detector.settings import DetectorSettings
+from rig.errors import ExitCode
+from rig.recording.compiled import compile_run, sha256_of
+from rig.recording.definitions import definition_path
+from rig.recording.detection import Failure, Found, Job, detect_file, detect_trials
+from rig.recording.processed_file import ProcessedFile, is_processed
+from rig.recording.runfile import RunFile
+from rig.recording.verify import verdict, verify
+
+SETTINGS = DetectorSettings(logic="paper-hp")
+TRIALS = {"trial-001": trials.slipping(), "trial-002": trials.quiet(seed=2)}
+
+
+@pytest.fixture(scope="module")
+def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return trials.write_trials(tmp_path_factory.mktemp("run") / "slide_r001.rigj", TRIALS)
+
+
+@pytest.fixture(scope="module")
+def found(run_file: Path) -> Found:
+    return detected(run_file)
+
+
+@pytest.fixture
+def own_run(tmp_path: Path) -> Path:
+    return trials.write_trials(tmp_path / "own_r001.rigj", TRIALS)
+
+
+def detected(
+    run_file: Path, folder: Path | None = None, settings: DetectorSettings = SETTINGS
+) -> Found:
+    answer = detect_file(Job(run_file, settings, folder))
+    assert isinstance(answer, Found), answer
+    return answer
+
+
+def refused(run_file: Path, settings: DetectorSettings = SETTINGS) -> Failure:
+    answer = detect_file(Job(run_file, settings))
+    assert isinstance(answer, Failure), answer
+    assert str(run_file) in answer.message
+    assert not (run_file.parent / "processed").exists(), "nothing is left behind"
+    return answer
+
+
+# What was found
+
+
+def test_the_slip_is_found_in_its_trial_and_none_in_the_quiet_one(found: Found) -> None:
+    assert found.trials == 2
+    assert found.events["incipient slip"] == 1
+    assert found.first_slip is not None
+    trial, time_s = found.first_slip
+    assert trial == "trial-001"
+    assert trials.SLIP_S <= time_s < trials.SLIP_S + 0.02
+    with ProcessedFile.open(found.file) as processed:
+        kinds = [(of, event.kind) for of, event in processed.events()]
+    assert ("trial-001", "predictive") in kinds
+    assert not [kind for of, kind in kinds if of == "trial-002"]
+
+
+def test_the_file_says_from_what_and_how_it_was_made(found: Found, run_file: Path) -> None:
+    with ProcessedFile.open(found.file) as processed:
+        assert processed.source.file_name == run_file.name
+        assert processed.source.sha256 == sha256_of(run_file)
+        assert processed.source.definition == "NXrig_slip_trial"
+        assert processed.settings == SETTINGS
+        assert processed.version == DETECTOR_VERSION
+        entry = processed.entry
+        assert entry["process"].attrs["NX_class"] == "NXprocess"
+        assert entry["process/parameters/arm_mV"][()] == SETTINGS.arm_mV
+        assert entry["process/parameters/arm_mV"].attrs["units"] == "mV"
+        assert entry["process/parameters/low_pass/half_power_Hz"].attrs["units"] == "Hz"
+        assert entry["events/features/impulse_mV"].attrs["units"] == "mV"
+    assert found.file.parent == run_file.parent / "processed"
+    assert found.file.name.startswith(f"slide_r001.paper-hp-{DETECTOR_VERSION}-")
+    assert found.file.stat().st_mode & 0o777 == 0o444
+
+
+def test_what_is_read_is_what_was_detected(found: Found, run_file: Path) -> None:
+    with ProcessedFile.open(found.file) as processed, RunFile.open(run_file) as run:
+        read, made = processed.trials(), detect_trials(run, SETTINGS)
+    assert [trial.events for trial in read] == [trial.events for trial in made]
+    assert all(mine.same(own) for mine, own in zip(read, made, strict=True))
+    volts = TRIALS["trial-001"]
+    np.testing.assert_array_equal(read[0].v_d, volts[:, 0] - volts[:, 1])
+    taps = design_low_pass(SETTINGS.low_pass, trials.RATE_HZ).taps
+    expected = StreamingFir(taps, 1).add(read[0].v_d[:, None])[:, 0]
+    np.testing.assert_array_equal(read[0].predictive, expected)
+
+
+def test_rows_that_were_lost_stay_lost(tmp_path: Path) -> None:
+    lost = {"trial-001": trials.slipping()}
+    run_file = trials.write_trials(tmp_path / "gap_r001.rigj", lost, missing=50)
+    answer = detected(run_file)
+    with ProcessedFile.open(answer.file) as processed:
+        (trial,) = processed.trials()
+        assert list(processed.findings()) == []
+    assert trial.sample.tolist() == [*range(700), *range(750, 1500)]
+    (gap,) = [event for event in trial.events if "gap of 50" in event.reason]
+    assert (gap.kind, gap.time_s) == ("rejected", 0.75)
+
+
+# The same file from the same file
+
+
+def test_the_same_run_gives_the_same_bytes_and_stays_as_it_was(
+    found: Found, run_file: Path, tmp_path: Path
+) -> None:
+    before = run_file.stat()
+    again = detected(run_file, tmp_path / "elsewhere")
+    assert again.file.read_bytes() == found.file.read_bytes()
+    assert verify(run_file) == []
+    after = run_file.stat()
+    assert (after.st_mtime_ns, after.st_mode) == (before.st_mtime_ns, before.st_mode)
+
+
+def test_a_result_that_exists_is_kept(own_run: Path) -> None:
+    first = detected(own_run)
+    before = first.file.stat()
+    again = detected(own_run)
+    assert again.kept
+    assert not first.kept
+    assert (again.events, again.first_slip) == (first.events, first.first_slip)
+    assert again.file.stat() == before
+
+
+def test_other_parameters_or_another_version_add_a_file(
+    own_run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = detected(own_run)
+    deaf = detected(own_run, settings=SETTINGS.model_copy(update={"fire_mV": 100.0}))
+    assert deaf.events["incipient slip"] == 0
+    monkeypatch.setattr("rig.recording.detection.DETECTOR_VERSION", "next")
+    later = detect_file(Job(own_run, SETTINGS, version="next"))
+    assert isinstance(later, Found)
+    files = {path.name for path in first.file.parent.glob("*.h5")}
+    assert files == {first.file.name, deaf.file.name, later.file.name}
+    assert ".paper-hp-next-" in later.file.name
+
+
+def test_a_result_without_its_checksum_or_damaged_is_written_again(own_run: Path) -> None:
+    first = detected(own_run)
+    content = first.file.read_bytes()
+    beside = first.file.with_name(first.file.name + ".sha256")
+    beside.unlink()
+    again = detected(own_run)
+    assert not again.kept
+    assert "written again" in again.warnings[0]
+    assert beside.exists()
+    first.file.chmod(0o644)
+    first.file.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    assert not detected(own_run).kept
+    assert first.file.read_bytes() == content
+
+
+def test_the_result_of_a_run_that_went_on_is_written_again(tmp_path: Path) -> None:
+    begun = {"trial-001": TRIALS["trial-001"]}
+    run_file = trials.write_trials(tmp_path / "a_r001.rigj", begun, complete=False)
+    assert detected(run_file).trials == 1
+    (tmp_path / "a_r001.rigj").unlink()
+    trials.write_trials(tmp_path / "a_r001.rigj", TRIALS)
+    later = detected(run_file)
+    assert (later.trials, later.kept) == (2, False)
+    assert "the run file has changed since" in later.warnings[0]
+
+
+def test_another_runs_result_is_not_overwritten(own_run: Path, tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    other = tmp_path / "other" / "own_r001.rigj"
+    results = tmp_path / "results"
+    first = detected(own_run, results)
+    content = first.file.read_bytes()
+    answer = detect_file(
+        Job(trials.write_trials(other, TRIALS, run_uuid="another"), SETTINGS, results)
+    )
+    assert isinstance(answer, Failure)
+    assert "another run of that name" in answer.message
+    assert "--to" in (answer.hint or "")
+    assert first.file.read_bytes() == content
+
+
+# What is refused
+
+
+def test_files_of_other_kinds_are_refused_by_name(own_run: Path, tmp_path: Path) -> None:
+    sweep = compile_run(recorded_run.write_run(tmp_path / "sweep.rigj"))
+    answer = refused(sweep)
+    assert "a sweep, which records no strips" in answer.message
+    assert answer.code is ExitCode.USAGE
+    assert "a journal, not a run file" in refused(tmp_path / "sweep.rigj").message
+    assert "no such file" in refused(tmp_path / "none.h5").message
+    found = detected(own_run)
+    assert is_processed(found.file)
+    assert "a processed file, not a run" in refused(found.file).message
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"rate_Hz": 50.0}, "rate 50 Hz must be between"),
+        ({"units": "mV"}, "v_1 and v_2 are in 'mV', not in V"),
+    ],
+)
+def test_a_trial_that_no_detector_can_take_is_named(
+    tmp_path: Path, given: dict[str, object], told: str
+) -> None:
+    run_file = trials.write_trials(tmp_path / "a.rigj", TRIALS, **given)  # type: ignore[arg-type]
+    assert f"trial trial-001: {told}" in refused(run_file).message
+
+
+def test_a_value_that_is_no_number_is_named(tmp_path: Path) -> None:
+    volts = trials.quiet()
+    volts[900, 1] = np.nan
+    run_file = trials.write_trials(tmp_path / "a.rigj", {"trial-001": volts})
+    assert "trial trial-001: v_2 is nan V at sample 900" in refused(run_file).message
+
+
+def test_a_run_of_which_nothing_was_kept_is_refused(tmp_path: Path) -> None:
+    run_file = trials.write_trials(tmp_path / "a.rigj", {})
+    assert "no trial of it was kept (complete, 0 of 0 points)" in refused(run_file).message
+
+
+def test_a_run_file_that_has_changed_is_refused_and_one_without_checksum_told(
+    own_run: Path,
+) -> None:
+    beside = own_run.with_name(own_run.name + ".sha256")
+    text = beside.read_text()
+    beside.unlink()
+    assert "its checksum is missing" in detected(own_run, own_run.parent / "x").warnings[0]
+    beside.write_text("0" * 64 + text[64:])
+    answer = refused(own_run)
+    assert "not the one that was written" in answer.message
+    assert answer.code is ExitCode.FOUND_WRONG
+
+
+def test_a_computer_with_another_detector_refuses(own_run: Path) -> None:
+    answer = detect_file(Job(own_run, SETTINGS, version="0"))
+    assert isinstance(answer, Failure)
+    assert f"version 0 is wanted, this computer has {DETECTOR_VERSION}" in answer.message
+
+
+FULL_DISK = """
+import resource, sys
+from pathlib import Path
+from rig.detector.settings import DetectorSettings
+from rig.recording.detection import Job, detect_file
+job = Job(Path(sys.argv[1]), DetectorSettings(logic="paper-hp"))
+for size in range(0, int(sys.argv[2]), 9001):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+    print(detect_file(job).message)
+"""
+
+
+def test_a_full_disk_leaves_nothing(own_run: Path, found: Found) -> None:
+    """Wherever in the file the disk is full."""
+    size = found.file.stat().st_size
+    command = [sys.executable, "-c", FULL_DISK, str(own_run), str(size)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert len(lines) == -(-size // 9001)
+    assert all("cannot be written: File too large" in line for line in lines)
+    assert list((own_run.parent / "processed").iterdir()) == []
+
+
+# Viewers, validators, verify
+
+
+def validate(path: Path) -> list[tuple[int, int]]:
+    from nexusformat.nexus.validate import lint_nxdl, validate_application, validate_file
+
+    definition = definition_path("NXrig_processed")
+    assert lint_nxdl(definition) == []
+    return [validate_file(str(path)), validate_application(str(path), application=str(definition))]
+
+
+def test_nexusformat_finds_nothing(found: Found, tmp_path: Path) -> None:
+    assert validate(found.file) == [(0, 0), (0, 0)]
+    silent = trials.write_trials(tmp_path / "a.rigj", {"trial-001": trials.quiet()})
+    assert validate(detected(silent).file) == [(0, 0), (0, 0)]
+
+
+def test_viewers_plot_the_first_trial_at_the_first_click(found: Found) -> None:
+    import xarray
+    from silx.io.nxdata import NXdata, get_default
+
+    with h5py.File(found.file) as opened:
+        default = get_default(opened)
+        assert default.group.name == "/entry/data"
+        assert default.title.startswith("SIMULATED trial-001")
+        assert default.signal_name == "Predictive signal (V)"
+        for trial in ("trial_001", "trial_002"):
+            assert NXdata(opened[f"entry/trials/{trial}"]).is_valid
+    with xarray.open_dataset(found.file, group="/entry/data", engine="h5netcdf") as data:
+        assert data["predictive"].dims == ("time",)
+        assert data["predictive"].attrs["units"] == "V"
+
+
+def test_a_run_that_was_not_simulated_does_not_say_so(tmp_path: Path) -> None:
+    instruments = [i | {"simulated": False} for i in recorded_run.header()["instruments"]]
+    run_file = trials.write_trials(
+        tmp_path / "a.rigj", TRIALS, simulated=False, instruments=instruments
+    )
+    real = detected(run_file)
+    assert real.simulated is False
+    assert verify(real.file) == []
+    assert b"SIMULATED" not in real.file.read_bytes()
+
+
+def test_verify_says_what_a_sound_file_holds(found: Found) -> None:
+    assert str(verdict(found.file)) == (
+        f"sound (paper-hp {DETECTOR_VERSION}, {sum(found.events.values())} events in 2 trials)"
+    )
+
+
+def without_mark(entry: h5py.Group) -> None:
+    entry["title"][()] = "Slips detected"
+
+
+def at_another_time(entry: h5py.Group) -> None:
+    entry["events/time"][0] += 0.5
+
+
+def by_other_parameters(entry: h5py.Group) -> None:
+    entry["process/settings/data"].attrs["fingerprint"] = "0" * 64
+
+
+def without_features(entry: h5py.Group) -> None:
+    del entry["events/features"]
+
+
+def of_another_run(entry: h5py.Group) -> None:
+    entry["source/file_name"][()] = "other_r002.h5"
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (without_mark, "title does not say SIMULATED"),
+        (at_another_time, "an event's time is not its row's"),
+        (by_other_parameters, "fingerprint is not theirs"),
+        (without_features, "features is missing"),
+        (of_another_run, "its name is not that of its run"),
+    ],
+)
+def test_verify_finds_what_was_changed(own_run: Path, change: object, told: str) -> None:
+    file = detected(own_run).file
+    file.chmod(0o644)
+    with h5py.File(file, "a") as opened:
+        change(opened["entry"])  # type: ignore[operator]
+    findings = verify(file)
+    assert any("not the one that was written" in finding for finding in findings)
+    assert any(told in finding for finding in findings), findings
