@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +21,9 @@ DETECTOR_VERSION = "1"
 NETWORK_RATE_Hz = 1000.0
 """The rate at which the network was trained."""
 SLOWEST_Hz, FASTEST_Hz = 500.0, 4000.0
+MAINS_Hz = (50.0, 60.0)
 _SLICE = 4096
+_MOST_A_ROW = 6
 _LOGICS = {"rig": kernel.RIG, "paper-literal": kernel.LITERAL, "paper-hp": kernel.HIGH_PASSED}
 
 
@@ -65,7 +68,8 @@ class IncipientSlipDetector:
         self._units = np.zeros(self._hidden.shape[1])
         self._line = np.zeros(self.low_pass.taps.size)
         self._piece = np.zeros((4, int(self._constants["quiet_rows"][0])))
-        self._events = np.zeros((3 * _SLICE, kernel.EVENT_COLUMNS))
+        self._room = np.zeros(self._piece.shape[1])
+        self._events = np.zeros((_MOST_A_ROW * _SLICE, kernel.EVENT_COLUMNS))
         self._seen = np.zeros((1, len(kernel.INPUTS)))
         self._unseen = np.zeros(0, np.bool_)
         self._first = 0
@@ -121,6 +125,7 @@ class IncipientSlipDetector:
                 self._state,
                 self._line,
                 self._piece,
+                self._room,
                 self._constants,
                 self.low_pass.taps,
                 self._sections,
@@ -189,10 +194,15 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     c["roll_probability"] = settings.roll_probability
     c["silent_rows"] = round(settings.silence_s * rate_Hz)
     c["saturation"] = 1e3 * settings.saturation_V
+    c["dead_rows"] = round(settings.dead_s * rate_Hz)
+    c["dead_span"] = settings.dead_mV
+    c["hum"] = settings.hum_mV
+    c["turn"] = 2 * math.pi * np.array(MAINS_Hz) / rate_Hz
     c["share"] = -np.expm1(-1 / (np.array(kernel.AVERAGES_ms) * ms))
     return c
 
 
+@lru_cache(maxsize=32)
 def _high_pass(corner_Hz: float, rate_Hz: float) -> Reals:
     """Second-order sections of a Butterworth high-pass of order 3."""
     from scipy.signal import butter

@@ -15,7 +15,19 @@ from numba import njit
 
 PREDICTIVE, SLIP, ROLL, REJECTED = range(4)
 """Kinds of events, in the order of `rig.detector.events.EVENT_KINDS`."""
-NO_REASON, NOT_ARMED, IS_ROLL, COMMON, UNLIKE, SATURATED, NOT_QUIET = range(7)
+(
+    NO_REASON,
+    NOT_ARMED,
+    IS_ROLL,
+    COMMON,
+    UNLIKE,
+    SATURATED,
+    NOT_QUIET,
+    FIRST_DEAD,
+    SECOND_DEAD,
+    ONE_INVERTED,
+    HUM,
+) = range(11)
 REASONS = (
     "",
     "not armed: no predictive signal went before",
@@ -24,6 +36,10 @@ REASONS = (
     "unlike a slip",
     "saturated",
     "not quiet: offset and noise cannot be judged",
+    "v_1 is dead: constant while v_2 moves",
+    "v_2 is dead: constant while v_1 moves",
+    "the first touch drives v_1 and v_2 oppositely: one is inverted, or it was not recorded",
+    "mains hum: thresholds rise with it",
 )
 RIG, LITERAL, HIGH_PASSED = range(3)
 """Logics."""
@@ -39,6 +55,8 @@ STATE = np.dtype(
         ("offset", "f8", (2,)),  # of v_d and v_s, mV
         ("noise", "f8", (2,)),  # of v_d and v_s, mV
         ("fast_noise", "f8", (2,)),  # the same above impulse_Hz
+        ("fresh_offset", "f8", (4,)),  # of the last piece: v_d, v_s, both above impulse_Hz
+        ("fresh_noise", "f8", (4,)),
         ("piece_rows", "i8"),
         ("restless_rows", "i8"),
         ("low", "f8"),  # low-passed v_d
@@ -49,7 +67,13 @@ STATE = np.dtype(
         ("power", "f8", (3,)),  # fast v_d over 8 and 64 ms, fast v_s over 8 ms
         ("sum", "f8", (4,)),  # leaky sums of v_d and v_s over 100 and 400 ms
         ("slow_peak", "f8", (2,)),  # of the averages over 16 ms
-        ("polarity_sum", "f8"),
+        ("touch", "f8", (2,)),  # sums of v_d and v_s over the first touch, mV ms
+        ("touched", "i8"),
+        ("last", "f8", (2,)),  # v_1 and v_2 before, mV
+        ("still", "i8", (2,)),  # rows without any change
+        ("still_at", "f8", (2,)),  # the other channel when that began
+        ("still_span", "f8", (2,)),  # how far the other has moved since
+        ("told_hum", "i8"),
         ("armed", "i8"),
         ("armed_rows", "i8"),
         ("calm_rows", "i8"),
@@ -83,6 +107,10 @@ CONSTANTS = np.dtype(
         ("roll_probability", "f8"),
         ("silent_rows", "i8"),
         ("saturation", "f8"),
+        ("dead_rows", "i8"),
+        ("dead_span", "f8"),
+        ("hum", "f8"),
+        ("turn", "f8", (2,)),  # of the mains in a row, 50 and 60 Hz, rad
         ("share", "f8", (_A,)),  # of a new row in the averages
     ]
 )
@@ -138,6 +166,7 @@ def advance(
     state: Any,
     line: Any,
     piece: Any,
+    room: Any,
     constants: Any,
     taps: Any,
     sections: Any,
@@ -150,7 +179,8 @@ def advance(
 ) -> int:
     """Take rows of volts (n, 2); fill `events` (n, columns) and say how many.
 
-    `line` (taps,) and `piece` (4, quiet rows) belong to the state. The network's weights are
+    `line` (taps,) and `piece` (4, quiet rows) belong to the state;
+    `room` is as long as a piece. The network's weights are
     `hidden` (inputs + 1, units) and `output` (2, units + 1); `units` is room for it. Where
     `looked` has rows, its inputs are kept in `seen` (n, inputs) and `looked` (n,) says for which.
     """
@@ -158,12 +188,15 @@ def advance(
     told = 0
     for k in range(volts.shape[0]):
         first, second = 1e3 * volts[k, 0], 1e3 * volts[k, 1]
+        told = _doubt(first, second, s, c, events, told)
+        if abs(first) >= c.saturation or abs(second) >= c.saturation:
+            first, second = s.last[0], s.last[1]  # what it was before goes on: no filter rings
+        s.last[0], s.last[1] = first, second
         _filter(first, second, s, line, c, taps, sections)
-        told = _judge_quiet(first, second, s, piece, c, events, told)
+        told = _judge_quiet(first, second, s, piece, room, c, events, told)
         if s.ready:
-            _follow(first, second, s, c)
-            saturated = abs(first) >= c.saturation or abs(second) >= c.saturation
-            told = _arm(saturated, s, c, events, told)
+            told = _follow(first, second, s, c, events, told)
+            told = _arm(s, c, events, told)
             if c.logic == RIG:
                 looks = _looks(s, c)
                 if looks:
@@ -175,6 +208,33 @@ def advance(
             else:
                 told = _compare(first, second, s, c, events, told)
         s.row += 1
+    return told
+
+
+@njit(cache=True, error_model="numpy")
+def _doubt(first: float, second: float, s: Any, c: Any, events: Any, told: int) -> int:
+    """A saturated or a dead channel makes deaf until 50 ms after."""
+    if s.deaf_rows > 0:
+        s.deaf_rows -= 1
+    deaf = s.deaf_rows
+    now = round(50.0 * c.ms) + 1
+    if abs(first) >= c.saturation or abs(second) >= c.saturation:
+        s.deaf_rows = now
+        if deaf == 0:
+            told = _tell(REJECTED, 0.0, SATURATED, 0.0, 0.0, s, events, told)
+    for j in range(2):
+        x, other = (first, second) if j == 0 else (second, first)
+        if x != s.last[j] or s.row == 0:
+            s.still[j] = 0
+            s.still_at[j] = other
+            s.still_span[j] = 0.0
+            continue
+        s.still[j] += 1
+        s.still_span[j] = max(s.still_span[j], abs(other - s.still_at[j]))
+        if s.still[j] >= c.dead_rows and s.still_span[j] > c.dead_span and abs(x) < c.saturation:
+            if s.deaf_rows == 0:
+                told = _tell(REJECTED, 0.0, FIRST_DEAD + j, 0.0, 0.0, s, events, told)
+            s.deaf_rows = now
     return told
 
 
@@ -228,7 +288,7 @@ def _rest(x: float, memory: Any, sections: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _judge_quiet(
-    first: float, second: float, s: Any, piece: Any, c: Any, events: Any, told: int
+    first: float, second: float, s: Any, piece: Any, room: Any, c: Any, events: Any, told: int
 ) -> int:
     """Offset and noise from the last piece, if it was quiet: medians, so that single spikes do not
     count. Before the first quiet piece nothing else is judged."""
@@ -244,25 +304,21 @@ def _judge_quiet(
     if s.piece_rows < c.quiet_rows:
         return told
     s.piece_rows = 0
-    half = c.quiet_rows // 2
-    offset = np.zeros(4)
-    noise = np.zeros(4)
+    offset, noise = s.fresh_offset, s.fresh_noise
     quiet = True
     for j in range(4):
-        values = piece[j, : c.quiet_rows]
-        offset[j] = np.median(values)
-        noise[j] = max(_MEDIAN_TO_SIGMA * np.median(np.abs(values - offset[j])), c.least_noise)
-        if j < 2:
-            moved = abs(np.mean(values[:half]) - np.mean(values[half:]))
-            if moved > 8.0 * noise[j] / math.sqrt(half) + 0.1:
-                quiet = False
-            if np.max(np.abs(values - offset[j])) > 10.0 * noise[j] + 0.5:
-                quiet = False
+        offset[j], noise[j] = _middle_and_noise(piece[j], room, c)
+        if j < 2 and not _is_quiet(piece[j], offset[j], noise[j]):
+            quiet = False
     if not quiet:
         s.restless_rows += c.quiet_rows
         if not s.ready and s.restless_rows == 4 * c.quiet_rows:
             return _tell(REJECTED, 0.0, NOT_QUIET, 0.0, 0.0, s, events, told)
         return told
+    hum = max(_hum(piece[0], offset[0], c), _hum(piece[1], offset[1], c) / 2.0)
+    if hum > c.hum and not s.told_hum:
+        s.told_hum = 1
+        told = _tell(REJECTED, 0.0, HUM, hum, c.hum, s, events, told)
     weight = 0.25 if s.ready else 1.0
     for j in range(2):
         s.offset[j] += weight * (offset[j] - s.offset[j])
@@ -273,8 +329,66 @@ def _judge_quiet(
 
 
 @njit(cache=True, error_model="numpy")
-def _follow(first: float, second: float, s: Any, c: Any) -> None:
-    """Averages, peaks, powers and sums of what has just come."""
+def _middle_and_noise(values: Any, room: Any, c: Any) -> tuple[float, float]:
+    """Median, and the median of the distances to it as a standard deviation."""
+    n = values.size
+    for i in range(n):
+        room[i] = values[i]
+    middle = _median(room)
+    for i in range(n):
+        room[i] = abs(values[i] - middle)
+    return middle, max(_MEDIAN_TO_SIGMA * _median(room), c.least_noise)
+
+
+@njit(cache=True, error_model="numpy")
+def _median(values: Any) -> float:
+    """The median; sorts them (Shell 1959)."""
+    n = values.size
+    for gap in (301, 132, 57, 23, 10, 4, 1):
+        for i in range(gap, n):
+            x = values[i]
+            j = i
+            while j >= gap and values[j - gap] > x:
+                values[j] = values[j - gap]
+                j -= gap
+            values[j] = x
+    middle: float = (values[(n - 1) // 2] + values[n // 2]) / 2.0
+    return middle
+
+
+@njit(cache=True, error_model="numpy")
+def _is_quiet(values: Any, middle: float, noise: float) -> bool:
+    """Whether a piece neither moved nor jumped."""
+    n = values.size
+    half = n // 2
+    moved, largest = 0.0, 0.0
+    for i in range(n):
+        moved += values[i] if i < half else -values[i]
+        largest = max(largest, abs(values[i] - middle))
+    if n % 2:
+        moved += middle
+    jumps = largest > 10.0 * noise + 0.5
+    drifts = abs(moved) / half > 8.0 * noise / math.sqrt(half) + 0.1
+    return not (jumps or drifts)
+
+
+@njit(cache=True, error_model="numpy")
+def _hum(values: Any, middle: float, c: Any) -> float:
+    """Amplitude at the mains' frequency, 50 or 60 Hz."""
+    n = values.size
+    largest = 0.0
+    for j in range(2):
+        real, imaginary = 0.0, 0.0
+        for i in range(n):
+            real += (values[i] - middle) * math.cos(c.turn[j] * i)
+            imaginary += (values[i] - middle) * math.sin(c.turn[j] * i)
+        largest = max(largest, 2.0 * math.sqrt(real * real + imaginary * imaginary) / n)
+    return largest
+
+
+@njit(cache=True, error_model="numpy")
+def _follow(first: float, second: float, s: Any, c: Any, events: Any, told: int) -> int:
+    """Averages, peaks, powers and sums of what has just come; the first touch."""
     d = first - second - s.offset[0]
     v = first + second - s.offset[1]
     for j in range(_A):
@@ -295,20 +409,26 @@ def _follow(first: float, second: float, s: Any, c: Any) -> None:
     s.sum[3] += (v - s.sum[3] / 400.0) * fade
     s.slow_peak[0] = max(abs(s.average[0, 4]), s.slow_peak[0] * (1.0 - fade / 150.0))
     s.slow_peak[1] = max(abs(s.average[1, 4]), s.slow_peak[1] * (1.0 - fade / 150.0))
-    if abs(s.average[1, 4]) > 5.0 * s.noise[1] / math.sqrt(16.0) + 0.5 and abs(s.polarity_sum) < 50:
-        s.polarity_sum += s.average[1, 4] * fade  # the first pressing decides
+    return told if s.touched else _touch(s, c, events, told)
 
 
 @njit(cache=True, error_model="numpy")
-def _arm(saturated: bool, s: Any, c: Any, events: Any, told: int) -> int:
-    """The predictive signal arms; saturation makes deaf."""
-    for_rows = s.deaf_rows
-    if saturated:
-        s.deaf_rows = round(50.0 * c.ms)
-        if for_rows == 0:
-            return _tell(REJECTED, 0.0, SATURATED, 0.0, 0.0, s, events, told)
-    elif for_rows > 0:
-        s.deaf_rows -= 1
+def _touch(s: Any, c: Any, events: Any, told: int) -> int:
+    """Pressing drives both strips alike, and v_s negative: polarity is learned from it."""
+    for j in range(2):
+        if abs(s.average[j, 4]) > 5.0 * s.noise[j] / math.sqrt(16.0 * c.ms) + 0.5:
+            s.touch[j] += s.average[j, 4] / c.ms
+    if abs(s.touch[0]) + abs(s.touch[1]) < 300.0:
+        return told
+    s.touched = 1
+    if abs(s.touch[0]) > abs(s.touch[1]):
+        return _tell(REJECTED, 0.0, ONE_INVERTED, 0.0, 0.0, s, events, told)
+    return told
+
+
+@njit(cache=True, error_model="numpy")
+def _arm(s: Any, c: Any, events: Any, told: int) -> int:
+    """The predictive signal arms."""
     if s.silent_rows > 0:
         s.silent_rows -= 1
     if s.mute_rows > 0:
@@ -370,7 +490,7 @@ def _looks(s: Any, c: Any) -> bool:
 def _see(s: Any, c: Any, x: Any) -> None:
     """The network's inputs, in the order of `INPUTS`."""
     sign = 1.0 if s.average[0, 5] >= 0.0 else -1.0
-    pressed = -1.0 if s.polarity_sum > 0.0 else 1.0
+    pressed = -1.0 if s.touch[1] > 0.0 else 1.0
     for j in range(_A):
         d, v = sign * s.average[0, j], pressed * s.average[1, j]
         if j + 1 < _A:

@@ -54,6 +54,12 @@ class DetectorSettings(Settings):
     """After a slip was told none is told for so long."""
     saturation_V: float = Field(9.95, gt=0)
     """A channel at or beyond this is saturated: nothing is judged until 50 ms after."""
+    dead_s: float = Field(0.5, gt=0)
+    """A channel that did not change at all for so long ..."""
+    dead_mV: float = Field(5.0, gt=0)
+    """... while the other moved by more than this is dead."""
+    hum_mV: float = Field(2.0, gt=0)
+    """Mains hum of a larger amplitude than this is told."""
     network: Network | None = None
     """Weights of the logic ``rig``, trained on simulated trials."""
 

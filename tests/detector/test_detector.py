@@ -146,7 +146,49 @@ def test_saturation_is_told_and_nothing_is_judged_meanwhile(name: str):
     events = told(volts, name)
     reasons = {event.reason: event.sample for event in events if event.kind == "rejected"}
     assert reasons["saturated"] == 1095
-    assert not [e for e in events if e.kind == "incipient slip" and 1095 <= e.sample < 1155]
+    assert not [e for e in events if e.kind == "incipient slip" and e.sample >= 1095]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("channel", [0, 1])
+def test_a_dead_channel_is_told_by_name_and_nothing_is_judged_after(name: str, channel: int):
+    volts = bench_like(14)
+    volts[:, channel] = 0.01
+    events = told(volts, name)
+    (dead,) = [e.sample for e in events if e.reason.startswith(f"v_{channel + 1} is dead")]
+    assert dead <= 500
+    assert not [e for e in events if e.kind == "incipient slip" and e.sample > dead]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_channel_that_dies_on_the_way_is_told(name: str):
+    volts = bench_like(15)
+    volts[250:, 1] = volts[250, 1]
+    told_of = [event for event in told(volts, name) if "v_2 is dead" in event.reason]
+    assert [event.sample for event in told_of] == [750]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("channel", [0, 1])
+def test_one_inverted_channel_is_told(name: str, channel: int):
+    volts = bench_like(16)
+    volts[:, channel] *= -1
+    assert "one is inverted" in " ".join(event.reason for event in told(volts, name))
+
+
+@pytest.mark.parametrize("mains_Hz", [50.0, 60.0])
+def test_mains_hum_is_told_and_no_slip(mains_Hz: float):
+    hum = 4e-3 * np.sin(2 * np.pi * mains_Hz * np.arange(5000) / RATE_Hz)
+    noise = 1e-4 * np.random.default_rng(17).standard_normal((5000, 2))
+    for name in NAMES:
+        events = told(noise + np.column_stack([1.05 * hum, hum]), name)
+        assert [event.reason.split(":")[0] for event in events] == ["mains hum"]
+
+
+def test_a_good_recording_raises_no_doubts():
+    for seed in range(20, 24):
+        reasons = {event.reason for event in told(bench_like(seed))}
+        assert not [one for one in reasons if one and not one.startswith(("not armed", "roll"))]
 
 
 def test_what_is_never_quiet_is_told_and_not_judged():
