@@ -32,7 +32,7 @@ def test_the_mean_of_two_rows():
     assert summary.settled_ms == 1.0
 
 
-def test_the_first_lobe_of_a_mean_is_13_dB_down():
+def test_the_first_lobe_of_a_mean_is_13_decibels_down():
     """Of many rows: the largest lobe beyond the main one, at 1.43 / length."""
     summary = low_pass_summary(mean_of(200))
     assert summary.largest_lobe_dB == pytest.approx(-13.26, abs=0.02)
