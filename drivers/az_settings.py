@@ -43,15 +43,15 @@ ALARMS: Mapping[int, Alarm] = {
     0x28: Alarm("the position sensor failed", _SERVICE),
     0x30: Alarm("overload", _BLOCKED),
     0x31: Alarm("overspeed", "look at what drives the axis, and at its load"),
-    0x33: Alarm("the absolute position is lost", "find the reference again"),
+    0x33: Alarm("absolute position error: the axis has lost its reference", "home it again"),
     0x41: Alarm("the drive's memory failed", _SERVICE),
     0x4A: Alarm("no coordinates: the axis has not been homed", "home it first"),
-    0x60: Alarm("both limit sensors at once", "check the sensors' wiring"),
-    0x61: Alarm("the limit sensors are swapped", "check the sensors' wiring"),
+    0x60: Alarm("both limit switches at once", "check the switches' wiring"),
+    0x61: Alarm("the limit switches are swapped", "check the switches' wiring"),
     0x62: Alarm("homing failed", "check the home sensor and the homing method in the drive"),
     0x66: Alarm(
-        "limit sensor reached",
-        "look at the axis, move it off the sensor with the vendor's software, home again",
+        "limit switch reached",
+        "look at the axis, move it off the switch with the vendor's software, home again",
     ),
     0x67: Alarm(
         "software limit", "correct the travel limits in the bench file, or the position asked for"

@@ -460,7 +460,7 @@ class _Instruments:
 
         def wire(device: str, dialect: Dialect) -> WireFaults:
             tell = partial(world.log, device, "injected", by="plan")
-            return WireFaults(faults, device, dialect, tell)
+            return WireFaults(faults, device, dialect, tell, world)
 
         self._world = world
         settings = world.settings

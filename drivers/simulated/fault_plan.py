@@ -6,11 +6,13 @@
     at = 3                  # the third request that matches
     count = 1               # 0: from then on, for ever
     command = "WAV:DATA"    # only requests with a command that begins so
+    acquisition = 2         # only requests from a moment on, given as in the World
 
     [[fault]]
     device = "stage_z"
     kind = "stuck"          # in the World: keyed to a move, an acquisition, or bench time
     move = 3
+    of = "stage_x"          # whose move it is, where it is another axis's
     after_s = 0.5
 
     [[fault]]
@@ -32,6 +34,7 @@ from typing import Annotated, Literal, TypeVar, get_args
 
 from pydantic import Field, ValidationError
 
+from drivers.simulated.beginnings import Beginning
 from rig.documents import read_toml
 from rig.errors import ConfigurationError, shortened
 from rig.settings import Settings
@@ -48,19 +51,44 @@ DEVICES = (*ON_A_WIRE, CLOCK, DISK)
 LONGEST_AFTER_s = 36_000.0
 
 
-# --- at the wire ------------------------------------------------------------------------------
-
-
-class ReplyFault(Settings):
-    """What befalls a device's replies."""
+class Placed(Settings):
+    """What begins at a moment that repeats exactly."""
 
     device: str
     """The device's name in the simulated bench."""
+    move: int | None = Field(default=None, ge=1)
+    """During which task of the drive, or turn of the rotary stage, since the World began; homing
+    and changes under way do not count."""
+    of: str | None = None
+    """Whose task; None: the device's own."""
+    acquisition: int | None = Field(default=None, ge=1)
+    """During which acquisition of the DAQ since the World began. None, and no `move` either:
+    `after_s` counts from the World's beginning."""
+    after_s: float = Field(default=0.0, ge=0, le=LONGEST_AFTER_s)
+    """How long after that began."""
+
+    @property
+    def beginning(self) -> Beginning | None:
+        """What `after_s` counts from; None: the World's beginning."""
+        if self.acquisition is not None:
+            return DAQ, self.acquisition
+        return None if self.move is None else (self.of or self.device, self.move)
+
+
+# --- at the wire ------------------------------------------------------------------------------
+
+
+class ReplyFault(Placed):
+    """What befalls a device's replies from its moment on."""
+
     at: int = Field(default=1, ge=1)
     """The first matching request it befalls, counted from 1 over all connections. Counted are only
-    requests whose reply can be disturbed so: has a checksum, can carry an error."""
+    requests from its moment on whose reply can be disturbed so: it has a checksum, can carry an
+    error."""
     count: int = Field(default=1, ge=0)
     """How many matching requests it befalls; 0 is for ever."""
+    for_s: float | None = Field(default=None, gt=0, le=LONGEST_AFTER_s)
+    """How long it befalls them instead, from the first one on."""
     command: str = ""
     """Beginning of a command in the request (upper or lower case, without its leading colon)."""
 
@@ -70,9 +98,13 @@ class ReplyFault(Settings):
         units = request.upper().split(b";")
         return any(unit.strip().lstrip(b":").startswith(prefix) for unit in units)
 
-    def befalls(self, occurrence: int) -> bool:
-        """Whether the n-th matching request is disturbed."""
-        return self.at <= occurrence and (self.count == 0 or occurrence < self.at + self.count)
+    def befalls(self, occurrence: int, since_us: int) -> bool:
+        """Whether the n-th matching request is disturbed, so long after the first one was."""
+        if occurrence < self.at:
+            return False
+        if self.for_s is not None:
+            return since_us < round(self.for_s * 1e6)
+        return self.count == 0 or occurrence < self.at + self.count
 
 
 class WireFault(ReplyFault):
@@ -124,18 +156,7 @@ class RefusedConnections(Settings):
 # --- in the World -----------------------------------------------------------------------------
 
 
-class _OnMove(Settings):
-    """What befalls an axis."""
-
-    device: str
-    move: int | None = Field(default=None, ge=1)
-    """During which task of the drive since the World began; homing and changes under way do not
-    count. None: `after_s` counts from the World's beginning."""
-    after_s: float = Field(default=0.0, ge=0, le=LONGEST_AFTER_s)
-    """How long after that task began."""
-
-
-class AxisFault(_OnMove):
+class AxisFault(Placed):
     """What befalls an axis without further ado."""
 
     kind: Literal["stuck", "runaway", "limit-switch", "reference-lost"]
@@ -143,15 +164,15 @@ class AxisFault(_OnMove):
     switch that it moves towards closes; the drive forgets where it is."""
 
 
-class DriveFault(_OnMove):
+class DriveFault(Placed):
     """The drive reports a fault and brakes."""
 
     kind: Literal["drive-fault"]
-    code: int = Field(default=126, ge=1, le=0xFFFF)
-    """The fault's number."""
+    code: int | None = Field(default=None, ge=1, le=0xFFFF)
+    """The fault's number; None: the drive's own for an axis that did not follow."""
 
 
-class SlowAxis(_OnMove):
+class SlowAxis(Placed):
     """The axis does not reach the speed that it is told, from then on."""
 
     kind: Literal["slow"]
@@ -159,32 +180,21 @@ class SlowAxis(_OnMove):
     """Of the speed that it is told."""
 
 
-class RaisedFlag(_OnMove):
+class RaisedFlag(Placed):
     """The rotary stage raises a warning flag; with a fault it brakes."""
 
     kind: Literal["warning-flag"]
     flag: str = Field(default="FS", pattern="^[A-Z]{2}$")
 
 
-class TurnedKnob(_OnMove):
+class TurnedKnob(Placed):
     """Somebody turns the rotary stage by its knob."""
 
     kind: Literal["knob"]
     by_deg: float = Field(default=1.0, ge=-360, le=360)
 
 
-class _Timed(Settings):
-    """What befalls a signal."""
-
-    device: str
-    acquisition: int | None = Field(default=None, ge=1)
-    """During which acquisition of the DAQ since the World began. None: `after_s` counts from the
-    World's beginning."""
-    after_s: float = Field(default=0.0, ge=0, le=LONGEST_AFTER_s)
-    """How long after that acquisition began."""
-
-
-class Spike(_Timed):
+class Spike(Placed):
     """Somebody or something pushes on the probe for a while."""
 
     kind: Literal["spike"]
@@ -193,14 +203,14 @@ class Spike(_Timed):
     """Along z, on top of everything else."""
 
 
-class SensorFault(_Timed):
+class SensorFault(Placed):
     """The amplifier's converter stands at its end, or gives the same values again and again."""
 
     kind: Literal["saturated", "frozen"]
     for_s: float = Field(default=0.5, gt=0)
 
 
-class Clipped(_Timed):
+class Clipped(Placed):
     """What drives the vibrator gives no more than this amplitude, from then on."""
 
     kind: Literal["clipped"]
@@ -208,13 +218,13 @@ class Clipped(_Timed):
     """Peak."""
 
 
-class Overrun(_Timed):
+class Overrun(Placed):
     """The DAQ's buffer overruns where an acquisition is running."""
 
     kind: Literal["overrun"]
 
 
-class ClockJump(_Timed):
+class ClockJump(Placed):
     """Time goes on without the run, as it does while a computer is suspended."""
 
     kind: Literal["clock-jump"]
@@ -340,6 +350,8 @@ def _require_device(
             f"{where}: kind = {fault.kind!r} cannot befall {device}{why}",
             f"it befalls {', '.join(able)}",
         )
+    if isinstance(fault, Placed):
+        _require_moment(where, fault, known)
     if isinstance(fault, ErrorReply):
         low, high = (-32768, 32767) if device in (GENERATOR, DAQ) else (1, 255)
         if not low <= fault.code <= high or fault.code == 0:
@@ -348,3 +360,22 @@ def _require_device(
                 f"{low} to {high} without 0",
                 "give a number of its manual",
             )
+
+
+def _require_moment(where: str, fault: Placed, known: tuple[str, ...]) -> None:
+    if fault.move is not None and fault.acquisition is not None:
+        raise ConfigurationError(
+            f"{where}: move = {fault.move} and acquisition = {fault.acquisition}",
+            "a fault has one moment: give one of them",
+        )
+    if fault.of is not None and fault.move is None:
+        raise ConfigurationError(
+            f"{where}: of = {shortened(fault.of)!r}, and no move", "say which: move = 1"
+        )
+    mover = fault.of or fault.device
+    movers = [name for name in (*STAGES, ROTARY) if name in known]
+    if fault.move is not None and mover not in movers:
+        raise ConfigurationError(
+            f"{where}: move = {fault.move}: {shortened(mover)!r} does not move on this bench",
+            f"say whose move: of = one of {', '.join(movers)}",
+        )

@@ -12,7 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
+from drivers.simulated.beginnings import Beginnings
 from drivers.simulated.fault_plan import (
     ErrorReply,
     FaultPlan,
@@ -21,6 +23,18 @@ from drivers.simulated.fault_plan import (
     ReplyFault,
     WireFault,
 )
+from drivers.simulated.ports import BeginningsPort, Timeline
+
+
+class MomentPort(Timeline, BeginningsPort, Protocol):
+    """What tells moments."""
+
+
+class _Standing:
+    """A bench on which no time passes and nothing begins."""
+
+    now_us = 0
+    beginnings = Beginnings()
 
 
 def _never(reply: bytes, code: object = None) -> bytes | None:
@@ -60,7 +74,8 @@ class Delivery:
 class WireFaults:
     """The faults of one device; counts requests over all its connections.
 
-    `tell` hears the kind of every fault when it befalls something.
+    `tell` hears the kind of every fault when it befalls something; `bench` knows the time and what
+    has begun.
     """
 
     def __init__(
@@ -69,14 +84,18 @@ class WireFaults:
         device: str,
         dialect: Dialect | None = None,
         tell: Callable[[str], None] = lambda kind: None,
+        bench: MomentPort | None = None,
     ):
         self.dialect = dialect or Dialect()
         self.tell = tell
+        self._bench = bench or _Standing()
         refused: tuple[RefusedConnections, ...] = plan.of(RefusedConnections, device)
         self.refused_from = min((fault.at for fault in refused), default=None)
         """The first TCP connection that is refused, from 1."""
         self._faults: tuple[ReplyFault, ...] = plan.of(ReplyFault, device)
         self._matched = [0] * len(self._faults)
+        self._first_us: dict[int, int] = {}
+        """When each befell its first request."""
 
     def link(self) -> FaultyLink:
         """The faults as one connection meets them."""
@@ -85,11 +104,15 @@ class WireFaults:
     def befalling(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
         """Count a request; the first fault of the plan that befalls its reply."""
         befallen: ReplyFault | None = None
+        now_us = self._bench.now_us
         for index, fault in enumerate(self._faults):
-            if fault.matches(request) and self._can_carry(fault, reply):
+            come = self._bench.beginnings.is_past(fault.beginning, fault.after_s, now_us)
+            if come and fault.matches(request) and self._can_carry(fault, reply):
                 self._matched[index] += 1
-                if befallen is None and fault.befalls(self._matched[index]):
-                    befallen = fault
+                since_us = now_us - self._first_us.get(index, now_us)
+                if fault.befalls(self._matched[index], since_us):
+                    self._first_us.setdefault(index, now_us)
+                    befallen = befallen or fault
         if befallen is not None:
             self.tell(_name(befallen))
         return befallen

@@ -29,7 +29,8 @@ import numpy.typing as npt
 from drivers.simulated.axis import Axis, Command, Event, Mechanics
 from drivers.simulated.fault_plan import DriveFault, MoveFault, SlowAxis
 from drivers.simulated.modbus_tcp import ILLEGAL_ADDRESS, ModbusError
-from drivers.simulated.ports import Timeline
+from drivers.simulated.ports import BeginningsPort, Timeline
+from drivers.simulated.schedule import Schedule
 
 IMAGE_WORDS = 28
 OUTPUTS, INPUTS, TIMEOUT, MAILBOX, MAILBOX_DATA = 0, 100, 400, 500, 510
@@ -57,7 +58,7 @@ _CLAMPING, _LOW_LIMIT, _HIGH_LIMIT = 12168, 11584, 11585
 _WRITABLE = frozenset({_TELEGRAM, _CLAMPING, _LOW_LIMIT, _HIGH_LIMIT})
 
 
-class AxisPort(Timeline, Protocol):
+class AxisPort(Timeline, BeginningsPort, Protocol):
     """What an axis stands in."""
 
     def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
@@ -151,8 +152,6 @@ class CmmtDrive:
         self._moving = False
         self._jogging = 0
         """Which way: 1, -1, or 0 for not at all."""
-        self._tasks = 0
-        self._coming: list[tuple[int, MoveFault]] = []
         self._timeout_ms = 0
         self._fed_us = port.now_us
         self._mailbox = [0] * MAILBOX_WORDS
@@ -162,7 +161,8 @@ class CmmtDrive:
         """Of the speed that it is told, which the axis reaches."""
         self._runs_to_mm: float | None = None
         """Where it goes instead of its target, until it is stopped."""
-        self._expect_faults(None)
+        self._schedule = Schedule(settings.faults)
+        port.beginnings.listen(self._schedule.hear)
 
     # --- the World's side ---------------------------------------------------------------------
 
@@ -259,8 +259,8 @@ class CmmtDrive:
             deadline = self._fed_us + 1000 * self._timeout_ms
             if deadline < now_us:
                 due.append((deadline, self._miss_everybody))
-        if self._coming and self._coming[0][0] <= now_us:
-            due.append((self._coming[0][0], self._befall))
+        if (fault_us := self._schedule.due(now_us)) is not None:
+            due.append((fault_us, self._befall))
         return min(due, key=lambda one: one[0], default=None)
 
     def _miss_everybody(self, t_us: int) -> None:
@@ -268,12 +268,12 @@ class CmmtDrive:
             self._fail(TIMEOUT_FAULT, t_us)
 
     def _befall(self, t_us: int) -> None:
-        _, fault = self._coming.pop(0)
+        fault = self._schedule.take()
         self._log("injected", fault.kind, "plan")
         command = None if self.axis.finished(t_us) else self.axis.command
         velocity = self.axis.velocity(t_us)
         if isinstance(fault, DriveFault):
-            self._fail(fault.code, t_us)
+            self._fail(fault.code or FOLLOWING_FAULT, t_us)
         elif isinstance(fault, SlowAxis):
             self._share = fault.share
             if command is not None:
@@ -453,18 +453,8 @@ class CmmtDrive:
             return
         self._target_mm, self._acknowledged, self._jogging = target, True, 0
         if not again:
-            self._tasks += 1
-            self._expect_faults(self._tasks)
+            self._port.beginnings.begin(self.settings.name, self._port.now_us)
         self._go(by, quiet=again)
-
-    def _expect_faults(self, task: int | None) -> None:
-        """Those of a task that begins now, or of none."""
-        self._coming += [
-            (self._port.now_us + round(fault.after_s * 1e6), fault)
-            for fault in self.settings.faults
-            if fault.move == task
-        ]
-        self._coming.sort(key=lambda one: one[0])
 
     def _limits(self) -> tuple[float, float]:
         """The software limits as World positions."""

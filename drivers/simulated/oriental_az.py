@@ -29,6 +29,7 @@ from drivers.simulated.axis import Axis, Command, Event, Mechanics
 from drivers.simulated.fault_plan import DriveFault, MoveFault, SlowAxis
 from drivers.simulated.festo_cmmt import AxisPort, FARTHER_THAN_ANY_SWITCH_mm
 from drivers.simulated.modbus_tcp import ILLEGAL_ADDRESS, ModbusError
+from drivers.simulated.schedule import Schedule
 
 SLAVE_ERROR = 4
 
@@ -114,14 +115,13 @@ class AzDrive:
         self._target_mm: float | None = None
         self._moving = False
         self._home_end = False
-        self._tasks = 0
-        self._coming: list[tuple[int, MoveFault]] = []
         self._heard_us = port.now_us
         self._share = 1.0
         """Of the speed that it is told, which the axis reaches."""
         self._runs_to_mm: float | None = None
         """Where it goes instead of its target, until it is stopped."""
-        self._expect_faults(None)
+        self._schedule = Schedule(settings.faults)
+        port.beginnings.listen(self._schedule.hear)
 
     # --- the World's side ---------------------------------------------------------------------
 
@@ -206,17 +206,17 @@ class AzDrive:
             deadline = self._heard_us + 1000 * self._values[LINE_TIMEOUT_ms]
             if deadline < now_us:
                 due.append((deadline, lambda t_us: self._fail(LINE_TIMEOUT, t_us)))
-        if self._coming and self._coming[0][0] <= now_us:
-            due.append((self._coming[0][0], self._befall))
+        if (fault_us := self._schedule.due(now_us)) is not None:
+            due.append((fault_us, self._befall))
         return min(due, key=lambda one: one[0], default=None)
 
     def _befall(self, t_us: int) -> None:
-        _, fault = self._coming.pop(0)
+        fault = self._schedule.take()
         self._log("injected", fault.kind, "plan")
         command = None if self.axis.finished(t_us) else self.axis.command
         velocity = self.axis.velocity(t_us)
         if isinstance(fault, DriveFault):
-            self._fail(fault.code, t_us)
+            self._fail(fault.code or POSITION_DEVIATION, t_us)
         elif isinstance(fault, SlowAxis):
             self._share = fault.share
             if command is not None:
@@ -349,8 +349,7 @@ class AzDrive:
         again = self._target_mm is not None  # until a stop or an alarm
         self._target_mm = target
         if not again:
-            self._tasks += 1
-            self._expect_faults(self._tasks)
+            self._port.beginnings.begin(self.settings.name, self._port.now_us)
         speed_mm_s = speed / self.settings.steps_per_mm
         if not again:
             self._log("move", {"target_mm": round(target, 6), "speed_mm_s": speed_mm_s}, by)
@@ -381,15 +380,6 @@ class AzDrive:
         if self.homing:
             return self.settings.homing_rate_mm_s2
         return self._values[STOPPING_RATE] / self.settings.steps_per_mm
-
-    def _expect_faults(self, task: int | None) -> None:
-        """Those of a task that begins now, or of none."""
-        self._coming += [
-            (self._port.now_us + round(fault.after_s * 1e6), fault)
-            for fault in self.settings.faults
-            if fault.move == task
-        ]
-        self._coming.sort(key=lambda one: one[0])
 
     # --- what is read -------------------------------------------------------------------------
 

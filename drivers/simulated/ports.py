@@ -13,6 +13,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from drivers.simulated.beginnings import Beginnings
+
 
 @dataclass(frozen=True)
 class Excitation:
@@ -68,6 +70,15 @@ class AnalogueInputPort(Timeline, Protocol):
         ``start_us * 1e-6 + (first + i) / rate_S_s + skew_s[k]`` seconds of World time. Random
         access: the same acquisition and indices always give the same volts.
         """
+        ...
+
+
+class BeginningsPort(Protocol):
+    """Where it is told what begins."""
+
+    @property
+    def beginnings(self) -> Beginnings:
+        """Of tasks and acquisitions."""
         ...
 
 

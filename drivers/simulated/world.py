@@ -19,9 +19,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError
 
+from drivers.simulated.beginnings import Beginnings
 from drivers.simulated.clamp import ClampedFilm
 from drivers.simulated.driven_line import DrivenLine
 from drivers.simulated.fault_plan import (
+    DAQ,
     STAGE_X,
     STAGE_Z,
     Clipped,
@@ -134,7 +136,10 @@ class World:
         self._weight_N = np.zeros(3)
         self._pushes: list[tuple[float, float, float]] = []
         """Begin and end in s, force in N."""
-        self._schedule = Schedule(faults, self._begin)
+        self._schedule = Schedule(faults)
+        self.beginnings = Beginnings()
+        """Of tasks and acquisitions."""
+        self.beginnings.listen(self._schedule.hear)
         self._elsewhere: dict[str, Callable[[TimedFault, int], None]] = {}
         self._excitation: Excitation | None = None
         self._clip_V = math.inf
@@ -169,7 +174,7 @@ class World:
 
     def settle(self) -> None:
         """Bring what is mounted up to the present, faults included."""
-        self._schedule.catch_up(self.now_us)
+        self._befall()
         if self._skin is not None:
             self._skin.catch_up(self.now_us)
 
@@ -194,7 +199,7 @@ class World:
         self, times_s: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
         """Force on the sensor under film or plate, (n,) to (n, 3): weights, pushes, contact."""
-        self._schedule.catch_up(self.now_us)  # in real time frames come more often than `settle`
+        self._befall()  # in real time frames come more often than `settle`
         force = self.pressed_N(times_s) + self._weight_N
         for begin_s, end_s, push_N in self._pushes:
             force[:, 2] += push_N * ((times_s >= begin_s) & (times_s < end_s))
@@ -253,6 +258,11 @@ class World:
             given_V = min(self._excitation.amplitude_V, self._clip_V)
             self._line.excite(self.now_us, replace(self._excitation, amplitude_V=given_V))
 
+    def _befall(self) -> None:
+        """Begin the faults that are due by now, in their order."""
+        while (t_us := self._schedule.due(self.now_us)) is not None:
+            self._begin(self._schedule.take(), t_us)
+
     def _begin(self, fault: TimedFault, t_us: int) -> None:
         """A fault's time has come."""
         self.log(fault.device, "injected", fault.kind, "plan")
@@ -272,7 +282,7 @@ class World:
         number = len(self._acquisition_keys)
         self._acquisition_keys[number] = (*self._point_key, self._acquisitions_of_point)
         self._acquisitions_of_point += 1
-        self._schedule.acquisition_begins(number + 1, self.now_us)
+        self.beginnings.begin(DAQ, self.now_us)
         return number
 
     def volts(

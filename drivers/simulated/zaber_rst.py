@@ -27,7 +27,8 @@ import numpy.typing as npt
 from drivers.simulated.axis import Axis, Command, Event, Mechanics
 from drivers.simulated.fault_plan import RaisedFlag, RotaryFault, SlowAxis, TurnedKnob
 from drivers.simulated.faults import Dialect
-from drivers.simulated.ports import LogPort, Timeline
+from drivers.simulated.ports import BeginningsPort, LogPort, Timeline
+from drivers.simulated.schedule import Schedule
 from drivers.simulated.serial_server import Exchange
 
 PRIORITY = (
@@ -48,7 +49,7 @@ FARTHER_THAN_ANY_TURN_deg = 1e5
 KNOB_SPEED_deg_s = 5.0
 
 
-class StagePort(Timeline, LogPort, Protocol):
+class StagePort(Timeline, LogPort, BeginningsPort, Protocol):
     """What a rotary stage stands in."""
 
 
@@ -108,11 +109,10 @@ class RotaryStage:
         self._port = port
         self._zero_deg = 0.0 if settings.referenced else settings.start_deg
         self._moving = False
-        self._turns = 0
         self._share = 1.0
         """Of the speed that it is told, which the stage reaches."""
-        self._coming: list[tuple[int, RotaryFault]] = []
-        self._expect_faults(None)
+        self._schedule = Schedule(settings.faults)
+        port.beginnings.listen(self._schedule.hear)
 
     # --- the World's side ---------------------------------------------------------------------
 
@@ -134,10 +134,9 @@ class RotaryStage:
 
     def settle(self, now_us: int) -> None:
         """Let everything happen that was due by now, in its order and at its time."""
-        while self._coming and self._coming[0][0] <= now_us:
-            t_us, fault = self._coming.pop(0)
+        while (t_us := self._schedule.due(now_us)) is not None:
             self._catch_up(t_us)
-            self._befall(fault, t_us)
+            self._befall(self._schedule.take(), t_us)
         self._catch_up(now_us)
 
     # --- the chain's side ---------------------------------------------------------------------
@@ -273,8 +272,7 @@ class RotaryStage:
         fresh = not self._moving
         self._interrupt()
         if fresh:
-            self._turns += 1
-            self._expect_faults(self._turns)
+            self._port.beginnings.begin(self.settings.name, self._port.now_us)
             told = {"target_deg": round(target_deg, 6), "speed_deg_s": round(speed_deg_s, 6)}
             self._log("turn", told, by)
         self._start(Command(target_deg, speed_deg_s * self._share, rate, rate))
@@ -353,15 +351,6 @@ class RotaryStage:
         rate = self._acceleration(self.values["accel"])
         target = self.axis.position(t_us) + by_deg
         self.axis.move(t_us, Command(target, KNOB_SPEED_deg_s, rate, rate))
-
-    def _expect_faults(self, turn: int | None) -> None:
-        """Those of a turn that begins now, or of none."""
-        self._coming += [
-            (self._port.now_us + round(fault.after_s * 1e6), fault)
-            for fault in self.settings.faults
-            if fault.move == turn
-        ]
-        self._coming.sort(key=lambda one: one[0])
 
     # --- units --------------------------------------------------------------------------------
 

@@ -17,7 +17,18 @@ from pathlib import Path
 
 import typer
 
-from rig.cli import calibrate, detect, files, imports, jog, low_pass, simulate, skin
+from rig.cli import (
+    calibrate,
+    detect,
+    files,
+    imports,
+    jog,
+    low_pass,
+    score,
+    simulate,
+    skin,
+    train,
+)
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
 
@@ -29,6 +40,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "import": imports.import_,
     "detect": detect.detect,
     "filter": low_pass.filter_,
+    "score": score.score,
+    "train": train.train,
     "simulate": simulate.simulate,
     "jog": jog.jog,
     "make-safe": simulate.make_safe,

@@ -236,7 +236,8 @@ def _kaiser_shape(stop_dB: float) -> float:
     """β of Kaiser's window for an attenuation (Kaiser 1974)."""
     if stop_dB > 50:
         return 0.1102 * (stop_dB - 8.7)
-    return 0.5842 * max(stop_dB - 21, 0.0) ** 0.4 + 0.07886 * max(stop_dB - 21, 0.0)
+    above = max(stop_dB - 21, 0.0)
+    return 0.5842 * math.pow(above, 0.4) + 0.07886 * above
 
 
 def _prototype(settings: LowPassSettings, half: int, stop_dB: float, rate_Hz: float) -> Reals:
@@ -260,4 +261,5 @@ def _prototype(settings: LowPassSettings, half: int, stop_dB: float, rate_Hz: fl
 
 
 def _lag_deg(response: NDArray[np.complex128]) -> float:
-    return float(-np.degrees(np.angle(response[0])))
+    turned = complex(response[0])
+    return -math.degrees(math.atan2(turned.imag, turned.real))

@@ -9,6 +9,7 @@ import time
 import pytest
 from clients import python_with, seen_by, serving
 
+from drivers.simulated.beginnings import Beginnings
 from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
 from drivers.simulated.modbus_tcp import ModbusTcpServer
 
@@ -93,6 +94,7 @@ class RealWorld:
 
     def __init__(self) -> None:
         self.moves: list[object] = []
+        self.beginnings = Beginnings()
 
     @property
     def now_us(self) -> int:

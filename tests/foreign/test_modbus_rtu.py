@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from clients import python_with, seen_by, serving
 
+from drivers.simulated.beginnings import Beginnings
 from drivers.simulated.fault_plan import FaultPlan
 from drivers.simulated.faults import WireFaults
 from drivers.simulated.modbus_rtu import RtuLine
@@ -128,6 +129,9 @@ print(json.dumps(seen))
 
 class RealWorld:
     """The host's time and no resistance."""
+
+    def __init__(self) -> None:
+        self.beginnings = Beginnings()
 
     @property
     def now_us(self) -> int:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from drivers.simulated.beginnings import Beginnings
 from drivers.simulated.ports import Excitation
 from drivers.simulated.scpi import ScpiInstrument
 
@@ -27,6 +28,7 @@ class IdealBench:
     excitations: list[tuple[int, Excitation, str]] = field(default_factory=list)
     entries: list[tuple[str, str, object, str]] = field(default_factory=list)
     acquisitions: int = 0
+    beginnings: Beginnings = field(default_factory=Beginnings)
 
     def excite(self, channel: int, excitation: Excitation, by: str) -> None:
         self.excitations.append((channel, excitation, by))

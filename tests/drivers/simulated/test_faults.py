@@ -10,6 +10,8 @@ from drivers.simulated.fault_plan import BEFALLEN, DEVICES, FaultPlan
 from drivers.simulated.faults import Delivery, Dialect, WireFaults, WireReply
 from rig.errors import ConfigurationError
 
+from .ideal import IdealBench
+
 
 def plan(**fault: object) -> FaultPlan:
     return FaultPlan.model_validate({"fault": [{"device": "daq", **fault}]})
@@ -46,6 +48,29 @@ def test_only_matching_commands_are_counted_also_inside_a_message() -> None:
     faults = WireFaults(plan(kind="silence", command="WAV:DATA", at=2), "daq")
     requests = [b"WAV:STAT?", b"wav:data?", b"*IDN?", b"WAV:STAT?;:WAV:DATA?", b"WAV:DATA?"]
     assert [reply == b"" for reply in received(faults, requests)] == [0, 0, 0, 1, 0]
+
+
+def test_only_requests_from_the_faults_moment_on_are_counted() -> None:
+    bench = IdealBench()
+    placed = plan(kind="silence", at=2, move=2, of="stage_x", after_s=0.5)
+    faults = WireFaults(placed, "daq", bench=bench)
+    assert b"" not in received(faults, FOUR), "nothing has begun"
+    for device in ("stage_x", "stage_z", "stage_x"):
+        bench.now_us += 900_000
+        bench.beginnings.begin(device, bench.now_us)
+    assert b"" not in received(faults, FOUR), "half a second is not over"
+    bench.now_us += 500_000
+    assert received(faults, FOUR) == [b"A1?\n", b"", b"A3?\n", b"A4?\n"]
+
+
+def test_a_fault_that_lasts_befalls_everything_from_its_first_request_on() -> None:
+    bench = IdealBench()
+    faults = WireFaults(plan(kind="silence", at=2, for_s=0.1), "daq", bench=bench)
+    assert received(faults, FOUR[:3]) == [b"A1?\n", b"", b""]
+    bench.now_us += 99_000
+    assert received(faults, FOUR[:1]) == [b""]
+    bench.now_us += 1_000
+    assert received(faults, FOUR[:1]) == [b"A1?\n"]
 
 
 def test_other_devices_are_spared() -> None:
@@ -151,7 +176,16 @@ def test_plan_is_read_from_toml(tmp_path: Path) -> None:
         ('[[fault]]\ndevice = "daq"\nkind = "error"\n', "code: missing"),
         ('[[fault]]\ndevice = "daq"\nkind = "error"\ncode = 0\n', "code = 0 is no error"),
         ('[[fault]]\ndevice = "daq"\nkind = "stuck"\n', "cannot befall daq"),
-        ('[[fault]]\ndevice = "daq"\nkind = "silence"\nmove = 1\n', "move: unknown key"),
+        ('[[fault]]\ndevice = "daq"\nkind = "silence"\nmove = 1\n', "'daq' does not move"),
+        (
+            '[[fault]]\ndevice = "daq"\nkind = "overrun"\nmove = 1\nof = "stage_x"\n',
+            "'stage_x' does not move on this bench",
+        ),
+        ('[[fault]]\ndevice = "daq"\nkind = "overrun"\nof = "stage_z"\n', "and no move"),
+        (
+            '[[fault]]\ndevice = "daq"\nkind = "stale"\nmove = 1\nacquisition = 2\n',
+            "move = 1 and acquisition = 2",
+        ),
         ('[[fault]]\ndevice = "daq"\nkind = "overrun"\nafter_s = -1.0\n', "after_s = -1.0 s"),
         ('[[fault]]\nkind = "silence"\n', "device: missing"),
     ],

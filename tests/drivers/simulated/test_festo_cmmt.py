@@ -297,8 +297,8 @@ def befallen(*faults: MoveFault) -> Controller:
 
 def test_a_fault_comes_at_its_time_though_nobody_looks() -> None:
     at = befallen(
-        DriveFault(device="z", kind="drive-fault", move=1, after_s=0.5, code=115),
-        AxisFault(device="z", kind="reference-lost", move=1, after_s=0.2),
+        DriveFault(device="stage_z", kind="drive-fault", move=1, after_s=0.5, code=115),
+        AxisFault(device="stage_z", kind="reference-lost", move=1, after_s=0.2),
     )
     at.write(*RUN, ON, TASK, target=50_000)
     begun = at.bench.now_us
@@ -309,7 +309,7 @@ def test_a_fault_comes_at_its_time_though_nobody_looks() -> None:
 
 
 def test_a_fault_waits_for_its_task_and_a_changed_task_is_the_same() -> None:
-    at = befallen(DriveFault(device="z", kind="drive-fault", move=2, after_s=0.1))
+    at = befallen(DriveFault(device="stage_z", kind="drive-fault", move=2, after_s=0.1))
     for target in (10_000, 12_000, 14_000):
         at.write(*RUN, ON, TASK, target=target, pos_stw1=0x9100)
         at.wait(1)
@@ -320,8 +320,18 @@ def test_a_fault_waits_for_its_task_and_a_changed_task_is_the_same() -> None:
     assert at.fault == 126
 
 
+def test_a_fault_waits_for_the_task_of_another_axis() -> None:
+    at = befallen(DriveFault(device="stage_z", kind="drive-fault", move=1, of="stage_x"))
+    at.write(*RUN, ON, TASK, target=10_000)
+    at.wait(0.1)
+    assert at.fault == 0
+    at.bench.beginnings.begin("stage_x", at.bench.now_us)
+    at.wait(0.1)
+    assert at.fault == 126
+
+
 def test_a_fault_of_no_task_comes_at_its_bench_time() -> None:
-    at = befallen(DriveFault(device="z", kind="drive-fault", after_s=5.0, code=58))
+    at = befallen(DriveFault(device="stage_z", kind="drive-fault", after_s=5.0, code=58))
     at.wait(5.0 - at.bench.now_us * 1e-6 - 0.02)
     assert at.fault == 0
     at.wait(0.03)
@@ -329,7 +339,7 @@ def test_a_fault_of_no_task_comes_at_its_bench_time() -> None:
 
 
 def test_an_axis_that_turns_slow_arrives_later_and_stays_slow() -> None:
-    at = befallen(SlowAxis(device="z", kind="slow", move=1, after_s=0.5, share=0.25))
+    at = befallen(SlowAxis(device="stage_z", kind="slow", move=1, after_s=0.5, share=0.25))
     at.write(*RUN, ON, TASK, target=20_000)
     at.wait(0.4)
     assert at.drive.velocity_mm_s(at.bench.now_us) == pytest.approx(20)
@@ -344,7 +354,7 @@ def test_an_axis_that_turns_slow_arrives_later_and_stays_slow() -> None:
 
 
 def test_a_limit_switch_that_closes_stops_the_axis_on_its_way() -> None:
-    at = befallen(AxisFault(device="z", kind="limit-switch", move=2, after_s=0.5))
+    at = befallen(AxisFault(device="stage_z", kind="limit-switch", move=2, after_s=0.5))
     at.write(*RUN, ON, TASK, target=20_000)
     at.wait(2)
     at.write(*RUN, ON)
@@ -355,7 +365,7 @@ def test_a_limit_switch_that_closes_stops_the_axis_on_its_way() -> None:
 
 
 def test_a_runaway_axis_passes_its_target_and_obeys_no_other_until_it_is_stopped() -> None:
-    at = befallen(AxisFault(device="z", kind="runaway", move=1, after_s=0.2))
+    at = befallen(AxisFault(device="stage_z", kind="runaway", move=1, after_s=0.2))
     at.write(*RUN, ON, TASK, target=10_000)
     at.wait(1)
     at.write(*RUN, ON, TASK, target=5_000, pos_stw1=0x9100)
@@ -372,7 +382,7 @@ def test_a_runaway_axis_passes_its_target_and_obeys_no_other_until_it_is_stopped
 
 
 def test_a_stuck_axis_is_a_following_error_for_ever() -> None:
-    at = befallen(AxisFault(device="z", kind="stuck", move=1, after_s=0.5))
+    at = befallen(AxisFault(device="stage_z", kind="stuck", move=1, after_s=0.5))
     at.write(*RUN, ON, TASK, target=50_000)
     at.wait(2)
     stands = at.position

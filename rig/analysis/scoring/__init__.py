@@ -1,0 +1,1 @@
+"""How good a detector is: outcomes of labelled trials, tables with confidence, baselines, ROC."""

@@ -1,0 +1,104 @@
+"""What is scored: a detector or a baseline, at its own thresholds and at those around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.analysis.scoring.baselines import BaselineSettings, baseline_says
+from rig.analysis.scoring.outcomes import Said
+from rig.analysis.scoring.seeds import SeedRange
+from rig.detector.detector import IncipientSlipDetector
+from rig.detector.settings import DetectorSettings
+from rig.settings import Settings
+
+Floats = NDArray[np.float64]
+
+FACTORS: tuple[float, ...] = tuple(2.0 ** (-half / 2) for half in range(-6, 7))
+"""On the threshold, falling: the points of a ROC. The odds of a probability go with the square."""
+
+
+class Contender(Protocol):
+    """Anything that alarms."""
+
+    @property
+    def name(self) -> str:
+        """By which tables call it."""
+        ...
+
+    @property
+    def settings(self) -> Settings:
+        """All its parameters."""
+        ...
+
+    @property
+    def tuned_on(self) -> SeedRange | None:
+        """Seeds of the trials that its parameters were chosen on, where they are known."""
+        ...
+
+    def says(self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]) -> list[Said]:
+        """Of a recording (n, 2) in V, once for each factor on its threshold."""
+        ...
+
+
+@dataclass(frozen=True)
+class DetectorContender:
+    """A detector of this program."""
+
+    name: str
+    settings: DetectorSettings
+
+    @property
+    def tuned_on(self) -> SeedRange | None:
+        """The seeds that its network was trained on."""
+        network = self.settings.network
+        if network is None:
+            return None
+        return SeedRange(first=network.first_seed, end=network.last_seed + 1)
+
+    def says(self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]) -> list[Said]:
+        """Its events at each threshold."""
+        return [self._says(volts, rate_Hz, at_threshold(self.settings, one)) for one in factors]
+
+    @staticmethod
+    def _says(volts: Floats, rate_Hz: float, settings: DetectorSettings) -> Said:
+        detector = IncipientSlipDetector(settings, rate_Hz)
+        events = [*detector.add(volts), *detector.finish()]
+        slips = [one.time_s for one in events if one.kind == "incipient slip"]
+        armings = [one.time_s for one in events if one.kind == "predictive"]
+        return Said(np.array(slips, dtype=np.float64), np.array(armings, dtype=np.float64))
+
+
+@dataclass(frozen=True)
+class BaselineContender:
+    """A plain detector to compare with."""
+
+    settings: BaselineSettings
+
+    @property
+    def name(self) -> str:
+        """That of its statistic."""
+        return self.settings.statistic
+
+    @property
+    def tuned_on(self) -> SeedRange | None:
+        """The seeds that its thresholds were chosen on."""
+        return self.settings.tuned_on
+
+    def says(self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]) -> list[Said]:
+        """Its alarms and armings at each threshold."""
+        return baseline_says(volts, rate_Hz, self.settings, factors)
+
+
+def at_threshold(settings: DetectorSettings, factor: float) -> DetectorSettings:
+    """A detector that fires at `factor` times its threshold."""
+    if settings.logic != "rig":
+        fire = {
+            "fire_mV": factor * settings.fire_mV, "fire_sigmas": factor * settings.fire_sigmas
+        }  # fmt: skip
+        return settings.model_copy(update=fire)
+    odds = factor**2 * settings.fire_probability / (1 - settings.fire_probability)
+    return settings.model_copy(update={"fire_probability": odds / (1 + odds)})

@@ -1,0 +1,104 @@
+"""All that is told of one contender, and of all of them as rows of one table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.analysis.scoring.contenders import FACTORS, Contender
+from rig.analysis.scoring.outcomes import Outcome
+from rig.analysis.scoring.roc import AXES, ROLL_ALARMS, Roc, roc
+from rig.analysis.scoring.tables import BINS, NAMES, Score, by_trait, score
+
+ROW = (
+    "detector", "use", "trait", "bin", "quantity", "unit", "value", "low", "high", "of",
+)  # fmt: skip
+"""Columns of the table of results."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A trial as every contender heard it."""
+
+    name: str
+    """The trial's: its kind and seed, or its file and point."""
+    label: str
+    outcomes: tuple[Outcome, ...]
+    """Of each contender at its own threshold."""
+    found: NDArray[np.bool_]
+    """At each of the swept thresholds, (contenders, k); k is 0 where none are swept."""
+    alarmed: NDArray[np.bool_]
+    """The same."""
+
+
+@dataclass(frozen=True)
+class GroupScore:
+    """The score of those trials whose trait lies in a bin."""
+
+    trait: str
+    bin: str
+    score: Score
+
+
+@dataclass(frozen=True)
+class Result:
+    """What the trials say of one contender."""
+
+    contender: Contender
+    outcomes: tuple[Outcome, ...]
+    """Trial by trial."""
+    score: Score
+    groups: tuple[GroupScore, ...]
+    rocs: dict[str, Roc] = field(default_factory=dict)
+    """Found over false alarms, by the names of `AXES`; none where no threshold was swept."""
+
+
+def results(contenders: Sequence[Contender], judged: Sequence[Judged]) -> list[Result]:
+    """What the trials say of each contender."""
+    labels = [one.label for one in judged]
+    found = []
+    for at, contender in enumerate(contenders):
+        outcomes = tuple(one.outcomes[at] for one in judged)
+        rocs = {}
+        if judged and judged[0].found.shape[1] and "slip" in labels:
+            hits = np.array([one.found[at] for one in judged])
+            alarms = np.array([one.alarmed[at] for one in judged])
+            for name, among in AXES.items():
+                if any(label in among for label in labels):
+                    rocs[name] = roc(FACTORS, labels, hits, alarms, name)
+        groups = tuple(
+            GroupScore(group.trait, group.bin, score(group.outcomes))
+            for trait in (*BINS, *NAMES)
+            for group in by_trait(outcomes, trait)
+        )
+        found.append(Result(contender, outcomes, score(outcomes), groups, rocs))
+    return found
+
+
+def rows(told: Sequence[Result], use: str) -> Iterator[tuple[str | float, ...]]:
+    """Every number as a row of the columns `ROW`; `use` says what the trials are for."""
+    for one in told:
+        everything = [GroupScore("", "", one.score), *one.groups]
+        for group in everything:
+            for quantity, number in group.score.items():
+                yield (
+                    one.contender.name, use, group.trait, group.bin, quantity, number.unit,
+                    number.value, number.low, number.high, number.of,
+                )  # fmt: skip
+        for name, curve in one.rocs.items():
+            among = "+".join(AXES[name])
+            at = f"found_at_{100 * ROLL_ALARMS:g}_percent_{among}_alarms"
+            best = curve.found_at(ROLL_ALARMS)
+            yield one.contender.name, use, "", "", at, "1", best, math.nan, math.nan, math.nan
+            for factor, hits, alarms in zip(
+                curve.threshold, curve.found, curve.alarms, strict=True
+            ):
+                for quantity, value in (("found", hits), (f"{among}_alarms", alarms)):
+                    yield (
+                        one.contender.name, use, "threshold_factor", f"{factor:.4g}", quantity,
+                        "1", float(value), math.nan, math.nan, math.nan,
+                    )  # fmt: skip

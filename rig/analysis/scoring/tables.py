@@ -1,0 +1,159 @@
+"""Rates and percentiles of outcomes, with 95 % intervals, for all trials and by their traits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from rig.analysis.estimate import COVERAGE_95
+from rig.analysis.scoring.outcomes import Outcome
+
+PERCENTILES = (5, 50, 95)
+RESAMPLES = 1000
+"""Of the bootstrap; the error of an end of its interval is then below a tenth of its width."""
+FEWEST_OF_A_SPREAD = 5
+"""Of fewer values no interval of a percentile is told."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A number found from `of` cases with its 95 % interval; NaN where there is none."""
+
+    value: float
+    low: float
+    high: float
+    of: int
+    unit: str
+    """1 for a rate, else that of value and interval."""
+
+
+Score = dict[str, Measured]
+"""What is told of a group of outcomes, by name; what cannot occur in the group is left out."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Outcomes whose trait lies in a bin."""
+
+    trait: str
+    bin: str
+    outcomes: tuple[Outcome, ...]
+
+
+BINS: dict[str, tuple[float, ...]] = {
+    "noise_mV": (0.2, 0.5, 1.0),
+    "speed_mm_s": (0.7, 1.3, 2.5),
+    "static_coefficient": (0.6, 0.9),
+    "friction_ratio": (0.75, 0.85, 0.92),
+    "normal_force_N": (4.0, 6.0),
+    "gain_mismatch": (-0.03, 0.03),
+}
+"""Traits by which scores are told, and where one bin ends and the next begins; the outermost bins
+are open. The drop of friction is `friction_ratio`, μ_k / μ_s."""
+NAMES = ("pattern", "kind")
+"""Traits that are names, each of which is a bin."""
+
+
+def rate(hits: int, of: int) -> Measured:
+    """A share with Wilson's score interval (Wilson 1927, J. Am. Stat. Assoc. 22, 209)."""
+    if of == 0:
+        return Measured(math.nan, math.nan, math.nan, 0, "1")
+    share, z2 = hits / of, COVERAGE_95**2
+    middle = (share + z2 / (2 * of)) / (1 + z2 / of)
+    half = COVERAGE_95 / (1 + z2 / of) * math.sqrt(share * (1 - share) / of + z2 / (4 * of**2))
+    low = 0.0 if hits == 0 else middle - half
+    high = 1.0 if hits == of else middle + half
+    return Measured(share, low, high, of, "1")
+
+
+def percentiles(values: Sequence[float], unit: str) -> dict[int, Measured]:
+    """`PERCENTILES` of those values that are numbers, with their bootstrap intervals.
+
+    Percentile bootstrap (Efron 1979) with a fixed seed: the same values give the same interval.
+    """
+    known = np.array([value for value in values if math.isfinite(value)])
+    if not known.size:
+        return dict.fromkeys(PERCENTILES, Measured(math.nan, math.nan, math.nan, 0, unit))
+    found = np.percentile(known, PERCENTILES)
+    if known.size < FEWEST_OF_A_SPREAD:
+        low = high = np.full(found.size, math.nan)
+    else:
+        drawn = np.random.default_rng(0).integers(known.size, size=(RESAMPLES, known.size))
+        again = np.percentile(known[drawn], PERCENTILES, axis=1)
+        low, high = np.percentile(again, (2.5, 97.5), axis=1)
+    return {
+        percent: Measured(float(found[k]), float(low[k]), float(high[k]), known.size, unit)
+        for k, percent in enumerate(PERCENTILES)
+    }
+
+
+def score(outcomes: Sequence[Outcome]) -> Score:
+    """Everything that is told of a group of outcomes of one detector."""
+    return dict(_told(outcomes))
+
+
+def by_trait(outcomes: Sequence[Outcome], trait: str) -> list[Group]:
+    """The outcomes that have a trait, a group for each bin that is not empty, in order."""
+    having = [one for one in outcomes if trait in one.traits]
+    if trait in NAMES:
+        names = sorted({str(one.traits[trait]) for one in having})
+        return [
+            Group(trait, name, tuple(one for one in having if one.traits[trait] == name))
+            for name in names
+        ]
+    edges = (-math.inf, *BINS[trait], math.inf)
+    groups = []
+    for low, high in pairwise(edges):
+        inside = tuple(one for one in having if low <= float(one.traits[trait]) < high)
+        if inside:
+            groups.append(Group(trait, _bin(low, high), inside))
+    return groups
+
+
+def _bin(low: float, high: float) -> str:
+    if math.isinf(low):
+        return f"below {high:g}"
+    return f"{low:g} to {high:g}" if math.isfinite(high) else f"{low:g} and more"
+
+
+def _told(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, Measured]]:
+    def share(of: Sequence[Outcome], holds: Callable[[Outcome], bool]) -> Measured:
+        return rate(sum(map(holds, of)), len(of))
+
+    def labelled(label: str) -> list[Outcome]:
+        return [one for one in outcomes if one.label == label]
+
+    if slips := labelled("slip"):
+        yield "found", share(slips, lambda one: one.found)
+        yield "early", share(slips, lambda one: one.early)
+        yield "late", share(slips, lambda one: one.late)
+        for name in ("after_node", "after_ridge", "before_gross"):
+            times = [1e3 * float(getattr(one, f"{name}_s")) for one in slips]
+            for percent, time in percentiles(times, "ms").items():
+                yield f"{name}_{percent}", time
+    if rolling := labelled("slip in a roll"):
+        yield "found_in_roll", share(rolling, lambda one: one.found)
+        yield "early_in_roll", share(rolling, lambda one: one.early)
+    for label in ("roll", "hold", "tap"):
+        if still := labelled(label):
+            yield f"{label}_alarms", share(still, lambda one: one.alarmed)
+    if lifting := labelled("lift-off"):
+        yield "lift_off_alarms_before", share(lifting, lambda one: one.alarmed_touching)
+        yield "lift_off_alarms", share(lifting, lambda one: one.alarmed)
+    if outcomes:
+        yield "pressing_alarms", share(outcomes, lambda one: one.alarmed_pressing)
+    if slips:
+        yield "armed", share(slips, lambda one: one.armed)
+        leads = [1e3 * one.arming_lead_s for one in slips]
+        for percent, lead in percentiles(leads, "ms").items():
+            yield f"arming_lead_{percent}", lead
+    vain = sum(one.in_vain for one in outcomes)
+    if armings := vain + sum(one.followed for one in outcomes):
+        yield "armings_in_vain", rate(vain, armings)
+    for label in ("roll", "lift-off", "hold", "tap"):
+        if still := labelled(label):
+            yield f"{label.replace('-', '_')}_armed", share(still, lambda one: one.in_vain > 0)

@@ -1,0 +1,141 @@
+"""Learning the weights of the detector's network from labelled rows.
+
+Plain logistic regression through one hidden layer, by Adam (Kingma and Ba 2015) on shuffled
+batches; everything random comes from one seed, so that the same rows give the same weights on the
+same machine. Which rows are right and wrong is decided here too: a slip is what the detector should
+have said between 2 ms before the ridge slips as a whole and 25 ms after; a partial slip is not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Reals = NDArray[np.float64]
+Singles = NDArray[np.float32]
+
+EARLY_S, LATE_S = 0.002, 0.025
+"""Around the whole ridge's slip: where an alarm is right."""
+UNDECIDED_S = 0.008
+"""Before that it is neither right nor wrong for so long."""
+BEFORE_LIFT_OFF_S = 0.01
+ROLLING_FOR_S = 0.03
+"""So long after its begin a roll has to be recognised."""
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """Rows of one trial that the network was shown; times in s, NaN where it did not happen."""
+
+    inputs: Reals
+    """(m, inputs)."""
+    time_s: Reals
+    """(m,)."""
+    rolls: bool
+    motion_s: float
+    ridge_slip_s: float
+    lift_off_s: float
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What the network is taught: inputs, and for slip and roll what is right and what counts."""
+
+    inputs: Singles
+    """(m, inputs)."""
+    right: Singles
+    """(m, 2): 1 where it should say slip, roll."""
+    weight: Singles
+    """(m, 2): 0 where it may say what it likes."""
+
+
+def rows_of(lesson: Lesson) -> Rows:
+    """What a trial teaches."""
+    time, slip = lesson.time_s, lesson.ridge_slip_s
+    right = np.zeros((time.size, 2), np.float32)
+    weight = np.ones((time.size, 2), np.float32)
+    if lesson.rolls:
+        end = np.fmin(np.fmin(lesson.lift_off_s, slip), math.inf) - BEFORE_LIFT_OFF_S
+        weight[time > end] = 0
+        moving = time > lesson.motion_s
+        right[:, 1] = moving
+        weight[moving & (time < lesson.motion_s + ROLLING_FOR_S), 1] = 0
+    elif math.isfinite(slip):
+        right[:, 0] = (time >= slip - EARLY_S) & (time <= slip + LATE_S)
+        undecided = (time > slip - EARLY_S - UNDECIDED_S) & (time < slip - EARLY_S)
+        weight[undecided | (time > slip + LATE_S), 0] = 0
+        weight[time > slip, 1] = 0
+    return Rows(lesson.inputs.astype(np.float32), right, weight)
+
+
+def learn(
+    rows: Rows,
+    units: int = 24,
+    epochs: int = 30,
+    seed: int = 0,
+    told: Callable[[int, float], None] | None = None,
+) -> tuple[Reals, Reals]:
+    """Hidden weights (units, inputs + 1) and output weights (2, units + 1).
+
+    `told` hears of every epoch's number and mean loss. Inputs are scaled for the learning; the
+    weights returned want them as they are.
+    """
+    chance = np.random.default_rng(seed)
+    count, inputs = rows.inputs.shape
+    middle = rows.inputs.mean(axis=0)
+    spread = rows.inputs.std(axis=0) + 1e-6
+    x = (rows.inputs - middle) / spread
+    weights = [
+        chance.standard_normal((units, inputs)).astype(np.float32) / math.sqrt(inputs),
+        np.zeros(units, np.float32),
+        chance.standard_normal((2, units)).astype(np.float32) / math.sqrt(units),
+        np.full(2, -3.0, np.float32),
+    ]
+    first = [np.zeros_like(w) for w in weights]
+    second = [np.zeros_like(w) for w in weights]
+    batch, steps = 2048, 0
+    total = epochs * math.ceil(count / batch)
+    for epoch in range(epochs):
+        order = chance.permutation(count)
+        losses = 0.0
+        for begin in range(0, count, batch):
+            at = order[begin : begin + batch]
+            loss, slopes = _slopes(x[at], rows.right[at], rows.weight[at], weights)
+            losses += loss
+            steps += 1
+            rate = 0.004 * 0.5 * (1 + math.cos(math.pi * steps / total))
+            for w, m, v, g in zip(weights, first, second, slopes, strict=True):
+                m += 0.1 * (g - m)
+                v += 0.001 * (g * g - v)
+                fair = rate * math.sqrt(1 - 0.999**steps) / (1 - 0.9**steps)
+                w -= fair * m / (np.sqrt(v) + 1e-8)
+        if told is not None:
+            told(epoch, losses / math.ceil(count / batch))
+    into, bias, out, out_bias = (w.astype(np.float64) for w in weights)
+    plain = into / spread
+    hidden = np.column_stack([plain, bias - plain @ middle])
+    return hidden, np.column_stack([out, out_bias])
+
+
+def _slopes(
+    x: Singles, right: Singles, weight: Singles, weights: list[Singles]
+) -> tuple[float, list[Singles]]:
+    """Mean loss of a batch and its derivatives by the weights."""
+    into, bias, out, out_bias = weights
+    total = x @ into.T + bias
+    answer = total / (1 + np.abs(total))
+    odds = answer @ out.T + out_bias
+    said = 1 / (1 + np.exp(-odds))
+    loss = weight * (np.logaddexp(0, odds) - right * odds)
+    error = weight * (said - right) / len(x)
+    back = (error @ out) * (1 - np.abs(answer)) ** 2
+    return float(loss.sum() / len(x)), [
+        back.T @ x,
+        back.sum(axis=0),
+        error.T @ answer,
+        error.sum(axis=0),
+    ]

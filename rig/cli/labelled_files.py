@@ -1,0 +1,204 @@
+"""Trials of run files whose truth is known: from a list beside them, or from a simulated bench.
+
+A list is CSV with a header. Columns ``file`` (relative to the list) and ``point`` (empty: the only
+one of its file) name a trial; ``label``, ``motion_s``, ``node_slip_s``, ``ridge_slip_s``,
+``gross_slip_s`` and ``lift_off_s`` are its truth, in s of the record, empty for never; any further
+column is a trait of that name. For a column of the truth that the list does not have, what a run on
+the simulated bench knows of itself stands.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.analysis.scoring.contenders import Contender
+from rig.analysis.scoring.outcomes import Truth
+from rig.analysis.scoring.results import Judged
+from rig.analysis.scoring.tables import NAMES
+from rig.cli.scored_trials import judge_one
+from rig.documents import read_text
+from rig.errors import ConfigurationError
+from rig.recording.runfile import RunFile
+
+Floats = NDArray[np.float64]
+
+LABELS = ("slip", "roll", "lift-off", "hold", "tap", "slip in a roll")
+TIMES = ("motion_s", "node_slip_s", "ridge_slip_s", "gross_slip_s", "lift_off_s")
+MAX_LIST_BYTES = 16 << 20
+
+
+@dataclass(frozen=True)
+class ListedTrials:
+    """All trials of a list, judged."""
+
+    judged: list[Judged]
+    simulated: bool
+    """Whether any of them comes from a simulated bench."""
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """A trial as its file holds it."""
+
+    point: str
+    volts: Floats
+    rate_Hz: float
+    truth: dict[str, Any]
+    """What a simulated bench knows: label and times by the names of a list's columns."""
+
+
+def judge_files(
+    listing: Path,
+    contenders: Sequence[Contender],
+    *,
+    sweep: bool,
+    done: Callable[[int, int], None],
+) -> ListedTrials:
+    """The trials of a list; ConfigurationError names the line that cannot be used."""
+    rows = _rows(listing)
+    judged, simulated = [], False
+    for number, row in enumerate(rows, 1):
+        where = f"{listing}, line {number + 1}"
+        path = listing.parent / row["file"]
+        recorded, from_simulated = _recorded(path, row.get("point", ""), where)
+        simulated |= from_simulated
+        truth = _truth(row, recorded, where)
+        try:
+            judged.append(
+                judge_one(
+                    f"{path.name} {recorded.point}",
+                    truth,
+                    recorded.volts,
+                    recorded.rate_Hz,
+                    _traits(row, where),
+                    contenders,
+                    sweep=sweep,
+                )
+            )
+        except ValueError as error:
+            raise ConfigurationError(f"{where}: {path.name}: {error}") from error
+        done(number, len(rows))
+    return ListedTrials(judged, simulated)
+
+
+def _rows(listing: Path) -> list[dict[str, str]]:
+    text = read_text(listing, "list of labelled files", MAX_LIST_BYTES)
+    reader = csv.DictReader(io.StringIO(text))
+    if "file" not in (reader.fieldnames or ()):
+        raise ConfigurationError(
+            f"{listing}: has no column 'file'", "its first line names the columns"
+        )
+    rows: list[dict[str, str]] = []
+    for row in reader:
+        if None in row or None in row.values():
+            raise ConfigurationError(
+                f"{listing}, line {len(rows) + 2}: has not as many cells as the header"
+            )
+        rows.append({name.strip(): cell.strip() for name, cell in row.items()})
+    if not rows:
+        raise ConfigurationError(f"{listing}: lists no file")
+    return rows
+
+
+def _recorded(path: Path, point: str, where: str) -> tuple[_Recorded, bool]:
+    """Volts and truth of a file's point, and whether its bench was simulated."""
+    with RunFile.open(path) as run:
+        points = run.point_ids()
+        if not point and len(points) == 1:
+            point = points[0]
+        if point not in points:
+            raise ConfigurationError(
+                f"{where}: {path.name} has no point {point!r}",
+                f"name one of {', '.join(points[:8])} in the column 'point'",
+            )
+        waves = [one for one in run.waveforms(point) if one.stream == "signals"]
+        if len(waves) != 1 or not {"v_1", "v_2"} <= set(waves[0].counts):
+            raise ConfigurationError(
+                f"{where}: {path.name} holds no gapless v_1 and v_2 of point {point!r}",
+                "list slip and roll trials",
+            )
+        (wave,) = waves
+        reading = run.readings()[points.index(point)]
+        volts = np.column_stack([wave.values("v_1"), wave.values("v_2")])
+        time_s = run.entry[f"{wave.path}/time"][:2]
+        rate_Hz = wave.rate_Hz or round(1 / float(time_s[1] - time_s[0]), 6)
+        truth = _simulated_truth(reading.get("simulated_truth"), run.header.procedure)
+        return _Recorded(point, volts, rate_Hz, truth), run.outcome.simulated is True
+
+
+def _simulated_truth(told: str | None, procedure: str) -> dict[str, Any]:
+    """Label and times of a trial on the simulated bench, from the beginning of its record."""
+    if told is None:
+        return {}
+    known = json.loads(told)
+    ridge = known["ridge"] - 1
+    lifts = known.get("ridge_lift_off_us", [])
+    moved_us = known["slide_us"]
+    lifts = [at for at in lifts if moved_us is not None and at >= moved_us]
+
+    def seconds(us: float | None) -> float:
+        return math.nan if us is None else 1e-6 * (us - known["record_begun_us"])
+
+    slipped = known["whole_slip_us"][ridge] is not None
+    if procedure == "roll-trial":
+        label = "lift-off" if lifts else "slip in a roll" if slipped else "roll"
+    else:
+        label = "slip" if slipped else "hold"
+    return {
+        "label": label,
+        "motion_s": seconds(moved_us),
+        "node_slip_s": seconds(known["first_slip_us"][ridge]),
+        "ridge_slip_s": seconds(known["whole_slip_us"][ridge]),
+        "gross_slip_s": seconds(known["gross_slip_us"]),
+        "lift_off_s": seconds(lifts[0] if lifts else None),
+    }
+
+
+def _truth(row: dict[str, str], recorded: _Recorded, where: str) -> Truth:
+    label = row["label"] if "label" in row else recorded.truth.get("label", "")
+    if label not in LABELS:
+        raise ConfigurationError(
+            f"{where}: label {label!r} is none of {', '.join(LABELS)}",
+            "a file that is not from the simulated bench does not know what it shows",
+        )
+    times = {}
+    for name in TIMES:
+        if name in row:
+            times[name] = _number(row[name], f"{where}: {name}") if row[name] else math.nan
+        else:
+            times[name] = recorded.truth.get(name, math.nan)
+    if not math.isfinite(times["motion_s"]):
+        raise ConfigurationError(
+            f"{where}: motion_s is missing: alarms before the motion are counted apart",
+            "add when the motion begins, in s of the record",
+        )
+    return Truth(label=label, **times)
+
+
+def _traits(row: dict[str, str], where: str) -> dict[str, float | str]:
+    known = {"file", "point", "label", *TIMES}
+    return {
+        name: cell if name in NAMES else _number(cell, f"{where}: {name}")
+        for name, cell in row.items()
+        if name not in known and cell
+    }
+
+
+def _number(cell: str, what: str) -> float:
+    try:
+        number = float(cell)
+    except ValueError:
+        raise ConfigurationError(f"{what} {cell!r} is no number") from None
+    if not math.isfinite(number):
+        raise ConfigurationError(f"{what} {cell!r} must be finite, or empty for never")
+    return number

@@ -1,0 +1,228 @@
+"""The work behind ``rig score``: trials drawn or taken from the cache, heard, judged, in parallel.
+
+Worker processes are forks that inherit skin, settings and contenders; what comes back is small.
+The result does not depend on their number.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.analysis.scoring.baselines import BaselineSettings, baseline_score
+from rig.analysis.scoring.contenders import FACTORS, Contender
+from rig.analysis.scoring.outcomes import Truth, judge
+from rig.analysis.scoring.patterns import roll_pattern
+from rig.analysis.scoring.results import Judged
+from rig.analysis.scoring.roc import tune
+from rig.analysis.scoring.seeds import SeedRange
+from rig.cache import Cache
+from rig.model.labelled_trials import (
+    FrontEndSettings,
+    Kind,
+    LabelledTrial,
+    PopulationSettings,
+    heard,
+    labelled_trial,
+)
+from rig.model.skin.condensed import CondensedSkin
+
+Floats = NDArray[np.float64]
+Traits = dict[str, float | str]
+Result = TypeVar("Result")
+Each = Callable[[LabelledTrial, Floats, Traits], Result]
+"""What is made of a trial, the volts heard, and what it was like."""
+
+FLOORS_mV = (0.1, 0.2, 0.4, 0.8, 1.5, 3.0)
+"""Floors of the noise among which a baseline's is chosen."""
+_CHUNK = 4
+
+
+@dataclass(frozen=True)
+class Population:
+    """Which trials, and how they are heard."""
+
+    skin: CondensedSkin
+    settings: PopulationSettings
+    front_end: FrontEndSettings
+    swapped_gains: bool
+    """Whether the amplifiers of the two channels, noise and mains included, change places."""
+    kinds: tuple[Kind, ...]
+    seeds: SeedRange
+    cache: Cache
+
+    def trials(self) -> list[tuple[Kind, int]]:
+        """Kind and seed of every trial; the kinds alternate."""
+        return [(kind, seed) for seed in self.seeds.seeds() for kind in self.kinds]
+
+
+def judge_trials(
+    population: Population,
+    contenders: Sequence[Contender],
+    *,
+    sweep: bool,
+    jobs: int,
+    done: Callable[[int], None],
+) -> list[Judged]:
+    """Every trial of the population, judged; `done` is told how many there are so far."""
+
+    def work(trial: LabelledTrial, volts: Floats, traits: Traits) -> Judged:
+        return judge_one(
+            f"{trial.kind} {trial.seed}", _truth(trial), volts, trial.rate_Hz, traits,
+            contenders, sweep=sweep,
+        )  # fmt: skip
+
+    return list(each_trial(population, work, jobs, done))
+
+
+def judge_one(
+    name: str,
+    truth: Truth,
+    volts: Floats,
+    rate_Hz: float,
+    traits: Traits,
+    contenders: Sequence[Contender],
+    *,
+    sweep: bool,
+) -> Judged:
+    """One recording, judged; ValueError where a contender cannot take it."""
+    factors = (1.0, *FACTORS) if sweep else (1.0,)
+    judged = [
+        [judge(truth, said, traits) for said in one.says(volts, rate_Hz, factors)]
+        for one in contenders
+    ]
+    swept = [outcomes[1:] for outcomes in judged]
+    return Judged(
+        name=name,
+        label=truth.label,
+        outcomes=tuple(outcomes[0] for outcomes in judged),
+        found=np.array([[one.found for one in each] for each in swept], bool),
+        alarmed=np.array([[one.alarmed for one in each] for each in swept], bool),
+    )
+
+
+def tune_baselines(
+    population: Population,
+    baselines: Sequence[BaselineSettings],
+    *,
+    jobs: int,
+    done: Callable[[int], None],
+) -> list[tuple[BaselineSettings, float]]:
+    """The baselines with floor and threshold chosen on these trials, and the slips they find."""
+    variants = [
+        one.model_copy(update={"floor_mV": floor}) for one in baselines for floor in FLOORS_mV
+    ]
+
+    def work(trial: LabelledTrial, volts: Floats, traits: Traits) -> tuple[str, list[float]]:
+        if trial.label not in ("roll", "slip"):
+            return trial.label, []
+        truth = _truth(trial)
+        counted = slice(0, len(volts))
+        if truth.slipped:
+            first, last = truth.window_s()
+            counted = slice(int(np.ceil(first * trial.rate_Hz)), int(last * trial.rate_Hz) + 1)
+        scores = (baseline_score(volts, trial.rate_Hz, one)[counted] for one in variants)
+        return trial.label, [float(score.max(initial=0.0)) for score in scores]
+
+    peaks = list(each_trial(population, work, jobs, done))
+    shape = (-1, len(baselines), len(FLOORS_mV))
+    rolls, slips = (
+        np.array([each for label, each in peaks if label == wanted]).reshape(shape)
+        for wanted in ("roll", "slip")
+    )
+    tuned = []
+    for at, one in enumerate(baselines):
+        floor, threshold, found = tune(FLOORS_mV, rolls[:, at], slips[:, at])
+        chosen = {"floor_mV": floor, "threshold": threshold, "tuned_on": population.seeds}
+        tuned.append((one.model_copy(update=chosen), found))
+    return tuned
+
+
+def hear(population: Population, trial: LabelledTrial) -> tuple[Floats, Traits]:
+    """Volts (n, 2) as the population's front end records them, and what the trial was like."""
+    if population.swapped_gains:
+        turned = replace(trial, volts=trial.volts[:, ::-1])
+        volts, added = heard(turned, population.front_end)
+        volts, added["gain_mismatch"] = volts[:, ::-1], -added["gain_mismatch"]
+    else:
+        volts, added = heard(trial, population.front_end)
+    traits: Traits = {**trial.traits, **added, "kind": trial.kind}
+    if trial.kind == "roll":
+        way_mm = trial.traits["radius_mm"] * np.radians(abs(trial.traits["angle_deg"]))
+        traits["speed_mm_s"] = float(way_mm / trial.traits["roll_s"])
+        traits["pattern"] = roll_pattern(trial.volts, trial.rate_Hz, trial.motion_s)
+    return volts, traits
+
+
+def _truth(trial: LabelledTrial) -> Truth:
+    return Truth(
+        label=trial.label,
+        motion_s=trial.motion_s,
+        node_slip_s=trial.node_slip_s,
+        ridge_slip_s=trial.ridge_slip_s,
+        gross_slip_s=trial.gross_slip_s,
+        lift_off_s=trial.lift_off_s,
+    )
+
+
+class _Work(Generic[Result]):
+    """What a worker process does with a kind and a seed; forks inherit it."""
+
+    def __init__(self, population: Population, each: Each[Result]):
+        self.population, self.each = population, each
+
+    def __call__(self, drawn: tuple[Kind, int]) -> Result:
+        population = self.population
+        trial = labelled_trial(
+            population.skin, *drawn, population=population.settings, cache=population.cache
+        )
+        return self.each(trial, *hear(population, trial))
+
+
+_inherited: _Work[Any] | None = None
+
+
+def _begin_worker() -> None:
+    """Ctrl-C is the parent's to answer."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _work_inherited(drawn: tuple[Kind, int]) -> Any:
+    assert _inherited is not None
+    return _inherited(drawn)
+
+
+def each_trial(
+    population: Population, each: Each[Result], jobs: int, done: Callable[[int], None]
+) -> Iterator[Result]:
+    """What `each` makes of every trial, in their order; `done` is told how many there are."""
+    yield from _counted(_over(population, each, jobs), done)
+
+
+def _over(population: Population, each: Each[Result], jobs: int) -> Iterator[Result]:
+    """What `each` makes of every trial, in the order of the trials."""
+    global _inherited
+    work, trials = _Work(population, each), population.trials()
+    if jobs == 1:
+        yield from map(work, trials)
+        return
+    _inherited = work
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("fork"), initializer=_begin_worker)
+    try:
+        yield from pool.map(_work_inherited, trials, chunksize=_CHUNK)
+    finally:
+        pool.shutdown(cancel_futures=True)
+        _inherited = None
+
+
+def _counted(results: Iterator[Result], done: Callable[[int], None]) -> Iterator[Result]:
+    for number, result in enumerate(results, 1):
+        done(number)
+        yield result

@@ -1,0 +1,141 @@
+"""``rig train``: learn the detector's network again from simulated trials.
+
+Parses, calls, prints. The file that it writes is the one that the program brings along; it holds
+the seeds it was learned from, and scoring refuses those.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rig.cli.outcome import reported, say
+from rig.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from rig.cli.scored_trials import Floats
+    from rig.detector.network import Network
+
+
+def train(
+    out: Annotated[Path, typer.Option(help="File to write.", dir_okay=False)],
+    seeds: Annotated[
+        str, typer.Option(help="Random trials, END excluded.", metavar="FIRST:END")
+    ] = "0:1500",
+    units: Annotated[int, typer.Option(help="Of the hidden layer.", min=1, max=256)] = 16,
+    epochs: Annotated[int, typer.Option(help="Passes over all rows.", min=1, max=1000)] = 30,
+    seed: Annotated[int, typer.Option(help="Of first weights and order.", min=0)] = 0,
+    jobs: Annotated[int, typer.Option(help="Processes.", min=1, max=64)] = 1,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Train the network of the detector `rig` on simulated trials whose truth is known."""
+    with reported(debug):
+        from rig.analysis.scoring.seeds import FIRST_REPORTING_SEED, seed_range
+
+        drawn = seed_range(seeds)
+        if not drawn.tunes:
+            raise ConfigurationError(
+                f"--seeds {seeds}: seeds from {FIRST_REPORTING_SEED} on are for reporting, and "
+                "nothing is learned from them",
+                f"choose seeds below {FIRST_REPORTING_SEED}",
+            )
+        if out.exists():
+            raise ConfigurationError(f"{out}: exists already", "choose another file")
+        if not out.parent.is_dir():
+            raise ConfigurationError(
+                f"{out.parent}: no such folder", "create it, or choose another"
+            )
+        network = _trained(drawn.first, drawn.end, units, epochs, seed, jobs)
+        text = json.dumps(network.model_dump(mode="json"), indent=1) + "\n"
+        with out.open("x") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        typer.echo(f"{out}: network of {units} units from simulated trials {drawn}")
+
+
+def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int) -> Network:
+    import numpy as np
+
+    import rig
+    from rig.analysis.scoring.seeds import SeedRange
+    from rig.analysis.training import Lesson, Rows, learn, rows_of
+    from rig.cache import user_cache
+    from rig.cli.scored_trials import Population, Traits, each_trial
+    from rig.detector.detector import DETECTOR_VERSION, IncipientSlipDetector, NETWORK_RATE_Hz
+    from rig.detector.kernel import INPUTS
+    from rig.detector.network import OUTPUTS, Network
+    from rig.detector.settings import named_detectors
+    from rig.model.labelled_trials import FrontEndSettings, LabelledTrial, PopulationSettings
+    from rig.model.skin.condensed import build_skin
+
+    cache, ranges = user_cache(), PopulationSettings()
+    population = Population(
+        skin=build_skin(ranges.skin, cache),
+        settings=ranges,
+        front_end=FrontEndSettings(),
+        swapped_gains=False,
+        kinds=("slide", "roll", "hold", "tap"),
+        seeds=SeedRange(first=first, end=end),
+        cache=cache,
+    )
+    silent = Network(
+        name="silent", inputs=INPUTS, hidden=((0.0,) * (len(INPUTS) + 1),),
+        output=((0.0, -50.0),) * len(OUTPUTS), first_seed=0, last_seed=0, trained_by="nothing",
+    )  # fmt: skip
+    parameters = named_detectors()["rig"].model_copy(update={"network": silent})
+    IncipientSlipDetector(parameters, NETWORK_RATE_Hz)  # compiled once, before there are workers
+
+    def taught(trial: LabelledTrial, volts: Floats, _: Traits) -> Rows:
+        looks = IncipientSlipDetector(parameters, trial.rate_Hz).looks(volts)
+        return rows_of(
+            Lesson(
+                inputs=looks.inputs,
+                time_s=looks.rows / trial.rate_Hz,
+                rolls=trial.kind == "roll",
+                motion_s=trial.motion_s,
+                ridge_slip_s=trial.ridge_slip_s,
+                lift_off_s=trial.lift_off_s,
+            )
+        )
+
+    total = len(population.trials())
+
+    def done(number: int) -> None:
+        if number * 10 // total != (number - 1) * 10 // total:
+            say(f"train: {number} of {total} trials")
+
+    lessons = list(each_trial(population, taught, jobs, done))
+    rows = Rows(
+        *(
+            np.concatenate([getattr(one, name) for one in lessons])
+            for name in ("inputs", "right", "weight")
+        )
+    )
+    say(f"train: {len(rows.inputs)} rows")
+
+    def told(epoch: int, loss: float) -> None:
+        say(f"train: epoch {epoch + 1} of {epochs}, loss {loss:.5f}")
+
+    hidden, output = learn(rows, units=units, epochs=epochs, seed=seed, told=told)
+    return Network(
+        name=f"rig-{DETECTOR_VERSION}",
+        inputs=INPUTS,
+        hidden=_rounded(hidden),
+        output=_rounded(output),
+        first_seed=first,
+        last_seed=end - 1,
+        trained_by=(
+            f"rig train --seeds {first}:{end} --units {units} --epochs {epochs} --seed {seed}, "
+            f"tactile-rig {rig.__version__}, detector {DETECTOR_VERSION}; simulated trials only"
+        ),
+    )
+
+
+def _rounded(weights: Floats) -> tuple[tuple[float, ...], ...]:
+    """Six digits: what a person can read, and more than the learning decides."""
+    return tuple(tuple(float(f"{one:.6g}") for one in row) for row in weights)

@@ -1,0 +1,203 @@
+"""The incipient-slip detector: rows of v_1 and v_2 in, events out, live and on files alike."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.detector import kernel
+from rig.detector.events import EVENT_KINDS, Event
+from rig.detector.low_pass import LowPass, design_low_pass
+from rig.detector.settings import DetectorSettings
+
+Reals = NDArray[np.float64]
+
+DETECTOR_VERSION = "1"
+"""Raised with every change of what the same parameters make of the same rows."""
+NETWORK_RATE_Hz = 1000.0
+"""The rate at which the network was trained."""
+SLOWEST_Hz, FASTEST_Hz = 500.0, 4000.0
+_SLICE = 4096
+_LOGICS = {"rig": kernel.RIG, "paper-literal": kernel.LITERAL, "paper-hp": kernel.HIGH_PASSED}
+
+
+@dataclass(frozen=True)
+class Looks:
+    """What the network was shown."""
+
+    rows: NDArray[np.int64]
+    """Rows at which it was asked, (m,)."""
+    inputs: Reals
+    """(m, inputs), in the order of `kernel.INPUTS`."""
+
+
+class IncipientSlipDetector:
+    """Causal and streaming: events depend on the rows alone, bit by bit, not on their blocks."""
+
+    def __init__(self, settings: DetectorSettings, rate_Hz: float):
+        """Raises ValueError for a rate at which these settings mean nothing."""
+        if not SLOWEST_Hz <= rate_Hz <= FASTEST_Hz:
+            raise ValueError(
+                f"rate {rate_Hz:g} Hz must be between {SLOWEST_Hz:g} and {FASTEST_Hz:g} Hz: the "
+                "impulse lies between 100 and 400 Hz; decimate a faster recording"
+            )
+        if settings.logic == "rig" and not math.isclose(rate_Hz, NETWORK_RATE_Hz, rel_tol=1e-3):
+            raise ValueError(
+                f"rate {rate_Hz:g} Hz must be {NETWORK_RATE_Hz:g} Hz for the detector 'rig', whose "
+                "network was trained at it: resample, or take paper-hp or paper-literal"
+            )
+        if settings.network is not None and settings.network.inputs != kernel.INPUTS:
+            raise ValueError(
+                f"network {settings.network.name!r} wants other inputs than this program's "
+                f"detector {DETECTOR_VERSION} offers: train it again, or take the one it brings"
+            )
+        self.settings, self.rate_Hz = settings, rate_Hz
+        self.low_pass: LowPass = design_low_pass(settings.low_pass, rate_Hz)
+        self._constants = _constants(settings, rate_Hz, self.low_pass)
+        self._sections = _high_pass(settings.impulse_Hz, rate_Hz)
+        if settings.network is None:
+            self._hidden, self._output = np.zeros((len(kernel.INPUTS) + 1, 0)), np.zeros((2, 1))
+        else:
+            self._hidden, self._output = settings.network.weights()
+        self._units = np.zeros(self._hidden.shape[1])
+        self._line = np.zeros(self.low_pass.taps.size)
+        self._piece = np.zeros((4, int(self._constants["quiet_rows"][0])))
+        self._events = np.zeros((3 * _SLICE, kernel.EVENT_COLUMNS))
+        self._seen = np.zeros((1, len(kernel.INPUTS)))
+        self._unseen = np.zeros(0, np.bool_)
+        self._first = 0
+        self._begin()
+
+    @property
+    def rows(self) -> int:
+        """Rows taken so far, gaps included."""
+        return self._first + int(self._state["row"][0])
+
+    def add(self, volts: ArrayLike, first_sample: int | None = None) -> list[Event]:
+        """What is to be said of further rows (n, 2) of v_1 and v_2 in V.
+
+        `first_sample` is the index of the first of them, where it is known. Rows that are missing
+        are told as a rejected event, and everything begins anew after them. Raises ValueError for
+        rows of another shape, for rows that were there before, and for values that are no numbers.
+        """
+        rows = np.ascontiguousarray(volts, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != 2:
+            raise ValueError(f"volts of shape {rows.shape} must be (n, 2): v_1 and v_2")
+        if not math.isfinite(rows.sum()):
+            self._refuse_what_is_no_number(rows)
+        events = [] if first_sample is None else self._step_over_gap(first_sample)
+        for begin in range(0, len(rows), _SLICE):
+            part = rows[begin : begin + _SLICE]
+            told = self._advance(part, self._seen, self._unseen)
+            events += [self._event(row) for row in self._events[:told]]
+        return events
+
+    def finish(self) -> list[Event]:
+        """What is left to be said at the end of a recording."""
+        if self._state["ready"][0] or not self._state["row"][0]:
+            return []
+        reason = kernel.REASONS[kernel.NOT_QUIET]
+        return [Event("rejected", self.rows - 1, (self.rows - 1) / self.rate_Hz, 0.0, reason)]
+
+    def looks(self, volts: ArrayLike) -> Looks:
+        """What the network is shown of a whole recording (n, 2); for training it."""
+        rows = np.ascontiguousarray(volts, dtype=np.float64)
+        seen, looked = np.zeros((len(rows), len(kernel.INPUTS))), np.zeros(len(rows), np.bool_)
+        for begin in range(0, len(rows), _SLICE):
+            part = slice(begin, begin + _SLICE)
+            self._advance(rows[part], seen[part], looked[part])
+        return Looks(np.flatnonzero(looked), seen[looked])
+
+    def _begin(self) -> None:
+        self._state = np.zeros(1, kernel.STATE)
+
+    def _advance(self, rows: Reals, seen: Reals, looked: NDArray[np.bool_]) -> int:
+        return int(
+            kernel.advance(
+                rows,
+                self._state,
+                self._line,
+                self._piece,
+                self._constants,
+                self.low_pass.taps,
+                self._sections,
+                self._hidden,
+                self._output,
+                self._units,
+                self._events,
+                seen,
+                looked,
+            )
+        )
+
+    def _event(self, row: Reals) -> Event:
+        sample = self._first + int(row[1])
+        return Event(
+            kind=EVENT_KINDS[int(row[0])],
+            sample=sample,
+            time_s=sample / self.rate_Hz,
+            confidence=float(row[2]),
+            reason=kernel.REASONS[int(row[3])],
+            features=dict(zip(kernel.EVENT_FEATURES, row[4:].tolist(), strict=True)),
+        )
+
+    def _step_over_gap(self, first_sample: int) -> list[Event]:
+        expected = self.rows
+        if first_sample == expected:
+            return []
+        if first_sample < expected:
+            raise ValueError(
+                f"first_sample {first_sample} must be at least {expected}: rows came twice"
+            )
+        self._begin()
+        self._first = first_sample
+        if not expected:
+            return []
+        reason = f"gap of {first_sample - expected} samples: offset and noise are judged anew"
+        return [Event("rejected", first_sample, first_sample / self.rate_Hz, 0.0, reason)]
+
+    def _refuse_what_is_no_number(self, rows: Reals) -> None:
+        wrong = np.argwhere(~np.isfinite(rows))
+        if not len(wrong):
+            return  # only their sum is too large
+        row, channel = wrong[0]
+        raise ValueError(
+            f"v_{channel + 1} is {rows[row, channel]} V at sample {self.rows + row}: every sample "
+            "must be a number; cut the recording there, or mend it"
+        )
+
+
+def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) -> NDArray[np.void]:
+    """The settings in rows and mV."""
+    ms = rate_Hz / 1e3
+    c = np.zeros(1, kernel.CONSTANTS)
+    c["logic"] = _LOGICS[settings.logic]
+    c["ms"] = ms
+    c["quiet_rows"] = round(settings.quiet_s * rate_Hz)
+    c["least_noise"] = settings.least_noise_mV
+    c["low_noise"] = math.sqrt(float(np.sum(low_pass.taps**2)))
+    c["arm"] = settings.arm_mV, settings.arm_sigmas
+    c["armed_rows"] = round(settings.armed_s * rate_Hz)
+    c["fire"] = settings.fire_mV, settings.fire_sigmas
+    c["look"] = settings.look_mV, settings.look_sigmas
+    c["look_rows"] = round(20 * ms)
+    c["idle_rows"] = max(1, round(8 * ms))
+    c["fire_probability"] = settings.fire_probability
+    c["roll_probability"] = settings.roll_probability
+    c["silent_rows"] = round(settings.silence_s * rate_Hz)
+    c["saturation"] = 1e3 * settings.saturation_V
+    c["share"] = -np.expm1(-1 / (np.array(kernel.AVERAGES_ms) * ms))
+    return c
+
+
+def _high_pass(corner_Hz: float, rate_Hz: float) -> Reals:
+    """Second-order sections of a Butterworth high-pass of order 3."""
+    from scipy.signal import butter
+
+    sections: Reals = np.ascontiguousarray(
+        butter(3, corner_Hz, "highpass", fs=rate_Hz, output="sos")
+    )
+    return sections

@@ -1,0 +1,484 @@
+"""The compiled heart of the detectors: one row of v_1 and v_2 after the other, and nothing else.
+
+Every row goes through the same scalar operations in the same order, with all state in one record,
+so that the outcome does not know how the rows came: one by one, in blocks or as a whole file. No
+operation may be reordered by the compiler (no fast mathematics).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+PREDICTIVE, SLIP, ROLL, REJECTED = range(4)
+"""Kinds of events, in the order of `rig.detector.events.EVENT_KINDS`."""
+NO_REASON, NOT_ARMED, IS_ROLL, COMMON, UNLIKE, SATURATED, NOT_QUIET = range(7)
+REASONS = (
+    "",
+    "not armed: no predictive signal went before",
+    "roll",
+    "common to both channels",
+    "unlike a slip",
+    "saturated",
+    "not quiet: offset and noise cannot be judged",
+)
+RIG, LITERAL, HIGH_PASSED = range(3)
+"""Logics."""
+
+AVERAGES_ms = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+"""Time constants of the running averages whose differences are the bands."""
+_A = len(AVERAGES_ms)
+
+STATE = np.dtype(
+    [
+        ("row", "i8"),
+        ("ready", "i8"),
+        ("offset", "f8", (2,)),  # of v_d and v_s, mV
+        ("noise", "f8", (2,)),  # of v_d and v_s, mV
+        ("fast_noise", "f8", (2,)),  # the same above impulse_Hz
+        ("piece_rows", "i8"),
+        ("restless_rows", "i8"),
+        ("low", "f8"),  # low-passed v_d
+        ("fast", "f8", (2,)),  # high-passed
+        ("sections", "f8", (2, 2, 2)),
+        ("average", "f8", (2, _A)),
+        ("peak", "f8", (4,)),  # |fast v_d| over 3, 10, 40 ms, |fast v_s| over 10 ms
+        ("power", "f8", (3,)),  # fast v_d over 8 and 64 ms, fast v_s over 8 ms
+        ("sum", "f8", (4,)),  # leaky sums of v_d and v_s over 100 and 400 ms
+        ("slow_peak", "f8", (2,)),  # of the averages over 16 ms
+        ("polarity_sum", "f8"),
+        ("armed", "i8"),
+        ("armed_rows", "i8"),
+        ("calm_rows", "i8"),
+        ("told_roll", "i8"),
+        ("roll_rows", "i8"),
+        ("look_rows", "i8"),
+        ("silent_rows", "i8"),
+        ("deaf_rows", "i8"),
+        ("suspect_rows", "i8"),
+        ("mute_rows", "i8"),
+        ("suspect", "f8", (3,)),  # impulse, its threshold, common part
+        ("slip", "f8"),
+        ("roll", "f8"),
+    ]
+)
+
+CONSTANTS = np.dtype(
+    [
+        ("logic", "i8"),
+        ("ms", "f8"),  # rows in a millisecond
+        ("quiet_rows", "i8"),
+        ("least_noise", "f8"),
+        ("low_noise", "f8"),  # noise behind the low-pass, as a share of that before
+        ("arm", "f8", (2,)),  # mV, sigmas
+        ("armed_rows", "i8"),
+        ("fire", "f8", (2,)),
+        ("look", "f8", (2,)),
+        ("look_rows", "i8"),
+        ("idle_rows", "i8"),
+        ("fire_probability", "f8"),
+        ("roll_probability", "f8"),
+        ("silent_rows", "i8"),
+        ("saturation", "f8"),
+        ("share", "f8", (_A,)),  # of a new row in the averages
+    ]
+)
+
+INPUTS = (
+    *(f"v_d band {AVERAGES_ms[k]:g} to {AVERAGES_ms[k + 1]:g} ms" for k in range(_A - 1)),
+    f"v_d {AVERAGES_ms[-1]:g} ms",
+    *(f"v_s band {AVERAGES_ms[k]:g} to {AVERAGES_ms[k + 1]:g} ms" for k in range(_A - 1)),
+    f"v_s {AVERAGES_ms[-1]:g} ms",
+    "impulse of v_d",
+    "impulse of v_s",
+    "impulse of v_d to noise",
+    "peak of v_d 3 ms",
+    "peak of v_d 10 ms",
+    "peak of v_d 40 ms",
+    "peak of v_s 10 ms",
+    "peak of v_d 10 ms to noise",
+    "rms of v_d 8 ms to noise",
+    "rms of v_d 64 ms to noise",
+    "rms of v_s 8 ms to noise",
+    "sum of v_d 100 ms",
+    "sum of v_s 100 ms",
+    "sum of v_d 400 ms",
+    "sum of v_s 400 ms",
+    "recent peak of v_d 16 ms",
+    "recent peak of v_s 16 ms",
+    "v_d 16 ms to its recent peak",
+    "noise of v_d",
+    "noise of v_s",
+    "armed for",
+)
+"""What the network sees. Signs of v_d are taken so that its average over 32 ms is positive, those
+of v_s so that pressing was negative: neither swapped channels nor inverted polarity matter.
+Numbers of wide range are drawn together, x / sqrt(1 + |x|), voltages in units of 0.5 mV."""
+
+EVENT_FEATURES = (
+    "predictive_mV",
+    "impulse_mV",
+    "common_impulse_mV",
+    "threshold_mV",
+    "slip_probability",
+    "roll_probability",
+)
+EVENT_COLUMNS = 4 + len(EVENT_FEATURES)
+"""Kind, row, confidence, reason, features."""
+
+_MEDIAN_TO_SIGMA = 1.4826
+
+
+@njit(cache=True, error_model="numpy")
+def advance(
+    volts: Any,
+    state: Any,
+    line: Any,
+    piece: Any,
+    constants: Any,
+    taps: Any,
+    sections: Any,
+    hidden: Any,
+    output: Any,
+    units: Any,
+    events: Any,
+    seen: Any,
+    looked: Any,
+) -> int:
+    """Take rows of volts (n, 2); fill `events` (n, columns) and say how many.
+
+    `line` (taps,) and `piece` (4, quiet rows) belong to the state. The network's weights are
+    `hidden` (inputs + 1, units) and `output` (2, units + 1); `units` is room for it. Where
+    `looked` has rows, its inputs are kept in `seen` (n, inputs) and `looked` (n,) says for which.
+    """
+    s, c = state[0], constants[0]
+    told = 0
+    for k in range(volts.shape[0]):
+        first, second = 1e3 * volts[k, 0], 1e3 * volts[k, 1]
+        _filter(first, second, s, line, c, taps, sections)
+        told = _judge_quiet(first, second, s, piece, c, events, told)
+        if s.ready:
+            _follow(first, second, s, c)
+            saturated = abs(first) >= c.saturation or abs(second) >= c.saturation
+            told = _arm(saturated, s, c, events, told)
+            if c.logic == RIG:
+                looks = _looks(s, c)
+                if looks:
+                    _see(s, c, seen[k if looked.size else 0])
+                    _ask(seen[k if looked.size else 0], hidden, output, units, s)
+                if looked.size:
+                    looked[k] = looks
+                told = _decide(looks, s, c, events, told)
+            else:
+                told = _compare(first, second, s, c, events, told)
+        s.row += 1
+    return told
+
+
+@njit(cache=True, error_model="numpy")
+def _filter(
+    first: float, second: float, s: Any, line: Any, c: Any, taps: Any, sections: Any
+) -> None:
+    """Low-pass of v_d, high-pass of v_d and v_s; as if the first row had been there for ever."""
+    _low_pass(first - second, s, line, taps)
+    for channel in range(2):
+        y = first - second if channel == 0 else first + second
+        if s.row == 0:
+            _rest(y, s.sections[channel], sections)
+        for q in range(sections.shape[0]):
+            b0, b1, b2 = sections[q, 0], sections[q, 1], sections[q, 2]
+            a1, a2 = sections[q, 4], sections[q, 5]
+            out = b0 * y + s.sections[channel, q, 0]
+            s.sections[channel, q, 0] = b1 * y - a1 * out + s.sections[channel, q, 1]
+            s.sections[channel, q, 1] = b2 * y - a2 * out
+            y = out
+        s.fast[channel] = y
+
+
+@njit(cache=True, error_model="numpy")
+def _low_pass(x: float, s: Any, line: Any, taps: Any) -> None:
+    """The filter in its transposed form, whose sums do not depend on one another."""
+    n = taps.size
+    if s.row == 0:
+        tail = 0.0
+        for i in range(n - 1, 0, -1):
+            tail += taps[i]
+            line[i - 1] = tail * x
+        line[n - 1] = 0.0
+    s.low = line[0] + taps[0] * x
+    for i in range(n - 1):
+        line[i] = line[i + 1] + taps[i + 1] * x
+
+
+@njit(cache=True, error_model="numpy")
+def _rest(x: float, memory: Any, sections: Any) -> None:
+    """The memory of the high-pass's sections after a constant input."""
+    y = x
+    for q in range(sections.shape[0]):
+        b0, b1, b2 = sections[q, 0], sections[q, 1], sections[q, 2]
+        a1, a2 = sections[q, 4], sections[q, 5]
+        out = y * (b0 + b1 + b2) / (1.0 + a1 + a2)
+        memory[q, 1] = b2 * y - a2 * out
+        memory[q, 0] = b1 * y - a1 * out + memory[q, 1]
+        y = out
+
+
+@njit(cache=True, error_model="numpy")
+def _judge_quiet(
+    first: float, second: float, s: Any, piece: Any, c: Any, events: Any, told: int
+) -> int:
+    """Offset and noise from the last piece, if it was quiet: medians, so that single spikes do not
+    count. Before the first quiet piece nothing else is judged."""
+    if s.ready and (s.armed or s.deaf_rows > 0):
+        s.piece_rows = 0
+        return told
+    at = s.piece_rows
+    piece[0, at] = first - second
+    piece[1, at] = first + second
+    piece[2, at] = s.fast[0]
+    piece[3, at] = s.fast[1]
+    s.piece_rows += 1
+    if s.piece_rows < c.quiet_rows:
+        return told
+    s.piece_rows = 0
+    half = c.quiet_rows // 2
+    offset = np.zeros(4)
+    noise = np.zeros(4)
+    quiet = True
+    for j in range(4):
+        values = piece[j, : c.quiet_rows]
+        offset[j] = np.median(values)
+        noise[j] = max(_MEDIAN_TO_SIGMA * np.median(np.abs(values - offset[j])), c.least_noise)
+        if j < 2:
+            moved = abs(np.mean(values[:half]) - np.mean(values[half:]))
+            if moved > 8.0 * noise[j] / math.sqrt(half) + 0.1:
+                quiet = False
+            if np.max(np.abs(values - offset[j])) > 10.0 * noise[j] + 0.5:
+                quiet = False
+    if not quiet:
+        s.restless_rows += c.quiet_rows
+        if not s.ready and s.restless_rows == 4 * c.quiet_rows:
+            return _tell(REJECTED, 0.0, NOT_QUIET, 0.0, 0.0, s, events, told)
+        return told
+    weight = 0.25 if s.ready else 1.0
+    for j in range(2):
+        s.offset[j] += weight * (offset[j] - s.offset[j])
+        s.noise[j] += weight * (noise[j] - s.noise[j])
+        s.fast_noise[j] += weight * (noise[2 + j] - s.fast_noise[j])
+    s.ready = 1
+    return told
+
+
+@njit(cache=True, error_model="numpy")
+def _follow(first: float, second: float, s: Any, c: Any) -> None:
+    """Averages, peaks, powers and sums of what has just come."""
+    d = first - second - s.offset[0]
+    v = first + second - s.offset[1]
+    for j in range(_A):
+        s.average[0, j] += c.share[j] * (d - s.average[0, j])
+        s.average[1, j] += c.share[j] * (v - s.average[1, j])
+    fast_d, fast_s = abs(s.fast[0]), abs(s.fast[1])
+    fade = 1.0 / c.ms
+    s.peak[0] = max(fast_d, s.peak[0] * (1.0 - fade / 3.0))
+    s.peak[1] = max(fast_d, s.peak[1] * (1.0 - fade / 10.0))
+    s.peak[2] = max(fast_d, s.peak[2] * (1.0 - fade / 40.0))
+    s.peak[3] = max(fast_s, s.peak[3] * (1.0 - fade / 10.0))
+    s.power[0] += (fast_d * fast_d - s.power[0]) * fade / 8.0
+    s.power[1] += (fast_d * fast_d - s.power[1]) * fade / 64.0
+    s.power[2] += (fast_s * fast_s - s.power[2]) * fade / 8.0
+    s.sum[0] += (d - s.sum[0] / 100.0) * fade
+    s.sum[1] += (v - s.sum[1] / 100.0) * fade
+    s.sum[2] += (d - s.sum[2] / 400.0) * fade
+    s.sum[3] += (v - s.sum[3] / 400.0) * fade
+    s.slow_peak[0] = max(abs(s.average[0, 4]), s.slow_peak[0] * (1.0 - fade / 150.0))
+    s.slow_peak[1] = max(abs(s.average[1, 4]), s.slow_peak[1] * (1.0 - fade / 150.0))
+    if abs(s.average[1, 4]) > 5.0 * s.noise[1] / math.sqrt(16.0) + 0.5 and abs(s.polarity_sum) < 50:
+        s.polarity_sum += s.average[1, 4] * fade  # the first pressing decides
+
+
+@njit(cache=True, error_model="numpy")
+def _arm(saturated: bool, s: Any, c: Any, events: Any, told: int) -> int:
+    """The predictive signal arms; saturation makes deaf."""
+    for_rows = s.deaf_rows
+    if saturated:
+        s.deaf_rows = round(50.0 * c.ms)
+        if for_rows == 0:
+            return _tell(REJECTED, 0.0, SATURATED, 0.0, 0.0, s, events, told)
+    elif for_rows > 0:
+        s.deaf_rows -= 1
+    if s.silent_rows > 0:
+        s.silent_rows -= 1
+    if s.mute_rows > 0:
+        s.mute_rows -= 1
+    threshold = max(c.arm[0], c.arm[1] * c.low_noise * s.noise[0])
+    level = abs(s.low - s.offset[0])
+    if s.armed:
+        s.armed_rows += 1
+        s.calm_rows = 0 if level > threshold / 2.0 else s.calm_rows + 1
+        if s.calm_rows > c.armed_rows:
+            s.armed = 0
+            s.told_roll = 0
+            s.roll_rows = 0
+    elif level > threshold:
+        s.armed = 1
+        s.armed_rows = 0
+        s.calm_rows = 0
+        confidence = level / (level + threshold)
+        return _tell(PREDICTIVE, confidence, NO_REASON, 0.0, threshold, s, events, told)
+    return told
+
+
+@njit(cache=True, error_model="numpy")
+def _compare(first: float, second: float, s: Any, c: Any, events: Any, told: int) -> int:
+    """The published logics: over the threshold while armed."""
+    if c.logic == LITERAL:
+        level, noise = abs(first - second - s.offset[0]), s.noise[0]
+    else:
+        level, noise = abs(s.fast[0]), s.fast_noise[0]
+    threshold = max(c.fire[0], c.fire[1] * noise)
+    if level <= threshold or s.deaf_rows > 0:
+        return told
+    confidence = level / (level + threshold)
+    if s.armed:
+        if s.silent_rows == 0:
+            s.silent_rows = c.silent_rows
+            return _tell(SLIP, confidence, NO_REASON, level, threshold, s, events, told)
+    elif s.mute_rows == 0:
+        s.mute_rows = c.silent_rows
+        return _tell(REJECTED, confidence, NOT_ARMED, level, threshold, s, events, told)
+    return told
+
+
+@njit(cache=True, error_model="numpy")
+def _looks(s: Any, c: Any) -> bool:
+    """Whether the network is asked about this row."""
+    threshold = max(c.look[0], c.look[1] * s.fast_noise[0])
+    if abs(s.fast[0]) > threshold:
+        s.look_rows = c.look_rows
+    elif s.look_rows > 0:
+        s.look_rows -= 1
+    if not s.armed or s.deaf_rows > 0:
+        return False
+    looks: bool = s.look_rows > 0 or s.row % c.idle_rows == 0
+    return looks
+
+
+@njit(cache=True, error_model="numpy")
+def _see(s: Any, c: Any, x: Any) -> None:
+    """The network's inputs, in the order of `INPUTS`."""
+    sign = 1.0 if s.average[0, 5] >= 0.0 else -1.0
+    pressed = -1.0 if s.polarity_sum > 0.0 else 1.0
+    for j in range(_A):
+        d, v = sign * s.average[0, j], pressed * s.average[1, j]
+        if j + 1 < _A:
+            d -= sign * s.average[0, j + 1]
+            v -= pressed * s.average[1, j + 1]
+        x[j] = _root(2.0 * d)
+        x[_A + j] = _root(2.0 * v)
+    at = 2 * _A
+    noise, common = s.fast_noise[0], s.fast_noise[1]
+    x[at] = _root(2.0 * sign * s.fast[0])
+    x[at + 1] = _root(2.0 * pressed * s.fast[1])
+    x[at + 2] = _root(sign * s.fast[0] / noise)
+    for j in range(4):
+        x[at + 3 + j] = _root(2.0 * s.peak[j])
+    x[at + 7] = _root(s.peak[1] / noise)
+    x[at + 8] = _root(math.sqrt(s.power[0]) / noise)
+    x[at + 9] = _root(math.sqrt(s.power[1]) / noise)
+    x[at + 10] = _root(math.sqrt(s.power[2]) / common)
+    x[at + 11] = _root(0.05 * sign * s.sum[0])
+    x[at + 12] = _root(0.05 * pressed * s.sum[1])
+    x[at + 13] = _root(0.05 * sign * s.sum[2])
+    x[at + 14] = _root(0.05 * pressed * s.sum[3])
+    x[at + 15] = _root(2.0 * s.slow_peak[0])
+    x[at + 16] = _root(2.0 * s.slow_peak[1])
+    x[at + 17] = sign * s.average[0, 4] / (s.slow_peak[0] + 0.3)
+    x[at + 18] = _root(4.0 * s.noise[0])
+    x[at + 19] = _root(4.0 * s.noise[1])
+    x[at + 20] = _root(s.armed_rows / (10.0 * c.ms))
+
+
+@njit(cache=True, error_model="numpy")
+def _root(x: float) -> float:
+    """A number's size drawn together: itself when small, its root when large."""
+    return x / math.sqrt(1.0 + abs(x))
+
+
+@njit(cache=True, error_model="numpy")
+def _ask(x: Any, hidden: Any, output: Any, units: Any, s: Any) -> None:
+    """Probabilities of a slip now and of a roll under way."""
+    inputs, n = x.size, units.size
+    for u in range(n):
+        units[u] = hidden[inputs, u]
+    for i in range(inputs):
+        for u in range(n):  # the inner loop, since the units do not depend on one another
+            units[u] += hidden[i, u] * x[i]
+    odds_slip, odds_roll = output[0, n], output[1, n]
+    for u in range(n):
+        answer = units[u] / (1.0 + abs(units[u]))
+        odds_slip += output[0, u] * answer
+        odds_roll += output[1, u] * answer
+    s.slip = 1.0 / (1.0 + math.exp(-odds_slip))
+    s.roll = 1.0 / (1.0 + math.exp(-odds_roll))
+
+
+@njit(cache=True, error_model="numpy")
+def _decide(looks: bool, s: Any, c: Any, events: Any, told: int) -> int:
+    """Our logic: the network's word while armed; what it refuses is told with the reason."""
+    threshold = max(c.fire[0], c.fire[1] * s.fast_noise[0])
+    level = abs(s.fast[0])
+    if level > threshold and s.deaf_rows == 0 and s.mute_rows == 0 and s.silent_rows == 0:
+        if not s.armed:
+            s.mute_rows = c.silent_rows
+            confidence = level / (level + threshold)
+            return _tell(REJECTED, confidence, NOT_ARMED, level, threshold, s, events, told)
+        if s.suspect_rows == 0:
+            s.suspect_rows = round(25.0 * c.ms)
+            s.suspect[0], s.suspect[1], s.suspect[2] = level, threshold, s.peak[3]
+    if looks and s.slip > c.fire_probability:
+        s.suspect_rows = 0
+        if s.silent_rows == 0:
+            s.silent_rows = c.silent_rows
+            return _tell(SLIP, s.slip, NO_REASON, s.peak[0], threshold, s, events, told)
+        return told
+    if s.suspect_rows > 0:
+        s.suspect[0] = max(s.suspect[0], level)
+        s.suspect[2] = max(s.suspect[2], s.peak[3])
+        s.suspect_rows -= 1
+        if s.suspect_rows == 0:
+            s.mute_rows = c.silent_rows
+            reason = UNLIKE
+            if s.roll > 0.5:
+                reason = IS_ROLL
+            elif s.suspect[2] > s.suspect[0]:
+                reason = COMMON
+            confidence = 1.0 - s.slip
+            return _tell(REJECTED, confidence, reason, s.suspect[0], s.suspect[1], s, events, told)
+    if looks and s.armed and not s.told_roll:
+        s.roll_rows = s.roll_rows + 1 if s.roll > c.roll_probability else 0
+        if s.roll_rows >= 4:
+            s.told_roll = 1
+            return _tell(ROLL, s.roll, NO_REASON, s.peak[0], threshold, s, events, told)
+    return told
+
+
+@njit(cache=True, error_model="numpy")
+def _tell(
+    kind: int,
+    confidence: float,
+    reason: int,
+    impulse: float,
+    threshold: float,
+    s: Any,
+    events: Any,
+    told: int,
+) -> int:
+    row = events[told]
+    row[0], row[1], row[2], row[3] = kind, s.row, confidence, reason
+    row[4] = s.low - s.offset[0]
+    row[5], row[6], row[7] = impulse, s.peak[3], threshold
+    row[8], row[9] = s.slip, s.roll
+    return told + 1

@@ -1,0 +1,123 @@
+"""Figures of a score: ROC, what is found against noise, drop and speed, and the delays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from rig.analysis.scoring.outcomes import FOUND_WITHIN_S
+from rig.analysis.scoring.results import Result
+from rig.analysis.scoring.roc import AXES, ROLL_ALARMS
+from rig.figures.style import STYLE
+
+COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#555555")
+SHOWN_TRAITS = {
+    "noise_mV": "noise, rms (mV)",
+    "friction_ratio": "drop of friction, $μ_k / μ_s$",
+    "speed_mm_s": "speed (mm/s)",
+}
+MOST_SHOWN_ALARMS = 0.5
+"""End of a ROC's axis of false alarms: nobody works beyond it."""
+DELAYS_MS = (-60.0, 1e3 * FOUND_WITHIN_S)
+"""Shown of the histograms; what is earlier is counted in their first bar."""
+BAR_MS = 2.0
+
+
+def draw_roc(results: Sequence[Result], title: str) -> Figure:
+    """Slips found over false alarms at thresholds from 1/8 to 8 times a contender's own."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(9, 4.6), layout="constrained")
+        panels = figure.subplots(1, len(AXES), sharey=True)
+        for axes, (name, among) in zip(panels, AXES.items(), strict=True):
+            for one, colour in _coloured(results):
+                if name not in one.rocs:
+                    continue
+                curve = one.rocs[name]
+                order = np.lexsort((curve.found, curve.alarms))
+                axes.plot(
+                    curve.alarms[order], curve.found[order], ".-", ms=3, lw=1.0, color=colour,
+                    label=one.contender.name,
+                )  # fmt: skip
+                own = int(np.abs(curve.threshold - 1).argmin())
+                axes.plot(curve.alarms[own], curve.found[own], "o", ms=7, mfc="none", color=colour)
+            axes.set_xlim(-0.01, MOST_SHOWN_ALARMS)
+            axes.set_ylim(0, 1.02)
+            axes.set_xlabel(f"share of trials with a false alarm: {' and '.join(among)}")
+        panels[0].axvline(ROLL_ALARMS, color="0.5", lw=0.8, ls="--")
+        panels[0].annotate(f" {ROLL_ALARMS:.0%}", (ROLL_ALARMS, 0.01), color="0.4", fontsize=8)
+        panels[0].set_ylabel("share of slips found")
+        panels[-1].legend(loc="lower right", frameon=False, title="circle: own threshold")
+        figure.suptitle(f"Slips found over false alarms, {title}")
+    return figure
+
+
+def draw_found(results: Sequence[Result], title: str) -> Figure:
+    """The share of slips found by noise, drop of friction and speed, with 95 % intervals."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(9, 3.8), layout="constrained")
+        panels = figure.subplots(1, len(SHOWN_TRAITS), sharey=True)
+        for axes, (trait, name) in zip(panels, SHOWN_TRAITS.items(), strict=True):
+            bins: list[str] = []
+            for at, (one, colour) in enumerate(_coloured(results)):
+                groups = [g for g in one.groups if g.trait == trait and "found" in g.score]
+                bins = [group.bin for group in groups]
+                aside = 0.6 * ((at + 0.5) / len(results) - 0.5)
+                found = [group.score["found"] for group in groups]
+                value = np.array([each.value for each in found])
+                axes.errorbar(
+                    np.arange(len(groups)) + aside, value,
+                    [value - [each.low for each in found], [each.high for each in found] - value],
+                    fmt="o", ms=4, lw=1.0, color=colour, label=one.contender.name,
+                )  # fmt: skip
+            axes.set_xticks(range(len(bins)), [each.replace(" and ", "\nand ") for each in bins])
+            axes.tick_params(axis="x", labelsize=7.5)
+            axes.set_xlabel(name)
+            axes.grid(axis="x", visible=False)
+        panels[0].set_ylim(0, 1.02)
+        panels[0].set_ylabel("share of slips found")
+        handles, labels = panels[0].get_legend_handles_labels()
+        if handles:
+            figure.legend(
+                handles, labels, loc="outside lower center", ncols=len(handles), frameon=False
+            )
+        figure.suptitle(f"Slips found by what they were like, 95 % intervals, {title}")
+    return figure
+
+
+def draw_delays(results: Sequence[Result], title: str) -> Figure:
+    """How long after the whole ridge slipped each found slip was told, a panel a contender."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(9, 0.9 + 1.15 * len(results)), layout="constrained")
+        panels = figure.subplots(len(results), 1, sharex=True, squeeze=False)[:, 0]
+        edges = np.arange(DELAYS_MS[0], DELAYS_MS[1] + BAR_MS, BAR_MS)
+        for axes, (one, colour) in zip(panels, _coloured(results), strict=True):
+            slips = [each for each in one.outcomes if each.label == "slip"]
+            delays = np.array([1e3 * each.after_ridge_s for each in slips if each.found])
+            axes.hist(np.clip(delays, *DELAYS_MS), edges, color=colour)
+            axes.axvline(0, color="0.3", lw=0.8)
+            axes.annotate(
+                f"{one.contender.name}: {delays.size} of {len(slips)} found", (0.99, 0.8),
+                xycoords="axes fraction", ha="right", fontsize=8,
+            )  # fmt: skip
+            _whole_numbers(axes)
+        figure.supylabel("slips", fontsize=9)
+        panels[-1].set_xlim(*DELAYS_MS)
+        panels[-1].set_xlabel(
+            "alarm after the slip of the whole ridge (ms); the first bar holds all that is earlier"
+        )
+        figure.suptitle(f"Delay of the alarms that found a slip, {title}")
+    return figure
+
+
+def _coloured(results: Sequence[Result]) -> list[tuple[Result, str]]:
+    return [(one, COLOURS[at % len(COLOURS)]) for at, one in enumerate(results)]
+
+
+def _whole_numbers(axes: Axes) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    axes.yaxis.set_major_locator(MaxNLocator(3, integer=True))

@@ -1,0 +1,100 @@
+"""Rates and percentiles with their intervals, and the table of groups."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rig.analysis.scoring.outcomes import Outcome, Said, Truth, judge
+from rig.analysis.scoring.tables import by_trait, percentiles, rate, score
+
+
+@pytest.mark.parametrize(
+    ("hits", "of", "low", "high"),
+    [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611),
+     (1, 29, 0.0061, 0.1718), (29, 29, 0.8830, 1.0)],
+)  # fmt: skip
+def test_wilsons_interval_is_the_published_one(hits, of, low, high):
+    """Newcombe 1998, Statistics in Medicine 17, 857, table I, method 3; the last one mirrored."""
+    found = rate(hits, of)
+    assert found.value == hits / of
+    assert found.low == pytest.approx(low, abs=6e-5)
+    assert found.high == pytest.approx(high, abs=6e-5)
+
+
+def test_a_rate_of_nothing_is_no_number():
+    found = rate(0, 0)
+    assert found.of == 0
+    assert math.isnan(found.value)
+
+
+def test_percentiles_leave_out_what_did_not_happen_and_repeat_themselves():
+    values = [*range(101), math.nan]
+    found = percentiles(values, "ms")
+    assert {k: v.value for k, v in found.items()} == {5: 5.0, 50: 50.0, 95: 95.0}
+    assert found[50].of == 101
+    assert found == percentiles(values, "ms")
+
+
+def test_the_bootstrap_covers_the_median_as_often_as_it_says():
+    chance = np.random.default_rng(3)
+    covered = 0
+    for _ in range(200):
+        found = percentiles(list(chance.normal(7.0, 2.0, 60)), "ms")[50]
+        covered += found.low <= 7.0 <= found.high
+    assert 180 <= covered <= 199  # 190 expected, 3 standard deviations
+
+
+def test_few_values_have_a_percentile_but_no_interval():
+    found = percentiles([1.0, 2.0, 3.0], "ms")[50]
+    assert found.value == 2.0
+    assert math.isnan(found.low)
+
+
+def outcome(label: str, alarms: list[float], armings: list[float], **traits) -> Outcome:
+    times = {"node_slip_s": 0.8, "ridge_slip_s": 1.0, "gross_slip_s": 1.2}
+    truth = Truth(label=label, motion_s=0.5, **(times if label.startswith("slip") else {}))
+    return judge(truth, Said(np.array(alarms), np.array(armings)), traits)
+
+
+OUTCOMES = [
+    outcome("slip", [0.9], [0.8], noise_mV=0.1),
+    outcome("slip", [0.6, 1.01], [0.7], noise_mV=0.2),
+    outcome("slip", [], [], noise_mV=3.0),
+    outcome("slip in a roll", [0.9], [], noise_mV=0.1, pattern="b"),
+    outcome("roll", [0.9], [0.8, 0.9], noise_mV=0.1, pattern="a"),
+    outcome("roll", [], [], noise_mV=0.1, pattern="b"),
+    outcome("hold", [], [0.7], noise_mV=0.1),
+    outcome("tap", [0.3], [], noise_mV=0.1),
+]
+
+
+def test_a_score_tells_every_kind_of_right_and_wrong():
+    told = score(OUTCOMES)
+    shares = {name: (one.value, one.of) for name, one in told.items() if one.unit == "1"}
+    assert shares == {
+        "found": (pytest.approx(2 / 3), 3),
+        "early": (pytest.approx(1 / 3), 3),
+        "late": (0.0, 3),
+        "found_in_roll": (1.0, 1),
+        "early_in_roll": (0.0, 1),
+        "roll_alarms": (0.5, 2),
+        "hold_alarms": (0.0, 1),
+        "tap_alarms": (1.0, 1),
+        "pressing_alarms": (1 / 8, 8),
+        "armed": (pytest.approx(2 / 3), 3),
+        "armings_in_vain": (pytest.approx(3 / 5), 5),
+        "roll_armed": (0.5, 2),
+        "hold_armed": (1.0, 1),
+        "tap_armed": (0.0, 1),
+    }
+    assert told["after_ridge_50"].value == pytest.approx(-45.0)
+    assert told["arming_lead_50"].value == pytest.approx(250.0)
+    assert told["before_gross_95"].unit == "ms"
+
+
+def test_groups_are_bins_of_a_number_or_names_and_hold_each_outcome_once():
+    groups = {one.bin: len(one.outcomes) for one in by_trait(OUTCOMES, "noise_mV")}
+    assert groups == {"below 0.2": 6, "0.2 to 0.5": 1, "1 and more": 1}
+    assert [one.bin for one in by_trait(OUTCOMES, "pattern")] == ["a", "b"]
+    assert by_trait(OUTCOMES, "speed_mm_s") == []

@@ -1,0 +1,260 @@
+"""``rig score``: refusals before anything is computed, and tables, files and figures after."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from rig.cli.score import score
+from rig.model.labelled_trials import PopulationSettings
+from rig.recording import Column, JournalWriter, Layout, Plot
+from rig.recording.compiled import compile_run
+
+app = typer.Typer(pretty_exceptions_enable=False)
+app.command()(score)
+
+SKIN = {"ridges": 3, "elements_per_ridge": 3}
+SHORT = {
+    "ridge": 2,
+    "skin": SKIN,
+    "normal_force_N": {"low": 1.0, "high": 1.5},
+    "speed_mm_s": {"low": 4.0, "high": 6.0},
+    "loading_s": {"low": 0.04, "high": 0.05},
+    "rest_s": {"low": 0.03, "high": 0.04},
+    "roll_s": {"low": 0.1, "high": 0.12},
+    "start_x_mm": {"low": -0.3, "high": 0.3},
+    "radius_mm": {"low": 5.0, "high": 10.0},
+    "static_coefficient": {"low": 1.0, "high": 1.2},
+    "held_s": 0.05,
+}
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RIG_CACHE", str(tmp_path / "cache"))
+
+
+def run(*arguments: object) -> str:
+    result = CliRunner().invoke(app, [str(each) for each in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def refused(*arguments: object) -> str:
+    """What stderr says of a command line that is refused."""
+    result = CliRunner().invoke(app, [str(each) for each in arguments])
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    return line
+
+
+def table(file: Path) -> list[dict[str, str]]:
+    with file.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+@pytest.fixture
+def population(tmp_path: Path) -> Path:
+    file = tmp_path / "population.json"
+    file.write_text(json.dumps(SHORT))
+    return file
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--seeds", "0:10"], "seeds 0:10 are for tuning (below 1000000)"),
+        (["--seeds", "999990:1000010"], "lie on both sides of 1000000"),
+        (["--seeds", "1000000:1000010", "--tuning"], "are for reporting (from 1000000 on)"),
+        (["--seeds", "10"], "--seeds 10: is no range of seeds"),
+        (["--tune", "x.json"], "--tune x.json: thresholds are chosen on tuning seeds only"),
+        (["--kinds", "slide,fall"], "'fall' is no kind of trial; choose among slide,roll"),
+        (["--detector", "ouija"], "--detector ouija: is no detector; choose among rig"),
+        (["--speed", "0"], "--speed 0: must be one speed above 0 mm/s"),
+        (["--speed", "3N"], "--speed 3N: 'N' does not convert to mm/s"),
+        (["--youngs-modulus", "-1MPa"], "youngs_modulus_MPa = -1.0 MPa: has to be above 0 MPa"),
+        (["--ridge", "12"], "ridge 12 of a skin with 9 ridges: there is none"),
+        (["--files", "nowhere.csv"], "nowhere.csv: No such file"),
+        (["--files", "list.csv", "--tune", "x.json"], "files tune nothing"),
+    ],
+)
+def test_what_cannot_be_scored_is_refused_in_one_line(arguments, words, tmp_path):
+    assert words in refused(*arguments, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_detector_is_not_scored_on_trials_that_it_has_seen(tmp_path):
+    seen = {"statistic": "wavelet", "threshold": 5.0, "floor_mV": 0.3,
+            "tuned_on": {"first": 1000005, "end": 1000006}}  # fmt: skip
+    file = tmp_path / "seen.json"
+    file.write_text(json.dumps({"baselines": [seen]}))
+    line = refused("--seeds", "1000000:1000010", "--baseline-settings", file)
+    assert "wavelet was tuned on seeds 1000005:1000006 and is to be scored on" in line
+
+
+def test_an_earlier_score_is_never_overwritten(tmp_path):
+    (tmp_path / "score.json").write_text("{}")
+    assert "holds a score already" in refused("--out", tmp_path)
+
+
+def test_options_change_the_population_as_a_file_does(population):
+    shown = json.loads(
+        run("--show-population", "--population", population, "--youngs-modulus", "0.8MPa",
+            "--speed", "1:2", "--elements", "4", "--ridge", "1")
+    )  # fmt: skip
+    assert shown["skin"]["youngs_modulus_MPa"] == 0.8
+    assert shown["skin"]["elements_per_ridge"] == 4
+    assert shown["skin"]["ridges"] == 3
+    assert shown["speed_mm_s"] == {"low": 1.0, "high": 2.0, "logarithmic": True}
+    assert shown["ridge"] == 1
+    assert shown["roll_s"] == {**SHORT["roll_s"], "logarithmic": False}
+    default = run("--show-population")
+    assert PopulationSettings.model_validate_json(default) == PopulationSettings()
+
+
+def test_trials_are_scored_the_same_by_one_process_and_by_two(tmp_path, population):
+    given = ("--seeds", "1000000:1000003", "--population", population, "--baselines",
+             "--detector", "paper-hp")  # fmt: skip
+    said = run(*given, "--out", tmp_path / "one")
+    assert "All trials: simulated trials, reporting seeds 1000000:1000003, 12 trials" in said
+    run(*given, "--out", tmp_path / "two", "--jobs", "2")
+    for name in ("score.json", "score.csv", "trials.csv"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    rows = table(tmp_path / "one" / "score.csv")
+    assert {row["use"] for row in rows} == {"reporting seeds 1000000:1000003"}
+    detectors = ["paper-hp", "band power", "wavelet", "cusum", "single channel"]
+    assert list(dict.fromkeys(row["detector"] for row in rows)) == detectors
+    trials = table(tmp_path / "one" / "trials.csv")
+    assert len(trials) == 12 * 5
+    found = [row["found"] for row in trials if (row["label"], row["detector"]) == ("slip", "cusum")]
+    (told,) = [
+        r for r in rows if (r["detector"], r["trait"], r["quantity"]) == ("cusum", "", "found")
+    ]
+    assert float(told["value"]) == pytest.approx(found.count("1") / len(found))
+    assert int(told["of"]) == len(found) >= 3
+    for stem in ("score-roc", "score-found", "score-delays"):
+        assert (tmp_path / "one" / f"{stem}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_tuned_thresholds_are_written_with_their_seeds_and_every_table_says_tuning(
+    tmp_path, population
+):
+    tuned = tmp_path / "tuned.json"
+    told = json.loads(
+        run("--tuning", "--seeds", "0:3", "--population", population, "--tune", tuned, "--no-roc",
+            "--detector", "paper-literal", "--kinds", "slide,roll", "--json",
+            "--out", tmp_path / "out")
+    )  # fmt: skip
+    assert told["simulated"] is True
+    assert told["use"] == "TUNING seeds 0:3"
+    assert {row["use"] for row in told["results"]} == {"TUNING seeds 0:3"}
+    rolls = [r for r in told["results"] if r["quantity"] == "roll_alarms" and not r["trait"]]
+    assert [r["value"] for r in rolls if r["detector"] != "paper-literal"] == [0.0] * 4
+    written = json.loads(tuned.read_text())["baselines"]
+    assert [one["tuned_on"] for one in written] == [{"first": 0, "end": 3}] * 4
+
+
+def slip_file(folder: Path) -> Path:
+    """A run file of one slip trial at 1 kHz: a hump from 1.0 s on, a burst at 1.5 s."""
+    layout = Layout(
+        definition="NXrig_slip_trial",
+        version="1",
+        columns=(Column("trial", "trial", "", "Trial"), Column("speed", "speed_mm_s", "mm/s", "v")),
+        plots=(Plot("data", "speed", ("trial",)),),
+    )
+    time = np.arange(3000) / 1000
+    noise = 1e-4 * np.random.default_rng(5).standard_normal((3000, 2))
+    hump = 0.015 * np.exp(-(((time - 1.5) / 0.2) ** 2))
+    burst = 0.02 * np.sin(2 * np.pi * 200 * (time - 1.5)) * ((time >= 1.5) & (time < 1.51))
+    v_1, v_2 = (noise + np.outer(hump + burst, [0.5, -0.5])).T
+    truth = {
+        "ridge": 1, "slide_us": 11_100_000, "first_slip_us": [11_400_000],
+        "whole_slip_us": [11_500_000], "gross_slip_us": 11_700_000, "record_begun_us": 10_000_000,
+        "ridge_lift_off_us": [10_200_000],
+    }  # fmt: skip
+    header = {
+        "format": 1, "procedure": "slip-trial", "layout": layout.to_json(), "title": "Slip",
+        "run_uuid": "6d1f3a52-7a07-4d7b-9c4a-3a5f6c1a2b3c", "collection": None,
+        "start_time": "2026-11-21T22:00:00+01:00",
+        "program": {"name": "rig", "version": "0.1.0", "configuration": "abc123"},
+        "settings": {}, "setting_units": {}, "fingerprint": "f" * 64, "bench_toml": "",
+        "bench_file": "bench.toml", "simulated": True, "seed": 7, "points": ["trial-001"],
+        "user": {"name": "A. Person"}, "sample": {"name": "skin"}, "notes": "",
+        "instruments": [], "calibrations": [],
+        "streams": [{
+            "name": "signals", "device": "computed", "channels": ["v_d", "v_1", "v_2"],
+            "dtype": "<f8", "row_shape": [3], "units": "V", "long_name": "signals",
+        }],
+    }  # fmt: skip
+    state = {"stream": 0, "rate_Hz": 1000.0, "scale": [1.0] * 3, "offset": [0.0] * 3,
+             "units": "V", "delay_s": [0.0] * 3, "range": [10.0] * 3}  # fmt: skip
+    end = {"status": "complete", "reason": "", "attempt": 1, "duration_s": 3.0, "points_done": 1,
+           "end_time": "2026-11-21T22:00:07+01:00", "warnings": [], "exit": 0}  # fmt: skip
+    with JournalWriter.create(folder / "slip.rigj", header) as journal:
+        journal.point_begin("trial-001", {})
+        journal.stream(state)
+        journal.block(0, 0, 0.0, np.column_stack([v_1 - v_2, v_1, v_2]))
+        journal.point_keep(
+            "trial-001", {"trial": 1, "speed_mm_s": 1.0, "simulated_truth": json.dumps(truth)}
+        )
+        journal.end(end)
+        journal.sync()
+    return compile_run(folder / "slip.rigj")
+
+
+def scored(folder: Path, listing: str, out: str) -> dict:
+    (folder / "list.csv").write_text(listing)
+    return json.loads(
+        run("--files", folder / "list.csv", "--detector", "paper-hp", "--no-roc", "--json",
+            "--out", folder / out)
+    )  # fmt: skip
+
+
+def values(told: dict) -> dict[str, float]:
+    return {row["quantity"]: row["value"] for row in told["results"] if not row["trait"]}
+
+
+def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_knows(tmp_path):
+    slip_file(tmp_path)
+    told = scored(tmp_path, "file\nslip.h5\n", "own")
+    assert told["simulated"] is True
+    found = values(told)
+    assert found["found"] == 1.0
+    assert 0 < found["after_ridge_50"] < 12
+    assert found["after_node_50"] == pytest.approx(found["after_ridge_50"] + 100, rel=1e-4)
+    listed = (
+        "file,point,label,motion_s,node_slip_s,ridge_slip_s,noise_mV\n"
+        "slip.h5,trial-001,slip,1.1,1.7,1.8,0.1\n"
+        "slip.h5,,tap,1.1,,,0.1\n"
+    )
+    told = scored(tmp_path, listed, "listed")
+    found = values(told)
+    assert (found["found"], found["early"], found["tap_alarms"]) == (0.0, 1.0, 1.0)
+    assert ("noise_mV", "below 0.2") in {(row["trait"], row["bin"]) for row in told["results"]}
+
+
+@pytest.mark.parametrize(
+    ("listing", "words"),
+    [
+        ("name\nslip.h5\n", "has no column 'file'"),
+        ("file\n", "lists no file"),
+        ("file,label\nslip.h5\n", "line 2: has not as many cells as the header"),
+        ("file,label\nslip.h5,fall\n", "line 2: label 'fall' is none of slip, roll"),
+        ("file,point\nslip.h5,trial-9\n", "slip.h5 has no point 'trial-9'"),
+        ("file,motion_s\nslip.h5,\n", "line 2: motion_s is missing"),
+        ("file,motion_s\nslip.h5,soon\n", "line 2: motion_s 'soon' is no number"),
+        ("file,label,ridge_slip_s\nslip.h5,slip,\n", "ridge_slip_s nan s: both must be times"),
+        ("file,noise_mV\nslip.h5,much\n", "line 2: noise_mV 'much' is no number"),
+    ],
+)
+def test_a_list_that_cannot_be_used_is_refused_with_its_line(listing, words, tmp_path):
+    slip_file(tmp_path)
+    (tmp_path / "list.csv").write_text(listing)
+    line = refused("--files", tmp_path / "list.csv", "--detector", "paper-hp", "--out",
+                   tmp_path / "out")  # fmt: skip
+    assert words in line

@@ -1,0 +1,263 @@
+"""The streaming detectors: the same events for any blocks, what is refused, what is told."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from rig.detector import kernel
+from rig.detector.detector import IncipientSlipDetector
+from rig.detector.events import Event
+from rig.detector.network import Network
+from rig.detector.settings import DetectorSettings, named_detectors
+
+RATE_Hz = 1000.0
+NAMES = ("rig", "paper-literal", "paper-hp")
+
+
+def bench_like(seed: int = 0, noise_mV: float = 0.2) -> np.ndarray:
+    """Volts (1400, 2): quiet, a press on both strips, rest, a hump that ends in an impulse."""
+    chance = np.random.default_rng(seed)
+    time = np.arange(1400) / RATE_Hz
+    press = np.where((time > 0.3) & (time < 0.6), -12 * np.sin(np.pi * (time - 0.3) / 0.3), 0.0)
+    hump = 4.0 * np.clip((time - 0.8) / 0.05, 0, 1) * (time < 1.1)
+    impulse = -30.0 * np.exp(-(((time - 1.1) / 0.0012) ** 2))
+    v_d = hump + impulse
+    clean = np.column_stack([press + v_d / 2, press - v_d / 2])
+    return 1e-3 * (clean + noise_mV * chance.standard_normal((1400, 2)))
+
+
+def told(volts: np.ndarray, name: str = "rig", **changes: object) -> list[Event]:
+    """Events of a whole recording."""
+    parameters = named_detectors()[name].model_copy(update=changes)
+    detector = IncipientSlipDetector(parameters, RATE_Hz)
+    return detector.add(volts) + detector.finish()
+
+
+def kinds(events: list[Event]) -> list[str]:
+    return [event.kind for event in events]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_impulse_while_armed_is_told_once_and_at_once(name: str):
+    events = told(bench_like(), name)
+    slips = [event for event in events if event.kind == "incipient slip"]
+    assert [1095 <= event.sample <= 1110 for event in slips if event.sample > 1090] == [True]
+    armed = [event.sample for event in events if event.kind == "predictive"]
+    assert any(800 <= sample <= 860 for sample in armed)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(cuts=st.lists(st.integers(1, 1399), max_size=40))
+@settings(max_examples=25, deadline=None)
+def test_events_do_not_know_how_the_rows_came(name: str, cuts: list[int]):
+    volts = bench_like(3, noise_mV=1.0)
+    detector = IncipientSlipDetector(named_detectors()[name], RATE_Hz)
+    events = []
+    for block in np.split(volts, sorted(set(cuts))):
+        events += detector.add(block)
+    assert events + detector.finish() == told(volts, name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_row_by_row_is_the_same_to_the_last_bit(name: str):
+    volts = bench_like(4, noise_mV=0.7)
+    detector = IncipientSlipDetector(named_detectors()[name], RATE_Hz)
+    events = [event for row in volts for event in detector.add(row[None, :])]
+    assert events + detector.finish() == told(volts, name)
+    assert events
+
+
+def test_blocks_longer_than_the_inner_slice_are_no_different():
+    volts = np.concatenate([bench_like(seed) for seed in range(8)])
+    detector = IncipientSlipDetector(named_detectors()["rig"], RATE_Hz)
+    events = [
+        event for k in range(0, len(volts), 777) for event in detector.add(volts[k : k + 777])
+    ]
+    assert events == told(volts)
+
+
+def test_the_low_pass_is_the_designed_filter():
+    """The predictive level that an event carries, against scipy's filter of the same taps."""
+    volts = bench_like(5)
+    detector = IncipientSlipDetector(named_detectors()["paper-hp"], RATE_Hz)
+    events = detector.add(volts)
+    v_d = 1e3 * (volts[:, 0] - volts[:, 1])
+    taps = detector.low_pass.taps
+    low = signal.lfilter(taps, 1.0, np.concatenate([np.full(taps.size, v_d[0]), v_d]))[taps.size :]
+    offset = np.median(v_d[:250])
+    for event in events:
+        assert event.features["predictive_mV"] == pytest.approx(
+            low[event.sample] - offset, abs=0.03
+        )
+    assert events
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_swapped_channels_change_nothing(name: str):
+    volts = bench_like(6)
+    swapped = told(volts[:, ::-1], name)
+    assert [(e.kind, e.sample) for e in swapped] == [(e.kind, e.sample) for e in told(volts, name)]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_inverted_polarity_changes_nothing(name: str):
+    volts = bench_like(7)
+    inverted = told(-volts, name)
+    assert [(e.kind, e.sample) for e in inverted] == [(e.kind, e.sample) for e in told(volts, name)]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_offset_changes_nothing_but_the_last_bits(name: str):
+    volts = bench_like(8)
+    moved = told(volts + np.array([0.3, -0.2]), name)
+    assert [(e.kind, e.sample) for e in moved] == [(e.kind, e.sample) for e in told(volts, name)]
+
+
+def test_an_impulse_without_a_predictive_signal_is_rejected_with_the_reason():
+    volts = bench_like(9)
+    volts[:, :] = 1e-3 * 0.2 * np.random.default_rng(9).standard_normal(volts.shape)
+    volts[700] += (0.02, -0.02)
+    events = told(volts, "paper-hp")
+    assert kinds(events) == ["rejected", "predictive"]  # its own low part comes after it
+    assert events[0].reason == "not armed: no predictive signal went before"
+    assert events[0].sample == 700
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_noise_alone_says_nothing(name: str):
+    noise = 1e-3 * np.random.default_rng(10).standard_normal((60_000, 2))
+    assert not [e for e in told(noise, name) if e.kind in ("incipient slip", "roll")]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_silence_without_any_noise_says_nothing(name: str):
+    assert told(np.zeros((2000, 2)), name) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_saturation_is_told_and_nothing_is_judged_meanwhile(name: str):
+    volts = bench_like(11)
+    volts[1095:1105, 0] = 10.0
+    events = told(volts, name)
+    reasons = {event.reason: event.sample for event in events if event.kind == "rejected"}
+    assert reasons["saturated"] == 1095
+    assert not [e for e in events if e.kind == "incipient slip" and 1095 <= e.sample < 1155]
+
+
+def test_what_is_never_quiet_is_told_and_not_judged():
+    time = np.arange(3000) / RATE_Hz
+    swinging = 5e-3 * np.sin(2 * np.pi * 3 * time)
+    events = told(np.column_stack([swinging, -swinging]))
+    assert {event.kind for event in events} == {"rejected"}
+    assert events[0].reason.startswith("not quiet")
+    assert len(events) == 2  # when it has lasted, and at the end
+
+
+def test_a_gap_is_told_and_begins_anew():
+    volts = bench_like(12)
+    detector = IncipientSlipDetector(named_detectors()["rig"], RATE_Hz)
+    detector.add(volts[:400], first_sample=0)
+    events = detector.add(volts[450:], first_sample=450)
+    assert events[0].kind == "rejected"
+    assert events[0].reason.startswith("gap of 50 samples")
+    assert events[0].sample == 450
+    assert detector.rows == 1400
+
+
+def test_rows_that_came_before_are_refused():
+    detector = IncipientSlipDetector(named_detectors()["rig"], RATE_Hz)
+    detector.add(bench_like()[:100], first_sample=0)
+    with pytest.raises(ValueError, match="first_sample 90 must be at least 100: rows came twice"):
+        detector.add(bench_like()[90:], first_sample=90)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_what_is_no_number_is_refused_by_channel_and_sample(value: float):
+    volts = bench_like()
+    volts[321, 1] = value
+    detector = IncipientSlipDetector(named_detectors()["rig"], RATE_Hz)
+    detector.add(volts[:300])
+    with pytest.raises(ValueError, match=r"v_2 is (nan|inf) V at sample 321"):
+        detector.add(volts[300:])
+
+
+@pytest.mark.parametrize(
+    ("name", "rate_Hz", "said"),
+    [
+        ("rig", 2000.0, "rate 2000 Hz must be 1000 Hz for the detector 'rig'"),
+        ("paper-hp", 10_000.0, "rate 10000 Hz must be between 500 and 4000 Hz"),
+        ("paper-hp", 100.0, "rate 100 Hz must be between 500 and 4000 Hz"),
+    ],
+)
+def test_a_rate_at_which_it_means_nothing_is_refused(name: str, rate_Hz: float, said: str):
+    with pytest.raises(ValueError, match=said):
+        IncipientSlipDetector(named_detectors()[name], rate_Hz)
+
+
+def test_wrong_shapes_are_refused():
+    detector = IncipientSlipDetector(named_detectors()["rig"], RATE_Hz)
+    with pytest.raises(ValueError, match=r"volts of shape \(10,\) must be \(n, 2\)"):
+        detector.add(np.zeros(10))
+
+
+def test_the_network_of_the_package_fits_the_detector():
+    network = named_detectors()["rig"].network
+    assert network is not None
+    assert network.inputs == kernel.INPUTS
+    assert 0 <= network.first_seed <= network.last_seed < 1_000_000
+
+
+def test_a_network_of_other_inputs_is_refused():
+    network = named_detectors()["rig"].network
+    assert network is not None
+    other = network.model_copy(update={"inputs": tuple(reversed(network.inputs)), "name": "old"})
+    with pytest.raises(ValueError, match="network 'old' wants other inputs"):
+        IncipientSlipDetector(DetectorSettings(network=other), RATE_Hz)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"hidden": ((0.0, 1.0),)},
+        {"output": ((0.0,), (0.0,))},
+    ],
+)
+def test_a_network_whose_rows_do_not_fit_is_refused(values: dict[str, object]):
+    network = named_detectors()["rig"].network
+    assert network is not None
+    with pytest.raises(ValueError, match="rows must have"):
+        Network.model_validate(network.model_dump() | values)
+
+
+def test_logic_and_network_belong_together():
+    with pytest.raises(ValueError, match="the logic 'rig' wants a trained network"):
+        DetectorSettings()
+    with pytest.raises(ValueError, match="the published ones have none"):
+        DetectorSettings(logic="paper-hp", network=named_detectors()["rig"].network)
+
+
+def test_what_the_network_sees_is_what_it_was_asked():
+    """Rows it was shown for training are those of the live run: the same answers fire."""
+    volts = bench_like(13)
+    parameters = named_detectors()["rig"]
+    assert parameters.network is not None
+    looks = IncipientSlipDetector(parameters, RATE_Hz).looks(volts)
+    hidden, output = parameters.network.weights()
+    total = looks.inputs @ hidden[:-1] + hidden[-1]
+    odds = (total / (1 + np.abs(total))) @ output[0, :-1] + output[0, -1]
+    fired = looks.rows[1 / (1 + np.exp(-odds)) > parameters.fire_probability]
+    slips = [event.sample for event in told(volts) if event.kind == "incipient slip"]
+    assert slips[0] == fired[0]
+
+
+def test_an_event_is_plain_data():
+    event = told(bench_like(), "paper-hp")[0]
+    assert replace(event) == event
+    assert set(event.features) == set(kernel.EVENT_FEATURES)
+    assert event.time_s == event.sample / RATE_Hz
+    assert 0 <= event.confidence <= 1
