@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "recording"))
 import recorded_run
 import recorded_trials as trials
 
+from rig.detector.detector import DETECTOR_VERSION
 from rig.recording.compiled import compile_run
 
 HP = ("--detector", "paper-hp")
@@ -41,7 +42,7 @@ def test_one_line_a_file_says_what_was_found(rig: Any, runs: list[str]) -> None:
     lines = done.stdout.splitlines()
     assert [line.split(":")[0] for line in lines] == runs
     assert "1 incipient slip, first slip at 0.90" in lines[0]
-    assert "of trial-001 in 1 trial; written processed/r0.paper-hp-1-" in lines[0]
+    assert f"of trial-001 in 1 trial; written processed/r0.paper-hp-{DETECTOR_VERSION}-" in lines[0]
     assert lines[2].startswith("r2.h5: nothing found in 1 trial; written")
     progress = done.stderr.splitlines()
     assert [line.split()[0] for line in progress] == ["1/3", "2/3", "3/3"]
@@ -132,7 +133,7 @@ def test_a_processed_file_is_shown_drawn_and_verified(rig: Any, runs: list[str])
     file = done.object["file"]
     verified = rig.run("verify", file)
     assert (verified.code, verified.stderr) == (0, "")
-    assert "sound (paper-hp 1, 2 events in 1 trial)" in verified.stdout
+    assert f"sound (paper-hp {DETECTOR_VERSION}, 2 events in 1 trial)" in verified.stdout
     shown = rig.run("show", file, "--figures-to", "figures")
     assert shown.code == 0, shown.stderr
     assert "run: r0.h5" in shown.stdout
@@ -140,7 +141,8 @@ def test_a_processed_file_is_shown_drawn_and_verified(rig: Any, runs: list[str])
     drawn = {path.suffix for path in (rig.folder / "figures").iterdir()}
     assert drawn == {".png", ".svg"}
     assert all(
-        path.name.startswith("r0.paper-hp-1-") for path in (rig.folder / "figures").iterdir()
+        path.name.startswith(f"r0.paper-hp-{DETECTOR_VERSION}-")
+        for path in (rig.folder / "figures").iterdir()
     )
 
     refused = rig.run("detect", *HP, file)
