@@ -17,18 +17,7 @@ from pathlib import Path
 
 import typer
 
-from rig.cli import (
-    calibrate,
-    detect,
-    files,
-    imports,
-    jog,
-    low_pass,
-    score,
-    simulate,
-    skin,
-    train,
-)
+from rig.cli import calibrate, detect, files, imports, jog, low_pass, score, simulate, skin, train
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
 
@@ -40,10 +29,10 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "import": imports.import_,
     "detect": detect.detect,
     "filter": low_pass.filter_,
-    "score": score.score,
-    "train": train.train,
     "simulate": simulate.simulate,
     "jog": jog.jog,
+    "score": score.score,
+    "train": train.train,
     "make-safe": simulate.make_safe,
 }
 
