@@ -43,13 +43,14 @@ class LowPassSummary:
     lag_deg: float
     delay_ms: float
     """Group delay at `lag_Hz`."""
-    stop_Hz: float
-    """Where the stop band begins: the gain is down to that of its largest lobe."""
-    attenuation_dB: float
-    """Of that lobe."""
-    as_asked_from_Hz: float | None
+    stop_Hz: float | None
     """From there on the gain stays below the attenuation that was asked for; None where it never
-    does. (Lobes of Kaiser's window fall with frequency, and the first may be larger.)"""
+    does."""
+    largest_lobe_dB: float
+    """Gain of the largest lobe beyond the first zero. (Lobes of Kaiser's window fall with
+    frequency: the first may lie above what was asked for, before `stop_Hz`.)"""
+    lobes_from_Hz: float
+    """Where the gain has first come down to that."""
     step_half_ms: float
     """When the step response passes one half."""
     overshoot_percent: float
@@ -90,9 +91,9 @@ def low_pass_summary(low_pass: LowPass) -> LowPassSummary:
         lag_Hz=lag_Hz,
         lag_deg=low_pass.lag_deg(lag_Hz),
         delay_ms=1e3 * float(low_pass.group_delay_s(lag_Hz)[0]),
-        stop_Hz=_crossing(even, level, largest),
-        attenuation_dB=-largest,
-        as_asked_from_Hz=float(even[loud + 1]) if loud + 1 < even.size else None,
+        stop_Hz=float(even[loud + 1]) if loud + 1 < even.size else None,
+        largest_lobe_dB=largest,
+        lobes_from_Hz=_crossing(even, level, largest),
         step_half_ms=ms * _crossing(np.arange(step.size, dtype=np.float64), step, 0.5),
         overshoot_percent=100 * max(float(step.max()) - 1, 0.0),
         settled_ms=ms * float(unsettled[-1] + 1),

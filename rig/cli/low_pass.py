@@ -70,12 +70,8 @@ def filter_(
 
             curves = low_pass_curves(low_pass)
             named = f"{name}, changed" if changed else name
-            files = _save(
-                results,
-                _stem(name, changed, low_pass),
-                draw_low_pass(named, curves, summary),
-                curves,
-            )
+            figure = draw_low_pass(named, low_pass.settings.stop_dB, curves, summary)
+            files = _save(results, _stem(name, changed, low_pass), figure, curves)
         _tell(name, low_pass, asdict(summary), files, as_json)
 
 

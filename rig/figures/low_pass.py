@@ -15,26 +15,29 @@ if TYPE_CHECKING:
     from rig.analysis.low_pass_curves import LowPassCurves, LowPassSummary
 
 BELOW_STOP_BAND_dB = 40.0
-"""What is shown of the gain below the largest lobe of the stop band."""
+"""What is shown of the gain below the attenuation that was asked for."""
 
 
-def draw_low_pass(name: str, curves: LowPassCurves, summary: LowPassSummary) -> Figure:
-    """The four curves; phase and group delay up to the stop band, where both mean nothing."""
+def draw_low_pass(
+    name: str, asked_dB: float, curves: LowPassCurves, summary: LowPassSummary
+) -> Figure:
+    """The four curves; phase and group delay up to the lobes, where both mean nothing."""
     f = curves.frequency_Hz
-    passed = f < summary.stop_Hz
+    passed = f < summary.lobes_from_Hz
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 8.4))
         gain, phase, delay, step = figure.subplots(4, 1)
         gain.plot(f, curves.gain_dB, linewidth=0.8)
+        reached = "never" if summary.stop_Hz is None else f"from {summary.stop_Hz:.1f} Hz"
         gain.axhline(
-            -summary.attenuation_dB, color="0.5", linestyle="--", linewidth=0.8,
-            label=f"stop band from {summary.stop_Hz:.1f} Hz: -{summary.attenuation_dB:.1f} dB",
+            -asked_dB, color="0.5", linestyle="--", linewidth=0.8,
+            label=f"-{asked_dB:g} dB {reached}, largest lobe {summary.largest_lobe_dB:.1f} dB",
         )  # fmt: skip
         gain.plot(
             summary.half_power_Hz, HALF_POWER_dB, "o", markersize=4, color="C3",
             label=f"-3 dB at {summary.half_power_Hz:.2f} Hz",
         )  # fmt: skip
-        gain.set_ylim(-summary.attenuation_dB - BELOW_STOP_BAND_dB, 5.0)
+        gain.set_ylim(-asked_dB - BELOW_STOP_BAND_dB, 5.0)
         gain.set_ylabel("Gain (dB)")
         phase.plot(f, np.where(passed, curves.phase_deg, np.nan), linewidth=0.8)
         phase.plot(

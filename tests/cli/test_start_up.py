@@ -40,7 +40,7 @@ def test_help_lists_every_procedure_with_its_summary_and_every_command() -> None
         assert first_line.rstrip(".")[:40] in shown
         assert f" {entry.name} " in shown
     for command in (
-        *("resume", "show", "verify", "recover", "import"),
+        *("resume", "show", "verify", "recover", "import", "detect", "filter"),
         *("simulate", "make-safe", "skin", "jog"),
     ):
         assert f" {command} " in shown

@@ -1,0 +1,286 @@
+"""``rig detect`` and ``rig filter`` as people use them."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "recording"))
+
+import recorded_run
+import recorded_trials as trials
+
+from rig.detector.detector import DETECTOR_VERSION
+from rig.recording.compiled import compile_run
+
+HP = ("--detector", "paper-hp")
+
+
+@pytest.fixture
+def runs(rig: Any) -> list[str]:
+    """Names of three slip trials in the folder; the last one is quiet."""
+    given = [trials.slipping(seed=1), trials.slipping(seed=2), trials.quiet()]
+    for number, volts in enumerate(given):
+        trials.write_trials(rig.folder / f"r{number}.rigj", {"trial-001": volts})
+    return ["r0.h5", "r1.h5", "r2.h5"]
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_one_line_a_file_says_what_was_found(rig: Any, runs: list[str]) -> None:
+    done = rig.run("detect", *HP, "--jobs", "2", *runs)
+    assert done.code == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert [line.split(":")[0] for line in lines] == runs
+    assert "1 incipient slip, first slip at 0.90" in lines[0]
+    assert f"of trial-001 in 1 trial; written processed/r0.paper-hp-{DETECTOR_VERSION}-" in lines[0]
+    assert lines[2].startswith("r2.h5: nothing found in 1 trial; written")
+    progress = done.stderr.splitlines()
+    assert [line.split()[0] for line in progress] == ["1/3", "2/3", "3/3"]
+
+    again = rig.run("detect", *HP, *runs)
+    assert again.stdout == done.stdout.replace("; written ", "; kept ")
+
+
+def test_processes_and_one_after_the_other_give_the_same_bytes(rig: Any, runs: list[str]) -> None:
+    for jobs in ("1", "3"):
+        done = rig.run("detect", *HP, "--jobs", jobs, "--to", f"by-{jobs}", *runs)
+        assert done.code == 0, done.stderr
+    one = contents(rig.folder / "by-1")
+    assert len(one) == 6
+    assert contents(rig.folder / "by-3") == one
+
+
+def test_a_file_that_fails_is_named_and_the_others_go_on(rig: Any, runs: list[str]) -> None:
+    compile_run(recorded_run.write_run(rig.folder / "sweep.rigj"))
+    done = rig.run("detect", *HP, "--json", runs[0], "sweep.h5", "none.h5", runs[1])
+    assert done.code == 5
+    told = done.object
+    assert (told["exit"], told["outcome"], told["simulated"]) == (5, "failed", True)
+    assert told["summary"] == {"files": 4, "failed": 2, "kept": 0}
+    assert [result["exit"] for result in told["results"]] == [0, 2, 8, 0]
+    assert told["results"][0]["events"]["incipient slip"] == 1
+    assert told["results"][0]["first_slip_trial"] == "trial-001"
+    assert any("sweep.h5: a sweep, which records no strips" in line for line in done.errors)
+    assert any("none.h5: no such file" in line for line in done.errors)
+
+    alone = rig.run("detect", *HP, "sweep.h5")
+    assert alone.code == 2
+    assert alone.stdout == ""
+
+
+def test_parameters_may_be_given_otherwise(rig: Any, runs: list[str]) -> None:
+    (rig.folder / "deaf.toml").write_text(
+        "fire_mV = 100.0\n[low_pass]\nstop_Hz = 60\nstop_dB = 50\n"
+    )
+    done = rig.run("detect", *HP, "--settings", "deaf.toml", runs[0])
+    assert done.code == 0, done.stderr
+    assert "incipient slip" not in done.stdout
+    shown = rig.run("show", "--no-figures", done.stdout.split("written ")[1].strip())
+    for line in ("  fire_mV: 100", "    stop_Hz: 60", "    lag_deg: none", "simulated: yes"):
+        assert line in shown.stdout.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("fire = 2.0\n", "fire: unknown key"),
+        ("[low_pass]\nstop = 2.0\n", "low_pass.stop: unknown key"),
+        ("fire_mV = -1\n", "fire_mV = -1 mV: has to be above 0 mV"),
+        ("fire_mV = nan\n", "fire_mV = nan mV: has to be a finite number"),
+        ('fire_mV = "2"\n[[low_pass]]\n', "low_pass"),
+        ('logic = "rig"\n', "--detector names the logic"),
+        ("fire_mV 2\n", "correct the TOML syntax"),
+    ],
+)
+def test_parameters_that_are_none_are_refused(
+    rig: Any, runs: list[str], text: str, told: str
+) -> None:
+    (rig.folder / "own.toml").write_text(text)
+    done = rig.run("detect", *HP, "--settings", "own.toml", runs[0])
+    assert done.code == 2
+    (error,) = done.errors
+    assert "own.toml" in error
+    assert told in error
+    assert not (rig.folder / "processed").exists()
+
+
+def test_an_unknown_detector_is_refused_with_the_known_ones(rig: Any, runs: list[str]) -> None:
+    done = rig.run("detect", "--detector", "paper", runs[0])
+    assert done.code == 2
+    assert "--detector paper: has to be one of rig, paper-literal, paper-hp" in done.errors[0]
+
+
+def test_a_folder_that_cannot_be_written_to_is_told(rig: Any, runs: list[str]) -> None:
+    (rig.folder / "taken").write_text("no folder")
+    done = rig.run("detect", *HP, "--to", "taken", runs[0])
+    assert done.code == 1
+    assert "cannot be written" in done.errors[0]
+    assert "--to" in done.errors[0]
+
+
+def test_a_processed_file_is_shown_drawn_and_verified(rig: Any, runs: list[str]) -> None:
+    done = rig.run("detect", *HP, "--json", runs[0])
+    file = done.object["file"]
+    verified = rig.run("verify", file)
+    assert (verified.code, verified.stderr) == (0, "")
+    assert f"sound (paper-hp {DETECTOR_VERSION}, 2 events in 1 trial)" in verified.stdout
+    shown = rig.run("show", file, "--figures-to", "figures")
+    assert shown.code == 0, shown.stderr
+    assert "run: r0.h5" in shown.stdout
+    assert "incipient slip at 0.90" in shown.stdout
+    drawn = {path.suffix for path in (rig.folder / "figures").iterdir()}
+    assert drawn == {".png", ".svg"}
+    assert all(
+        path.name.startswith(f"r0.paper-hp-{DETECTOR_VERSION}-")
+        for path in (rig.folder / "figures").iterdir()
+    )
+
+    refused = rig.run("detect", *HP, file)
+    assert refused.code == 2
+    assert "a processed file, not a run" in refused.errors[0]
+
+
+def test_an_imported_recording_is_processed_and_marked(rig: Any) -> None:
+    rows = np.column_stack([np.arange(1500) / trials.RATE_HZ, trials.slipping()])
+    np.savetxt(rig.folder / "own.csv", rows, delimiter=",", header="t,a,b", comments="")
+    imported = rig.run(
+        "import", "own.csv", "--time", "t", "--channels", "v_1=a,v_2=b", "--no-figures", "--json"
+    )
+    assert imported.code == 0, imported.stderr
+    done = rig.run("detect", *HP, "--json", imported.object["file"])
+    assert done.code == 0, done.stderr
+    (result,) = done.object["results"]
+    assert result["simulated"] is None
+    assert result["events"]["incipient slip"] == 1
+    shown = rig.run("show", "--no-figures", result["file"])
+    assert "title: IMPORTED Slips detected: recording own.csv" in shown.stdout
+    assert rig.run("verify", result["file"]).code == 0
+
+
+CLUSTER = """
+import sys
+from distributed import LocalCluster
+if __name__ == "__main__":
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        print(cluster.scheduler_address, flush=True)
+        sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[str]:
+    """A Dask cluster of one worker on this computer, in a folder of its own."""
+    folder = tmp_path / "cluster"
+    folder.mkdir()
+    (folder / "cluster.py").write_text(CLUSTER)
+    with subprocess.Popen(
+        [sys.executable, "cluster.py"],
+        cwd=folder,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        yield process.stdout.readline().strip()
+        assert process.stdin is not None
+        process.stdin.close()
+        process.wait(60)
+
+
+def test_a_cluster_gives_the_same_bytes(rig: Any, runs: list[str], scheduler: str) -> None:
+    here = rig.run("detect", *HP, "--to", "here", *runs)
+    there = rig.run("detect", *HP, "--scheduler", scheduler, "--to", "there", *runs, "none.h5")
+    assert here.code == 0, here.stderr
+    assert there.code == 5, there.stderr
+    assert "none.h5: no such file" in there.errors[0]
+    assert len(there.stdout.splitlines()) == 3
+    assert contents(rig.folder / "there") == contents(rig.folder / "here")
+
+
+def test_without_the_package_a_cluster_is_refused_with_the_remedy(
+    rig: Any, runs: list[str]
+) -> None:
+    (rig.folder / "distributed.py").write_text("raise ImportError('not there')\n")
+    rig.env["PYTHONPATH"] = str(rig.folder)
+    done = rig.run("detect", *HP, "--scheduler", "tcp://127.0.0.1:8786", runs[0])
+    assert done.code == 2
+    assert "tactile-rig[cluster]" in done.errors[0]
+    assert rig.run("detect", *HP, runs[0]).code == 0, "nobody else imports it"
+
+
+# The filter
+
+
+def test_the_filter_is_told_drawn_and_written_as_data(rig: Any) -> None:
+    done = rig.run("filter", "--json", "--results", "out")
+    assert done.code == 0, done.stderr
+    told = done.object["summary"]
+    assert told["half_power_Hz"] == pytest.approx(28.0, abs=0.01)
+    assert told["lag_deg"] == pytest.approx(9.0, abs=0.001)
+    names = [Path(file).name for file in done.object["files"]]
+    assert names == [
+        "low-pass-paper-1000Hz.png", "low-pass-paper-1000Hz.svg",
+        "low-pass-paper-1000Hz-frequency.csv", "low-pass-paper-1000Hz-step.csv",
+    ]  # fmt: skip
+    with (rig.folder / "out" / names[2]).open() as file:
+        rows = list(csv.DictReader(file))
+    f = np.array([float(row["frequency_Hz"]) for row in rows])
+    gain = np.array([float(row["gain_dB"]) for row in rows])
+    assert np.interp(28.0, f, gain) == pytest.approx(-3.0, abs=0.01)
+    assert gain[f > told["stop_Hz"]].max() <= -73.5
+    phase = np.array([float(row["phase_deg"]) for row in rows])
+    assert np.interp(1.0, f, phase) == pytest.approx(-9.0, abs=0.01)
+    with (rig.folder / "out" / names[3]).open() as file:
+        step = [float(row["step_response"]) for row in csv.DictReader(file)]
+    assert len(step) == told["taps"]
+    assert step[-1] == pytest.approx(1.0)
+
+
+def test_a_specification_of_ones_own_takes_units_and_replaces_the_lag(rig: Any) -> None:
+    done = rig.run(
+        "filter", "--json", "--no-figures", "--half-power", "0.03kHz", "--stop-from", "80",
+        "--attenuation", "40dB", "--rate", "2kHz",
+    )  # fmt: skip
+    assert done.code == 0, done.stderr
+    told = done.object["summary"]
+    assert told["half_power_Hz"] == pytest.approx(30.0, abs=0.01)
+    assert told["stop_Hz"] <= 80.0
+    assert told["specification"]["stop_dB"] == 40.0
+    assert told["specification"]["lag_deg"] is None
+    assert done.object["files"] == []
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--lag", "2"), "--lag 2 deg at 1 Hz must be at least"),
+        (("--lag", "9", "--stop-from", "60"), "--lag 9.0 and --stop-from 60.0: give exactly one"),
+        (("--stop-from", "20"), "--stop-from 20 Hz must be above --half-power 28 Hz"),
+        (("--attenuation", "5"), "--attenuation = 5.0 dB: has to be at least 21 dB"),
+        (("--half-power", "28V"), "'V' does not convert to Hz"),
+        (("--rate", "50"), "--half-power 28 Hz must be below half the sampling rate of 50 Hz"),
+        (("--rate", "nan"), "--rate nan Hz: has to be above 0 Hz"),
+        (("slow",), "low-pass slow: has to be one of paper, fast, faster"),
+    ],
+)
+def test_specifications_that_cannot_be_met_are_refused(
+    rig: Any, options: tuple[str, ...], told: str
+) -> None:
+    done = rig.run("filter", *options)
+    assert done.code == 2
+    (error,) = done.errors
+    assert told in error
+    assert not rig.results.exists()

@@ -1,0 +1,63 @@
+"""Many files at once: every answer has its number, and what goes wrong is told."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from rig.cli.side_by_side import completed
+from rig.errors import ConfigurationError, RigError
+
+
+def square(number: int) -> int:
+    return number * number
+
+
+def stumble(number: int) -> int:
+    if number == 2:
+        raise ValueError("two is too many")
+    return number
+
+
+def die(number: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_every_answer_has_the_number_of_its_item(processes: int) -> None:
+    assert dict(completed(square, range(7), processes)) == {n: n * n for n in range(7)}
+
+
+def test_processes_work_beside_the_command() -> None:
+    mine = os.getpid()
+    others = dict(completed(_where, range(4), 2)).values()
+    assert mine not in others
+    assert 1 <= len(set(others)) <= 2
+
+
+def _where(_: int) -> int:
+    return os.getpid()
+
+
+def test_what_one_file_raises_is_its_own() -> None:
+    found = dict(completed(stumble, range(4), 2))
+    failure = found.pop(2)
+    assert isinstance(failure, RigError)
+    assert failure.message == "ValueError: two is too many"
+    assert found == {0: 0, 1: 1, 3: 3}
+
+
+def test_a_process_that_dies_is_told() -> None:
+    found = dict(completed(die, range(3), 2))
+    assert len(found) == 3
+    for failure in found.values():
+        assert isinstance(failure, RigError)
+        assert "the process that read it died" in failure.message
+
+
+def test_a_cluster_that_is_not_there_is_a_usage_error() -> None:
+    with pytest.raises(ConfigurationError, match=r"--scheduler nowhere: no Dask scheduler"):
+        list(completed(square, range(2), 1, "nowhere"))
