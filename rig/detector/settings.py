@@ -38,7 +38,7 @@ class DetectorSettings(Settings):
     """... and beyond so many standard deviations of its own noise."""
     armed_s: float = Field(0.15, gt=0)
     """How long it stays armed after the predictive signal was last beyond half its threshold."""
-    fire_mV: float = Field(2.0, gt=0)
+    fire_mV: float = Field(10.0, gt=0)
     """The impulse fires beyond this (the published logics) ..."""
     fire_sigmas: float = Field(5.0, gt=0)
     """... and beyond so many standard deviations of its noise."""
@@ -46,7 +46,7 @@ class DetectorSettings(Settings):
     """The network looks while the impulse was beyond this ..."""
     look_sigmas: float = Field(3.0, gt=0)
     """... and beyond so many standard deviations within the last 20 ms, and else every 8 ms."""
-    fire_probability: float = Field(0.9, gt=0, lt=1)
+    fire_probability: float = Field(0.8, gt=0, lt=1)
     """The network's probability of a slip that fires."""
     roll_probability: float = Field(0.9, gt=0, lt=1)
     """The network's probability of a roll that is told."""
@@ -79,6 +79,6 @@ def named_detectors() -> dict[str, DetectorSettings]:
     """The detectors that have a name; ``rig`` is the default."""
     return {
         "rig": DetectorSettings(network=trained_network()),
-        "paper-literal": DetectorSettings(logic="paper-literal", fire_mV=12.0),
+        "paper-literal": DetectorSettings(logic="paper-literal", fire_mV=30.0),
         "paper-hp": DetectorSettings(logic="paper-hp"),
     }

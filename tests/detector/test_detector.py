@@ -25,7 +25,7 @@ def bench_like(seed: int = 0, noise_mV: float = 0.2) -> np.ndarray:
     time = np.arange(1400) / RATE_Hz
     press = np.where((time > 0.3) & (time < 0.6), -12 * np.sin(np.pi * (time - 0.3) / 0.3), 0.0)
     hump = 4.0 * np.clip((time - 0.8) / 0.05, 0, 1) * (time < 1.1)
-    impulse = -30.0 * np.exp(-(((time - 1.1) / 0.0012) ** 2))
+    impulse = -45.0 * np.exp(-(((time - 1.1) / 0.0012) ** 2))
     v_d = hump + impulse
     clean = np.column_stack([press + v_d / 2, press - v_d / 2])
     return 1e-3 * (clean + noise_mV * chance.standard_normal((1400, 2)))
