@@ -1,0 +1,121 @@
+"""Labelled random trials: drawn from their seed alone, true to their labels, cached bit by bit."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.cache import DiskCache
+from rig.model.labelled_trials import (
+    FrontEndSettings,
+    Kind,
+    LabelledTrial,
+    PopulationSettings,
+    Range,
+    heard,
+    labelled_trial,
+)
+from rig.model.skin.condensed import CondensedSkin, build_skin
+
+KINDS: tuple[Kind, ...] = ("slide", "roll", "hold", "tap")
+
+
+@pytest.fixture(scope="module")
+def skin() -> CondensedSkin:
+    return build_skin(PopulationSettings().skin)
+
+
+@pytest.fixture(scope="module")
+def trials(skin: CondensedSkin) -> dict[tuple[Kind, int], LabelledTrial]:
+    return {(kind, seed): labelled_trial(skin, kind, seed) for kind in KINDS for seed in range(4)}
+
+
+def equal(one: LabelledTrial, other: LabelledTrial) -> bool:
+    plain = [
+        {k: v for k, v in vars(trial).items() if k not in ("volts", "force_N")}
+        for trial in (one, other)
+    ]
+    same = str(plain[0]) == str(plain[1])
+    return same and (one.volts == other.volts).all() and (one.force_N == other.force_N).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_trial_is_its_kind_and_seed(skin: CondensedSkin, trials, kind: Kind):
+    assert equal(labelled_trial(skin, kind, 1), trials[kind, 1])
+    assert not equal(trials[kind, 0], trials[kind, 1])
+
+
+def test_the_cache_gives_back_the_same_bits(skin: CondensedSkin, trials, tmp_path: Path):
+    cache = DiskCache(tmp_path)
+    assert equal(labelled_trial(skin, "roll", 2, cache=cache), trials["roll", 2])
+    assert equal(labelled_trial(skin, "roll", 2, cache=cache), trials["roll", 2])
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_damaged_cache_is_no_answer(skin: CondensedSkin, trials, tmp_path: Path):
+    cache = DiskCache(tmp_path)
+    labelled_trial(skin, "tap", 3, cache=cache)
+    (file,) = tmp_path.iterdir()
+    cache.put(file.stem, b"something else")
+    file.write_bytes(file.read_bytes()[:-7])
+    assert equal(labelled_trial(skin, "tap", 3, cache=cache), trials["tap", 3])
+
+
+def test_a_trial_begins_with_quiet_and_slips_in_order(trials):
+    for trial in trials.values():
+        assert (trial.volts[:300] == 0).all()
+        assert trial.motion_s > 0.3
+        assert (trial.force_N[:300] == 0).all()
+    for seed in range(4):
+        slide = trials["slide", seed]
+        assert slide.label == "slip"
+        assert slide.motion_s < slide.node_slip_s <= slide.ridge_slip_s <= slide.gross_slip_s
+        assert len(slide.volts) / slide.rate_Hz == pytest.approx(
+            slide.gross_slip_s + 0.06, abs=0.01
+        )
+
+
+def test_a_hold_stops_before_gross_slip_and_keeps_its_shear(trials):
+    for seed in range(4):
+        hold = trials["hold", seed]
+        assert np.isnan(hold.gross_slip_s)
+        assert abs(hold.force_N[-1, 1]) > 0.02 * hold.force_N[-1, 0]
+
+
+def test_the_label_follows_from_the_truth(trials):
+    for trial in trials.values():
+        slipped, lifted = np.isfinite(trial.ridge_slip_s), np.isfinite(trial.lift_off_s)
+        wanted = {
+            "slip": slipped,
+            "lift-off": lifted,
+            "slip in a roll": slipped and not lifted,
+        }.get(trial.label, not slipped)
+        assert wanted, trial
+
+
+def test_the_normal_force_is_the_one_drawn(trials):
+    slide = trials["slide", 0]
+    at = round(slide.motion_s * slide.rate_Hz)
+    assert slide.force_N[at:, 0] == pytest.approx(slide.traits["normal_force_N"], rel=1e-5)
+
+
+def test_what_is_heard_is_the_trial_with_noise_of_the_stated_size(trials):
+    front_end = FrontEndSettings(mains_mV=Range(low=0, high=0), gain_mismatch=Range(low=0, high=0))
+    trial = trials["slide", 2]
+    volts, added = heard(trial, front_end)
+    noise = 1e3 * (volts - trial.volts)
+    assert noise.std() == pytest.approx(added["noise_mV"], rel=0.1)
+    assert np.corrcoef(noise.T)[0, 1] == pytest.approx(0, abs=0.15)
+    assert (heard(trial, front_end)[0] == volts).all()
+    assert (heard(trial, front_end, hearing=1)[0] != volts).any()
+
+
+def test_a_slide_in_the_other_direction_drives_the_strips_the_other_way(trials):
+    """Before any slip v_d has the sign that direction and place decide, the same in all trials."""
+    signs = set()
+    for seed in range(4):
+        trial = trials["slide", seed]
+        begin, end = (round(t * trial.rate_Hz) for t in (trial.motion_s, trial.node_slip_s))
+        v_d = (trial.volts[:, 0] - trial.volts[:, 1])[begin + 2 : max(end, begin + 8)]
+        signs.add(np.sign(v_d.sum()) * trial.traits["direction"])
+    assert signs == {1.0}
