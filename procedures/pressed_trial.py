@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -52,8 +53,10 @@ FORCE_AGE_S = 0.003
 """How much older the force of a look is than the position read with it."""
 CLOCKS_DIFFER = 1e-3
 """Far more than the clocks of DAQ and computer do: a block is asked for when it may be there."""
-BLOCKS_A_TICK = 4
+BLOCKS_A_LOOK = 4
 """Of the DAQ at most, one being due: a loop that is late has the force to look at as well."""
+CATCHING_UP = 2.0
+"""Where blocks are shorter: of those that come from one look to the next, so many times as many."""
 LOOKS_Hz = 100.0
 """How often stages and DAQ are asked and the record goes on, also where ticks are more frequent."""
 PATIENCE_S = 10.0
@@ -331,7 +334,8 @@ class PressedTrial:
 
     def _collect_blocks(self) -> None:
         """Those that may be there, of many a few."""
-        for _ in range(BLOCKS_A_TICK):
+        coming = self._look_every * self._pace.tick_s / self.settings.block_s
+        for _ in range(max(BLOCKS_A_LOOK, math.ceil(CATCHING_UP * coming))):
             due = self.taken.rows + self.settings.block_samples <= self._rows_by_now()
             if not due or not self._take_block():
                 return

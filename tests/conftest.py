@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benches import Bench
 from hypothesis import settings
 
 from rig.cache import DiskCache
@@ -29,8 +30,8 @@ settings.load_profile("any computer")
 """A loaded machine is no failure: wall-clock bounds live in benchmarks."""
 
 RIG = [sys.executable, "-c", "from rig.cli import main; main()"]
-STAGES = os.environ.get("RIG_STAGES", "")
-"""Stages of every simulated bench that a test does not choose; empty for the command's own."""
+SIMULATING = ("sweep", "slip-trial", "roll-trial", "jog", "simulate")
+"""Commands that simulate a bench where they are given none."""
 PATIENCE_S = 120.0
 GUARD_PATIENCE_S = 30.0
 
@@ -113,23 +114,35 @@ class Running:
 
 
 class Rig:
-    """The command ``rig`` in a folder of its own."""
+    """The command ``rig`` in a folder of its own; benches that it simulates are like `bench`."""
 
-    COMMAND = RIG
-
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path, bench: Bench | None = None):
         self.folder = folder
+        self.bench = bench
         self.results = folder / "results"
         self.world_log = folder / "world.jsonl"
         self.env = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "TERM")}
         self._started: list[Running] = []
 
+    def on_bench(self, *arguments: str) -> list[str]:
+        """A command's arguments, with stages and DAQ for a bench that it simulates where they do
+        not choose them."""
+        given = list(arguments)
+        if self.bench is None or given[0] not in SIMULATING or "--bench" in given:
+            return given
+        if "--stages" not in given:
+            given += ["--stages", self.bench.stages]
+        if "--world" not in given:
+            given += ["--world", self.world("")]
+        return given
+
+    def command(self, *arguments: str) -> list[str]:
+        """The whole command line, for whoever starts it by other means."""
+        return [*RIG, *self.on_bench(*arguments)]
+
     def start(self, *arguments: str) -> Running:
-        """Start a command; on a bench that it simulates with the stages of `RIG_STAGES`."""
-        simulates = arguments[0] in ("sweep", "slip-trial", "simulate")
-        if STAGES and simulates and not {"--stages", "--bench"} & set(arguments):
-            arguments = (*arguments, "--stages", STAGES)
-        running = Running(list(arguments), self.folder, self.env)
+        """Start a command."""
+        running = Running(self.on_bench(*arguments), self.folder, self.env)
         self._started.append(running)
         return running
 
@@ -157,9 +170,10 @@ class Rig:
         return str(path)
 
     def world(self, text: str) -> str:
-        """Write World settings; their path."""
+        """Write World settings, with the bench's DAQ where they name none; their path."""
         path = self.folder / "world.toml"
-        path.write_text(text)
+        named = self.bench is None or "daq_model" in text
+        path.write_text(text if named else f'daq_model = "{self.bench.daq}"\n{text}')
         return str(path)
 
     def log(self) -> list[dict[str, Any]]:
@@ -210,9 +224,15 @@ class Rig:
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Iterator[Rig]:
+def bench() -> Bench | None:
+    """What every bench that a command simulates is like; None: the command's own."""
+    return None
+
+
+@pytest.fixture
+def rig(tmp_path: Path, bench: Bench | None) -> Iterator[Rig]:
     """The command line, in an empty folder."""
-    made = Rig(tmp_path)
+    made = Rig(tmp_path, bench)
     yield made
     made.close()
 

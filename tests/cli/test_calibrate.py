@@ -315,7 +315,7 @@ class Terminal:
     def __init__(self, rig: Any, *arguments: str):
         self.answers, slave = pty.openpty()
         self.process = subprocess.Popen(
-            [*rig.COMMAND, "calibrate", *arguments],
+            rig.command("calibrate", *arguments),
             cwd=rig.folder,
             env=rig.env,
             stdin=slave,

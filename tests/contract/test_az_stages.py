@@ -1,7 +1,6 @@
 """Stages on one RS-485 line under the real commands: the AZ pair in place of the Festo pair.
 
-`RIG_STAGES=az` has the other tests of this folder run on them, too: those hold that neither quote
-the words of the Festo drives nor place a fault by the times of a trial at 100 Hz.
+What holds on every model of stage stands in the other files of this folder.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ WORLD = "skin_mount.contact_mm = 12.05\n"
 """Contact soon after the search begins."""
 LONG = ("--distance", "2mm")
 """Still sliding when a time-out of 1.5 s is over."""
-X_SLIDING, X_SAYS = 45, 180
-"""A look at where x is, and any request to it, in the middle of a long slide."""
+SLIDING = "count = 0\nmove = 2\nafter_s = 0.4\n"
+"""From then on, x being on its way through a slide."""
 
 
 def take(rig, fault="", *given):
@@ -85,8 +84,8 @@ def test_an_alarm_in_the_slide_is_told_with_its_remedy_and_the_skin_lifted(rig):
 
 def test_a_drive_that_falls_silent_beside_the_other_is_told_and_the_skin_lifted(rig):
     """x hears, and its time-out is fed by z's frames: it is told to stop, and obeys unheard."""
-    plan = '[[fault]]\ndevice = "stage_x"\nkind = "silence"\ncount = 0\ncommand = "FC3 198"\n'
-    ended = take(rig, plan + f"at = {X_SLIDING}\n", *LONG)
+    plan = '[[fault]]\ndevice = "stage_x"\nkind = "silence"\ncommand = "FC3 198"\n'
+    ended = take(rig, plan + SLIDING, *LONG)
     assert ended.code == 3, ended.stderr
     assert ended.errors[0].startswith("error: stage_x: read register 00C6h: no answer within")
     assert_lifted(rig)
@@ -94,8 +93,8 @@ def test_a_drive_that_falls_silent_beside_the_other_is_told_and_the_skin_lifted(
 
 
 def test_a_drive_that_answers_nothing_any_more_is_not_safe_and_the_skin_is_lifted(rig):
-    plan = f'[[fault]]\ndevice = "stage_x"\nkind = "silence"\ncount = 0\nat = {X_SAYS}\n'
-    ended = take(rig, plan, *LONG)
+    plan = '[[fault]]\ndevice = "stage_x"\nkind = "silence"\n'
+    ended = take(rig, plan + SLIDING, *LONG)
     assert ended.code == 7, ended.stderr
     cause, unsafe = ended.errors
     assert cause.startswith("error: stage_x: ")

@@ -175,11 +175,16 @@ def assert_switched_off_between(rig, more_than=(True, False)):
     assert outputs == [True, False] * (len(outputs) // 2)
 
 
-def silence(at, count):
-    """A fault plan: so many batches of frames are lost; in slaved time one comes every 10 ms."""
-    return (
-        f'[[fault]]\ndevice = "force_sensor.stream"\nkind = "silence"\nat = {at}\ncount = {count}\n'
-    )
+SEARCHING = 'move = 3\nof = "stage_z"\n'
+"""Tasks of the stage: parked, close to the film, and down until it is felt, which takes 3 s; then
+it presses. The next one is the way up."""
+MEASURING = "acquisition = 10\n"
+"""A record of a slow point, the film pressed and vibrating."""
+
+
+def silence(moment, for_s):
+    """A fault plan: the force sensor sends nothing from a moment on, for so long."""
+    return f'[[fault]]\ndevice = "force_sensor.stream"\nkind = "silence"\n{moment}for_s = {for_s}\n'
 
 
 def held(run):
@@ -188,17 +193,17 @@ def held(run):
 
 
 SILENT = {
-    "while a point is taken": (740, 60, [True, False, True, False]),
-    "for longer than parking takes": (740, 400, [True, False, True, False]),
-    "on the way to contact": (300, 100, [True, False]),
+    "while a point is taken": (MEASURING, 0.6, [True, False, True, False]),
+    "for longer than parking takes": (MEASURING, 4.0, [True, False, True, False]),
+    "on the way to contact": (SEARCHING, 1.0, [True, False]),
 }
 
 
 @pytest.mark.parametrize("case", SILENT)
 def test_a_force_sensor_that_is_silent_for_a_while_is_a_hold(rig, case):
-    at, count, outputs = SILENT[case]
+    moment, for_s, outputs = SILENT[case]
     asked = ("--frequencies", "2,3,300", "--order", "descending")
-    ended = rig.sweep(*asked, "--fault", rig.fault(silence(at, count)))
+    ended = rig.sweep(*asked, "--fault", rig.fault(silence(moment, for_s)))
 
     assert ended.code == 0, ended.stderr
     assert "hold: the force sensor is silent; the bench is safe" in ended.stderr
@@ -218,7 +223,7 @@ def test_a_force_sensor_that_is_silent_for_a_while_is_a_hold(rig, case):
 
 def test_a_force_sensor_that_is_silent_while_the_stage_is_homed_is_a_hold(rig):
     """There is no way back yet to a place that nobody knows, and nothing is pressed."""
-    ended = rig.sweep(*SHORT, "--fault", rig.fault(silence(3, 60)))
+    ended = rig.sweep(*SHORT, "--fault", rig.fault(silence("at = 3\n", 0.6)))
 
     assert ended.code == 0, ended.stderr
     assert "hold: the force sensor is silent; the bench is safe" in ended.stderr
@@ -232,7 +237,7 @@ def test_a_force_sensor_that_is_silent_while_the_stage_is_homed_is_a_hold(rig):
 
 def test_a_force_sensor_that_stays_silent_ends_the_run(rig):
     asked = ("--frequencies", "2,3,300", "--order", "descending")
-    ended = rig.sweep(*asked, "--fault", rig.fault(silence(740, 0)))
+    ended = rig.sweep(*asked, "--fault", rig.fault(silence(MEASURING, 60.0)))
 
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
@@ -334,7 +339,7 @@ def test_what_is_wrong_with_the_preload_ends_in_one_line(rig, world, options, co
     [("drive-fault", "the axis did not follow"), ("reference-lost", "lost its reference")],
 )
 def test_a_drive_that_fails_on_the_way_to_the_preload_is_told_in_one_line(rig, kind, told):
-    plan = f'[[fault]]\ndevice = "stage_z"\nkind = "{kind}"\nmove = 3\nafter_s = 1.0\n'
+    plan = f'[[fault]]\ndevice = "stage_z"\nkind = "{kind}"\n{SEARCHING}after_s = 1.0\n'
     ended = rig.sweep(*SHORT, "--fault", rig.fault(plan))
     assert ended.code == 3, ended.stderr
     assert len(ended.errors) == 1, ended.stderr
@@ -342,28 +347,26 @@ def test_a_drive_that_fails_on_the_way_to_the_preload_is_told_in_one_line(rig, k
     assert True not in rig.outputs()
 
 
-FED_EVERY_S = 0.05
-"""The drive is asked so often, a twentieth of its communication time-out."""
-
-
 def test_a_drive_that_fails_while_the_film_vibrates_is_noticed_within_a_record(rig):
     """The procedure sits in a record of a second and asks the stage nothing."""
-    plan = '[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\nmove = 3\nafter_s = 6.0\n'
+    plan = f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\n{MEASURING}'
     sweep = ("--frequencies", "2,3,300", "--order", "descending")
     ended = rig.sweep(*sweep, "--fault", rig.fault(plan))
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
-    assert error.startswith("error: stage_z: drive fault: 126 (following error")
+    assert error.startswith(f"error: stage_z: {rig.bench.z.fault}")
+    assert "the axis did not follow" in error
     assert rig.outputs() == [True, False]
     (fault,) = [e["t_us"] for e in rig.log() if (e["device"], e["what"]) == ("stage_z", "fault")]
     off = [e["t_us"] for e in rig.log() if e["what"] == "ch1.on"][-1]
-    assert 0 <= (off - fault) * 1e-6 < FED_EVERY_S + 0.02
+    assert 0 <= (off - fault) * 1e-6 < rig.bench.z.asked_every_s + 0.02
     assert verify(rig.only("*.h5")) == []
 
 
 def test_a_sensor_that_freezes_while_the_film_is_pressed_ends_the_run_at_once(rig):
     """Without it the stage would press on, to the drive's torque limit."""
-    plan = '[[fault]]\ndevice = "force_sensor"\nkind = "frozen"\nafter_s = 4.4\nfor_s = 2.0\n'
+    lasting = SEARCHING + "after_s = 2.1\nfor_s = 2.0\n"
+    plan = f'[[fault]]\ndevice = "force_sensor"\nkind = "frozen"\n{lasting}'
     ended = rig.sweep(*SHORT, "--fault", rig.fault(plan))
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
@@ -378,12 +381,9 @@ def test_a_sensor_that_freezes_while_the_film_is_pressed_ends_the_run_at_once(ri
 def test_what_trips_on_the_way_up_is_told_and_the_way_up_gone_on_with(rig):
     """The points are taken, the stage is half way up: stopping there would leave the film pressed
     where it cannot be seen why."""
-    rig.sweep(*SHORT)
-    (begun_us,) = [x["t_us"] for x in rig.log() if x["what"] == "move"][-1:]
-    rig.world_log.unlink()
     push = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 60.0\n'
-    plan = rig.fault(f"{push}after_s = {begun_us * 1e-6 + 0.3}\n")
-    ended = rig.sweep(*SHORT, "--results", "other", "--fault", plan)
+    plan = rig.fault(f'{push}move = 4\nof = "stage_z"\nafter_s = 0.3\n')
+    ended = rig.sweep(*SHORT, "--fault", plan)
 
     assert ended.code == 4, ended.stderr
     (error,) = ended.errors
@@ -395,8 +395,7 @@ def test_what_trips_on_the_way_up_is_told_and_the_way_up_gone_on_with(rig):
 
 
 def test_a_gap_in_the_force_stream_ends_the_run(rig):
-    fault = '[[fault]]\ndevice = "force_sensor.stream"\nkind = "silence"\nat = 300\ncount = 8\n'
-    ended = rig.sweep("--frequencies", "2,3,4", "--fault", rig.fault(fault))
+    ended = rig.sweep("--frequencies", "2,3,4", "--fault", rig.fault(silence(SEARCHING, 0.08)))
     assert ended.code == 3, ended.stderr
     assert "the stream has a gap" in ended.errors[0]
     assert rig.outputs()[-1:] != [True]

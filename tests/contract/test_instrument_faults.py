@@ -62,15 +62,15 @@ def test_a_generator_that_fails_once_is_still_switched_off(rig, kind):
 SLOW = ("--frequencies", "2,3,4,5,300", "--order", "descending")
 SLOW_POINTS = [f"{frequency}Hz-1N" for frequency in (300, 5, 4, 3, 2)]
 """Slow enough for stage and force sensor to be asked and heard many times after the first point."""
-WHILE_TAKING = {"stage_z": 830, "force_sensor.stream": 900}
-"""A request to the stage, a batch of frames, in the middle of them."""
+WHILE_TAKING = {"acquisition": 12}
+"""In the middle of them."""
+ON_THE_WAY_BACK = {"move": 4, "after_s": 0.3}
+"""Of the stage, after the last point: it was parked, came close, and pressed."""
 
 
-def plan_of(device, kind, at, command="", count=1):
-    return (
-        f'[[fault]]\ndevice = "{device}"\nkind = "{kind}"\ncommand = "{command}"\nat = {at}\n'
-        f"count = {count}\n"
-    )
+def plan_of(device, kind, command="", **keys):
+    told = "".join(f"{key} = {value}\n" for key, value in keys.items())
+    return f'[[fault]]\ndevice = "{device}"\nkind = "{kind}"\ncommand = "{command}"\n{told}'
 
 
 def assert_ended_safely(rig, ended, device, points=SLOW_POINTS, least=1):
@@ -94,17 +94,13 @@ def assert_ended_safely(rig, ended, device, points=SLOW_POINTS, least=1):
 
 @pytest.mark.parametrize("kind", ["silence", "garbage", "close", "truncate", "stale"])
 def test_a_stage_that_fails_once_ends_the_run_safely(rig, kind):
-    plan = plan_of("stage_z", kind, WHILE_TAKING["stage_z"])
+    plan = plan_of("stage_z", kind, **WHILE_TAKING)
     ended = rig.sweep(*SLOW, "--fault", rig.fault(plan))
     assert_ended_safely(rig, ended, "stage_z")
 
 
-PARKING = 930
-"""A request to the stage after the last point, on the way back from the film."""
-
-
 def test_a_stage_whose_connection_breaks_on_the_way_back_is_at_rest_when_that_is_told(rig):
-    ended = rig.sweep(*SLOW, "--fault", rig.fault(plan_of("stage_z", "close", PARKING)))
+    ended = rig.sweep(*SLOW, "--fault", rig.fault(plan_of("stage_z", "close", **ON_THE_WAY_BACK)))
     assert "the stage stands and the film may still be pressed: stage_z: " in ended.stderr
     assert ended.code == 3
     assert ended.object["points_done"] == 5
@@ -113,13 +109,13 @@ def test_a_stage_whose_connection_breaks_on_the_way_back_is_at_rest_when_that_is
 
 
 @pytest.mark.parametrize(
-    ("kind", "batches"), [("garbage", 1), ("close", 1), ("silence", 8), ("truncate", 8)]
+    ("kind", "lasting"),
+    [("garbage", {}), ("close", {}), ("silence", {"for_s": 0.08}), ("truncate", {"for_s": 0.08})],
 )
-def test_a_force_stream_that_breaks_ends_the_run_safely_with_the_film_unloaded(rig, kind, batches):
+def test_a_force_stream_that_breaks_ends_the_run_safely_with_the_film_unloaded(rig, kind, lasting):
     """Half a batch may end with a whole frame: so few that are missing are no gap yet. Frames that
     are missing are a hold first, for they may be late."""
-    at = WHILE_TAKING["force_sensor.stream"]
-    plan = plan_of("force_sensor.stream", kind, at, count=batches)
+    plan = plan_of("force_sensor.stream", kind, **WHILE_TAKING, **lasting)
     ended = rig.sweep(*SLOW, "--fault", rig.fault(plan))
     assert_ended_safely(rig, ended, "force_sensor")
     parked = [x["value"] for x in rig.log() if (x["device"], x["what"]) == ("stage_z", "at-rest")]
@@ -128,7 +124,7 @@ def test_a_force_stream_that_breaks_ends_the_run_safely_with_the_film_unloaded(r
 
 
 def test_frames_that_come_late_disturb_nothing(rig):
-    plan = plan_of("force_sensor.stream", "stale", WHILE_TAKING["force_sensor.stream"], count=5)
+    plan = plan_of("force_sensor.stream", "stale", **WHILE_TAKING, count=5)
     ended = rig.sweep(*SLOW, "--fault", rig.fault(plan))
     assert ended.code == 0, ended.stderr
     assert ended.object["points_done"] == 5
@@ -141,7 +137,7 @@ START, STOP = "24", "23"
 
 @pytest.mark.parametrize("kind", ["silence", "garbage", "close", "truncate", "stale"])
 def test_a_force_sensor_that_fails_to_start_ends_the_run_before_any_motion(rig, kind):
-    ended = rig.sweep(*SLOW, "--fault", rig.fault(plan_of("force_sensor", kind, 1, START)))
+    ended = rig.sweep(*SLOW, "--fault", rig.fault(plan_of("force_sensor", kind, START)))
     assert_ended_safely(rig, ended, "force_sensor", least=0)
     assert ended.object["points_done"] == 0
     assert "move" not in {entry["what"] for entry in rig.log()}
@@ -150,7 +146,7 @@ def test_a_force_sensor_that_fails_to_start_ends_the_run_before_any_motion(rig, 
 def test_a_force_stream_that_cannot_be_ended_is_told_but_leaves_nothing_unsafe(rig):
     """A sensor drives nothing. The stream is ended when it is connected, and at the end."""
     ended = rig.sweep(
-        *FREQUENCIES, "--fault", rig.fault(plan_of("force_sensor", "silence", 2, STOP))
+        *FREQUENCIES, "--fault", rig.fault(plan_of("force_sensor", "silence", STOP, at=2))
     )
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors

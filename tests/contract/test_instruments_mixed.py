@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from benches import DAQ_MODELS, PAIRS
 
 from rig.model.vibrator import drawn_film, true_response
 from rig.recording.runfile import RunFile
@@ -11,7 +12,7 @@ from rig.recording.verify import verify
 FREQUENCIES = "20,210,2100,15000"
 
 
-@pytest.mark.parametrize("daq", ["U2331A", "U2542A"])
+@pytest.mark.parametrize("daq", DAQ_MODELS)
 @pytest.mark.parametrize("link", ["socket", "hislip"])
 def test_every_combination_measures_the_film(rig, daq, link):
     world = rig.world(f'daq_model = "{daq}"\ngenerator_link = "{link}"\n')
@@ -30,11 +31,8 @@ def test_every_combination_measures_the_film(rig, daq, link):
             assert abs(pull).max() < 4.5
 
 
-STAGES = ("festo", "az", "festo-az", "az-festo")
-
-
-@pytest.mark.parametrize("daq", ["U2331A", "U2542A"])
-@pytest.mark.parametrize("stages", STAGES)
+@pytest.mark.parametrize("daq", DAQ_MODELS)
+@pytest.mark.parametrize("stages", PAIRS)
 def test_every_combination_of_stages_and_daq_slides_the_skin(rig, stages, daq):
     world = f'daq_model = "{daq}"\nskin_mount.contact_mm = 12.05\n'
     ended = rig.run(

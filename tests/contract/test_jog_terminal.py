@@ -36,7 +36,7 @@ class Typist:
         self._master, self.slave = pty.openpty()
         self.before = termios.tcgetattr(self.slave)
         self.process = subprocess.Popen(
-            [*rig.COMMAND, *arguments],
+            rig.command(*arguments),
             cwd=rig.folder,
             env=rig.env,
             stdin=self.slave,

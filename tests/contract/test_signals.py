@@ -138,7 +138,7 @@ def names_log(rig, cmdline):
 def test_a_run_outlasts_the_terminal_that_it_speaks_to(rig):
     """Nobody reads stderr or stdout any more; only the run file can tell how it ended."""
     running = subprocess.Popen(
-        [*rig.COMMAND, *rig.sweep_arguments("--frequencies", "300,400,500,600,700")],
+        rig.command(*rig.sweep_arguments("--frequencies", "300,400,500,600,700")),
         cwd=rig.folder,
         env=rig.env,
         stdout=subprocess.PIPE,

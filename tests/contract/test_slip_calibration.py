@@ -69,10 +69,10 @@ class Silent:
         return lambda *_: None
 
 
-def take_on_a_slaved_bench(folder, records):
+def take_on_a_slaved_bench(folder, stages, world, records):
     """A short trial on the simulated bench in slaved time, whose bench file names the records; in a
     process of its own, which the run's guard may kill. Leaves ``outcome.json``."""
-    process = start({"fixture": "plate"})
+    process = start({"fixture": "plate", "stages": stages, "world": world})
     said = process.ready()
     text = naming(said["bench_toml"], records)
     job = Job(
@@ -90,12 +90,14 @@ def take_on_a_slaved_bench(folder, records):
     (folder / "outcome.json").write_text(json.dumps(told))
 
 
-def test_calibrated_strips_are_told_as_load_rates_with_their_error(tmp_path):
+def test_calibrated_strips_are_told_as_load_rates_with_their_error(rig, tmp_path):
     files = {
         "strip_1": write_calibration(record("film 7", days=5.0), tmp_path),
         "strip_2": write_calibration(record("film 8"), tmp_path),
     }
-    run = get_context("spawn").Process(target=take_on_a_slaved_bench, args=(tmp_path, files))
+    run = get_context("spawn").Process(
+        target=take_on_a_slaved_bench, args=(tmp_path, rig.bench.stages, rig.world(""), files)
+    )
     run.start()
     run.join()
     told = json.loads((tmp_path / "outcome.json").read_text())

@@ -10,12 +10,8 @@ from rig.recording.verify import verify
 SHORT = ("--distance", "0.5mm", "--speed", "0.5mm/s", "--rest", "100ms")
 WORLD = "skin_mount.contact_mm = 12.05\n"
 """Contact soon after the search begins: what is tried here comes later."""
-SLIDING_AFTER_S = 1.4
-"""Since the record began: somewhere in the slide, which lasts a second from 1.1 s on."""
-
-
-X_SLIDING = 380
-"""A request to x in the middle of it."""
+SLIDING = 'move = 2\nof = "stage_x"\nafter_s = 0.3\n'
+"""In the slide, which lasts a second: x has been brought to its start before."""
 
 
 def take(rig, world="", fault="", *given):
@@ -67,27 +63,26 @@ def assert_kept_until_sliding(rig):
 
 
 X_TROUBLES = {
-    "limit switch": ("limit-switch", "positive limit switch reached"),
+    "limit switch": ("limit-switch", "limit switch reached"),
     "following error": ("drive-fault", "the axis did not follow"),
-    "held fast": ("stuck", "stopped by its torque limit at 10."),
+    "held fast": ("stuck", ""),
 }
+"""Kinds of fault, and words for them; empty: the model's own."""
 
 
 @pytest.mark.parametrize("what", X_TROUBLES)
 def test_a_stage_that_fails_in_the_slide_is_told_and_the_skin_lifted(rig, what):
     kind, words = X_TROUBLES[what]
-    plan = f'[[fault]]\ndevice = "stage_x"\nkind = "{kind}"\nmove = 2\nafter_s = 0.3\n'
-    ended = take(rig, "", plan)
-    assert_told(ended, 3, words)
+    ended = take(rig, "", f'[[fault]]\ndevice = "stage_x"\nkind = "{kind}"\n{SLIDING}')
+    assert_told(ended, 3, words or rig.bench.x.held_fast)
     assert ended.errors[0].startswith("error: stage_x: ")
     assert_lifted(rig)
     assert_kept_until_sliding(rig)
 
 
 def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
-    plan = '[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\nmove = 3\nafter_s = 2.15\n'
-    ended = take(rig, "", plan)
-    assert_told(ended, 3, "stage_z: drive fault: 126")
+    ended = take(rig, "", f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\n{SLIDING}')
+    assert_told(ended, 3, f"stage_z: {rig.bench.z.fault}")
     assert "the stage stands and the skin may still be pressed: stage_z: " in ended.stderr
     last_of(rig, "stage_x")
     assert last_of(rig, "stage_z") == pytest.approx(12.09, abs=0.01)
@@ -96,7 +91,7 @@ def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
 
 def test_a_drive_that_goes_away_in_the_slide_does_not_keep_the_skin_pressed(rig):
     """x answers no more: it cannot be stopped, and that is told. z goes up all the same."""
-    gone = f'[[fault]]\ndevice = "stage_x"\nkind = "silence"\nat = {X_SLIDING}\ncount = 0\n'
+    gone = f'[[fault]]\ndevice = "stage_x"\nkind = "silence"\ncount = 0\n{SLIDING}'
     ended = take(rig, "", gone)
     assert ended.code == 7, ended.stderr
     cause, unsafe = ended.errors
@@ -111,45 +106,50 @@ def test_a_drive_that_goes_away_in_the_slide_does_not_keep_the_skin_pressed(rig)
 def test_a_force_channel_that_saturates_ends_the_trial(rig):
     """3.5 mV/V are 290 N along z: somebody hits the plate."""
     hit = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 500.0\nfor_s = 0.02\n'
-    ended = take(rig, "", f"{hit}acquisition = 1\nafter_s = {SLIDING_AFTER_S}\n")
+    ended = take(rig, "", hit + SLIDING)
     assert_told(ended, 3, "frames are saturated")
     assert_lifted(rig)
     assert_kept_until_sliding(rig)
 
 
 FRAMES = {
-    "lost whole": ("silence", 525, 8, "frames are missing: the stream has a gap"),
-    "garbled": ("garbage", 555, 1, "force_sensor: stream: "),
+    "lost whole": ("silence", "for_s = 0.08\n", "frames are missing: the stream has a gap"),
+    "garbled": ("garbage", "", "force_sensor: stream: "),
 }
 
 
 @pytest.mark.parametrize("what", FRAMES)
 def test_bytes_lost_on_the_serial_line_end_the_trial(rig, what):
     """What is lost without a trace is missed by counting against time, half a second later."""
-    kind, at, batches, words = FRAMES[what]
+    kind, lasting, words = FRAMES[what]
     plan = f'[[fault]]\ndevice = "force_sensor.stream"\nkind = "{kind}"\n'
-    ended = take(rig, "", f"{plan}at = {at}\ncount = {batches}\n")
+    ended = take(rig, "", plan + lasting + SLIDING)
     assert_told(ended, 3, words)
     assert_lifted(rig)
     assert_kept_until_sliding(rig)
 
 
-def test_a_daq_whose_buffer_does_not_bridge_the_trial_ends_it(rig):
-    """A thousand samples are 17 ms of two strips at 30 kS/s: stopping x takes longer."""
-    ended = take(rig, "daq_buffer_samples = 1000\n", "", "--rate", "30000", "--block", "5ms")
+def test_a_daq_whose_buffer_overruns_ends_the_trial(rig):
+    ended = take(rig, "", f'[[fault]]\ndevice = "daq"\nkind = "overrun"\n{SLIDING}')
     assert_told(ended, 3, "daq: WAV:STAT?: its buffer overran after row")
-    assert "overrun" in [e["value"] for e in rig.log() if e["what"] == "acquisition"]
     assert_lifted(rig)
+    assert_kept_until_sliding(rig)
     with RunFile.open(rig.only("*.h5")) as run:
-        kept = {w.stream: w for w in run.waveforms(status="discarded")}
-    assert kept["force"].values("F_t").max() > 2.5
-    rows = len(kept["strips"].counts["strip_1"])
+        (strips,) = (w for w in run.waveforms(status="discarded") if w.stream == "strips")
+    rows = len(strips.counts["strip_1"])
     assert f"after row {rows};" in ended.errors[0], "all that came before is kept, no more"
 
 
+def test_short_blocks_are_taken_as_fast_as_they_come(rig):
+    """The DAQ's buffer holds two strips for 0.3 s, looks at it are at most 40 ms apart."""
+    ended = take(rig, "daq_buffer_samples = 6000\n", "", "--block", "2ms")
+    assert ended.code == 0, ended.stderr
+    assert "overrun" not in [e["value"] for e in rig.log() if e["what"] == "acquisition"]
+
+
 def test_a_block_of_samples_that_is_lost_on_the_wire_ends_the_trial(rig):
-    fault = '[[fault]]\ndevice = "daq"\nkind = "truncate"\ncommand = "WAV:DATA"\nat = 70\n'
-    ended = take(rig, "", fault)
+    fault = '[[fault]]\ndevice = "daq"\nkind = "truncate"\ncommand = "WAV:DATA"\n'
+    ended = take(rig, "", fault + SLIDING)
     assert_told(ended, 3, "error: daq: WAV:DATA?")
     assert_lifted(rig)
     assert_kept_until_sliding(rig)

@@ -69,7 +69,10 @@ def test_a_trial_shows_what_the_model_does_and_measures_the_friction(rig, skin8)
     assert reading["clock_offset_s"] == pytest.approx(-1e-3, abs=3e-4)
     assert reading["clock_offset_error_s"] < 5e-4
     assert compared.slip_order[:4] == [1, 9, 2, 3], "edges first, then the ridge with the strips"
-    assert compared.ratios() == pytest.approx(dict.fromkeys(compared.ratios(), 1.0), abs=0.2)
+    ratios = compared.ratios()
+    if rig.bench.both_Hz < 100:  # too few to show the model every correction that its pulse meets
+        del ratios["neighbour"]
+    assert ratios == pytest.approx(dict.fromkeys(ratios, 1.0), abs=0.2)
     assert -0.036 < compared.measured.impulse < -0.022
     assert 0.002 < compared.measured.hump < 0.005
     assert reading["static_friction"] == pytest.approx(compared.static_coefficient, rel=0.03)
@@ -83,10 +86,12 @@ def touch_downs(rig):
 
 
 def test_fast_slides_are_rehearsed_and_a_series_begins_near_the_known_contact(rig):
-    """Friction 1.2 at 6 mm/s: the servo alone misses 5 % by far (decision 0035)."""
+    """Friction 1.2 at 6 mm/s, or what an axis does in as many ticks: the servo alone misses 5 % by
+    far (decision 0035)."""
+    speed_mm_s = 0.06 * rig.bench.tick_Hz
     friction = "{ static_coefficient = 1.2, kinetic_coefficient = 0.84 }"
     world = rig.world(f"contact.friction = {friction}\n")
-    asked = ("-n", "2", "--speed", "6mm/s", "--distance", "1.2mm", "--rest", "100ms")
+    asked = ("-n", "2", "--speed", f"{speed_mm_s}mm/s", "--distance", "1.2mm", "--rest", "100ms")
     ended = rig.run(*arguments(rig, "--world", world, *asked))
     assert ended.code == 0, ended.stderr
     assert touch_downs(rig) == 3
@@ -103,7 +108,8 @@ def test_a_tangential_force_rises_evenly_until_the_skin_slips(rig):
     asked = ("--loading", "ramp", "--ramp", "4N/s", "--speed", "1mm/s", "--rest", "100ms")
     ended = rig.run(*arguments(rig, *asked))
     assert ended.code == 0, ended.stderr
-    assert touch_downs(rig) == 1, "the speed after gross slip needs no rehearsal"
+    rehearsed = rig.bench.both_Hz < 100
+    assert touch_downs(rig) == 1 + rehearsed, "the speed after gross slip needs one at a slow pace"
     assert_off_the_plate(rig)
     with RunFile.open(rig.only("*.h5")) as run:
         (reading,) = run.readings()
@@ -174,8 +180,9 @@ def test_a_drive_that_fails_on_the_last_way_up_fails_the_run(rig):
     ended = rig.run(*arguments(rig, *SHORT, "--fault", plan))
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
-    assert error.startswith(f"error: stage_z: unload: {STANDS}")
-    assert "or move it away by hand" in error
+    assert error.startswith("error: stage_z: ")
+    assert rig.bench.z.fault in error
+    assert "look for what blocks the axis" in error
     assert "NOT SAFE" not in ended.stderr
     assert ended.object["points_done"] == 1
     file = rig.only("*.h5")
@@ -187,7 +194,8 @@ def test_a_drive_that_fails_on_the_last_way_up_fails_the_run(rig):
 
 def test_a_drive_that_fails_in_a_slide_leaves_the_skin_pressed_and_says_so(rig):
     """The cause first; that the skin may still be pressed is what came of it."""
-    plan = '[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\nmove = 4\nafter_s = 5.0\n'
+    sliding = 'move = 2\nof = "stage_x"\nafter_s = 3.0\n'
+    plan = f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\n{sliding}'
     slow = ("--distance", "2mm", "--speed", "0.3mm/s")
     ended = rig.run(*arguments(rig, *slow, "--fault", rig.fault(plan)))
     assert ended.code == 3, ended.stderr

@@ -23,7 +23,7 @@ def test_a_disk_that_fills_up_ends_the_run_safely(rig):
         resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT_BYTES, LIMIT_BYTES))
 
     ended = subprocess.run(
-        [*rig.COMMAND, *rig.sweep_arguments(*FREQUENCIES, *LONG_RECORDS)],
+        rig.command(*rig.sweep_arguments(*FREQUENCIES, *LONG_RECORDS)),
         cwd=rig.folder,
         env=rig.env,
         preexec_fn=small_disk,

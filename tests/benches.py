@@ -1,0 +1,103 @@
+"""The combinations of stages and DAQ on which the contract has to hold, and what differs by stage.
+
+A test of the contract speaks of what happens, not of a vendor: where it has to name a number or
+words of a drive it asks `Bench` for them. `RIG_BENCH=az-festo/U2542A` chooses one combination for
+every test; otherwise each test gets one of all, always the same for its name (decision 0045).
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rig.errors import ConfigurationError
+
+
+@dataclass(frozen=True)
+class StageModel:
+    """What a model of stage has for what happens to every model."""
+
+    held_fast: str
+    """Words for an axis that something holds."""
+    fault: str
+    """What it calls a fault of its own."""
+    silence_fault: int
+    """Number of its communication time-out."""
+    asked_every_s: float
+    """How often its state is asked for at least, the simulated bench's time-out being 1 s."""
+    update_Hz: float
+    """How often it can be told a new target."""
+
+
+STAGE_MODELS = {
+    "festo": StageModel(
+        held_fast="stopped by its torque limit at 10.",
+        fault="drive fault: 126 (",
+        silence_fault=391,
+        asked_every_s=0.05,
+        update_Hz=1000.0,
+    ),
+    "az": StageModel(
+        held_fast="is held back by 0.",
+        fault="drive alarm: 10h (",
+        silence_fault=0x85,
+        asked_every_s=0.2,
+        update_Hz=50.0,
+    ),
+}
+USUAL_Hz = 100.0
+"""Ticks of a trial, where its stages allow it."""
+PAIRS = ("festo", "az", "festo-az", "az-festo")
+"""Values of `--stages`: both of one model, or z of the first and x of the second."""
+DAQ_MODELS = ("U2331A", "U2542A")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """One combination, as `RIG_BENCH` names it."""
+
+    stages: str
+    daq: str
+
+    def __str__(self) -> str:
+        return f"{self.stages}/{self.daq}"
+
+    @property
+    def z(self) -> StageModel:
+        """The stage that presses."""
+        return STAGE_MODELS[self.stages.split("-")[0]]
+
+    @property
+    def x(self) -> StageModel:
+        """The stage that slides."""
+        return STAGE_MODELS[self.stages.split("-")[-1]]
+
+    @property
+    def tick_Hz(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """Of a trial's servo: as often as z can be told a new target."""
+        return min(USUAL_Hz, self.z.update_Hz)
+
+    @property
+    def both_Hz(self) -> float:  # noqa: N802
+        """How often a trial asks both where they are, or tells both a new target."""
+        return min(USUAL_Hz, 1 / (1 / self.z.update_Hz + 1 / self.x.update_Hz))
+
+
+BENCHES = tuple(Bench(*one) for one in itertools.product(PAIRS, DAQ_MODELS))
+CHOSEN = os.environ.get("RIG_BENCH", "")
+
+
+def bench_for(test: str, able: Sequence[Bench] = BENCHES) -> Bench:
+    """The one that was chosen, else the one of those `able` that a test of this name is always
+    dealt."""
+    if not CHOSEN:
+        return able[zlib.crc32(test.encode()) % len(able)]
+    named = {str(bench): bench for bench in BENCHES}
+    if CHOSEN not in named:
+        raise ConfigurationError(
+            f"RIG_BENCH {CHOSEN}: no such bench", f"it is one of {', '.join(named)}"
+        )
+    return named[CHOSEN]
