@@ -46,6 +46,9 @@ RESPONSE_WAIT_S = 0.003
 BITS_A_BYTE = 11
 """Start, eight data, parity or a second stop, stop."""
 READ_WAIT_S = 0.005
+HELD_UP_S = 0.1
+"""A wait for the line that is longer has met something else, as another instrument's time-out: the
+line's drives are kept alive meanwhile."""
 EXCEPTIONS = {
     1: "illegal function",
     2: "illegal data address",
@@ -137,8 +140,7 @@ class RtuLine:
 
     def __init__(self, path: str, baudrate: int, parity: str, clock: Clock):
         self.path = path
-        self.waiting = False
-        """Whether somebody waits for the line to be free."""
+        self._waiting_since_s: float | None = None
         self._baudrate, self._parity = baudrate, parity
         self._clock = clock
         self._gap_s = GAP_S if baudrate >= 19_200 else SLOW_GAP_S
@@ -224,14 +226,20 @@ class RtuLine:
         """Whether something may be sent at once."""
         return self._clock.now() >= self._free_at_s
 
+    @property
+    def waiting(self) -> bool:
+        """Whether somebody waits for the line to be free, and is not held up."""
+        since_s = self._waiting_since_s
+        return since_s is not None and self._clock.now() - since_s <= HELD_UP_S
+
     def wait_until_free(self) -> None:
         """Wait on the bench's clock until the line's silence is over."""
-        self.waiting = True
+        before, self._waiting_since_s = self._waiting_since_s, self._clock.now()
         try:
             while (left_s := self._free_at_s - self._clock.now()) > 1e-6:
                 self._clock.sleep(left_s)
         finally:
-            self.waiting = False
+            self._waiting_since_s = before
 
     def exchange(self, request: Request, timeout_s: float, trusting: bool = False) -> bytes:
         """The answer's PDU; what is left of the line's silence passes in wall time.

@@ -337,6 +337,22 @@ def test_a_watchers_make_safe_is_not_kept_waiting_by_a_procedure_that_waits_for_
         assert bench.speed(bench.z) == 0
 
 
+def test_a_time_out_of_another_instrument_met_while_waiting_for_the_line_starves_no_drive() -> None:
+    """Its keep-alive runs from the slices of that wait, and its lost answer takes 1.5 s."""
+    with service() as bench:
+        axis = bench.homed()
+
+        def time_out() -> None:
+            unregister()
+            bench.clock.sleep(1.5)
+
+        axis.start_move(60.0, 10.0)
+        unregister = bench.clock.each_slice(time_out)
+        axis.stop()
+        axis.move_to(20.0, 10.0)
+        assert bench.bench.told("fault") == []
+
+
 def test_a_stop_goes_out_although_the_drive_owes_an_answer() -> None:
     fault = silent("stage_z", command="FC3 198", at=3, count=0)
     with service(fault) as bench:
