@@ -128,7 +128,10 @@ class Rig:
         """A command's arguments, with stages and DAQ for a bench that it simulates where they do
         not choose them."""
         given = list(arguments)
-        if self.bench is None or given[0] not in SIMULATING or "--bench" in given:
+        named = (
+            "--bench" in given or (given[0] != "simulate" and (self.folder / "bench.toml").exists())
+        )
+        if self.bench is None or given[0] not in SIMULATING or named:
             return given
         if "--stages" not in given:
             given += ["--stages", self.bench.stages]

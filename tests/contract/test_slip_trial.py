@@ -14,7 +14,8 @@ from rig.recording.definitions import definition_path
 from rig.recording.runfile import RunFile
 from rig.recording.verify import verify
 
-SHORT = ("--distance", "0.4mm", "--speed", "1mm/s", "--rest", "100ms")
+SHORT = ("--distance", "0.4mm", "--speed", "0.5mm/s", "--rest", "100ms")
+"""Slow enough to need no rehearsal on any stage."""
 
 
 def arguments(rig, *given):
@@ -53,7 +54,9 @@ def test_a_trial_shows_what_the_model_does_and_measures_the_friction(rig, skin8)
         (reading,) = run.readings()
         series = {w.stream: w for w in run.waveforms("trial-001")}
         compared = compare(run, "trial-001", reading, skin8)
-        assert "whole_slip_us" in run.entry["simulated_truth/trial_001"]
+        truth = run.entry["simulated_truth/trial_001"]
+        assert "whole_slip_us" in truth
+        begun_us = int(truth["record_begun_us"][()])
         assert run.header.sample.name == "skin 7"
         assert run.header.notes == "wiped with ethanol"
         assert run.settings["object"] == "glass plate"
@@ -65,12 +68,14 @@ def test_a_trial_shows_what_the_model_does_and_measures_the_friction(rig, skin8)
     assert reading["overshoot_percent"] < 10
     assert reading["kinetic_friction"] == pytest.approx(0.65, rel=0.03)
     assert 0.65 < reading["static_friction"] < 0.8, "of the whole contact: between mu_k and mu_s"
-    # The amplifier's first frame of the record ends a millisecond after it began and counts as 0.
-    assert reading["clock_offset_s"] == pytest.approx(-1e-3, abs=3e-4)
+    # The amplifier's first frame of the record ends at most 1 ms after it began and counts as 0.
+    frames_us = [e["t_us"] for e in rig.log() if e["what"] == "streaming" and e["value"]][-1]
+    first_frame_us = (frames_us - begun_us - 1) % 1000 + 1
+    assert reading["clock_offset_s"] == pytest.approx(-1e-6 * first_frame_us, abs=3e-4)
     assert reading["clock_offset_error_s"] < 5e-4
     assert compared.slip_order[:4] == [1, 9, 2, 3], "edges first, then the ridge with the strips"
     ratios = compared.ratios()
-    if rig.bench.both_Hz < 100:  # too few to show the model every correction that its pulse meets
+    if rig.bench.both_Hz < 40:  # too few looks to show the model what its small pulse meets
         del ratios["neighbour"]
     assert ratios == pytest.approx(dict.fromkeys(ratios, 1.0), abs=0.2)
     assert -0.036 < compared.measured.impulse < -0.022
@@ -86,12 +91,20 @@ def touch_downs(rig):
 
 
 def test_fast_slides_are_rehearsed_and_a_series_begins_near_the_known_contact(rig):
-    """Friction 1.2 at 6 mm/s, or what an axis does in as many ticks: the servo alone misses 5 % by
-    far (decision 0035)."""
-    speed_mm_s = 0.06 * rig.bench.tick_Hz
+    """Friction 1.2, at 6 mm/s where the stages allow it: the servo alone misses 5 % by far
+    (decision 0035)."""
     friction = "{ static_coefficient = 1.2, kinetic_coefficient = 0.84 }"
     world = rig.world(f"contact.friction = {friction}\n")
-    asked = ("-n", "2", "--speed", f"{speed_mm_s}mm/s", "--distance", "1.2mm", "--rest", "100ms")
+    asked = (
+        "-n",
+        "2",
+        "--speed",
+        f"{rig.bench.z.fastest_slide_mm_s}mm/s",
+        "--distance",
+        "1.2mm",
+        "--rest",
+        "100ms",
+    )
     ended = rig.run(*arguments(rig, "--world", world, *asked))
     assert ended.code == 0, ended.stderr
     assert touch_downs(rig) == 3
@@ -119,7 +132,7 @@ def test_a_tangential_force_rises_evenly_until_the_skin_slips(rig):
     assert reading["force_error_rms_percent"] < 2
     assert reading["force_error_peak_percent"] < 5
     assert reading["kinetic_friction"] == pytest.approx(0.65, rel=0.03)
-    assert reading["ramp_to_s"] == pytest.approx(gross_s, abs=0.05)
+    assert reading["ramp_to_s"] == pytest.approx(gross_s, abs=0.04 + 1 / reading["tick_Hz"])
     t = np.arange(len(force.counts["F_t"])) / 1000 - reading["slide_from_s"]
     rising = (t > 0.1) & (t < 0.5)
     rate, _ = np.polyfit(t[rising], force.values("F_t")[rising], 1)
@@ -180,9 +193,8 @@ def test_a_drive_that_fails_on_the_last_way_up_fails_the_run(rig):
     ended = rig.run(*arguments(rig, *SHORT, "--fault", plan))
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
-    assert error.startswith("error: stage_z: ")
-    assert rig.bench.z.fault in error
-    assert "look for what blocks the axis" in error
+    assert error.startswith(f"error: stage_z: unload: {STANDS}{rig.bench.z.fault}")
+    assert "or move it away by hand" in error
     assert "NOT SAFE" not in ended.stderr
     assert ended.object["points_done"] == 1
     file = rig.only("*.h5")
