@@ -30,8 +30,9 @@ class StageModel:
     """How often its state is asked for at least, the simulated bench's time-out being 1 s."""
     update_Hz: float
     """How often it can be told a new target."""
-    fastest_slide_mm_s: float
-    """At which the force is held within 2 % rms and 5 % peak at friction 1.2, after a rehearsal."""
+    friction: tuple[float, float]
+    """Static and kinetic coefficients up to which the force is held within 2 % rms and 5 % peak, at
+    6 mm/s and after a rehearsal."""
 
 
 STAGE_MODELS = {
@@ -41,7 +42,7 @@ STAGE_MODELS = {
         silence_fault=391,
         asked_every_s=0.05,
         update_Hz=1000.0,
-        fastest_slide_mm_s=6.0,
+        friction=(1.2, 0.84),
     ),
     "az": StageModel(
         held_fast="is held back by 0.",
@@ -49,7 +50,7 @@ STAGE_MODELS = {
         silence_fault=0x85,
         asked_every_s=0.2,
         update_Hz=50.0,
-        fastest_slide_mm_s=2.0,
+        friction=(0.8, 0.65),
     ),
 }
 USUAL_Hz = 100.0

@@ -128,8 +128,8 @@ class Rig:
         """A command's arguments, with stages and DAQ for a bench that it simulates where they do
         not choose them."""
         given = list(arguments)
-        named = (
-            "--bench" in given or (given[0] != "simulate" and (self.folder / "bench.toml").exists())
+        named = "--bench" in given or (
+            given[0] != "simulate" and (self.folder / "bench.toml").exists()
         )
         if self.bench is None or given[0] not in SIMULATING or named:
             return given
