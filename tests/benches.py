@@ -20,6 +20,8 @@ from rig.errors import ConfigurationError
 class StageModel:
     """What a model of stage has for what happens to every model."""
 
+    on_tcp: bool
+    """Whether a simulated one listens on a TCP port."""
     held_fast: str
     """Words for an axis that something holds."""
     fault: str
@@ -37,6 +39,7 @@ class StageModel:
 
 STAGE_MODELS = {
     "festo": StageModel(
+        on_tcp=True,
         held_fast="stopped by its torque limit at 10.",
         fault="drive fault: 126 (",
         silence_fault=391,
@@ -45,6 +48,7 @@ STAGE_MODELS = {
         friction=(1.2, 0.84),
     ),
     "az": StageModel(
+        on_tcp=False,
         held_fast="is held back by 0.",
         fault="drive alarm: 10h (",
         silence_fault=0x85,
