@@ -20,6 +20,8 @@ from rig.errors import ConfigurationError
 class StageModel:
     """What a model of stage has for what happens to every model."""
 
+    on_tcp: bool
+    """Whether a simulated one listens on a TCP port."""
     held_fast: str
     """Words for an axis that something holds."""
     fault: str
@@ -30,26 +32,29 @@ class StageModel:
     """How often its state is asked for at least, the simulated bench's time-out being 1 s."""
     update_Hz: float
     """How often it can be told a new target."""
-    fastest_slide_mm_s: float
-    """At which the force is held within 2 % rms and 5 % peak at friction 1.2, after a rehearsal."""
+    friction: tuple[float, float]
+    """Static and kinetic coefficients up to which the force is held within 2 % rms and 5 % peak, at
+    6 mm/s and after a rehearsal."""
 
 
 STAGE_MODELS = {
     "festo": StageModel(
+        on_tcp=True,
         held_fast="stopped by its torque limit at 10.",
         fault="drive fault: 126 (",
         silence_fault=391,
         asked_every_s=0.05,
         update_Hz=1000.0,
-        fastest_slide_mm_s=6.0,
+        friction=(1.2, 0.84),
     ),
     "az": StageModel(
+        on_tcp=False,
         held_fast="is held back by 0.",
         fault="drive alarm: 10h (",
         silence_fault=0x85,
         asked_every_s=0.2,
         update_Hz=50.0,
-        fastest_slide_mm_s=2.0,
+        friction=(0.8, 0.65),
     ),
 }
 USUAL_Hz = 100.0

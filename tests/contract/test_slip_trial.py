@@ -91,15 +91,16 @@ def touch_downs(rig):
 
 
 def test_fast_slides_are_rehearsed_and_a_series_begins_near_the_known_contact(rig):
-    """Friction 1.2, at 6 mm/s where the stages allow it: the servo alone misses 5 % by far
-    (decision 0035)."""
-    friction = "{ static_coefficient = 1.2, kinetic_coefficient = 0.84 }"
+    """As much friction as the stages allow at 6 mm/s: the servo alone misses 5 % by far (decision
+    0035)."""
+    static, kinetic = rig.bench.z.friction
+    friction = f"{{ static_coefficient = {static}, kinetic_coefficient = {kinetic} }}"
     world = rig.world(f"contact.friction = {friction}\n")
     asked = (
         "-n",
         "2",
         "--speed",
-        f"{rig.bench.z.fastest_slide_mm_s}mm/s",
+        "6mm/s",
         "--distance",
         "1.2mm",
         "--rest",
@@ -112,13 +113,16 @@ def test_fast_slides_are_rehearsed_and_a_series_begins_near_the_known_contact(ri
     with RunFile.open(rig.only("*.h5")) as run:
         assert (run.column("force_error_rms") < 2).all()
         assert (run.column("force_error_peak") < 5).all()
-        assert run.column("kinetic_friction") == pytest.approx(0.84, rel=0.03)
+        assert run.column("kinetic_friction") == pytest.approx(kinetic, rel=0.03)
         assert (run.column("slide_from") < 2.5).all(), "the search alone takes 4 s"
         assert run.column("contact") == pytest.approx(12.405, abs=0.01)
 
 
 def test_a_tangential_force_rises_evenly_until_the_skin_slips(rig):
-    asked = ("--loading", "ramp", "--ramp", "4N/s", "--speed", "1mm/s", "--rest", "100ms")
+    """4 N/s at 100 ticks a second; what takes its time is judged in ticks."""
+    tick_s = 1 / rig.bench.both_Hz
+    ramp_N_s = 0.04 / tick_s
+    asked = ("--loading", "ramp", "--ramp", f"{ramp_N_s}N/s", "--speed", "1mm/s", "--rest", "100ms")
     ended = rig.run(*arguments(rig, *asked))
     assert ended.code == 0, ended.stderr
     rehearsed = rig.bench.both_Hz < 100
@@ -132,12 +136,14 @@ def test_a_tangential_force_rises_evenly_until_the_skin_slips(rig):
     assert reading["force_error_rms_percent"] < 2
     assert reading["force_error_peak_percent"] < 5
     assert reading["kinetic_friction"] == pytest.approx(0.65, rel=0.03)
-    assert reading["ramp_to_s"] == pytest.approx(gross_s, abs=0.04 + 1 / reading["tick_Hz"])
+    assert reading["ramp_to_s"] == pytest.approx(gross_s, abs=5 * tick_s)
     t = np.arange(len(force.counts["F_t"])) / 1000 - reading["slide_from_s"]
-    rising = (t > 0.1) & (t < 0.5)
+    rising = (t > 10 * tick_s) & (t < 50 * tick_s)
     rate, _ = np.polyfit(t[rising], force.values("F_t")[rising], 1)
-    assert rate == pytest.approx(4.0, rel=0.05)
-    assert reading["ramp_error_rms_N"] < 4.0 * 0.06, "late by no more than the closing time"
+    assert rate == pytest.approx(ramp_N_s, rel=0.05)
+    assert reading["ramp_error_rms_N"] < ramp_N_s * 6 * tick_s, (
+        "late by no more than the closing time"
+    )
 
 
 def test_the_same_seed_gives_the_same_samples(rig):
