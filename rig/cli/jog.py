@@ -56,8 +56,8 @@ def jog(
         typer.Option(help="What is mounted on a simulated bench: film-clamp by default."),
     ] = None,
     stages: Annotated[
-        Literal["festo", "az"] | None,
-        typer.Option(help="Stages of a simulated bench: festo by default."),
+        Literal["festo", "az", "festo-az", "az-festo"] | None,
+        typer.Option(help="Stages of a simulated bench, z and x: festo by default."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0)] = 0,
     world: Annotated[
