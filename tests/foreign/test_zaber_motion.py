@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from clients import python_with, seen_by, serving
 
+from drivers.simulated.beginnings import Beginnings
 from drivers.simulated.serial_server import PtyServer
 from drivers.simulated.serial_tcp import SerialTcpServer
 from drivers.simulated.zaber_rst import RotaryStage, StageSettings
@@ -87,6 +88,7 @@ class RealTime:
 
     def __init__(self) -> None:
         self.turned: list[Any] = []
+        self.beginnings = Beginnings()
 
     @property
     def now_us(self) -> int:
