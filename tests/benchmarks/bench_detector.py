@@ -1,6 +1,6 @@
 """What the detectors cost, live and on files, with scipy's `lfilter` of the same taps beside them.
 
-Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_detector.py``. Ratios are what to keep.
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_detector.py``; keep the ratios.
 """
 
 from __future__ import annotations
