@@ -69,7 +69,8 @@ class DetectorContender:
         events = [*detector.add(volts), *detector.finish()]
         slips = [one.time_s for one in events if one.kind == "incipient slip"]
         armings = [one.time_s for one in events if one.kind == "predictive"]
-        return Said(np.array(slips, dtype=np.float64), np.array(armings, dtype=np.float64))
+        rolls = [one.time_s for one in events if one.kind == "roll"]
+        return Said(*(np.array(times, dtype=np.float64) for times in (slips, armings, rolls)))
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,8 @@ class Said:
     """Incipient slips, (k,)."""
     armings_s: Floats = field(default_factory=lambda: _NOTHING)
     """Predictions, (m,)."""
+    rolls_s: Floats = field(default_factory=lambda: _NOTHING)
+    """Recognised rolls, (j,)."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,8 @@ class Outcome:
     """Armings in that time."""
     in_vain: int
     """Armings in motions that never come to a slip of the whole ridge."""
+    told_roll: bool
+    """It said that this was a roll; in a slip only what it said before the whole ridge slipped."""
 
 
 def judge(truth: Truth, said: Said, traits: Mapping[str, float | str]) -> Outcome:
@@ -117,6 +121,7 @@ def judge(truth: Truth, said: Said, traits: Mapping[str, float | str]) -> Outcom
     found_s = float(finds[0]) if finds.size else math.nan
     moving = armings[armings >= truth.motion_s]
     predicting = moving[moving <= truth.ridge_slip_s] if truth.slipped else _NOTHING
+    rolls = said.rolls_s[said.rolls_s < truth.ridge_slip_s] if truth.slipped else said.rolls_s
     touching = alarms < truth.lift_off_s if math.isfinite(truth.lift_off_s) else alarms == alarms
     return Outcome(
         label=truth.label,
@@ -134,4 +139,5 @@ def judge(truth: Truth, said: Said, traits: Mapping[str, float | str]) -> Outcom
         arming_lead_s=truth.ridge_slip_s - float(predicting[-1]) if predicting.size else math.nan,
         followed=int(predicting.size),
         in_vain=0 if truth.slipped else int(moving.size),
+        told_roll=bool(rolls.size),
     )

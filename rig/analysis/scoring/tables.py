@@ -144,6 +144,10 @@ def _told(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, Measured]]:
     if lifting := labelled("lift-off"):
         yield "lift_off_alarms_before", share(lifting, lambda one: one.alarmed_touching)
         yield "lift_off_alarms", share(lifting, lambda one: one.alarmed)
+    if rolls := labelled("roll"):
+        yield "rolls_recognised", share(rolls, lambda one: one.told_roll)
+    if others := [one for label in ("slip", "hold", "tap") for one in labelled(label)]:
+        yield "taken_for_rolls", share(others, lambda one: one.told_roll)
     if outcomes:
         yield "pressing_alarms", share(outcomes, lambda one: one.alarmed_pressing)
     if slips:

@@ -51,20 +51,22 @@ def test_few_values_have_a_percentile_but_no_interval():
     assert math.isnan(found.low)
 
 
-def outcome(label: str, alarms: list[float], armings: list[float], **traits) -> Outcome:
+def outcome(
+    label: str, alarms: list[float], armings: list[float], rolls: tuple[float, ...] = (), **traits
+) -> Outcome:
     times = {"node_slip_s": 0.8, "ridge_slip_s": 1.0, "gross_slip_s": 1.2}
     truth = Truth(label=label, motion_s=0.5, **(times if label.startswith("slip") else {}))
-    return judge(truth, Said(np.array(alarms), np.array(armings)), traits)
+    return judge(truth, Said(*map(np.array, (alarms, armings, rolls))), traits)
 
 
 OUTCOMES = [
     outcome("slip", [0.9], [0.8], noise_mV=0.1),
-    outcome("slip", [0.6, 1.01], [0.7], noise_mV=0.2),
+    outcome("slip", [0.6, 1.01], [0.7], (1.1,), noise_mV=0.2),  # a roll told after it: no matter
     outcome("slip", [], [], noise_mV=3.0),
     outcome("slip in a roll", [0.9], [], noise_mV=0.1, pattern="b"),
-    outcome("roll", [0.9], [0.8, 0.9], noise_mV=0.1, pattern="a"),
+    outcome("roll", [0.9], [0.8, 0.9], (0.6,), noise_mV=0.1, pattern="a"),
     outcome("roll", [], [], noise_mV=0.1, pattern="b"),
-    outcome("hold", [], [0.7], noise_mV=0.1),
+    outcome("hold", [], [0.7], (0.8,), noise_mV=0.1),
     outcome("tap", [0.3], [], noise_mV=0.1),
 ]
 
@@ -81,6 +83,8 @@ def test_a_score_tells_every_kind_of_right_and_wrong():
         "roll_alarms": (0.5, 2),
         "hold_alarms": (0.0, 1),
         "tap_alarms": (1.0, 1),
+        "rolls_recognised": (0.5, 2),
+        "taken_for_rolls": (pytest.approx(1 / 5), 5),
         "pressing_alarms": (1 / 8, 8),
         "armed": (pytest.approx(2 / 3), 3),
         "armings_in_vain": (pytest.approx(3 / 5), 5),
