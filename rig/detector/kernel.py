@@ -342,17 +342,34 @@ def _middle_and_noise(values: Any, room: Any, c: Any) -> tuple[float, float]:
 
 @njit(cache=True, error_model="numpy")
 def _median(values: Any) -> float:
-    """The median; sorts them (Shell 1959)."""
+    """The median; partly sorts them (Hoare's quickselect)."""
     n = values.size
-    for gap in (301, 132, 57, 23, 10, 4, 1):
-        for i in range(gap, n):
-            x = values[i]
-            j = i
-            while j >= gap and values[j - gap] > x:
-                values[j] = values[j - gap]
-                j -= gap
-            values[j] = x
-    middle: float = (values[(n - 1) // 2] + values[n // 2]) / 2.0
+    wanted = n // 2
+    low, high = 0, n - 1
+    while low < high:
+        pivot = values[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if wanted <= j:
+            high = j
+        elif wanted >= i:
+            low = i
+        else:
+            break
+    middle: float = values[wanted]
+    if n % 2 == 0:
+        below = values[0]
+        for i in range(1, wanted):
+            below = max(below, values[i])
+        middle = (below + middle) / 2.0
     return middle
 
 

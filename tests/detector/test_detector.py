@@ -297,6 +297,11 @@ def test_what_the_network_sees_is_what_it_was_asked():
     assert slips[0] == fired[0]
 
 
+@given(values=st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=60))
+def test_the_kernels_median_is_numpys(values: list[float]):
+    assert kernel._median(np.array(values)) == np.median(values)
+
+
 def test_an_event_is_plain_data():
     event = told(bench_like(), "paper-hp")[0]
     assert replace(event) == event
