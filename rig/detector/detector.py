@@ -188,8 +188,8 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     c["armed_rows"] = round(settings.armed_s * rate_Hz)
     c["fire"] = settings.fire_mV, settings.fire_sigmas
     c["look"] = settings.look_mV, settings.look_sigmas
-    c["look_rows"] = round(20 * ms)
-    c["idle_rows"] = max(1, round(8 * ms))
+    c["look_rows"] = round(kernel.LOOK_ms * ms)
+    c["idle_rows"] = max(1, round(kernel.IDLE_ms * ms))
     c["fire_probability"] = settings.fire_probability
     c["roll_probability"] = settings.roll_probability
     c["silent_rows"] = round(settings.silence_s * rate_Hz)
@@ -198,6 +198,11 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
     c["dead_span"] = settings.dead_mV
     c["hum"] = settings.hum_mV
     c["turn"] = 2 * math.pi * np.array(MAINS_Hz) / rate_Hz
+    c["row_ms"] = 1 / ms
+    c["peak_keeps"] = 1 - 1 / (np.array(kernel.PEAKS_ms) * ms)
+    c["power_share"] = 1 / (np.array(kernel.POWERS_ms) * ms)
+    c["sum_keeps"] = 1 - 1 / (np.array(kernel.SUMS_ms) * ms)
+    c["slow_keeps"] = 1 - 1 / (kernel.SLOW_PEAK_ms * ms)
     c["share"] = -np.expm1(-1 / (np.array(kernel.AVERAGES_ms) * ms))
     return c
 

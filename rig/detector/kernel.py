@@ -47,6 +47,14 @@ RIG, LITERAL, HIGH_PASSED = range(3)
 AVERAGES_ms = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 """Time constants of the running averages whose differences are the bands."""
 _A = len(AVERAGES_ms)
+PEAKS_ms = (3.0, 10.0, 40.0, 10.0)
+"""Over which peaks of the impulse fade: three of v_d, one of v_s."""
+POWERS_ms = (8.0, 64.0)
+SUMS_ms = (100.0, 400.0)
+SLOW_PEAK_ms = 150.0
+"""Time constants of powers, leaky sums and of the peak of the average over 16 ms."""
+LOOK_ms, IDLE_ms = 12.0, 8.0
+"""The network is asked for so long after an impulse, and else so often."""
 
 STATE = np.dtype(
     [
@@ -63,9 +71,9 @@ STATE = np.dtype(
         ("fast", "f8", (2,)),  # high-passed
         ("sections", "f8", (2, 2, 2)),
         ("average", "f8", (2, _A)),
-        ("peak", "f8", (4,)),  # |fast v_d| over 3, 10, 40 ms, |fast v_s| over 10 ms
-        ("power", "f8", (3,)),  # fast v_d over 8 and 64 ms, fast v_s over 8 ms
-        ("sum", "f8", (4,)),  # leaky sums of v_d and v_s over 100 and 400 ms
+        ("peak", "f8", (4,)),  # of |fast|, over PEAKS_ms
+        ("power", "f8", (3,)),  # of fast: v_d over both POWERS_ms, v_s over the first
+        ("sum", "f8", (4,)),  # v_d and v_s over SUMS_ms[0], then [1]
         ("slow_peak", "f8", (2,)),  # of the averages over 16 ms
         ("touch", "f8", (2,)),  # sums of v_d and v_s over the first touch, mV ms
         ("touched", "i8"),
@@ -112,6 +120,11 @@ CONSTANTS = np.dtype(
         ("hum", "f8"),
         ("turn", "f8", (2,)),  # of the mains in a row, 50 and 60 Hz, rad
         ("share", "f8", (_A,)),  # of a new row in the averages
+        ("row_ms", "f8"),
+        ("peak_keeps", "f8", (4,)),  # from row to row
+        ("power_share", "f8", (2,)),  # of a new row
+        ("sum_keeps", "f8", (2,)),
+        ("slow_keeps", "f8"),
     ]
 )
 
@@ -144,7 +157,7 @@ INPUTS = (
 )
 """What the network sees. Signs of v_d are taken so that its average over 32 ms is positive, those
 of v_s so that pressing was negative: neither swapped channels nor inverted polarity matter.
-Numbers of wide range are drawn together, x / sqrt(1 + |x|), voltages in units of 0.5 mV."""
+Numbers are drawn together, x / sqrt(1 + |x|); voltages are in units of 0.5 mV."""
 
 EVENT_FEATURES = (
     "predictive_mV",
@@ -412,20 +425,17 @@ def _follow(first: float, second: float, s: Any, c: Any, events: Any, told: int)
         s.average[0, j] += c.share[j] * (d - s.average[0, j])
         s.average[1, j] += c.share[j] * (v - s.average[1, j])
     fast_d, fast_s = abs(s.fast[0]), abs(s.fast[1])
-    fade = 1.0 / c.ms
-    s.peak[0] = max(fast_d, s.peak[0] * (1.0 - fade / 3.0))
-    s.peak[1] = max(fast_d, s.peak[1] * (1.0 - fade / 10.0))
-    s.peak[2] = max(fast_d, s.peak[2] * (1.0 - fade / 40.0))
-    s.peak[3] = max(fast_s, s.peak[3] * (1.0 - fade / 10.0))
-    s.power[0] += (fast_d * fast_d - s.power[0]) * fade / 8.0
-    s.power[1] += (fast_d * fast_d - s.power[1]) * fade / 64.0
-    s.power[2] += (fast_s * fast_s - s.power[2]) * fade / 8.0
-    s.sum[0] += (d - s.sum[0] / 100.0) * fade
-    s.sum[1] += (v - s.sum[1] / 100.0) * fade
-    s.sum[2] += (d - s.sum[2] / 400.0) * fade
-    s.sum[3] += (v - s.sum[3] / 400.0) * fade
-    s.slow_peak[0] = max(abs(s.average[0, 4]), s.slow_peak[0] * (1.0 - fade / 150.0))
-    s.slow_peak[1] = max(abs(s.average[1, 4]), s.slow_peak[1] * (1.0 - fade / 150.0))
+    for j in range(4):
+        s.peak[j] = max(fast_s if j == 3 else fast_d, s.peak[j] * c.peak_keeps[j])
+    s.power[0] += (fast_d * fast_d - s.power[0]) * c.power_share[0]
+    s.power[1] += (fast_d * fast_d - s.power[1]) * c.power_share[1]
+    s.power[2] += (fast_s * fast_s - s.power[2]) * c.power_share[0]
+    s.sum[0] = s.sum[0] * c.sum_keeps[0] + d * c.row_ms
+    s.sum[1] = s.sum[1] * c.sum_keeps[0] + v * c.row_ms
+    s.sum[2] = s.sum[2] * c.sum_keeps[1] + d * c.row_ms
+    s.sum[3] = s.sum[3] * c.sum_keeps[1] + v * c.row_ms
+    for j in range(2):
+        s.slow_peak[j] = max(abs(s.average[j, 4]), s.slow_peak[j] * c.slow_keeps)
     return told if s.touched else _touch(s, c, events, told)
 
 
@@ -513,35 +523,31 @@ def _see(s: Any, c: Any, x: Any) -> None:
         if j + 1 < _A:
             d -= sign * s.average[0, j + 1]
             v -= pressed * s.average[1, j + 1]
-        x[j] = _root(2.0 * d)
-        x[_A + j] = _root(2.0 * v)
+        x[j] = 2.0 * d
+        x[_A + j] = 2.0 * v
     at = 2 * _A
     noise, common = s.fast_noise[0], s.fast_noise[1]
-    x[at] = _root(2.0 * sign * s.fast[0])
-    x[at + 1] = _root(2.0 * pressed * s.fast[1])
-    x[at + 2] = _root(sign * s.fast[0] / noise)
+    x[at] = 2.0 * sign * s.fast[0]
+    x[at + 1] = 2.0 * pressed * s.fast[1]
+    x[at + 2] = sign * s.fast[0] / noise
     for j in range(4):
-        x[at + 3 + j] = _root(2.0 * s.peak[j])
-    x[at + 7] = _root(s.peak[1] / noise)
-    x[at + 8] = _root(math.sqrt(s.power[0]) / noise)
-    x[at + 9] = _root(math.sqrt(s.power[1]) / noise)
-    x[at + 10] = _root(math.sqrt(s.power[2]) / common)
-    x[at + 11] = _root(0.05 * sign * s.sum[0])
-    x[at + 12] = _root(0.05 * pressed * s.sum[1])
-    x[at + 13] = _root(0.05 * sign * s.sum[2])
-    x[at + 14] = _root(0.05 * pressed * s.sum[3])
-    x[at + 15] = _root(2.0 * s.slow_peak[0])
-    x[at + 16] = _root(2.0 * s.slow_peak[1])
+        x[at + 3 + j] = 2.0 * s.peak[j]
+    x[at + 7] = s.peak[1] / noise
+    x[at + 8] = math.sqrt(s.power[0]) / noise
+    x[at + 9] = math.sqrt(s.power[1]) / noise
+    x[at + 10] = math.sqrt(s.power[2]) / common
+    x[at + 11] = 0.05 * sign * s.sum[0]
+    x[at + 12] = 0.05 * pressed * s.sum[1]
+    x[at + 13] = 0.05 * sign * s.sum[2]
+    x[at + 14] = 0.05 * pressed * s.sum[3]
+    x[at + 15] = 2.0 * s.slow_peak[0]
+    x[at + 16] = 2.0 * s.slow_peak[1]
     x[at + 17] = sign * s.average[0, 4] / (s.slow_peak[0] + 0.3)
-    x[at + 18] = _root(4.0 * s.noise[0])
-    x[at + 19] = _root(4.0 * s.noise[1])
-    x[at + 20] = _root(s.armed_rows / (10.0 * c.ms))
-
-
-@njit(cache=True, error_model="numpy")
-def _root(x: float) -> float:
-    """A number's size drawn together: itself when small, its root when large."""
-    return x / math.sqrt(1.0 + abs(x))
+    x[at + 18] = 4.0 * s.noise[0]
+    x[at + 19] = 4.0 * s.noise[1]
+    x[at + 20] = s.armed_rows / (10.0 * c.ms)
+    for i in range(x.size):  # in a loop of its own, which the compiler can make vectors of
+        x[i] = x[i] / math.sqrt(1.0 + abs(x[i]))
 
 
 @njit(cache=True, error_model="numpy")

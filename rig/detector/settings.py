@@ -45,7 +45,7 @@ class DetectorSettings(Settings):
     look_mV: float = Field(0.15, gt=0)
     """The network looks while the impulse was beyond this ..."""
     look_sigmas: float = Field(3.0, gt=0)
-    """... and beyond so many standard deviations within the last 20 ms, and else every 8 ms."""
+    """... and beyond so many standard deviations within the last 12 ms, and else every 8 ms."""
     fire_probability: float = Field(0.8, gt=0, lt=1)
     """The network's probability of a slip that fires."""
     roll_probability: float = Field(0.9, gt=0, lt=1)
