@@ -53,6 +53,8 @@ POWERS_ms = (8.0, 64.0)
 SUMS_ms = (100.0, 400.0)
 SLOW_PEAK_ms = 150.0
 """Time constants of powers, leaky sums and of the peak of the average over 16 ms."""
+PIECES = 4
+"""Once offset and noise are known, one piece of so many is judged."""
 LOOK_ms, IDLE_ms = 12.0, 8.0
 """The network is asked for so long after an impulse, and else so often."""
 
@@ -66,6 +68,7 @@ STATE = np.dtype(
         ("fresh_offset", "f8", (4,)),  # of the last piece: v_d, v_s, both above impulse_Hz
         ("fresh_noise", "f8", (4,)),
         ("piece_rows", "i8"),
+        ("wait_rows", "i8"),
         ("restless_rows", "i8"),
         ("low", "f8"),  # low-passed v_d
         ("fast", "f8", (2,)),  # high-passed
@@ -308,6 +311,9 @@ def _judge_quiet(
     if s.ready and (s.armed or s.deaf_rows > 0):
         s.piece_rows = 0
         return told
+    if s.wait_rows > 0:
+        s.wait_rows -= 1
+        return told
     at = s.piece_rows
     piece[0, at] = first - second
     piece[1, at] = first + second
@@ -317,6 +323,7 @@ def _judge_quiet(
     if s.piece_rows < c.quiet_rows:
         return told
     s.piece_rows = 0
+    s.wait_rows = s.ready * (PIECES - 1) * c.quiet_rows
     offset, noise = s.fresh_offset, s.fresh_noise
     quiet = True
     for j in range(4):

@@ -29,7 +29,7 @@ class DetectorSettings(Settings):
     impulse_Hz: float = Field(100.0, gt=0)
     """-3 dB frequency of the high-pass that shows the impulse (Butterworth, third order)."""
     quiet_s: float = Field(0.25, gt=0)
-    """Offset and noise are judged over so long a piece, and again over later quiet pieces."""
+    """Offset and noise are judged over so long a piece, and again over every fourth later one."""
     least_noise_mV: float = Field(0.02, gt=0)
     """Noise is never taken to be less."""
     arm_mV: float = Field(0.4, gt=0)
