@@ -232,6 +232,14 @@ def bench() -> Bench | None:
     return None
 
 
+@pytest.fixture(scope="module")
+def rig_of_the_module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """The command line in a folder that the tests of a module share."""
+    made = Rig(tmp_path_factory.mktemp("made"))
+    yield made
+    made.close()
+
+
 @pytest.fixture
 def rig(tmp_path: Path, bench: Bench | None) -> Iterator[Rig]:
     """The command line, in an empty folder."""

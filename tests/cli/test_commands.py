@@ -18,11 +18,9 @@ SHORT = ("--frequencies", "200,1000", "--no-figures", "--json")
 
 
 @pytest.fixture(scope="module")
-def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run_file(rig_of_the_module) -> Path:
     """A complete run file, made once."""
-    from conftest import Rig
-
-    rig = Rig(tmp_path_factory.mktemp("made"))
+    rig = rig_of_the_module
     done = rig.sweep("--frequencies", "200")
     assert done.code == 0, done.stderr
     return rig.only("*.h5")

@@ -30,13 +30,15 @@ def quiet(rows: int = 1500, seed: int = 1) -> np.ndarray:
 
 
 def slipping(rows: int = 1500, seed: int = 1) -> np.ndarray:
-    """The same with a hump that arms, and 0.1 s after its begin an impulse, against each other."""
+    """The same with a press that both strips feel alike, then against each other a hump that arms
+    and, 0.1 s after its begin, an impulse."""
     t = np.arange(rows) / RATE_HZ
     hump = 3e-3 * np.sin(np.pi * np.clip((t - SLIP_S + 0.1) / 0.2, 0, 1))
     since = t - SLIP_S
     impulse = np.where(since >= 0, np.exp(-np.clip(since, 0, None) / 0.01), 0.0)
-    half = (hump + 15e-3 * impulse * np.cos(2 * np.pi * 250 * since)) / 2
-    return quiet(rows, seed) + half[:, None] * np.array([1.0, -1.0])
+    half = (hump + 40e-3 * impulse * np.cos(2 * np.pi * 250 * since)) / 2
+    pressed = -8e-3 * np.sin(np.pi * np.clip((t - 0.35) / 0.3, 0, 1))
+    return quiet(rows, seed) + pressed[:, None] + half[:, None] * np.array([1.0, -1.0])
 
 
 def write_trials(

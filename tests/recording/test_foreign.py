@@ -603,7 +603,7 @@ def test_what_ends_an_import_leaves_nothing(
     def fail(*_: object) -> None:
         raise error
 
-    for place in ("compiled._write", "compiled._write_checksum", "foreign.importing._record"):
+    for place in ("compiled._write", "compiled.publish", "foreign.importing._record"):
         monkeypatch.setattr(f"rig.recording.{place}", fail)
         with pytest.raises(failure):
             imported(tmp_path)
