@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -90,13 +91,12 @@ class IncipientSlipDetector:
         rows = np.ascontiguousarray(volts, dtype=np.float64)
         if rows.ndim != 2 or rows.shape[1] != 2:
             raise ValueError(f"volts of shape {rows.shape} must be (n, 2): v_1 and v_2")
-        if not math.isfinite(rows.sum()):
-            self._refuse_what_is_no_number(rows)
         events = [] if first_sample is None else self._step_over_gap(first_sample)
         for begin in range(0, len(rows), _SLICE):
             part = rows[begin : begin + _SLICE]
             told = self._advance(part, self._seen, self._unseen)
-            events += [self._event(row) for row in self._events[:told]]
+            if told:
+                events += [self._event(row) for row in self._events[:told]]
         return events
 
     def finish(self) -> list[Event]:
@@ -119,7 +119,7 @@ class IncipientSlipDetector:
         self._state = np.zeros(1, kernel.STATE)
 
     def _advance(self, rows: Reals, seen: Reals, looked: NDArray[np.bool_]) -> int:
-        return int(
+        told = int(
             kernel.advance(
                 rows,
                 self._state,
@@ -137,6 +137,9 @@ class IncipientSlipDetector:
                 looked,
             )
         )
+        if told < 0:
+            self._refuse_what_is_no_number(rows)
+        return told
 
     def _event(self, row: Reals) -> Event:
         sample = self._first + int(row[1])
@@ -164,11 +167,8 @@ class IncipientSlipDetector:
         reason = f"gap of {first_sample - expected} samples: offset and noise are judged anew"
         return [Event("rejected", first_sample, first_sample / self.rate_Hz, 0.0, reason)]
 
-    def _refuse_what_is_no_number(self, rows: Reals) -> None:
-        wrong = np.argwhere(~np.isfinite(rows))
-        if not len(wrong):
-            return  # only their sum is too large
-        row, channel = wrong[0]
+    def _refuse_what_is_no_number(self, rows: Reals) -> NoReturn:
+        row, channel = np.argwhere(~np.isfinite(rows))[0]
         raise ValueError(
             f"v_{channel + 1} is {rows[row, channel]} V at sample {self.rows + row}: every sample "
             "must be a number; cut the recording there, or mend it"

@@ -193,13 +193,17 @@ def advance(
     seen: Any,
     looked: Any,
 ) -> int:
-    """Take rows of volts (n, 2); fill `events` (n, columns) and say how many.
+    """Take rows of volts (n, 2); fill `events` (n, columns) and say how many. -1 where a row is no
+    number: then none was taken.
 
     `line` (taps,) and `piece` (4, quiet rows) belong to the state;
     `room` is as long as a piece. The network's weights are
     `hidden` (inputs + 1, units) and `output` (2, units + 1); `units` is room for it. Where
     `looked` has rows, its inputs are kept in `seen` (n, inputs) and `looked` (n,) says for which.
     """
+    for k in range(volts.shape[0]):
+        if not (math.isfinite(volts[k, 0]) and math.isfinite(volts[k, 1])):
+            return -1
     s, c = state[0], constants[0]
     told = 0
     for k in range(volts.shape[0]):
