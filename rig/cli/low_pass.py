@@ -60,10 +60,11 @@ def filter_(
     texts = dict(zip(OPTIONS, (half_power, attenuation, lag, lag_at, stop_from), strict=True))
     with reported(debug, as_json):
         from rig.analysis.low_pass_curves import low_pass_curves, low_pass_summary
+        from rig.detector.low_pass import NAMED_LOW_PASSES
 
         low_pass = _designed(_specification(name, texts), _quantity("--rate", rate, "Hz"))
         summary = low_pass_summary(low_pass)
-        changed = any(text is not None for text in texts.values())
+        changed = low_pass.settings != NAMED_LOW_PASSES[name]
         files: list[Path] = []
         if figures:
             from rig.figures.low_pass import draw_low_pass

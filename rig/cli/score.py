@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from rig.cli.model_errors import model_errors
 from rig.cli.outcome import reported, say
 from rig.documents import MAX_JSON_BYTES, read_text
-from rig.errors import ConfigurationError, RigError
+from rig.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.analysis.scoring.baselines import BaselineSettings
@@ -124,7 +125,7 @@ def score(
     debug: Debug = False,
 ) -> None:
     """Score detectors on trials whose truth is known: found, false alarms, delays, prediction."""
-    with reported(debug, as_json), _errors():
+    with reported(debug, as_json), model_errors("leave its seed out"):
         from rig.analysis.scoring.contenders import BaselineContender
         from rig.analysis.scoring.seeds import (
             FIRST_REPORTING_SEED,
@@ -491,20 +492,3 @@ def _read(kind: type[Model], file: Path | None) -> Model:
         return kind.model_validate_json(read_text(file, "file of settings", MAX_JSON_BYTES))
     except ValidationError as error:
         raise ConfigurationError.from_validation(error, str(file)) from error
-
-
-@contextmanager
-def _errors() -> Iterator[None]:
-    """Trials without a solution, and values that a detector refuses, as one-line errors."""
-    from pydantic import ValidationError
-
-    from rig.model.contact.stepper import ConvergenceError
-
-    try:
-        yield
-    except ValidationError as error:
-        raise ConfigurationError.from_validation(error, "options") from error
-    except ConvergenceError as error:
-        raise RigError(str(error), "leave its seed out") from error
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error

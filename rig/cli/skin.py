@@ -9,15 +9,15 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from rig.cli.model_errors import model_errors
 from rig.cli.outcome import reported
 from rig.documents import MAX_JSON_BYTES, read_text
-from rig.errors import ConfigurationError, RigError
+from rig.errors import ConfigurationError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -103,7 +103,7 @@ def slide(
     from rig.model.trials import PressSettings, SlideSettings
     from rig.model.trials import slide as run
 
-    with reported(debug, as_json), _errors():
+    with reported(debug, as_json), model_errors():
         default = SlideSettings(
             press=PressSettings(normal_force_N=_number(normal_force, "N", "--normal-force")),
             speed_mm_s=_number(speed, "mm/s", "--speed"),
@@ -148,7 +148,7 @@ def roll(
     from rig.model.trials import RollSettings
     from rig.model.trials import roll as run
 
-    with reported(debug, as_json), _errors():
+    with reported(debug, as_json), model_errors():
         default = RollSettings.model_validate(
             {
                 "body": {"shape": shape},
@@ -188,7 +188,7 @@ def history(
     from rig.model.skin.elasticity import STRESSES, ElasticSkin
     from rig.model.skin.field import deformed
 
-    with reported(debug, as_json), _errors():
+    with reported(debug, as_json), model_errors():
         if relief not in RELIEFS:
             raise ConfigurationError(f"--relief {relief}: must be one of {', '.join(RELIEFS)}")
         chosen = _settings(HistorySettings, settings, HistorySettings(loads=RELIEFS[relief]))
@@ -236,7 +236,7 @@ def map_(
     """Where strips belong: hump and HF peak over ridge, place and stress component."""
     from rig.model.design_map import MapSettings, design_map
 
-    with reported(debug, as_json), _errors():
+    with reported(debug, as_json), model_errors():
         chosen = _settings(MapSettings, settings, MapSettings())
         if show_settings:
             _show(chosen)
@@ -437,20 +437,3 @@ def _word(value: Any) -> str:
     if value is None:
         return "none"
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-@contextmanager
-def _errors() -> Iterator[None]:
-    """Refused values and steps without a solution as one-line errors."""
-    from pydantic import ValidationError
-
-    from rig.model.contact.stepper import ConvergenceError
-
-    try:
-        yield
-    except ValidationError as error:
-        raise ConfigurationError.from_validation(error, "options") from error
-    except ConvergenceError as error:
-        raise RigError(str(error)) from error
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error

@@ -1,8 +1,7 @@
-"""Causal filters of finite impulse response: low-pass designs, minimum phase, and the one kernel.
+"""Causal filters of finite impulse response: low-pass designs, minimum phase, and a decimator.
 
-Every output is one dot product of the taps with the latest samples, in one order of summation, so
-that a filter gives the same bytes however its input was cut into blocks. (Recursive filters with a
-carried state do not promise that.)
+Every output of `StreamingFir` is one dot product of the taps with the latest samples, in one order
+of summation, so that it gives the same bytes however its input was cut into blocks.
 """
 
 from __future__ import annotations
@@ -22,10 +21,18 @@ FINENESS, FEWEST_POINTS = 64, 1 << 16
 the response by 1e-6 at most."""
 
 
+def kaiser_shape(stop_dB: float) -> float:
+    """β of Kaiser's window for an attenuation of the stop band (Kaiser 1974)."""
+    if stop_dB > 50:
+        return 0.1102 * (stop_dB - 8.7)
+    above = max(stop_dB - 21, 0.0)
+    return 0.5842 * math.pow(above, 0.4) + 0.07886 * above
+
+
 def kaiser_low_pass(pass_Hz: float, stop_Hz: float, stop_dB: float, rate_Hz: float) -> Reals:
     """Linear-phase taps (n,), n odd, of gain 1 at 0 Hz: flat up to `pass_Hz`, `stop_dB` down from
     `stop_Hz` on. Kaiser's window and his formulas for its shape and length (Kaiser 1974)."""
-    shape = 0.1102 * (stop_dB - 8.7)
+    shape = kaiser_shape(stop_dB)
     transition = 2 * math.pi * (stop_Hz - pass_Hz) / rate_Hz
     half = math.ceil((stop_dB - 7.95) / (2.285 * transition) / 2)
     place = np.arange(-half, half + 1)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from rig.detector.fir import frequency_response, minimum_phase
+from rig.detector.fir import frequency_response, kaiser_shape, minimum_phase
 from rig.settings import Settings
 
 Reals = NDArray[np.float64]
@@ -212,7 +212,7 @@ def _shortest(
     for which `holds`; what holds for some taps holds for more."""
 
     def able(half: int) -> bool:
-        window = np.kaiser(2 * half + 1, _kaiser_shape(settings.stop_dB))
+        window = np.kaiser(2 * half + 1, kaiser_shape(settings.stop_dB))
         at = frequency_response(window / window.sum(), settings.half_power_Hz, rate_Hz)
         return bool(abs(at[0]) < 10 ** (HALF_POWER_dB / 20)) and holds(half)
 
@@ -232,20 +232,12 @@ def _shortest(
     return high
 
 
-def _kaiser_shape(stop_dB: float) -> float:
-    """β of Kaiser's window for an attenuation (Kaiser 1974)."""
-    if stop_dB > 50:
-        return 0.1102 * (stop_dB - 8.7)
-    above = max(stop_dB - 21, 0.0)
-    return 0.5842 * math.pow(above, 0.4) + 0.07886 * above
-
-
 def _prototype(settings: LowPassSettings, half: int, stop_dB: float, rate_Hz: float) -> Reals:
     """Linear-phase taps (2 half + 1,) of gain 1 at 0 Hz and -3 dB where the settings want it."""
     from scipy.optimize import brentq
 
     place = np.arange(-half, half + 1)
-    window = np.kaiser(place.size, _kaiser_shape(stop_dB))
+    window = np.kaiser(place.size, kaiser_shape(stop_dB))
     phase = np.cos(2 * np.pi * settings.half_power_Hz / rate_Hz * place)
     wanted = 10 ** (HALF_POWER_dB / 20)
 

@@ -10,19 +10,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Self, get_args
+from typing import TYPE_CHECKING, get_args
 
 from rig.detector.events import Event, EventKind
 from rig.detector.settings import DetectorSettings
 from rig.recording.errors import RunFileError, in_words
 from rig.recording.file_kind import TOLD, kind_of
 from rig.recording.header import SIMULATED
+from rig.recording.open_file import OpenFile
 from rig.recording.processed import DEFINITION, DetectedTrial, Source, processed_path
 from rig.recording.reading import DAMAGE, refuse_links, text_of, texts_of, whole
 from rig.settings import fingerprint
 
 if TYPE_CHECKING:
-    import h5py
+    pass
 
 
 def is_processed(path: Path) -> bool:
@@ -39,12 +40,8 @@ def is_processed(path: Path) -> bool:
         return False
 
 
-class ProcessedFile:
+class ProcessedFile(OpenFile):
     """An open processed file; use it as a context."""
-
-    def __init__(self, path: Path, file: h5py.File) -> None:
-        self.path = path
-        self._file = file
 
     @classmethod
     def open(cls, path: Path | str) -> ProcessedFile:
@@ -67,21 +64,6 @@ class ProcessedFile:
             file.close()
             raise
         return opened
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    @property
-    def entry(self) -> h5py.Group:
-        """The file's /entry."""
-        return self._file["entry"]
 
     @cached_property
     def source(self) -> Source:

@@ -11,12 +11,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from rig.recording.entry import header_of
 from rig.recording.errors import RunFileError, in_words
 from rig.recording.file_kind import TOLD, kind_of
 from rig.recording.header import RunHeader
+from rig.recording.open_file import OpenFile
 from rig.recording.reading import DAMAGE, refuse_links, text_of, texts_of, whole
 
 if TYPE_CHECKING:
@@ -73,12 +74,8 @@ class Waveform:
         return values
 
 
-class RunFile:
+class RunFile(OpenFile):
     """An open run file; use it as a context."""
-
-    def __init__(self, path: Path, file: h5py.File) -> None:
-        self.path = path
-        self._file = file
 
     @classmethod
     def open(cls, path: Path | str) -> RunFile:
@@ -101,21 +98,6 @@ class RunFile:
             file.close()
             raise
         return run
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    @property
-    def entry(self) -> h5py.Group:
-        """The file's /entry."""
-        return self._file["entry"]
 
     @cached_property
     def header(self) -> RunHeader:

@@ -1,0 +1,25 @@
+"""What the skin model and the detectors refuse, as one-line errors of a command."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rig.errors import ConfigurationError, RigError
+
+
+@contextmanager
+def model_errors(remedy: str | None = None) -> Iterator[None]:
+    """Refused values and steps without a solution as one-line errors; `remedy` for the latter."""
+    from pydantic import ValidationError
+
+    from rig.model.contact.stepper import ConvergenceError
+
+    try:
+        yield
+    except ValidationError as error:
+        raise ConfigurationError.from_validation(error, "options") from error
+    except ConvergenceError as error:
+        raise RigError(str(error), remedy) from error
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
