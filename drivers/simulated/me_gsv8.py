@@ -490,7 +490,8 @@ class Gsv8:
     def _stream(self, on: bool, by: str) -> None:
         if on != self._streaming:
             self._streaming = on
-            self._begin()
+            if on:
+                self._begin()
             self._tell("streaming", on, by)
 
     def _fastest(self) -> float:
