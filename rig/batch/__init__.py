@@ -1,0 +1,1 @@
+"""Batches: many runs in one night, each exactly once."""

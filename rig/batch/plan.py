@@ -1,0 +1,44 @@
+"""What a batch file expands to, as values: conditions and the runs of each, in their order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One set of settings of one procedure, run once or several times."""
+
+    id: str
+    """Stable and readable: ``slip-trial-002``, after experiment and place in its matrix."""
+    experiment: int
+    """Which ``[[experiment]]``, from 0."""
+    procedure: str
+    settings: Mapping[str, Any]
+    """The whole of the procedure's settings, validated, as plain values of JSON."""
+    varied: Mapping[str, Any]
+    """Those that the matrix or the sample varies."""
+    reference: bool = False
+    rest_s: float = 0.0
+    """Rest before each of its runs."""
+
+
+@dataclass(frozen=True)
+class PlannedRun:
+    """One run of the queue."""
+
+    number: int
+    """Place in the queue, from 1; keys its file, and the noise of a simulated bench."""
+    condition: str
+    repeat: int
+    """Which of its condition's runs, from 1."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The expanded batch."""
+
+    conditions: Mapping[str, Condition]
+    runs: tuple[PlannedRun, ...]

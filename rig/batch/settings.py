@@ -1,0 +1,217 @@
+"""The batch file: what a night shall do, and what shall end or hold it.
+
+    [batch]              the night: name, order, window, policies
+    [defaults.PROCEDURE] settings that every experiment of a procedure begins with
+    [[experiment]]       a procedure over a matrix of settings, or over points that fill a space
+    [simulation]         what a simulated bench that the batch starts for itself is, and what
+                         befalls it
+
+Here are the values and what can be said of each by itself. What they expand to is in
+`rig.batch.expansion`; what instruments make of them in `rig.batch.validation`.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime, time
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from rig.settings import Settings
+
+Order = Literal["as-written", "shuffled", "blocked"]
+Occasion = Literal["start", "failure", "hold", "end"]
+Value = bool | int | float | str
+MOST_RUNS = 1_000_000
+"""A queue of more is a mistake in a matrix."""
+
+Instant = Annotated[datetime | time, Field(union_mode="left_to_right")]
+"""A date with time, or a time of the day: the next one from the batch's start on."""
+
+
+class Retries(Settings):
+    """How often a run that ended for a reason is tried again. A limit never is: what was refused
+    or tripped once would be again, with the skin pressed once more."""
+
+    timeout: int = Field(default=2, ge=0, le=100)
+    """An instrument did not answer in time."""
+    instrument: int = Field(default=1, ge=0, le=100)
+    """An instrument failed in another way."""
+    died: int = Field(default=2, ge=0, le=100)
+    """The process that ran it died, or was killed because it hung."""
+    rest_s: float = Field(default=5.0, ge=0, le=3600)
+    """Wait before another try."""
+
+
+class StopWhen(Settings):
+    """What ends a batch in order before its last run (exit 6)."""
+
+    finished_runs: int | None = Field(default=None, ge=1)
+    """So many runs have been finished."""
+    failed_runs: int | None = Field(default=None, ge=1)
+    """So many runs have failed for good."""
+    bench_hours: float | None = Field(default=None, gt=0)
+    """The bench has been in use for so long."""
+
+
+class HoldWhen(Settings):
+    """What holds a batch: the bench is safe and waits for a person."""
+
+    consecutive_failures: int = Field(default=3, ge=1)
+    """So many runs in a row have failed for good."""
+    free_disk_GB: float = Field(default=1.0, ge=0)
+    """Less than that is left on the results' disk."""
+    zero_drift_N: float = Field(default=1.0, gt=0)
+    """The force sensor's zero has moved by more since the batch's first run."""
+
+
+class Notify(Settings):
+    """Whom to tell, and of what. Nothing of it can disturb a run."""
+
+    urls: tuple[str, ...] = ()
+    """Addresses as apprise understands them (optional extra ``notify``)."""
+    command: tuple[str, ...] = ()
+    """A program and its arguments; it gets title and text as two more, and the whole as JSON on
+    its standard input."""
+    on: tuple[Occasion, ...] = ("start", "failure", "hold", "end")
+
+
+class BatchSettings(Settings):
+    """Table ``[batch]``."""
+
+    name: str = Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    """Names its folder and its files."""
+    results: str = "results"
+    """Folder in which the batch's folder is made; relative to where the command is given."""
+    bench: str | None = None
+    """Bench file, relative to the batch file; left out, --bench, ./bench.toml or simulated."""
+    user: str = ""
+    sample: str = ""
+    notes: str = ""
+    not_before: Instant | None = None
+    """Nothing is connected earlier."""
+    stop_by: Instant | None = None
+    """No run begins that would not be over by then."""
+    stop_when: StopWhen = StopWhen()
+    hold_when: HoldWhen = HoldWhen()
+    on_failure: Literal["continue", "hold", "stop"] = "continue"
+    """What a run that has failed for good means for the rest."""
+    set_aside_after: int = Field(default=2, ge=1)
+    """So many failed runs of one condition, and its others are left out."""
+    retries: Retries = Retries()
+    order: Order = "as-written"
+    seed: int = Field(default=0, ge=0)
+    """Of every random order and sample."""
+    allow_expired: bool = False
+    """Whether calibration records that have expired may be used."""
+    figures: bool = True
+    """Whether figures are drawn of every run, while the bench waits or by what it leaves."""
+    detect: bool = True
+    """Whether the detector goes over every trial's strips, likewise."""
+    notify: Notify = Notify()
+
+
+class Sample(Settings):
+    """Points that fill a space of settings more evenly than a grid of as many."""
+
+    method: Literal["latin-hypercube", "sobol"] = "latin-hypercube"
+    points: int = Field(ge=1, le=100_000)
+    ranges: dict[str, tuple[float, float]] = Field(min_length=1)
+    """Lowest and highest value by setting."""
+    log: tuple[str, ...] = ()
+    """Settings that are spread evenly over their logarithm."""
+
+    @model_validator(mode="after")
+    def _ranges_are_ranges(self) -> Sample:
+        for name, (low, high) in self.ranges.items():
+            if not low < high:
+                raise ValueError(f"ranges.{name}: {low:g} is not below {high:g}")
+        for name in self.log:
+            if name not in self.ranges:
+                raise ValueError(f"log: {name} has no range")
+            if self.ranges[name][0] <= 0:
+                raise ValueError(f"log: {name} begins at {self.ranges[name][0]:g}, not above 0")
+        return self
+
+
+class Experiment(Settings):
+    """One entry ``[[experiment]]``: a procedure over many conditions."""
+
+    procedure: str
+    name: str = Field(default="", pattern=r"^[A-Za-z0-9_.-]*$")
+    """Told beside its runs; left out, the procedure's."""
+    settings: dict[str, Any] = Field(default_factory=dict)
+    """Settings that all its runs share."""
+    matrix: dict[str, list[Value]] = Field(default_factory=dict)
+    """Values by setting: every combination is a condition."""
+    sample: Sample | None = None
+    """In place of a matrix, or crossed with it."""
+    exclude: tuple[dict[str, Value], ...] = ()
+    """Combinations to leave out: those that have all the values of one entry."""
+    include: tuple[dict[str, Any], ...] = ()
+    """Settings added to the combinations that they do not contradict in a value of the matrix;
+    where there is none, one further combination."""
+    repeat: int = Field(default=1, ge=1, le=100_000)
+    """Runs of each condition."""
+    block_by: tuple[str, ...] = ()
+    """With order "blocked": settings whose values are kept together; none, each repeat is a
+    block."""
+    every: int | None = Field(default=None, ge=1)
+    """A reference: one run before the others, one after so many of them, one after the last."""
+    drift: dict[str, float] = Field(default_factory=dict)
+    """Of a reference: figures of its summary, and how far each may move from the first reference,
+    in the figure's own unit; left out, what the procedure names."""
+    rest_s: float = Field(default=0.0, ge=0, le=86_400)
+    """Rest before each of its runs: rubber recovers."""
+
+    @model_validator(mode="after")
+    def _reference_is_plain(self) -> Experiment:
+        if self.every is None:
+            if self.drift:
+                raise ValueError("drift belongs to a reference: give every, too")
+        elif self.matrix or self.sample or self.include or self.exclude or self.repeat != 1:
+            raise ValueError(
+                "a reference (every) is one condition: it has settings, no matrix, sample, include,"
+                " exclude or repeat"
+            )
+        return self
+
+
+class FaultOn(Settings):
+    """A fault plan in effect on some runs."""
+
+    runs: tuple[int, ...]
+    """Their numbers in the queue, from 1."""
+    plan: str
+    """The plan's file, relative to the batch file."""
+    attempts: int = Field(default=1, ge=1)
+    """It strikes the first so many attempts of a run."""
+
+
+class WorldFrom(Settings):
+    """Another World from a run on."""
+
+    from_run: int = Field(ge=1)
+    settings: str
+    """The World's settings (TOML), relative to the batch file."""
+
+
+class Simulation(Settings):
+    """Table ``[simulation]``: only where the batch starts a simulated bench for itself."""
+
+    seed: int = Field(default=0, ge=0)
+    stages: Literal["festo", "az", "festo-az", "az-festo"] = "festo"
+    world: str | None = None
+    """The World's settings (TOML), relative to the batch file."""
+    fault: tuple[FaultOn, ...] = ()
+    change: tuple[WorldFrom, ...] = ()
+
+
+class BatchFile(Settings):
+    """A whole batch file."""
+
+    batch: BatchSettings
+    defaults: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    """Settings by procedure."""
+    experiment: tuple[Experiment, ...] = Field(min_length=1)
+    simulation: Simulation | None = None
