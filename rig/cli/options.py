@@ -17,12 +17,8 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from rig.errors import ConfigurationError
+from rig.quantities import quantity
 from rig.settings import Settings, name_without_unit, unit_of
-
-_QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
-
-
-_UNIT = re.compile(r"^[A-Za-zµμΩ°%][A-Za-zµμΩ°%0-9/*^ ]*$")
 
 
 def option_name(field: str) -> str:
@@ -96,29 +92,6 @@ def parse(text: str, annotation: Any, unit: str | None) -> Any:
     if annotation is float:
         return quantity(text, unit)
     return text
-
-
-def quantity(text: str, unit: str | None) -> float:
-    """A number in `unit` from text with or without a unit."""
-    match = _QUANTITY.match(text)
-    if match is None:
-        try:
-            return float(text)  # nan and inf go on to the settings, which refuse them by name
-        except ValueError:
-            raise ValueError(f"is no number{f' of {unit}' if unit else ''}") from None
-    number, written = float(match[1]), match[2]
-    if written in ("", unit):
-        return number
-    if unit is None:
-        raise ValueError(f"takes a bare number, not {written!r}")
-    if not _UNIT.match(written):
-        raise ValueError(f"{written!r} is no unit")
-    import pint
-
-    try:
-        return float(pint.Quantity(number, written).to(unit).magnitude)
-    except (pint.PintError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise ValueError(f"{written!r} does not convert to {unit}") from error
 
 
 def _short(info: FieldInfo) -> tuple[str, ...]:

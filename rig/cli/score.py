@@ -227,7 +227,7 @@ def _with_options(
     speed: str | None,
 ) -> PopulationSettings:
     """The ranges with what options say of skin, ridge and speed."""
-    from rig.cli.options import quantity
+    from rig.quantities import quantity
     from rig.model.labelled_trials import PopulationSettings, Range
     from rig.model.skin.settings import SkinSettings
 

@@ -1,0 +1,31 @@
+"""Numbers with units, as people write them: ``200ms`` for a field in seconds."""
+
+from __future__ import annotations
+
+import re
+
+_QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
+_UNIT = re.compile(r"^[A-Za-zµμΩ°%][A-Za-zµμΩ°%0-9/*^ ]*$")
+
+
+def quantity(text: str, unit: str | None) -> float:
+    """A number in `unit` from text with or without a unit."""
+    match = _QUANTITY.match(text)
+    if match is None:
+        try:
+            return float(text)  # nan and inf go on to the settings, which refuse them by name
+        except ValueError:
+            raise ValueError(f"is no number{f' of {unit}' if unit else ''}") from None
+    number, written = float(match[1]), match[2]
+    if written in ("", unit):
+        return number
+    if unit is None:
+        raise ValueError(f"takes a bare number, not {written!r}")
+    if not _UNIT.match(written):
+        raise ValueError(f"{written!r} is no unit")
+    import pint
+
+    try:
+        return float(pint.Quantity(number, written).to(unit).magnitude)
+    except (pint.PintError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise ValueError(f"{written!r} does not convert to {unit}") from error
