@@ -3,9 +3,30 @@
 from __future__ import annotations
 
 import re
+import typing
+from typing import Any
 
 _QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 _UNIT = re.compile(r"^[A-Za-zµμΩ°%][A-Za-zµμΩ°%0-9/*^ ]*$")
+
+
+def parse(text: str, annotation: Any, unit: str | None) -> Any:
+    """A text as a value for a field of this type; ValueError says what is wrong."""
+    arguments = typing.get_args(annotation)
+    if typing.get_origin(annotation) is tuple:
+        items = text.split(",")
+        if not any(item.strip() for item in items):
+            raise ValueError("the list is empty; leave the option out for its default")
+        if not all(item.strip() for item in items):
+            raise ValueError("a value is missing between two commas or at an end")
+        return tuple(parse(item, arguments[0], unit) for item in items)
+    if type(None) in arguments:
+        if text.strip().lower() == "none":
+            return None
+        annotation = next(a for a in arguments if a is not type(None))
+    if annotation is float:
+        return quantity(text, unit)
+    return text
 
 
 def quantity(text: str, unit: str | None) -> float:

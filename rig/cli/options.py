@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import inspect
 import re
-import typing
 from collections.abc import Mapping
 from typing import Annotated, Any
 
@@ -17,7 +16,7 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from rig.errors import ConfigurationError
-from rig.quantities import quantity
+from rig.quantities import parse
 from rig.settings import Settings, name_without_unit, unit_of
 
 
@@ -73,25 +72,6 @@ def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Set
             wrong.message,
         )
         raise ConfigurationError(message, "see --help for the settings") from error
-
-
-def parse(text: str, annotation: Any, unit: str | None) -> Any:
-    """An option's text as a value for a field of this type; ValueError says what is wrong."""
-    arguments = typing.get_args(annotation)
-    if typing.get_origin(annotation) is tuple:
-        items = text.split(",")
-        if not any(item.strip() for item in items):
-            raise ValueError("the list is empty; leave the option out for its default")
-        if not all(item.strip() for item in items):
-            raise ValueError("a value is missing between two commas or at an end")
-        return tuple(parse(item, arguments[0], unit) for item in items)
-    if type(None) in arguments:
-        if text.strip().lower() == "none":
-            return None
-        annotation = next(a for a in arguments if a is not type(None))
-    if annotation is float:
-        return quantity(text, unit)
-    return text
 
 
 def _short(info: FieldInfo) -> tuple[str, ...]:
