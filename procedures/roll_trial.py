@@ -18,16 +18,17 @@ from pydantic import Field, model_validator
 
 from procedures import roll_layout
 from procedures.pressed import (
-    WAY_S,
     PressedSettings,
     arm_pressed,
     import_what_a_trial_needs,
+    pressed_overhead_s,
+    pressing_s,
     summary_of,
     trial_points,
     why_invalid,
 )
 from procedures.roll_profile import Curve, Profile, ThereAndBack
-from rig.bench import Fixture
+from rig.bench import Fixture, FixtureSettings
 from rig.errors import ConfigurationError
 from rig.runner.points import Move, Point, Reading
 
@@ -41,8 +42,13 @@ LAYOUT = roll_layout.LAYOUT
 STREAMS = roll_layout.STREAMS
 invalid = why_invalid
 
-ALIGNING_S = 12.0
-"""Expected of a press that measures the axis."""
+NUDGES = (0, 1, 0, -1, 0)
+NUDGED_S = 0.35
+"""For a nudge, which measures the axis, and until the rubber is at rest."""
+SETTLED_S = 0.05
+"""What a stage may be late at the end of its profile."""
+HOMING_ROTARY_S = 2.0
+"""Expected of a rotary stage without a reference, and of bringing the object upright."""
 
 
 class Settings(PressedSettings):
@@ -117,13 +123,22 @@ class Settings(PressedSettings):
 
 def points(settings: Settings) -> tuple[Point, ...]:
     """One point a trial."""
-    trial_s = settings.profile.duration_s + settings.rest_s + WAY_S
-    first_s = settings.search_s + (settings.alignment != "none") * ALIGNING_S
+    motion_s = settings.profile.duration_s + SETTLED_S
+    aligned = settings.alignment != "none"
+    first_s = pressing_s(settings) + 2 * len(NUDGES) * NUDGED_S if aligned else 0.0
     moves = (
         Move("rotary.speed", settings.turn_speed_deg_s),
         Move("rotary.acceleration", settings.turn_acceleration_deg_s2),
     )
-    return trial_points(settings, moves, trial_s, first_s)
+    return trial_points(settings, moves, motion_s, first_s)
+
+
+def overhead_s(settings: Settings, fixture: FixtureSettings, homed: bool) -> float:
+    """Bench time that the ways in z, homing and parking are expected to take."""
+    presses = settings.trials + (settings.alignment != "none")
+    x_mm = (fixture.centre_mm or 0.0) + settings.start_mm
+    rotary_s = 0.0 if homed else HOMING_ROTARY_S
+    return rotary_s + pressed_overhead_s(settings, fixture, homed, presses, x_mm)
 
 
 def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, Any]:

@@ -228,7 +228,8 @@ class _Loop:
 
     def _overhead_s(self) -> float:
         told = getattr(self.job.procedure, "overhead_s", None)
-        return float(told(self.job.settings, self.bench.settings.fixture)) if told else 0.0
+        fixture = self.bench.settings.fixture
+        return float(told(self.job.settings, fixture, False)) if told else 0.0
 
     def _arm(self) -> None:
         with self.run.first_cause():
