@@ -15,7 +15,6 @@ from pydantic import Field, model_validator
 from procedures.contact import (
     HOMING_S,
     TARE_S,
-    contact_range_mm,
     expected_contact_mm,
     park,
     travel_s,
@@ -208,7 +207,6 @@ def arm_pressed(run: Run, what: str, stop: Callable[[], None], at_once: Callable
     `what` moves under the held force; it is ended by `stop`, or `at_once` where a watcher acts.
     """
     bench, settings = run.bench, run.settings
-    contact_range_mm(bench)  # a fixture that does not say it is refused before anything happens
     run.stream_force(FORCE_RATE_S_S)
     run.force.watch(settings.largest_force_N)
     run.arm("acquisition", bench.daq.stop)  # last: a DAQ that hangs keeps no skin pressed

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, model_validator
 
 from procedures import roll_layout
+from procedures.contact import contact_range_mm
 from procedures.pressed import (
     PressedSettings,
     arm_pressed,
@@ -33,6 +34,7 @@ from rig.errors import ConfigurationError
 from rig.runner.points import Move, Point, Reading
 
 if TYPE_CHECKING:
+    from rig.bench import Bench
     from rig.runner.run import Run
 
 NAME = "roll-trial"
@@ -47,7 +49,7 @@ NUDGED_S = 0.35
 """For a nudge, which measures the axis, and until the rubber is at rest."""
 SETTLED_S = 0.05
 """What a stage may be late at the end of its profile."""
-HOMING_ROTARY_S = 2.0
+HOMING_ROTARY_S = 1.0
 """Expected of a rotary stage without a reference, and of bringing the object upright."""
 
 
@@ -162,6 +164,29 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
     return found
 
 
+def check(settings: Settings, bench: Bench) -> None:
+    """Refuse a fixture that does not say where the object is, or a roll beyond a stage's limits."""
+    from rig.bench import require
+
+    contact_range_mm(bench)
+    fixture = bench.settings.fixture
+    if fixture.centre_mm is None or fixture.upright_deg is None:
+        raise ConfigurationError(
+            f"{bench.plan.source}: [fixture] does not say where the object stands",
+            "add centre_mm, position of x at which the middle of the skin is above it, and "
+            "upright_deg, angle of the rotary stage at which it stands upright",
+        )
+    reach = bench.rotary.reach()
+    for angle_deg in settings.angles_deg:
+        require("angle of the roll", fixture.upright_deg + angle_deg, reach["angle"])
+    start_mm = fixture.centre_mm + settings.start_mm
+    require("start of the roll", start_mm, bench.stage_x.reach()["position"])
+    if settings.profile_times_s:
+        turns = settings.profile.turns(settings.tick_s)
+        fastest = max((turn.speed_deg_s for turn in turns), default=0.0)
+        require("speed of the profile", fastest, reach["speed"])
+
+
 # --- doing it ---------------------------------------------------------------------------------
 
 
@@ -177,7 +202,6 @@ def arm(run: Run) -> None:
     from procedures.pressed_trial import pace_on, scales_on
     from procedures.roll_taking import Series
 
-    _where_it_stands(run)
     run.state = run.state or Series(pace_on(run), scales_on(run))
     if run.settings.alignment == "none":
         run.event("warning", "alignment", "how far the rotary axis is off is not known")
@@ -212,26 +236,3 @@ def take(run: Run, point: Point) -> Reading:
     trial.end_record()
     trial.lift()
     return trial.reading()
-
-
-def _where_it_stands(run: Run) -> None:
-    """Refuse a fixture that does not say where the object is, or a roll beyond a stage's limits."""
-    from rig.bench import require
-
-    bench, settings = run.bench, run.settings
-    fixture = bench.settings.fixture
-    if fixture.centre_mm is None or fixture.upright_deg is None:
-        raise ConfigurationError(
-            f"{bench.plan.source}: [fixture] does not say where the object stands",
-            "add centre_mm, position of x at which the middle of the skin is above it, and "
-            "upright_deg, angle of the rotary stage at which it stands upright",
-        )
-    reach = bench.rotary.reach()
-    for angle_deg in settings.angles_deg:
-        require("angle of the roll", fixture.upright_deg + angle_deg, reach["angle"])
-    start_mm = fixture.centre_mm + settings.start_mm
-    require("start of the roll", start_mm, bench.stage_x.reach()["position"])
-    if settings.profile_times_s:
-        turns = settings.profile.turns(settings.tick_s)
-        fastest = max((turn.speed_deg_s for turn in turns), default=0.0)
-        require("speed of the profile", fastest, reach["speed"])

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, model_validator
 
 from procedures import pressed_layout, slip_layout
-from procedures.contact import travel_s
+from procedures.contact import contact_range_mm, travel_s
 from procedures.pressed import (
     AFTER_S,
     DELAY_S,
@@ -34,6 +34,7 @@ from rig.bench import Fixture, FixtureSettings
 from rig.runner.points import Move, Point, Reading
 
 if TYPE_CHECKING:
+    from rig.bench import Bench
     from rig.runner.run import Run
 
 NAME = "slip-trial"
@@ -142,6 +143,11 @@ def overhead_s(settings: Settings, fixture: FixtureSettings, homed: bool) -> flo
     """Bench time that the ways in z, homing and parking are expected to take."""
     presses = settings.trials + settings.rehearsed(settings.tick_s)
     return pressed_overhead_s(settings, fixture, homed, presses, settings.start_mm)
+
+
+def check(settings: Settings, bench: Bench) -> None:
+    """Refuse a fixture that does not say where contact has to be felt."""
+    contact_range_mm(bench)
 
 
 def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, Any]:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from pydantic import Field, field_validator, model_validator
 
 from procedures import preload, sweep_layout
+from procedures.contact import contact_range_mm
 from rig.bench import Fixture, FixtureSettings
 from rig.instruments import Acquisition, InputChannel
 from rig.runner.points import Move, Point, Reading
@@ -29,6 +30,7 @@ from rig.settings import Settings as BaseSettings
 if TYPE_CHECKING:
     from procedures.sweep_memory import Memory
     from rig.analysis.frequency_plan import FrequencyPlanSettings
+    from rig.bench import Bench
     from rig.runner.run import Run
 
 NAME = "sweep"
@@ -200,6 +202,11 @@ def refine(settings: Settings, readings: Sequence[Reading]) -> tuple[Point, ...]
 def overhead_s(settings: Settings, fixture: FixtureSettings, homed: bool) -> float:
     """Bench time that preloading, listening and parking are expected to take."""
     return preload.duration_s(fixture, settings.preload_N, homed) + LISTENED * LISTEN_S
+
+
+def check(settings: Settings, bench: Bench) -> None:
+    """Refuse a fixture that does not say where contact has to be felt."""
+    contact_range_mm(bench)
 
 
 def _grid(settings: Settings) -> FrequencyPlanSettings:

@@ -72,7 +72,7 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
     outcome.simulated = plan.settings.simulation is not None
     getattr(job.procedure, "import_ahead", lambda: None)()
     try:
-        plan.require_fixture(*job.procedure.FIXTURES)
+        plan = plan.require_fixture(*job.procedure.FIXTURES)
         points = job.procedure.points(job.settings)
         outcome.points_planned = len(points)
         require_roles(points, plan)
@@ -86,6 +86,7 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
             now = datetime.now().astimezone()
             job.calibrations, warnings = benches.apply_calibrations(bench, now, job.allow_expired)
             check_points(points, bench)
+            getattr(job.procedure, "check", lambda *_: None)(job.settings, bench)
             stop.check()
             journal = job.open_journal(bench, points)
         except RigError as error:

@@ -5,6 +5,8 @@
     take(run, point) -> Reading               # act: one point
     refine(settings, readings) -> tuple[Point, ...]   # optional and pure: further points
     invalid(settings, reading) -> str         # optional and pure: why a reading does not count
+    check(settings, bench)                    # optional: refuses what the bench does not allow and
+                                              # no move says, before anything is armed
     import_ahead()                            # optional: what takes long to import, while nothing
                                               # is switched on yet
     overhead_s(settings, fixture, homed) -> float   # optional and pure: bench time that the
