@@ -125,6 +125,8 @@ def perform(
             sample=request.sample,
             notes=request.notes,
             resume=resume,
+            collection=None if resume is None else resume.header.collection,
+            run_number=0 if resume is None else resume.header.run_number,
             allow_expired=request.allow_expired,
             recorded_toml=bench.recorded_toml,
             lock=bench.lock,
