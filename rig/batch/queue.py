@@ -227,11 +227,11 @@ class Queue:
             sum(row[2] ** 2 for row in rows) ** 0.5,
         )
 
-    def bench_s(self) -> float:
-        """Bench time of all attempts, in s."""
-        return float(
-            self._sql.execute("SELECT coalesce(sum(bench_s), 0) FROM attempt").fetchone()[0]
-        )
+    def bench_s(self, number: int | None = None) -> float:
+        """Bench time of all attempts, or of those at one run, in s."""
+        query = "SELECT coalesce(sum(bench_s), 0) FROM run"
+        where = ((), "") if number is None else ((number,), " WHERE number = ?")
+        return float(self._sql.execute(query + where[1], where[0]).fetchone()[0])
 
     def condition(self, name: str) -> Condition:
         """A condition by its id."""
