@@ -83,7 +83,7 @@ class ConfigurationError(RigError):
     ) -> ConfigurationError:
         """All of a pydantic error's findings in one message, each with key, value and reason."""
         found = error.errors()
-        findings = [_finding(item) for item in found[:MOST_FINDINGS]]
+        findings = [finding(item) for item in found[:MOST_FINDINGS]]
         if len(found) > MOST_FINDINGS:
             findings.append(f"and {len(found) - MOST_FINDINGS} more")
         return cls(f"{source}: " + "; ".join(findings), hint)
@@ -151,8 +151,9 @@ _WORDS = {
 """Kinds of pydantic's findings in a person's words; its own are shown for the others."""
 
 
-def _finding(item: Any) -> str:
-    """One of pydantic's findings: key, value with unit, and the limit in words."""
+def finding(item: Any) -> str:
+    """One of pydantic's findings (an entry of `ValidationError.errors`) in words: key, value with
+    unit, and the limit."""
     from rig.settings import unit_of
 
     key = ".".join(shortened(str(part)) for part in item["loc"])

@@ -571,7 +571,7 @@ def _timing(options: WeighingOptions) -> Timing:
 
 def _number(text: str, unit: str, option: str) -> float:
     """A finite number from an option's text, with or without its unit."""
-    from rig.cli.options import quantity
+    from rig.quantities import quantity
 
     try:
         value = quantity(text, unit)

@@ -198,7 +198,7 @@ def _pairs(option: str, text: str, known: tuple[str, ...]) -> dict[str, str]:
 
 
 def _quantity(option: str, text: str, unit: str) -> float:
-    from rig.cli.options import quantity
+    from rig.quantities import quantity
 
     try:
         value = quantity(text, unit)

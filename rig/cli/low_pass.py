@@ -121,7 +121,7 @@ def _by_options(message: str) -> str:
 
 
 def _quantity(option: str, text: str, unit: str) -> float:
-    from rig.cli.options import quantity
+    from rig.quantities import quantity
 
     try:
         return quantity(text, unit)

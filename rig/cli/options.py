@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import inspect
 import re
-import typing
 from collections.abc import Mapping
 from typing import Annotated, Any
 
@@ -17,12 +16,8 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from rig.errors import ConfigurationError
+from rig.quantities import parse
 from rig.settings import Settings, name_without_unit, unit_of
-
-_QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
-
-
-_UNIT = re.compile(r"^[A-Za-zµμΩ°%][A-Za-zµμΩ°%0-9/*^ ]*$")
 
 
 def option_name(field: str) -> str:
@@ -77,48 +72,6 @@ def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Set
             wrong.message,
         )
         raise ConfigurationError(message, "see --help for the settings") from error
-
-
-def parse(text: str, annotation: Any, unit: str | None) -> Any:
-    """An option's text as a value for a field of this type; ValueError says what is wrong."""
-    arguments = typing.get_args(annotation)
-    if typing.get_origin(annotation) is tuple:
-        items = text.split(",")
-        if not any(item.strip() for item in items):
-            raise ValueError("the list is empty; leave the option out for its default")
-        if not all(item.strip() for item in items):
-            raise ValueError("a value is missing between two commas or at an end")
-        return tuple(parse(item, arguments[0], unit) for item in items)
-    if type(None) in arguments:
-        if text.strip().lower() == "none":
-            return None
-        annotation = next(a for a in arguments if a is not type(None))
-    if annotation is float:
-        return quantity(text, unit)
-    return text
-
-
-def quantity(text: str, unit: str | None) -> float:
-    """A number in `unit` from text with or without a unit."""
-    match = _QUANTITY.match(text)
-    if match is None:
-        try:
-            return float(text)  # nan and inf go on to the settings, which refuse them by name
-        except ValueError:
-            raise ValueError(f"is no number{f' of {unit}' if unit else ''}") from None
-    number, written = float(match[1]), match[2]
-    if written in ("", unit):
-        return number
-    if unit is None:
-        raise ValueError(f"takes a bare number, not {written!r}")
-    if not _UNIT.match(written):
-        raise ValueError(f"{written!r} is no unit")
-    import pint
-
-    try:
-        return float(pint.Quantity(number, written).to(unit).magnitude)
-    except (pint.PintError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise ValueError(f"{written!r} does not convert to {unit}") from error
 
 
 def _short(info: FieldInfo) -> tuple[str, ...]:

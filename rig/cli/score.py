@@ -227,9 +227,9 @@ def _with_options(
     speed: str | None,
 ) -> PopulationSettings:
     """The ranges with what options say of skin, ridge and speed."""
-    from rig.cli.options import quantity
     from rig.model.labelled_trials import PopulationSettings, Range
     from rig.model.skin.settings import SkinSettings
+    from rig.quantities import quantity
 
     def number(text: str, unit: str, option: str) -> float:
         try:

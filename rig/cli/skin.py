@@ -364,7 +364,7 @@ def _times(at: list[str] | None) -> list[float] | None:
 
 def _number(text: str, unit: str, option: str) -> float:
     """A number from an option's text, with or without its unit."""
-    from rig.cli.options import quantity
+    from rig.quantities import quantity
 
     try:
         return quantity(text, unit)

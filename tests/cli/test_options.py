@@ -8,8 +8,9 @@ from importlib.metadata import EntryPoint, entry_points
 import pytest
 from pydantic import Field
 
-from rig.cli.options import option_name, parameters, parse, quantity, settings_from
+from rig.cli.options import option_name, parameters, settings_from
 from rig.errors import ConfigurationError, ExitCode
+from rig.quantities import parse, quantity
 from rig.settings import Settings
 
 

@@ -1,0 +1,98 @@
+"""The batch file as people write it: read whole, and all its errors told at once with their lines.
+
+What the file says of itself and what the settings of its procedures make of it are told together;
+what a bench makes of it is in `rig.batch.validation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from rig.batch.expansion import Expansion, check_defaults, expand, labels
+from rig.batch.findings import Finding, RefusedBatchError, Source, Where
+from rig.batch.plan import Plan
+from rig.batch.positions import lines_of
+from rig.batch.settings import BatchFile, Experiment
+from rig.documents import MAX_TOML_BYTES, parse_toml, read_text
+from rig.errors import finding
+
+WHAT = "batch file"
+
+
+def read_batch(path: Path) -> tuple[BatchFile, Plan, Source]:
+    """A batch file, what it expands to, and where its parts stand.
+
+    ConfigurationError for what is no such file; RefusedBatchError with all that is wrong in it.
+    """
+    text = read_text(path, WHAT, MAX_TOML_BYTES, "name a batch file (TOML)")
+    return parse_batch(text, str(path))
+
+
+def parse_batch(text: str, name: str) -> tuple[BatchFile, Plan, Source]:
+    """The same from the text of a file of this `name`."""
+    tables = parse_toml(text, name)
+    source = Source(name, lines_of(text))
+    try:
+        batch = BatchFile.model_validate(tables)
+    except ValidationError as error:
+        findings = [*_findings(error, tables), *_further(tables)]
+        raise RefusedBatchError(findings, source) from error
+    try:
+        return batch, expand(batch), source
+    except RefusedBatchError as error:
+        raise RefusedBatchError(error.findings, source) from error
+
+
+def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[Finding]:
+    """What pydantic has found, in words; the kinds of value that something could be, but is none
+    of, are one finding."""
+    by_place: dict[Where, list[str]] = {}
+    for item in error.errors():
+        where: Where = item["loc"]
+        named = where if item["type"] == "missing" else _existing(where, tables)
+        shown = named[2:] if named[0] == "experiment" else named
+        keys = tuple(part for part in shown if isinstance(part, str))
+        by_place.setdefault(named, []).append(finding({**item, "loc": keys}))
+    for where, told in by_place.items():
+        first, *others = dict.fromkeys(told)
+        reasons = [other.rpartition(": ")[2].removeprefix("has to be ") for other in others]
+        yield Finding(where, " or ".join([first, *reasons]))
+
+
+def _existing(where: Where, tables: Any) -> Where:
+    """As far as a place exists in the file: pydantic adds which kind of value it tried."""
+    found: Where = ()
+    for part in where:
+        try:
+            tables = tables[part]
+        except (LookupError, TypeError):
+            break
+        found = (*found, part)
+    return found or where[:1]
+
+
+def _further(tables: Mapping[str, Any]) -> Iterator[Finding]:
+    """What is wrong with the settings in a file of which another part is wrong."""
+    defaults = tables.get("defaults", {})
+    entries = tables.get("experiment", [])
+    if not isinstance(defaults, dict) or not isinstance(entries, list):
+        return
+    defaults = {name: table for name, table in defaults.items() if isinstance(table, dict)}
+    yield from check_defaults(defaults)
+    experiments: dict[int, Experiment] = {}
+    for number, entry in enumerate(entries):
+        try:
+            experiments[number] = Experiment.model_validate(entry)
+        except ValidationError:
+            continue  # told already
+    for (number, experiment), label in zip(
+        experiments.items(), labels(list(experiments.values())), strict=True
+    ):
+        expansion = Expansion(number, experiment, label, defaults, seed=0)
+        if not expansion.is_too_large:
+            expansion.expand()
+        yield from expansion.findings
