@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.batch.procedures import installed
 from rig.batch.queue import Ended
-from rig.errors import ConfigurationError, RigError
+from rig.errors import RigError
 from rig.recording.contents import JournalContents, read_journal
 from rig.recording.errors import JournalError
 from rig.recording.naming import RUN_SUFFIX
@@ -23,20 +24,6 @@ from rig.recording.runfile import RunFile
 if TYPE_CHECKING:
     from rig.recording.header import RunHeader
     from rig.runner.points import Reading
-    from rig.runner.procedure import Procedure
-
-
-def procedure_named(name: str) -> Procedure:
-    """An installed procedure; ConfigurationError where there is none of that name."""
-    from rig.bench import entry
-
-    found = entry("rig.procedures", name)
-    if found is None:
-        raise ConfigurationError(
-            f"procedure {name!r} is not installed", "install the package that brings it"
-        )
-    procedure: Procedure = found.load()
-    return procedure
 
 
 def what_became_of(journal: Path) -> Ended:
@@ -102,7 +89,7 @@ def _ended(
             points_done=len(readings),
             points_planned=len(header.points),
         )
-    procedure = procedure_named(header.procedure)
+    procedure = installed(header.procedure)
     settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
     return Ended(
         "complete",

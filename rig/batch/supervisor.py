@@ -94,7 +94,7 @@ class Supervisor:
     def _one_worker(self) -> int:
         """Start a worker and listen to it until it has ended; its exit code."""
         worker = subprocess.Popen(
-            [sys.executable, "-m", "rig.batch.worker", str(self._folder.path)],
+            [sys.executable, "-P", "-m", "rig.batch.worker", str(self._folder.path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
@@ -181,8 +181,8 @@ class Supervisor:
             text += f": {said['reason']}"
         if said["again"]:
             text += "; it is tried again"
+        self._tell(text)
         if said["ending"] != "complete" or said["code"]:
-            self._tell(text)
             self._queue.tell("warning", text)
 
     def _on_end(self, said: Mapping[str, Any]) -> None:

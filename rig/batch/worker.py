@@ -28,9 +28,10 @@ from typing import TYPE_CHECKING, Any
 from rig.batch.folder import BatchFolder
 from rig.batch.night import Night, SlavedNight, WallNight
 from rig.batch.policy import after_failure, does_not_fit, kind_of, reason_to_end, window
+from rig.batch.procedures import installed
 from rig.batch.queue import Claim, Ended, Queue
 from rig.batch.settings import BatchFile
-from rig.batch.settling import procedure_named, to_continue, what_became_of
+from rig.batch.settling import to_continue, what_became_of
 from rig.errors import ExitCode, RigError
 from rig.runner.bench_choice import BenchRequest, Choosing, ChosenBench
 from rig.runner.stopping import StopFlag, StopRequestedError
@@ -341,7 +342,7 @@ class Worker:
         from rig.runner.jobs import Job
 
         condition = claim.condition
-        procedure = procedure_named(condition.procedure)
+        procedure = installed(condition.procedure)
         settings = procedure.Settings.model_validate_json(json.dumps(dict(condition.settings)))
         path = self._folder.journal(claim.number, condition.procedure)
         resume = to_continue(path)
