@@ -249,7 +249,7 @@ class StartedBench:
         if self._disk is not None:
             self._disk.install()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "drivers.simulated.bench", json.dumps(asdict(options))],
+            [sys.executable, "-P", "-m", "drivers.simulated.bench", json.dumps(asdict(options))],
             stdin=subprocess.PIPE,  # never written: its end tells the bench that we died
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

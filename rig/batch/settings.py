@@ -96,6 +96,8 @@ class BatchSettings(Settings):
     hold_when: HoldWhen = HoldWhen()
     on_failure: Literal["continue", "hold", "stop"] = "continue"
     """What a run that has failed for good means for the rest."""
+    on_hold: Literal["wait", "stop"] = "wait"
+    """Whether a batch on hold waits for a person, or ends."""
     set_aside_after: int = Field(default=2, ge=1)
     """So many failed runs of one condition, and its others are left out."""
     retries: Retries = Retries()

@@ -17,7 +17,19 @@ from pathlib import Path
 
 import typer
 
-from rig.cli import calibrate, detect, files, imports, jog, low_pass, score, simulate, skin, train
+from rig.cli import (
+    batch,
+    calibrate,
+    detect,
+    files,
+    imports,
+    jog,
+    low_pass,
+    score,
+    simulate,
+    skin,
+    train,
+)
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
 
@@ -79,6 +91,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
         _add(app, procedure.name, summary(procedure), function)
     for name, function in COMMANDS.items():
         _add(app, name, (function.__doc__ or "").split("\n", 1)[0], function)
+    app.add_typer(batch.app, name="batch", short_help=batch.HELP)
     app.add_typer(calibrate.app, name="calibrate", short_help=calibrate.HELP)
     app.add_typer(skin.app, name="skin", short_help=skin.HELP)
     return app

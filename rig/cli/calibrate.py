@@ -310,13 +310,13 @@ def _at_the_bench(
     """The bench with these instruments connected and no others, who puts the weights on, and the
     folder for the record, which takes one."""
     from rig.calibration import require_folder
-    from rig.cli.procedures import Request, bench_for
     from rig.cli.streams import say_at_once
     from rig.cli.weigh import Person
+    from rig.runner.bench_choice import BenchRequest, Choosing, bench_file
     from rig.runner.stopping import StopFlag
 
-    request = Request(
-        bench=options.bench,
+    request = BenchRequest(
+        bench=bench_file(options.bench),
         results=options.results,
         seed=options.seed,
         world=options.world,
@@ -324,7 +324,7 @@ def _at_the_bench(
     )
     with StopFlag(say_at_once) as stop, contextlib.ExitStack() as at_the_end:
         with stop.nothing_connected():
-            bench = bench_for(request, at_the_end)
+            bench = Choosing(say).bench_for(request, at_the_end)
         plan, clock, started = bench.plan, bench.clock, bench.started
         if started is not None:
             at_the_end.callback(started.wait)

@@ -16,8 +16,8 @@ from rig.cli.outcome import printable, reported, say
 from rig.errors import ConfigurationError, ExitCode, FoundWrongError
 
 if TYPE_CHECKING:
-    from rig.cli.procedures import Stages
     from rig.recording.header import RunHeader
+    from rig.runner.bench_choice import Stages
     from rig.runner.points import Reading
 
 LONGEST_LIST = 8

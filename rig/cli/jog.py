@@ -14,8 +14,8 @@ from rig.cli.outcome import log, reported, say, start_log, tell_failure
 from rig.errors import ConfigurationError, ExitCode, RigError
 
 if TYPE_CHECKING:
-    from rig.cli.procedures import ChosenBench, Request
     from rig.cli.terminal import Terminal
+    from rig.runner.bench_choice import BenchRequest, ChosenBench
     from rig.runner.jog_session import Ended, JogSettings
     from rig.runner.stopping import StopFlag
 
@@ -78,7 +78,7 @@ def jog(
     """
     with reported(debug):
         from rig.cli.options import settings_from
-        from rig.cli.procedures import Request
+        from rig.runner.bench_choice import BenchRequest, bench_file
         from rig.runner.jog_session import JogSettings
 
         given = {
@@ -90,29 +90,29 @@ def jog(
         }
         settings = settings_from(JogSettings, given)
         assert isinstance(settings, JogSettings)
-        request = Request(
-            bench=bench,
+        request = BenchRequest(
+            bench=bench_file(bench),
             results=results,
             seed=seed,
             stages=stages,
             world=world,
             fault=fault,
             world_log=world_log,
-            debug=debug,
         )
-        _perform(request, settings, axis, fixture)
+        _perform(request, settings, axis, fixture, debug)
 
 
 def _perform(
-    request: Request,
+    request: BenchRequest,
     settings: JogSettings,
     axis: str | None,
     fixture: Literal["film-clamp", "plate", "semi-spherical-object"] | None,
+    debug: bool,
 ) -> None:
     """Choose the bench, jog it, tell how it ended, and end with the exit code."""
-    from rig.cli.procedures import bench_for
     from rig.cli.streams import say_at_once
     from rig.cli.terminal import Terminal
+    from rig.runner.bench_choice import Choosing
     from rig.runner.stopping import StopFlag
 
     terminal = Terminal()
@@ -121,7 +121,7 @@ def _perform(
         start_log(request.results)
         log.setLevel(logging.INFO)
         with stop.nothing_connected():
-            chosen = bench_for(request, stack, fixture or "film-clamp", paced=True)
+            chosen = Choosing(say, paced=True).bench_for(request, stack, fixture or "film-clamp")
         if chosen.started is not None:
             stack.callback(chosen.started.wait)
         elif fixture is not None:
@@ -134,7 +134,7 @@ def _perform(
             if failure.code in (ExitCode.SIGINT, ExitCode.SIGTERM, ExitCode.SIGHUP):
                 say(failure.one_line())
             else:
-                tell_failure(failure, request.debug)
+                tell_failure(failure, debug)
         for off in ended.off_failures:
             say(f"error: NOT SAFE: {off.name} could not be stopped: {off.reason}")
         if not ended.off_failures:
@@ -144,7 +144,7 @@ def _perform(
 
 def _at_the_bench(
     chosen: ChosenBench,
-    request: Request,
+    request: BenchRequest,
     settings: JogSettings,
     axis: str | None,
     stop: StopFlag,

@@ -7,55 +7,32 @@ import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from importlib import import_module
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rig.cli.options import parameters, settings_from
 from rig.cli.outcome import reported, say, start_log
+from rig.runner.bench_choice import BenchRequest, Choosing, Stages, bench_file
 
 if TYPE_CHECKING:
-    from rig.bench import BenchFactory, BenchPlan, Fixture, RunningBench
-    from rig.clock import Clock
     from rig.recording.contents import JournalContents
-    from rig.runner.lock import BenchLock
     from rig.runner.procedure import Procedure
     from rig.settings import Settings
 
-Stages = Literal["festo", "az", "festo-az", "az-festo"]
-"""Of a simulated bench: on Modbus TCP, or on one Modbus RTU line."""
-BENCH_FILE = Path("bench.toml")
-FIRST_TIME = "the first time on a computer it takes up to two minutes"
-STARTING: dict[Fixture, str] = {
-    "film-clamp": "film in its clamp",
-    "plate": f"skin above its plate; {FIRST_TIME}",
-    "semi-spherical-object": f"skin above a head on the rotary stage; {FIRST_TIME}",
-}
-LIBRARIES_OF_LINKS = ("pyvisa_py.highlevel", "pymodbus.client", "serial")
-"""What the simulated bench's drivers import when they connect."""
 
-
-@dataclass(frozen=True)
-class Request:
+@dataclass(frozen=True, kw_only=True)
+class Request(BenchRequest):
     """The options that every procedure has."""
 
-    bench: Path | None = None
-    results: Path = Path("results")
-    seed: int = 0
-    dry_run: bool = False
     as_json: bool = False
     user: str = ""
     sample: str = ""
     notes: str = ""
     figures: bool = True
     allow_expired: bool = False
-    stages: Stages | None = None
-    world: Path | None = None
-    fault: Path | None = None
-    world_log: Path | None = None
     debug: bool = False
 
 
@@ -100,7 +77,8 @@ def command(entry: EntryPoint) -> Callable[..., None]:
     procedure: Procedure = entry.load()
 
     def run(**given: Any) -> None:
-        request = Request(**{name: given.pop(name) for name in Request.__dataclass_fields__})
+        options = {name: given.pop(name) for name in Request.__dataclass_fields__}
+        request = Request(**options | {"bench": bench_file(options["bench"])})
         with reported(request.debug, request.as_json):
             perform(procedure, settings_from(procedure.Settings, given), request)
 
@@ -133,7 +111,8 @@ def perform(
             start_log(results)
         import_ahead = getattr(procedure, "import_ahead", _nothing)
         with stop.nothing_connected():
-            bench = bench_for(request, stack, procedure.FIXTURES[0], import_ahead)
+            choosing = Choosing(say, import_ahead)
+            bench = choosing.bench_for(request, stack, procedure.FIXTURES[0])
         from rig.runner.execution import execute
         from rig.runner.jobs import Job
 
@@ -146,6 +125,8 @@ def perform(
             sample=request.sample,
             notes=request.notes,
             resume=resume,
+            collection=None if resume is None else resume.header.collection,
+            run_number=0 if resume is None else resume.header.run_number,
             allow_expired=request.allow_expired,
             recorded_toml=bench.recorded_toml,
             lock=bench.lock,
@@ -165,145 +146,3 @@ def perform(
 
 def _nothing() -> None:
     """What a procedure imports ahead that does not say."""
-
-
-@dataclass(frozen=True)
-class ChosenBench:
-    """The bench that a command works on, not yet connected."""
-
-    plan: BenchPlan
-    clock: Clock
-    lock: BenchLock | None = None
-    """On its instruments, unless they are this command's own."""
-    started: RunningBench | None = None
-    """The simulated bench that was started for this command."""
-    recorded_toml: str | None = None
-    """Its bench file without the process's port numbers."""
-
-
-def bench_for(
-    request: Request,
-    at_the_end: ExitStack,
-    fixture: Fixture = "film-clamp",
-    meanwhile: Callable[[], None] = _nothing,
-    paced: bool = False,
-) -> ChosenBench:
-    """The bench file's plan with a wall clock, locked until `at_the_end`, or a started simulated
-    bench, on which `fixture` is mounted, with its own clock, `paced` for a person. `meanwhile` is
-    called before anything is connected, while that one boots."""
-    path = request.bench or (BENCH_FILE if BENCH_FILE.exists() else None)
-    started = None
-    if path is None or request.dry_run:
-        say(f"starting the simulated bench ({STARTING[fixture]}) ...")
-        # It boots while this process goes on importing.
-        started = _start_simulated(request, fixture)
-    try:
-        from rig.bench import read_bench
-
-        real = read_bench(path) if path is not None else None
-        if started is not None:
-            return _simulated_bench(request, started, real, meanwhile, paced)
-    except BaseException:
-        if started is not None:
-            started.abandon()
-        raise
-    assert path is not None
-    assert real is not None
-    return _real_bench(request, at_the_end, path, real, meanwhile)
-
-
-def _real_bench(
-    request: Request,
-    at_the_end: ExitStack,
-    path: Path,
-    plan: BenchPlan,
-    meanwhile: Callable[[], None],
-) -> ChosenBench:
-    from rig.clock import WallClock
-    from rig.runner.guard import refuse_unsafe, report_path
-    from rig.runner.lock import BenchLock
-
-    _refuse_simulation_options(request, path)
-    lock = at_the_end.enter_context(BenchLock(plan))
-    _tell_killed(report_path(request.results, plan.settings.name))
-    refuse_unsafe(request.results, plan.settings.name)
-    if plan.settings.simulation is not None:
-        say(f"SIMULATED bench ({path}): nothing here is measured")
-    say(f"getting ready to connect to {', '.join(part.role for part in plan.instruments)} ...")
-    _import_ahead()
-    meanwhile()
-    return ChosenBench(plan, WallClock(), lock)
-
-
-def _simulated_bench(
-    request: Request,
-    started: RunningBench,
-    real: BenchPlan | None,
-    meanwhile: Callable[[], None],
-    paced: bool,
-) -> ChosenBench:
-    from rig.bench import parse_bench, rehearsal
-    from rig.clock import ControlLink, PacedClock, SlavedClock
-    from rig.runner.guard import GUARD_SUFFIX
-
-    _tell_killed(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
-    _import_ahead()
-    meanwhile()
-    ready = started.ready()
-    why = "a rehearsal" if request.dry_run else "no bench.toml"
-    say(f"SIMULATED bench ({why}, seed {request.seed}): nothing here is measured")
-    plan = parse_bench(ready["bench_toml"], "the simulated bench")
-    if real is not None:
-        plan = rehearsal(real, plan)
-    control = ControlLink(ready["control_port"])
-    clock = PacedClock(control) if paced else SlavedClock(control)
-    return ChosenBench(plan, clock, None, started, ready["recorded_toml"])
-
-
-def _tell_killed(*reports: Path) -> None:
-    from rig.runner.guard import tell_killed
-
-    for report in reports:
-        if (told := tell_killed(report)) is not None:
-            say(told)
-
-
-def _import_ahead() -> None:
-    """What this command will need, while the simulated bench boots beside it."""
-    for name in ("rig.recording.compiled", "rig.runner.execution", *LIBRARIES_OF_LINKS):
-        import_module(name)
-
-
-def _start_simulated(request: Request, fixture: Fixture) -> RunningBench:
-    from importlib.metadata import entry_points
-
-    (entry,) = entry_points(group="rig.benches", name="simulated")
-    factory: BenchFactory = entry.load()
-    return factory.start(
-        {
-            "fixture": fixture,
-            **({} if request.stages is None else {"stages": request.stages}),
-            "seed": request.seed,
-            "world": _text(request.world),
-            "fault": _text(request.fault),
-            "world_log": _text(request.world_log),
-            "results": str(request.results),
-        }
-    )
-
-
-def _refuse_simulation_options(request: Request, path: Path | None) -> None:
-    from rig.errors import ConfigurationError
-
-    own = ("stages", "world", "fault", "world_log")
-    given = [name for name in own if getattr(request, name) is not None]
-    if given:
-        options = ", ".join("--" + name.replace("_", "-") for name in given)
-        raise ConfigurationError(
-            f"{options} belongs to a simulated bench that this command starts, not to {path}",
-            "give it to `rig simulate`, or leave the bench file out",
-        )
-
-
-def _text(path: Path | None) -> str | None:
-    return None if path is None else str(path)

@@ -25,7 +25,7 @@ class Drawing:
     def __init__(self, name: str):
         self._processes = [
             subprocess.Popen(
-                [sys.executable, "-m", "rig.figures", part],
+                [sys.executable, "-P", "-m", "rig.figures", part],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,

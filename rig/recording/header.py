@@ -205,6 +205,9 @@ class RunHeader(Settings):
     title: Short
     run_uuid: Short
     collection: Short | None = None
+    """The batch it belongs to."""
+    run_number: Count = 0
+    """Its place in that batch, from 1; keys the noise of a simulated bench."""
     start_time: IsoTime | None
     """None of an imported run where nobody told."""
     program: Program

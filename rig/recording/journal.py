@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
@@ -302,18 +302,31 @@ def begin_journal(
     """A new journal in the folder of today, under the next number; RecordingError where none can
     be begun."""
     now = datetime.now().astimezone()
-    try:
+    with _beginning(results):
         for _ in range(_NAME_TRIES):
             with contextlib.suppress(FileExistsError):  # another run took the number
                 path = next_run_path(results, procedure, now)
                 return JournalWriter.create(journal_path(path), header)
+    raise RecordingError(results, "other runs keep taking the next file name")
+
+
+def begin_journal_at(path: Path, header: RunHeader | Mapping[str, Any]) -> JournalWriter:
+    """A new journal in this place; RecordingError where it cannot be begun, or is there already."""
+    with _beginning(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return JournalWriter.create(path, header)
+
+
+@contextlib.contextmanager
+def _beginning(place: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise RecordingError(
-            results,
+            place,
             f"no run file can be begun there: {error.strerror or error}",
             "give another folder with --results, or free the disk",
         ) from error
-    raise RecordingError(results, "other runs keep taking the next file name")
 
 
 def refusing_nonsense(path: Path, encode: Any) -> Any:

@@ -158,7 +158,7 @@ def verdict_apart(file: Path | str, patience_s: float = PATIENCE_S) -> Verdict:
     """`verdict` in a process of its own. RunFileError where HDF5 dies of the file or hangs."""
     file = Path(file)
     size = file.stat().st_size if file.is_file() else 0
-    command = [sys.executable, "-m", "rig.recording.verify", str(file)]
+    command = [sys.executable, "-P", "-m", "rig.recording.verify", str(file)]
     patience_s += size / BYTES_A_S
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=patience_s)

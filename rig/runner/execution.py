@@ -118,10 +118,10 @@ class _Loop:
         self.job, self.bench, self.points, self.journal = job, bench, points, journal
         self.stop, self.reporter, self.outcome = stop, reporter, outcome
         self.recorder = Recorder(journal.writer)
-        held: tuple[int, ...] = ()
+        held = job.held
         if job.lock is not None:
             job.lock.tell_run(journal.path)
-            held = job.lock.files
+            held += job.lock.files
         self.guard = GuardLink(bench.plan, journal.path, job.guard_report(bench, journal), held)
         self.readings = dict(journal.kept)
         self.run = Run(
@@ -222,6 +222,7 @@ class _Loop:
             self._disturbable(self._arm)
         for point in remaining:
             self.run.check_stop()
+            self.stop.check_between_points()
             reading = self._disturbable(partial(self._take_valid, point))
             self.readings[point.id] = reading
             self.outcome.points_done += 1
@@ -356,7 +357,7 @@ class _Loop:
 
     def _finish_data(self) -> None:
         outcome = self.outcome
-        if outcome.points_done:
+        if outcome.points_done and self.job.compiled:
             self.reporter.storing()
         outcome.warnings = self.run.warnings + outcome.warnings
         with self._storing():
@@ -369,10 +370,11 @@ class _Loop:
             self.recorder.close()
         if outcome.status == "failed":
             self._count_what_is_kept()
-        with self._storing():
-            outcome.file = compile_run(self.journal.path, retire=True)
-            if outcome.points_done:
-                self.reporter.stored(outcome.file)
+        if self.job.compiled:
+            with self._storing():
+                outcome.file = compile_run(self.journal.path, retire=True)
+                if outcome.points_done:
+                    self.reporter.stored(outcome.file)
         if self.journal.path.exists():
             outcome.journal = self.journal.path
         outcome.summary = self.job.procedure.summarise(self.job.settings, self._in_order())

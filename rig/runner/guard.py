@@ -114,7 +114,7 @@ class GuardLink:
             "heartbeat_timeout_s": plan.settings.heartbeat_timeout_s,
         }
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "rig.runner.guard"],
+            [sys.executable, "-P", "-m", "rig.runner.guard"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

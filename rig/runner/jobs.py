@@ -17,7 +17,7 @@ import rig
 from rig.bench import Bench
 from rig.errors import ConfigurationError
 from rig.recording.contents import JournalContents
-from rig.recording.journal import JournalWriter, begin_journal
+from rig.recording.journal import JournalWriter, begin_journal, begin_journal_at
 from rig.runner.guard import GUARD_SUFFIX, report_path
 from rig.runner.lock import BenchLock
 from rig.runner.outcome import Outcome
@@ -75,8 +75,16 @@ class Job:
     sample: str = ""
     notes: str = ""
     resume: JournalContents | None = None
+    collection: str | None = None
+    """The batch it belongs to."""
     run_number: int = 0
     """Place within a batch; keys the simulated bench's noise."""
+    journal: Path | None = None
+    """Where a fresh journal goes; None for the next name of the day."""
+    compiled: bool = True
+    """Whether the journal is compiled when the bench is safe, or by somebody else later."""
+    held: tuple[int, ...] = ()
+    """Files that the guard keeps open as long as it lives, besides the lock's."""
     allow_expired: bool = False
     """Whether calibration records that have expired may be used."""
     calibrations: list[dict[str, Any]] = field(default_factory=list)
@@ -101,7 +109,7 @@ class Job:
         """Begin the journal, or continue the interrupted one."""
         header = self._header(bench, points)
         if self.resume is None:
-            writer = begin_journal(self.results, self.procedure.NAME, header)
+            writer = self._begin(header)
             return Journal(writer.path, writer, 1, {})
         begun = self.resume.header
         for what, was, now in (
@@ -122,6 +130,11 @@ class Job:
             self._elapsed_s(),
         )
 
+    def _begin(self, header: dict[str, Any]) -> JournalWriter:
+        if self.journal is not None:
+            return begin_journal_at(self.journal, header)
+        return begin_journal(self.results, self.procedure.NAME, header)
+
     def _elapsed_s(self) -> float:
         """A bench that ended with its run stood still in between; time went on for any other."""
         assert self.resume is not None
@@ -141,6 +154,8 @@ class Job:
             "layout": self.procedure.LAYOUT.to_json(),
             "title": f"{marker}{self.procedure.NAME} on bench {bench.settings.name}",
             "run_uuid": str(uuid.uuid4()),
+            "collection": self.collection,
+            "run_number": self.run_number,
             "start_time": now_iso(),
             "program": {
                 "name": PROGRAM,

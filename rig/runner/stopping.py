@@ -31,7 +31,6 @@ class StopRequestedError(RigError):
     def __init__(self, signal_number: signal.Signals, when: str = ""):
         text = f"stopped by {signal_number.name}{when}"
         super().__init__(text, None, STOP_SIGNALS[signal_number])
-        self.signal = signal_number
 
 
 class StopFlag:
@@ -43,6 +42,8 @@ class StopFlag:
 
     def __init__(self, tell: Callable[[str], None] = lambda text: None) -> None:
         self.requested: signal.Signals | None = None
+        self.after_point = False
+        """Whether the run shall end before the next point that it would begin."""
         self._tell = tell
         self._nothing_connected = False
         self._previous: dict[signal.Signals, object] = {}
@@ -51,6 +52,11 @@ class StopFlag:
         """Raise StopRequestedError where a stop was asked for."""
         if self.requested is not None:
             raise StopRequestedError(self.requested)
+
+    def check_between_points(self) -> None:
+        """Raise StopRequestedError where the run shall not begin another point."""
+        if self.after_point:
+            raise StopRequestedError(signal.SIGTERM, " after a point")
 
     @contextlib.contextmanager
     def nothing_connected(self) -> Iterator[None]:

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from rig.cache import DiskCache
-from rig.cli.procedures import Request, bench_for
 from rig.model.skin.condensed import CondensedSkin
+from rig.runner.bench_choice import BenchRequest, Choosing
 
 SMALL = "[skin]\nelements_per_ridge = 6\n"
 
@@ -45,7 +45,9 @@ def test_a_procedure_gets_the_bench_with_its_fixture(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "world.toml").write_text(SMALL)
     with ExitStack() as at_the_end:
-        bench = bench_for(Request(world=Path("world.toml")), at_the_end, "plate")
+        bench = Choosing(print).bench_for(
+            BenchRequest(world=Path("world.toml")), at_the_end, "plate"
+        )
     assert bench.plan.settings.fixture.mounted == "plate"
     assert bench.recorded_toml is not None
     assert 'mounted = "plate"' in bench.recorded_toml

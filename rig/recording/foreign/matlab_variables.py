@@ -51,7 +51,7 @@ def arrays_of(content: bytes, name: str, wanted: Sequence[str]) -> dict[str, NDA
 
 
 def _apart(content: bytes, name: str, wanted: Sequence[str]) -> bytes:
-    command = [sys.executable, "-m", __name__, *wanted]
+    command = [sys.executable, "-P", "-m", __name__, *wanted]
     patience_s = PATIENCE_S + len(content) / BYTES_A_S
     try:
         done = subprocess.run(command, input=content, capture_output=True, timeout=patience_s)

@@ -1,0 +1,106 @@
+"""Beginning a batch, and going on with one: the queue is written once; what it was made from is
+kept beside it, and looked at again before anything goes on."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from pathlib import Path
+
+import rig
+from rig.batch.folder import BatchFolder, new_folder
+from rig.batch.plan import Plan
+from rig.batch.queue import Queue
+from rig.batch.settings import BatchFile, Simulation
+from rig.errors import ConfigurationError
+from rig.runner.source_state import source_state
+from rig.settings import fingerprint
+
+
+def begin(
+    batch_file: Path,
+    batch: BatchFile,
+    plan: Plan,
+    estimates: Mapping[str, tuple[float, float]],
+    bench: Path | None,
+    now: datetime,
+) -> BatchFolder:
+    """Make a batch's folder with its queue. `estimates`: bench time and its standard deviation by
+    condition, in s; `bench`: bench file, None for simulated benches."""
+    folder = new_folder(Path(batch.batch.results), batch.batch.name, now)
+    text = batch_file.read_text(encoding="utf-8")
+    folder.batch_file.write_text(text, encoding="utf-8")
+    files_from = batch_file.absolute().parent
+    Queue.create(
+        folder.queue,
+        plan,
+        estimates,
+        {
+            "id": str(uuid.uuid4()),
+            "name": batch.batch.name,
+            "file": batch.model_dump_json(),
+            "files_from": str(files_from),
+            "batch_file": str(batch_file.absolute()),
+            "bench": "" if bench is None else str(bench.absolute()),
+            "begun": now.isoformat(),
+            "state": "begun",
+            "simulated": "yes" if bench is None else "",
+            **fingerprints(batch_file, batch, files_from, bench),
+        },
+    ).close()
+    return folder
+
+
+def fingerprints(
+    batch_file: Path, batch: BatchFile, files_from: Path, bench: Path | None
+) -> dict[str, str]:
+    """What has to be equal for a batch to go on."""
+    found = {
+        "fingerprint batch file": _of_file(batch_file),
+        "fingerprint program": f"{rig.__version__} {source_state()}".strip(),
+    }
+    if bench is not None:
+        found["fingerprint bench file"] = _of_file(bench)
+    for name in _files_of(batch.simulation):
+        found[f"fingerprint {name}"] = _of_file(files_from / name)
+    return found
+
+
+def refuse_changes(queue: Queue, batch: BatchFile) -> None:
+    """ConfigurationError where batch file, bench file, a simulated bench's files or the program
+    are not what they were when the batch began."""
+    bench = queue.meta("bench")
+    now = fingerprints(
+        Path(queue.meta("batch_file")),
+        batch,
+        Path(queue.meta("files_from")),
+        Path(bench) if bench else None,
+    )
+    changed = []
+    for key, value in now.items():
+        if (was := queue.meta(key)) != value:
+            what = key.removeprefix("fingerprint ")
+            changed.append(f"{what} ({was[:12] or 'none'} then, {value[:12] or 'gone'} now)")
+    if changed:
+        raise ConfigurationError(
+            f"{queue.path.parent}: changed since the batch began: {', '.join(changed)}",
+            "restore it; or go on all the same with --despite-changes: the queue stays as it was "
+            "expanded, and an interrupted run begins afresh",
+        )
+
+
+def _files_of(simulation: Simulation | None) -> Iterator[str]:
+    if simulation is None:
+        return
+    if simulation.world is not None:
+        yield simulation.world
+    yield from (fault.plan for fault in simulation.fault)
+    yield from (change.settings for change in simulation.change)
+
+
+def _of_file(path: Path) -> str:
+    try:
+        return fingerprint(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        return ""

@@ -1,0 +1,129 @@
+"""The folder of a batch: where its queue, its runs and its papers lie."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from rig.errors import ConfigurationError
+from rig.recording.naming import JOURNAL_SUFFIX, RUN_SUFFIX
+
+QUEUE = "queue.sqlite"
+
+
+@dataclass(frozen=True)
+class BatchFolder:
+    """The places in a batch's folder."""
+
+    path: Path
+
+    @property
+    def queue(self) -> Path:
+        """See `rig.batch.queue`."""
+        return self.path / QUEUE
+
+    @property
+    def batch_file(self) -> Path:
+        """The batch file as it was when the batch began."""
+        return self.path / "batch.toml"
+
+    @property
+    def heartbeat(self) -> Path:
+        """See `rig.batch.heartbeat`."""
+        return self.path / "heartbeat.json"
+
+    @property
+    def log(self) -> Path:
+        """What the worker and the work afterwards said, with tracebacks."""
+        return self.path / "batch.log"
+
+    def journal(self, number: int, procedure: str) -> Path:
+        """Where a run's journal goes, whichever attempt it is."""
+        return self.path / "runs" / f"r{number:05d}_{procedure}{JOURNAL_SUFFIX}"
+
+    def run_file(self, number: int, procedure: str) -> Path:
+        """Where it is compiled to."""
+        return self.journal(number, procedure).with_suffix(RUN_SUFFIX)
+
+    @contextlib.contextmanager
+    def held_by(self, who: str, patience_s: float) -> Iterator[int]:
+        """One process at a time is a batch's `who`, "worker" or "supervisor": the file descriptor
+        of the lock, for processes that are to hold it as well.
+
+        ConfigurationError where another is for longer than `patience_s`.
+        """
+        path = self.path / f"{who}.lock"
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            give_up = time.monotonic() + patience_s
+            while not _locked(file):
+                if time.monotonic() > give_up:
+                    pid = os.pread(file, 20, 0).decode("ascii", "replace").strip() or "?"
+                    raise ConfigurationError(
+                        f"{self.path}: the batch has a {who} already, pid {pid}",
+                        f"see: rig batch status {self.path}",
+                    )
+                time.sleep(0.05)
+            os.ftruncate(file, 0)
+            os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+            yield file
+        finally:
+            os.close(file)
+
+    def is_held(self, who: str) -> bool:
+        """Whether a process is the batch's `who` at present."""
+        try:
+            file = os.open(self.path / f"{who}.lock", os.O_RDWR | os.O_CLOEXEC)
+        except OSError:
+            return False
+        try:
+            return not _locked(file)
+        finally:
+            os.close(file)
+
+
+def new_folder(results: Path, name: str, today: datetime) -> BatchFolder:
+    """Make the folder of a new batch: ``2026-11-21_friction``, with ``-2`` if that is taken."""
+    for number in range(1, 1000):
+        more = f"-{number}" if number > 1 else ""
+        path = results / f"{today:%Y-%m-%d}_{name}{more}"
+        try:
+            path.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise ConfigurationError(
+                f"{path}: the batch's folder cannot be made: {error.strerror or error}",
+                "choose another folder for results, or free the disk",
+            ) from error
+        (path / "runs").mkdir()
+        return BatchFolder(path)
+    raise ConfigurationError(
+        f"{results}: there are 999 batches of the name {name} of today", "choose another name"
+    )
+
+
+def find_folder(given: Path | None, results: Path) -> BatchFolder:
+    """The batch that a command means: the folder it names, or the latest in the results."""
+    if given is not None:
+        return BatchFolder(given.parent if given.name == QUEUE else given)
+    found = sorted(results.glob(f"*/{QUEUE}"), key=lambda queue: queue.stat().st_ctime)
+    if not found:
+        raise ConfigurationError(
+            f"there is no batch in {results}", "name its folder, or begin one: rig batch run FILE"
+        )
+    return BatchFolder(found[-1].parent)
+
+
+def _locked(file: int) -> bool:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True

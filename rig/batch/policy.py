@@ -1,0 +1,120 @@
+"""What the end of a run means for the night: try again, go on, hold, or end. Pure.
+
+A time-out is worth another try, a limit never: what was refused or tripped once would be again,
+with the skin pressed once more. A condition that keeps failing is set aside and the night goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Literal
+
+from rig.batch.settings import BatchSettings
+from rig.errors import ExitCode, InstrumentTimeoutError, RigError
+from rig.recording.errors import RecordingError
+
+Kind = Literal["timeout", "instrument", "died", "limit", "usage", "storage", "unsafe", "internal"]
+"""Of a failure."""
+SURE = 2.0
+"""A run fits into what is left of the night with so many standard deviations to spare."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What becomes of a failed attempt, and of the batch."""
+
+    run: Literal["again", "failed"]
+    batch: Literal["go-on", "hold", "end"] = "go-on"
+    why: str = ""
+    set_aside: bool = False
+    """Whether its condition's other runs are left out."""
+
+
+def kind_of(code: int, failures: Sequence[RigError]) -> Kind:
+    """The kind of failure that ended a run: exit code and failures, first cause first."""
+    if code == ExitCode.UNSAFE:
+        return "unsafe"
+    first = failures[0] if failures else None
+    if isinstance(first, RecordingError):
+        return "storage"
+    if isinstance(first, InstrumentTimeoutError):
+        return "timeout"
+    by_code: dict[int, Kind] = {
+        ExitCode.INSTRUMENT: "instrument",
+        ExitCode.LIMIT: "limit",
+        ExitCode.USAGE: "usage",
+    }
+    return by_code.get(code, "internal")
+
+
+def after_failure(
+    batch: BatchSettings,
+    kind: Kind,
+    before: Mapping[str, int],
+    failed_of_condition: int,
+    failed_in_a_row: int,
+    reason: str,
+) -> Verdict:
+    """What to do about a failed attempt.
+
+    `before`: attempts of this run that ended for each kind, this one included;
+    `failed_of_condition`, `failed_in_a_row`: runs failed for good, this one not included.
+    """
+    if kind == "unsafe":
+        return Verdict("again", "end", f"the bench could not be made safe: {reason}")
+    if kind == "storage":
+        return Verdict("again", "hold", f"the data cannot be kept: {reason}")
+    if before.get(kind, 0) <= getattr(batch.retries, kind, 0):
+        return Verdict("again")
+    aside = failed_of_condition + 1 >= batch.set_aside_after
+    if batch.on_failure == "stop":
+        return Verdict("failed", "end", f"a run failed: {reason}", aside)
+    if batch.on_failure == "hold":
+        return Verdict("failed", "hold", f"a run failed: {reason}", aside)
+    row = failed_in_a_row + 1
+    if row >= batch.hold_when.consecutive_failures:
+        return Verdict("failed", "hold", f"{row} runs in a row have failed, last: {reason}", aside)
+    return Verdict("failed", set_aside=aside)
+
+
+def reason_to_end(batch: BatchSettings, done: int, failed: int, bench_s: float) -> str:
+    """Which of the stop conditions is met; empty while none is."""
+    when = batch.stop_when
+    if when.finished_runs is not None and done >= when.finished_runs:
+        return f"{done} runs are finished (stop_when.finished_runs = {when.finished_runs})"
+    if when.failed_runs is not None and failed >= when.failed_runs:
+        return f"{failed} runs have failed (stop_when.failed_runs = {when.failed_runs})"
+    if when.bench_hours is not None and bench_s >= 3600 * when.bench_hours:
+        hours = bench_s / 3600
+        return f"the bench was in use for {hours:.2f} h (bench_hours = {when.bench_hours:g})"
+    return ""
+
+
+def does_not_fit(
+    now: datetime, stop_by: datetime | None, estimate_s: float, spread_s: float
+) -> str:
+    """Why a run is not begun any more; empty where it would be over in time."""
+    if stop_by is None:
+        return ""
+    over = now + timedelta(seconds=estimate_s + SURE * spread_s)
+    if over <= stop_by:
+        return ""
+    return f"the next run would last until {over:%H:%M:%S}, stop_by is {stop_by:%H:%M:%S}"
+
+
+def window(batch: BatchSettings, begun: datetime) -> tuple[datetime | None, datetime | None]:
+    """When a batch that was begun then may use the bench: not before, and by when it is over. A
+    time of the day is the next one; that of the end, the next after the beginning."""
+    first = _next(batch.not_before, begun)
+    return first, _next(batch.stop_by, first or begun)
+
+
+def _next(instant: object, after: datetime) -> datetime | None:
+    if instant is None:
+        return None
+    if isinstance(instant, datetime):
+        return instant if instant.tzinfo else instant.replace(tzinfo=after.tzinfo)
+    today = datetime.combine(after.date(), instant, instant.tzinfo or after.tzinfo)  # type: ignore[arg-type,attr-defined]
+    return today if today > after else today + timedelta(days=1)

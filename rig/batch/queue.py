@@ -1,0 +1,505 @@
+"""The queue of a batch: which runs there are, and what became of each, in one SQLite file.
+
+The plan is written once, whole, before anything begins. From then on a run changes its state only
+in a transaction that is on the disk (write-ahead log, full sync) before anybody acts on it: a run
+is claimed before its first motion, and finished after its data are safe. Whoever dies in between
+leaves a claim, which the next worker settles from the run's own journal (`rig.batch.settling`).
+
+    queued -> running -> done | failed
+       ^         |
+       +---------+  stopped, retried, died: its journal goes on where it was interrupted
+    queued -> set-aside   its condition kept failing
+
+One process writes runs (the worker, who holds the bench); any may read, and ask (`request`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from rig.batch.plan import Condition, Plan
+from rig.errors import ConfigurationError, RigError
+
+RunState = Literal["queued", "running", "done", "failed", "set-aside"]
+Ending = Literal["complete", "stopped", "failed", "died"]
+BUSY_S = 30.0
+"""How long a transaction of another process is waited for."""
+AT_ONCE = 1000
+
+SCHEMA = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE condition (
+    id TEXT PRIMARY KEY, place INTEGER NOT NULL, experiment INTEGER NOT NULL,
+    procedure TEXT NOT NULL, settings TEXT NOT NULL, varied TEXT NOT NULL,
+    reference INTEGER NOT NULL, rest_s REAL NOT NULL, estimate_s REAL NOT NULL,
+    spread_s REAL NOT NULL, set_aside TEXT NOT NULL DEFAULT ''
+) WITHOUT ROWID;
+CREATE TABLE run (
+    number INTEGER PRIMARY KEY, condition TEXT NOT NULL REFERENCES condition (id),
+    repeat INTEGER NOT NULL, state TEXT NOT NULL DEFAULT 'queued',
+    code INTEGER, reason TEXT NOT NULL DEFAULT '', summary TEXT, began TEXT, ended TEXT,
+    bench_s REAL NOT NULL DEFAULT 0, points_done INTEGER NOT NULL DEFAULT 0,
+    points_planned INTEGER NOT NULL DEFAULT 0, processed TEXT
+);
+CREATE INDEX run_by_state ON run (state, condition);
+CREATE INDEX run_by_condition ON run (condition, state, number);
+CREATE TABLE attempt (
+    run INTEGER NOT NULL REFERENCES run (number), attempt INTEGER NOT NULL,
+    began TEXT NOT NULL, ended TEXT, ending TEXT, kind TEXT NOT NULL DEFAULT '',
+    code INTEGER, reason TEXT NOT NULL DEFAULT '', bench_s REAL NOT NULL DEFAULT 0,
+    PRIMARY KEY (run, attempt)
+) WITHOUT ROWID;
+CREATE TABLE event (
+    id INTEGER PRIMARY KEY, time TEXT NOT NULL, level TEXT NOT NULL, text TEXT NOT NULL
+);
+CREATE TABLE request (id INTEGER PRIMARY KEY, time TEXT NOT NULL, kind TEXT NOT NULL);
+"""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A run that a worker has taken on, and which attempt at it this is."""
+
+    number: int
+    attempt: int
+    repeat: int
+    condition: Condition
+    estimate_s: float
+    spread_s: float
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How an attempt ended."""
+
+    ending: Ending
+    kind: str = ""
+    """Of a failure: what retries go by."""
+    code: int = 0
+    reason: str = ""
+    bench_s: float = 0.0
+    points_done: int = 0
+    points_planned: int = 0
+    summary: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a batch has still to do, as planned."""
+
+    runs: int
+    bench_s: float
+    spread_s: float
+    """Standard deviation of `bench_s`, runs of one condition wrong together."""
+
+
+@dataclass(frozen=True)
+class RunRow:
+    """One run as the queue tells it."""
+
+    number: int
+    condition: str
+    repeat: int
+    state: RunState
+    code: int | None
+    reason: str
+    bench_s: float
+    points_done: int
+    points_planned: int
+    attempts: int
+
+
+class Queue:
+    """An open queue. Every method is one transaction, durable when it returns."""
+
+    def __init__(self, path: Path, connection: sqlite3.Connection):
+        self.path = path
+        self._sql = connection
+
+    @classmethod
+    def create(
+        cls,
+        path: Path,
+        plan: Plan,
+        estimates: Mapping[str, tuple[float, float]],
+        meta: Mapping[str, str],
+    ) -> Self:
+        """A new queue of all runs of a plan. `estimates`: expected bench time and its standard
+        deviation by condition, in s. It appears under its name when it is whole."""
+        beside = path.with_suffix(".new")
+        beside.unlink(missing_ok=True)
+        with contextlib.closing(sqlite3.connect(beside, isolation_level=None)) as sql:
+            sql.executescript("PRAGMA journal_mode = DELETE; PRAGMA synchronous = FULL;")
+            sql.execute("BEGIN")
+            for statement in filter(str.strip, SCHEMA.split(";")):
+                sql.execute(statement)
+            sql.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
+            sql.executemany(
+                "INSERT INTO condition (id, place, experiment, procedure, settings, varied,"
+                " reference, rest_s, estimate_s, spread_s) VALUES (?,?,?,?,?,?,?,?,?,?)",
+                (
+                    _condition_row(place, condition, estimates[condition.id])
+                    for place, condition in enumerate(plan.conditions.values())
+                ),
+            )
+            sql.executemany(
+                "INSERT INTO run (number, condition, repeat) VALUES (?, ?, ?)",
+                ((run.number, run.condition, run.repeat) for run in plan.runs),
+            )
+            sql.execute("COMMIT")
+        beside.rename(path)
+        return cls.open(path)
+
+    @classmethod
+    def open(cls, path: Path, *, read_only: bool = False) -> Self:
+        """An existing queue; ConfigurationError where there is none, or what is there is none."""
+        if not path.is_file():
+            raise ConfigurationError(
+                f"{path.parent} holds no batch: there is no {path.name} in it",
+                "name the folder of a batch, as `rig batch run` told it",
+            )
+        mode = "ro" if read_only else "rw"
+        try:
+            sql = sqlite3.connect(
+                f"{path.absolute().as_uri()}?mode={mode}",
+                uri=True,
+                timeout=BUSY_S,
+                isolation_level=None,
+                check_same_thread=False,
+            )
+            sql.execute("SELECT 1 FROM run LIMIT 1")
+            if not read_only:
+                sql.execute("PRAGMA journal_mode = WAL")
+                sql.execute("PRAGMA synchronous = FULL")
+        except sqlite3.DatabaseError as error:
+            raise ConfigurationError(
+                f"{path} cannot be read as the queue of a batch: {error}",
+                "its runs' files are sound without it; begin another batch for the rest",
+            ) from error
+        sql.row_factory = sqlite3.Row
+        return cls(path, sql)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._sql.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # --- what is known of the batch -------------------------------------------------------------
+
+    def meta(self, key: str, default: str = "") -> str:
+        """A word about the batch as a whole."""
+        row = self._sql.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
+        return default if row is None else str(row[0])
+
+    def set_meta(self, key: str, value: str) -> None:
+        """Keep a word about the batch as a whole."""
+        with self._transaction():
+            self._sql.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))
+
+    def counts(self) -> dict[RunState, int]:
+        """How many runs there are in each state."""
+        found = dict.fromkeys(("queued", "running", "done", "failed", "set-aside"), 0)
+        found.update(self._sql.execute("SELECT state, count(*) FROM run GROUP BY state").fetchall())
+        return found  # type: ignore[return-value]
+
+    def left(self) -> Left:
+        """What is queued, with the rests between."""
+        rows = self._sql.execute(
+            "SELECT n, n * (c.estimate_s + c.rest_s), n * c.spread_s FROM condition c JOIN"
+            " (SELECT condition, count(*) AS n FROM run WHERE state IN ('queued', 'running')"
+            " GROUP BY condition) ON condition = c.id"
+        ).fetchall()
+        return Left(
+            sum(row[0] for row in rows),
+            sum(row[1] for row in rows),
+            sum(row[2] ** 2 for row in rows) ** 0.5,
+        )
+
+    def bench_s(self, number: int | None = None) -> float:
+        """Bench time of all attempts, or of those at one run, in s."""
+        query = "SELECT coalesce(sum(bench_s), 0) FROM run"
+        where = ((), "") if number is None else ((number,), " WHERE number = ?")
+        return float(self._sql.execute(query + where[1], where[0]).fetchone()[0])
+
+    def condition(self, name: str) -> Condition:
+        """A condition by its id."""
+        row = self._sql.execute("SELECT * FROM condition WHERE id = ?", (name,)).fetchone()
+        return _condition_of(row)
+
+    def rows(self, states: Sequence[RunState] = ()) -> Iterator[RunRow]:
+        """Runs in the order of the queue, a few at a time: memory does not grow with the queue."""
+        where = f"WHERE state IN ({','.join('?' * len(states))})" if states else ""
+        cursor = self._sql.execute(
+            "SELECT number, condition, repeat, state, code, reason, bench_s, points_done,"
+            " points_planned, (SELECT count(*) FROM attempt a WHERE a.run = run.number) AS attempts"
+            f" FROM run {where} ORDER BY number",
+            tuple(states),
+        )
+        while rows := cursor.fetchmany(AT_ONCE):
+            for row in rows:
+                yield RunRow(**dict(row))
+
+    def latest(self, states: Sequence[RunState], most: int) -> list[RunRow]:
+        """The runs that ended last, latest first."""
+        cursor = self._sql.execute(
+            "SELECT number, condition, repeat, state, code, reason, bench_s, points_done,"
+            " points_planned, (SELECT count(*) FROM attempt a WHERE a.run = run.number) AS attempts"
+            f" FROM run WHERE state IN ({','.join('?' * len(states))}) AND ended IS NOT NULL"
+            " ORDER BY number DESC LIMIT ?",
+            (*states, most),
+        )
+        return [RunRow(**dict(row)) for row in cursor]
+
+    def summaries(self, condition: str) -> list[tuple[int, dict[str, Any]]]:
+        """Number and summary of the runs of a condition that are done, in their order."""
+        rows = self._sql.execute(
+            "SELECT number, summary FROM run WHERE condition = ? AND state = 'done'"
+            " AND summary IS NOT NULL ORDER BY number",
+            (condition,),
+        )
+        return [(row[0], json.loads(row[1])) for row in rows]
+
+    def first_summary_with(self, figure: str) -> tuple[int, dict[str, Any]] | None:
+        """The first run that is done whose summary has a figure."""
+        row = self._sql.execute(
+            "SELECT number, summary FROM run WHERE state = 'done'"
+            " AND json_extract(summary, ?) IS NOT NULL ORDER BY number LIMIT 1",
+            (f'$."{figure}"',),
+        ).fetchone()
+        return None if row is None else (row[0], json.loads(row[1]))
+
+    def attempts(self, number: int) -> dict[str, int]:
+        """How often a run's attempts ended for each kind of reason."""
+        return dict(
+            self._sql.execute(
+                "SELECT kind, count(*) FROM attempt WHERE run = ? AND kind != '' GROUP BY kind",
+                (number,),
+            ).fetchall()
+        )
+
+    def failed_in_a_row(self, most: int) -> int:
+        """How many of the latest ended runs have failed without one done since, up to `most`."""
+        rows = self._sql.execute(
+            "SELECT state FROM run WHERE ended IS NOT NULL AND state IN ('done', 'failed')"
+            " ORDER BY ended DESC, number DESC LIMIT ?",
+            (most,),
+        ).fetchall()
+        states = [row[0] for row in rows]
+        return states.index("done") if "done" in states else len(states)
+
+    def failures_of(self, condition: str) -> int:
+        """How many runs of a condition have failed for good."""
+        return int(
+            self._sql.execute(
+                "SELECT count(*) FROM run WHERE condition = ? AND state = 'failed'", (condition,)
+            ).fetchone()[0]
+        )
+
+    # --- the worker -----------------------------------------------------------------------------
+
+    def upcoming(self) -> Claim | None:
+        """The run that would be claimed next; None where none is left."""
+        row = self._sql.execute(
+            "SELECT number, repeat, condition FROM run WHERE state = 'queued'"
+            " ORDER BY number LIMIT 1"
+        ).fetchone()
+        return None if row is None else self._claim(row)
+
+    def claim(self, number: int) -> Claim:
+        """Take a queued run on: from here on it is running, whatever becomes of the caller."""
+        with self._transaction():
+            row = self._sql.execute(
+                "SELECT number, repeat, condition FROM run WHERE number = ? AND state = 'queued'",
+                (number,),
+            ).fetchone()
+            if row is None:
+                raise RigError(f"run {number} is not queued: somebody else has taken it")
+            claim = self._claim(row)
+            now = _now()
+            self._sql.execute(
+                "INSERT INTO attempt (run, attempt, began) VALUES (?, ?, ?)",
+                (number, claim.attempt, now),
+            )
+            self._sql.execute(
+                "UPDATE run SET state = 'running', began = coalesce(began, ?) WHERE number = ?",
+                (now, number),
+            )
+        return claim
+
+    def finish(self, claim: Claim, ended: Ended, state: RunState) -> None:
+        """The attempt is over, and the run in this state: ``queued`` where it is to go on."""
+        now = _now()
+        with self._transaction():
+            self._sql.execute(
+                "UPDATE attempt SET ended = ?, ending = ?, kind = ?, code = ?, reason = ?,"
+                " bench_s = ? WHERE run = ? AND attempt = ?",
+                (
+                    *(now, ended.ending, ended.kind, ended.code, ended.reason, ended.bench_s),
+                    *(claim.number, claim.attempt),
+                ),
+            )
+            self._sql.execute(
+                "UPDATE run SET state = ?, code = ?, reason = ?, summary = ?, ended = ?,"
+                " bench_s = bench_s + ?, points_done = ?, points_planned = ? WHERE number = ?",
+                (
+                    *(state, ended.code, ended.reason),
+                    None if ended.summary is None else json.dumps(ended.summary),
+                    None if state == "queued" else now,
+                    *(ended.bench_s, ended.points_done, ended.points_planned, claim.number),
+                ),
+            )
+
+    def unfinished(self) -> Claim | None:
+        """The claim that a worker has left behind; None where there is none."""
+        row = self._sql.execute(
+            "SELECT number, repeat, condition FROM run WHERE state = 'running' LIMIT 1"
+        ).fetchone()
+        return None if row is None else self._claim(row, further=0)
+
+    def set_aside(self, condition: str, reason: str) -> int:
+        """Leave out what is queued of a condition; gives how many runs that are."""
+        with self._transaction():
+            self._sql.execute(
+                "UPDATE condition SET set_aside = ? WHERE id = ?", (reason, condition)
+            )
+            changed = self._sql.execute(
+                "UPDATE run SET state = 'set-aside', reason = ?, ended = ?"
+                " WHERE condition = ? AND state = 'queued'",
+                (reason, _now(), condition),
+            )
+        return changed.rowcount
+
+    def put_back(self) -> int:
+        """Queue again what failed or was set aside; gives how many runs that are."""
+        with self._transaction():
+            self._sql.execute("UPDATE condition SET set_aside = ''")
+            self._sql.execute(
+                "UPDATE attempt SET kind = '' WHERE run IN"
+                " (SELECT number FROM run WHERE state IN ('failed', 'set-aside'))"
+            )
+            changed = self._sql.execute(
+                "UPDATE run SET state = 'queued', ended = NULL WHERE state IN"
+                " ('failed', 'set-aside')"
+            )
+        return changed.rowcount
+
+    # --- afterwards -----------------------------------------------------------------------------
+
+    def unprocessed(self, most: int) -> list[int]:
+        """Numbers of ended runs that nothing was made of yet."""
+        rows = self._sql.execute(
+            "SELECT number FROM run WHERE processed IS NULL AND state IN ('done', 'failed')"
+            " ORDER BY number LIMIT ?",
+            (most,),
+        )
+        return [row[0] for row in rows]
+
+    def set_processed(self, number: int, what: Mapping[str, Any]) -> None:
+        """Keep what was made of a run."""
+        with self._transaction():
+            self._sql.execute(
+                "UPDATE run SET processed = ? WHERE number = ?", (json.dumps(what), number)
+            )
+
+    # --- what people see and ask for -------------------------------------------------------------
+
+    def tell(self, level: str, text: str) -> None:
+        """Keep what happened, for those who look later."""
+        with self._transaction():
+            self._sql.execute(
+                "INSERT INTO event (time, level, text) VALUES (?, ?, ?)", (_now(), level, text)
+            )
+
+    def events(self, most: int) -> list[tuple[str, str, str]]:
+        """The latest events (time, level, text), oldest first."""
+        rows = self._sql.execute(
+            "SELECT time, level, text FROM event ORDER BY id DESC LIMIT ?", (most,)
+        ).fetchall()
+        return [(row[0], row[1], row[2]) for row in reversed(rows)]
+
+    def ask(self, kind: str) -> None:
+        """Ask the batch for something from outside."""
+        with self._transaction():
+            self._sql.execute("INSERT INTO request (time, kind) VALUES (?, ?)", (_now(), kind))
+
+    def asked(self) -> list[str]:
+        """What was asked for since the last look, oldest first."""
+        if self._sql.execute("SELECT 1 FROM request LIMIT 1").fetchone() is None:
+            return []
+        with self._transaction():
+            rows = self._sql.execute("SELECT kind FROM request ORDER BY id").fetchall()
+            self._sql.execute("DELETE FROM request")
+        return [str(row[0]) for row in rows]
+
+    @contextlib.contextmanager
+    def _transaction(self) -> Iterator[None]:
+        """All of it or nothing; RigError where the disk does not take it."""
+        try:
+            self._sql.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+            except BaseException:
+                self._sql.execute("ROLLBACK")
+                raise
+            self._sql.execute("COMMIT")
+        except sqlite3.OperationalError as error:
+            with contextlib.suppress(sqlite3.Error):
+                self._sql.execute("ROLLBACK")
+            raise RigError(
+                f"{self.path}: the queue cannot be written: {error}",
+                "free the disk, then: rig batch resume",
+            ) from error
+
+    def _claim(self, row: sqlite3.Row, further: int = 1) -> Claim:
+        condition = self._sql.execute(
+            "SELECT * FROM condition WHERE id = ?", (row["condition"],)
+        ).fetchone()
+        before = self._sql.execute(
+            "SELECT count(*) FROM attempt WHERE run = ?", (row["number"],)
+        ).fetchone()[0]
+        return Claim(
+            row["number"],
+            before + further,
+            row["repeat"],
+            _condition_of(condition),
+            condition["estimate_s"],
+            condition["spread_s"],
+        )
+
+
+def _condition_row(
+    place: int, condition: Condition, estimate: tuple[float, float]
+) -> tuple[Any, ...]:
+    return (
+        *(condition.id, place, condition.experiment, condition.procedure),
+        *(json.dumps(dict(condition.settings)), json.dumps(dict(condition.varied))),
+        *(int(condition.reference), condition.rest_s, *estimate),
+    )
+
+
+def _condition_of(row: sqlite3.Row) -> Condition:
+    return Condition(
+        row["id"],
+        row["experiment"],
+        row["procedure"],
+        json.loads(row["settings"]),
+        json.loads(row["varied"]),
+        bool(row["reference"]),
+        row["rest_s"],
+    )
+
+
+def _now() -> str:
+    return datetime.now().astimezone().isoformat(timespec="microseconds")

@@ -1,0 +1,189 @@
+"""The supervisor: keeps a worker at work, hears people, and outlives what the worker dies of.
+
+It holds no bench. A worker that dies is followed by another one, once the guard of the first has
+made the bench safe (`rig.batch.worker`). What people ask for from other terminals lies in the
+queue; signals of this terminal are its stop requests. Its word to the worker goes through a pipe,
+whose end tells the worker that the supervisor has died.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import selectors
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rig.batch.folder import BatchFolder
+from rig.batch.queue import Queue
+from rig.errors import ExitCode
+from rig.runner.stopping import StopFlag
+
+LOOK_S = 0.1
+"""How often stop requests and other terminals are looked at."""
+STARTING_S = 300.0
+"""From a claim to its run's plan: boot, connect, compile for the first time. Who takes longer
+hangs; from then on the run's guard watches."""
+CRASHES = 3
+"""So many workers in a row that die without having begun a run: it is no use."""
+
+WORDS = ("stop-now", "stop-after-point", "stop-after-run", "pause", "go")
+"""What may be asked for."""
+
+
+@dataclass
+class Now:
+    """What the batch is doing, for people and monitors."""
+
+    state: str = "starting"
+    text: str = ""
+    run: int | None = None
+    attempt: int | None = None
+    condition: str = ""
+    point: str = ""
+    points: str = ""
+
+
+class Supervisor:
+    """Runs a batch to its end."""
+
+    def __init__(self, folder: BatchFolder, stop: StopFlag, tell: Callable[[str], None]):
+        self._folder, self._stop, self._tell = folder, stop, tell
+        self._now = Now()
+        self._end: dict[str, Any] | None = None
+        self._begun_a_run = False
+        self._give_up: float | None = None
+        self._runs = 0
+
+    def run(self) -> ExitCode:
+        """Have all runs taken; the exit code of the batch. ConfigurationError where another
+        supervisor has it."""
+        with (
+            self._folder.held_by("supervisor", 0.0),
+            Queue.open(self._folder.queue) as self._queue,
+            self._folder.log.open("ab") as self._log,
+        ):
+            self._runs = sum(self._queue.counts().values())
+            self._queue.set_meta("state", "running")
+            self._queue.tell("info", f"begun by pid {os.getpid()}")
+            crashes = 0
+            while True:
+                self._begun_a_run = False
+                code = self._one_worker()
+                if self._end is not None:
+                    return ExitCode(int(self._end["code"]))
+                crashes = 0 if self._begun_a_run else crashes + 1
+                how = f"signal {-code}" if code < 0 else f"exit code {code}"
+                text = f"the worker died ({how}); see {self._folder.log}"
+                self._queue.tell("error", text)
+                self._tell(f"warning: {text}")
+                if self._stop.requested is not None:
+                    self._queue.set_meta("state", "stopped: the worker died while it was stopped")
+                    return ExitCode.INTERNAL
+                if crashes >= CRASHES:
+                    self._queue.set_meta("state", f"stopped: {text}")
+                    self._tell(f"error: {crashes} workers in a row died before they began a run")
+                    return ExitCode.INTERNAL
+
+    # --- one worker -----------------------------------------------------------------------------
+
+    def _one_worker(self) -> int:
+        """Start a worker and listen to it until it has ended; its exit code."""
+        worker = subprocess.Popen(
+            [sys.executable, "-P", "-m", "rig.batch.worker", str(self._folder.path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            start_new_session=True,  # a terminal's Ctrl-C is the supervisor's to pass on
+        )
+        assert worker.stdin is not None
+        assert worker.stdout is not None
+        os.set_blocking(worker.stdout.fileno(), False)
+        self._queue.set_meta("worker", str(worker.pid))
+        told_to_stop = False
+        buffer = b""
+        with selectors.DefaultSelector() as selector, worker:
+            selector.register(worker.stdout, selectors.EVENT_READ)
+            while True:
+                if selector.select(LOOK_S):
+                    chunk = worker.stdout.read(65536)
+                    if chunk == b"":
+                        break
+                    *lines, buffer = (buffer + (chunk or b"")).split(b"\n")
+                    for line in lines:
+                        self._hear(json.loads(line))
+                if self._stop.requested is not None and not told_to_stop:
+                    told_to_stop = True
+                    self._say(worker, "stop-now")
+                for word in self._queue.asked():
+                    self._say(worker, word)
+                if self._give_up is not None and time.monotonic() > self._give_up:
+                    self._give_up = None
+                    self._tell(f"warning: the worker was silent for {STARTING_S:g} s; killed")
+                    worker.kill()
+            worker.stdin.close()
+        return worker.returncode
+
+    def _say(self, worker: subprocess.Popen[bytes], word: str) -> None:
+        assert worker.stdin is not None
+        self._queue.tell("info", f"asked for: {word}")
+        try:
+            worker.stdin.write(word.encode() + b"\n")
+            worker.stdin.flush()
+        except OSError:  # it has died, which is seen at its other end
+            pass
+
+    def _hear(self, said: Mapping[str, Any]) -> None:
+        """One line from the worker."""
+        event = said["event"]
+        getattr(self, f"_on_{event.replace('-', '_')}")(said)
+
+    def _on_run(self, said: Mapping[str, Any]) -> None:
+        self._begun_a_run = True
+        self._give_up = time.monotonic() + STARTING_S
+        self._now = Now("running", "", said["number"], said["attempt"], said["condition"])
+        again = f", attempt {said['attempt']}" if said["attempt"] > 1 else ""
+        self._tell(
+            f"run {said['number']}/{self._runs} {said['condition']}{again}: "
+            f"about {said['estimate_s']:.0f} s"
+        )
+
+    def _on_planned(self, said: Mapping[str, Any]) -> None:
+        self._give_up = None
+        self._now.points = f"{said['kept']}/{said['points']}"
+
+    def _on_point(self, said: Mapping[str, Any]) -> None:
+        self._now.point, self._now.points = said["point"], f"{said['done']}/{said['of']}"
+
+    def _on_note(self, said: Mapping[str, Any]) -> None:
+        if said["level"] != "info":
+            self._tell(f"{said['level']}: {said['text']}")
+
+    def _on_state(self, said: Mapping[str, Any]) -> None:
+        self._now = Now(said["state"], said.get("text", ""))
+        if said.get("text"):
+            self._tell(f"{said['state']}: {said['text']}")
+
+    def _on_hold(self, said: Mapping[str, Any]) -> None:
+        self._tell(
+            f"HOLD: {said['text']}; the bench is safe and waits: rig batch resume "
+            f"{self._folder.path}"
+        )
+
+    def _on_finished(self, said: Mapping[str, Any]) -> None:
+        self._give_up = None
+        text = f"run {said['number']}: {said['ending']}, {said['points']} points"
+        if said["reason"]:
+            text += f": {said['reason']}"
+        if said["again"]:
+            text += "; it is tried again"
+        self._tell(text)
+        if said["ending"] != "complete" or said["code"]:
+            self._queue.tell("warning", text)
+
+    def _on_end(self, said: Mapping[str, Any]) -> None:
+        self._end = dict(said)

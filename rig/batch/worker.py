@@ -1,0 +1,476 @@
+"""The worker: the one process that holds the bench and takes the runs of a queue, one by one.
+
+    python -m rig.batch.worker FOLDER
+
+It is started by the supervisor (`rig.batch.supervisor`), which tells it words on its standard input
+("stop-now", "stop-after-point", "stop-after-run", "pause", "go") and gets one object of JSON a line
+on its standard output. When its input ends the supervisor has died: it stops in order, as it does
+when it is told to.
+
+What it decides is in `rig.batch.policy`; that nothing is lost or doubled, in `rig.batch.queue`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.batch.folder import BatchFolder
+from rig.batch.night import Night, SlavedNight, WallNight
+from rig.batch.policy import after_failure, does_not_fit, kind_of, reason_to_end, window
+from rig.batch.procedures import installed
+from rig.batch.queue import Claim, Ended, Queue
+from rig.batch.settings import BatchFile
+from rig.batch.settling import to_continue, what_became_of
+from rig.errors import ExitCode, RigError
+from rig.runner.bench_choice import BenchRequest, Choosing, ChosenBench
+from rig.runner.stopping import StopFlag, StopRequestedError
+
+if TYPE_CHECKING:
+    from rig.runner.outcome import Outcome
+    from rig.runner.points import Point, Reading
+    from rig.runner.procedure import Procedure
+
+GUARD_PATIENCE_S = 60.0
+"""How long the guard of a worker that died is waited for."""
+
+Say = Callable[..., None]
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What a batch was begun with, as its queue keeps it."""
+
+    file: BatchFile
+    bench: Path | None
+    """Bench file; None where simulated benches are started, one a run."""
+    results: Path
+    """Folder in which the batch's folder lies, and the guard's report of a real bench."""
+    batch_id: str
+    begun: datetime
+    files_from: Path
+    """Folder that the batch file's own file names are relative to."""
+
+    @classmethod
+    def of(cls, queue: Queue, folder: BatchFolder) -> Terms:
+        """Read from a queue."""
+        bench = queue.meta("bench")
+        return cls(
+            BatchFile.model_validate_json(queue.meta("file")),
+            Path(bench) if bench else None,
+            folder.path.parent,
+            queue.meta("id"),
+            datetime.fromisoformat(queue.meta("begun")),
+            Path(queue.meta("files_from")),
+        )
+
+
+class _EndError(RigError):
+    """The batch ends here, in order, before its last run."""
+
+
+class _Words:
+    """What the supervisor says, heard by a thread; acted on by the main thread."""
+
+    def __init__(self, stop: StopFlag):
+        self._stop = stop
+        self.paused = threading.Event()
+        self.stop_after_run = False
+        self.in_run = False
+        threading.Thread(target=self._listen, name="words", daemon=True).start()
+
+    def _listen(self) -> None:
+        for line in sys.stdin:
+            self._hear(line.strip())
+        os.kill(os.getpid(), signal.SIGHUP)  # nobody is there any more
+
+    def _hear(self, word: str) -> None:
+        if word == "stop-now":
+            os.kill(os.getpid(), signal.SIGTERM)
+        elif word == "stop-after-point":
+            self._stop.after_point = self.stop_after_run = True
+        elif word == "stop-after-run":
+            self.stop_after_run = True
+        elif word == "pause" and not self.paused.is_set():
+            self.paused.set()
+            if self.in_run:
+                os.kill(os.getpid(), signal.SIGTSTP)
+        elif word == "go":
+            self.paused.clear()
+            if self.in_run:
+                os.kill(os.getpid(), signal.SIGCONT)
+
+
+class _Reporter:
+    """A run's progress, for the supervisor."""
+
+    def __init__(self, say: Say):
+        self._say = say
+
+    def planned(self, points: tuple[Point, ...], kept: set[str], overhead_s: float) -> None:
+        """See `rig.runner.execution.Reporter`."""
+        self._say("planned", points=len(points), kept=len(kept))
+
+    def point_kept(self, number: int, total: int, point: Point, reading: Reading) -> None:
+        """See `rig.runner.execution.Reporter`."""
+        self._say("point", done=number, of=total, point=point.id)
+
+    def event(self, level: str, message: str) -> None:
+        """See `rig.runner.execution.Reporter`."""
+        self._say("note", level=level, text=message)
+
+    def storing(self) -> None:
+        """See `rig.runner.execution.Reporter`."""
+
+    def stored(self, run_file: Path) -> None:
+        """See `rig.runner.execution.Reporter`."""
+
+
+class Worker:
+    """Takes the runs of a queue until none is left, or something ends the night."""
+
+    def __init__(self, folder: BatchFolder, queue: Queue, lock: int, stop: StopFlag, say: Say):
+        self._folder, self._queue, self._lock, self._stop = folder, queue, lock, stop
+        self._say = say
+        self._terms = Terms.of(queue, folder)
+        self._batch = self._terms.file.batch
+        self._words = _Words(stop)
+        self._night = self._nights()
+        self._bench: ChosenBench | None = None
+        """Of a bench file: locked once, for all runs."""
+        self._from, self._until = window(self._batch, self._terms.begun)
+
+    def work(self) -> ExitCode:
+        """Take the runs; the exit code of the batch."""
+        try:
+            with ExitStack() as at_the_end:
+                self._settle()
+                self._wait_for_the_window()
+                while (claim := self._next()) is not None:
+                    self._take(claim, at_the_end)
+        except StopRequestedError as stopped:
+            self._end("stopped", stopped.one_line(), stopped.code)
+            return stopped.code
+        except _EndError as ended:
+            self._end("stopped", ended.one_line(), ended.code)
+            return ended.code
+        counts = self._queue.counts()
+        lost = counts["failed"] + counts["set-aside"]
+        code = ExitCode.FINISHED_WITH_FAILURES if lost else ExitCode.DONE
+        self._end("complete", "", code)
+        return code
+
+    # --- between runs ---------------------------------------------------------------------------
+
+    def _settle(self) -> None:
+        """What an earlier worker left: its run is done, or goes on where it was interrupted."""
+        claim = self._queue.unfinished()
+        if claim is None:
+            return
+        ended = what_became_of(self._folder.journal(claim.number, claim.condition.procedure))
+        earlier_s = self._queue.bench_s(claim.number)
+        ended = replace(ended, bench_s=max(0.0, ended.bench_s - earlier_s))
+        self._night.used(ended.bench_s)
+        if ended.reason:
+            self._say("note", level="warning", text=f"run {claim.number}: {ended.reason}")
+        self._conclude(claim, ended)
+
+    def _next(self) -> Claim | None:
+        """The next run, once nothing stands against it."""
+        while True:
+            self._between_runs()
+            upcoming = self._queue.upcoming()
+            if upcoming is None:
+                return None
+            counts = self._queue.counts()
+            why = reason_to_end(
+                self._batch, counts["done"], counts["failed"], self._queue.bench_s()
+            ) or does_not_fit(
+                self._night.now(),
+                self._until,
+                upcoming.condition.rest_s + upcoming.estimate_s,
+                upcoming.spread_s,
+            )
+            if why:
+                raise _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
+            rest_s = upcoming.condition.rest_s
+            if upcoming.attempt > 1 and self._queue.attempts(upcoming.number):
+                rest_s += self._batch.retries.rest_s
+            if rest_s:
+                self._say("state", state="resting", seconds=rest_s)
+                self._night.rest(rest_s, self._between_runs)
+            return upcoming
+
+    def _between_runs(self) -> None:
+        """Look whether the batch shall stop or pause; the bench is safe."""
+        self._stop.check()
+        if self._words.stop_after_run:
+            raise StopRequestedError(signal.SIGTERM, " between runs")
+        if self._words.paused.is_set():
+            self._wait("paused", "paused by the operator")
+
+    def _hold(self, why: str) -> None:
+        """Something wants a person: wait for one, or end, as the batch says."""
+        self._queue.tell("hold", why)
+        if self._batch.on_hold == "stop":
+            raise _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
+        self._say("hold", text=why)
+        self._words.paused.set()
+        self._wait("held", why)
+
+    def _wait(self, state: str, why: str) -> None:
+        self._queue.set_meta("state", f"{state}: {why}")
+        self._say("state", state=state, text=why)
+        while self._words.paused.is_set():
+            self._stop.check()
+            if self._words.stop_after_run:
+                raise StopRequestedError(signal.SIGTERM, f" while {state}")
+            time.sleep(0.05)
+        self._say("state", state="running")
+        self._queue.set_meta("state", "running")
+        self._queue.tell("info", "going on")
+
+    def _wait_for_the_window(self) -> None:
+        if self._from is None or (wait_s := (self._from - self._night.now()).total_seconds()) <= 0:
+            return
+        self._queue.set_meta("state", f"waiting for {self._from:%Y-%m-%d %H:%M:%S}")
+        self._say("state", state="waiting", text=f"not before {self._from:%Y-%m-%d %H:%M:%S}")
+        self._night.rest(wait_s, self._between_runs)
+        self._queue.set_meta("state", "running")
+
+    def _end(self, state: str, why: str, code: ExitCode) -> None:
+        self._queue.set_meta("state", f"{state}: {why}" if why else state)
+        self._queue.tell("info" if code == ExitCode.DONE else "warning", f"{state}: {why or code}")
+        self._say("end", state=state, text=why, code=int(code))
+
+    # --- one run --------------------------------------------------------------------------------
+
+    def _take(self, upcoming: Claim, at_the_end: ExitStack) -> None:
+        """Claim it, take it, keep what became of it."""
+        claim = self._queue.claim(upcoming.number)
+        self._say(
+            "run",
+            number=claim.number,
+            attempt=claim.attempt,
+            condition=claim.condition.id,
+            procedure=claim.condition.procedure,
+            estimate_s=claim.estimate_s,
+        )
+        try:
+            outcome = self._perform(claim, at_the_end)
+        except StopRequestedError as stopped:  # nothing was connected yet
+            self._queue.finish(claim, Ended("stopped", code=int(stopped.code)), "queued")
+            raise
+        except RigError as error:
+            kind = kind_of(error.code, error.parts())
+            ended = Ended("failed", kind, int(error.code), error.one_line())
+        else:
+            ended = _ended(outcome)
+        self._night.used(ended.bench_s)
+        self._conclude(claim, ended)
+
+    def _conclude(self, claim: Claim, ended: Ended) -> None:
+        """Keep how an attempt ended, and do what follows from it."""
+        if ended.ending == "complete":
+            self._queue.finish(claim, ended, "done")
+            self._finished(claim, ended)
+            return
+        if ended.ending == "stopped":
+            self._queue.finish(claim, ended, "queued")
+            self._finished(claim, ended)
+            self._stop.check()
+            raise StopRequestedError(signal.SIGTERM, " after a point")
+        before = self._queue.attempts(claim.number)
+        before[ended.kind] = before.get(ended.kind, 0) + 1
+        verdict = after_failure(
+            self._batch,
+            ended.kind,  # type: ignore[arg-type]
+            before,
+            self._queue.failures_of(claim.condition.id),
+            self._queue.failed_in_a_row(self._batch.hold_when.consecutive_failures),
+            ended.reason,
+        )
+        state = "queued" if verdict.run == "again" else "failed"
+        self._queue.finish(claim, ended, state)  # type: ignore[arg-type]
+        self._finished(claim, ended, again=state == "queued")
+        if verdict.set_aside and not claim.condition.reference:
+            self._set_aside(claim)
+        if verdict.batch == "end":
+            raise _EndError(verdict.why, None, ExitCode(ended.code or ExitCode.INTERNAL))
+        if verdict.batch == "hold":
+            self._hold(verdict.why)
+
+    def _set_aside(self, claim: Claim) -> None:
+        name = claim.condition.id
+        failed = self._queue.failures_of(name)
+        why = f"{failed} of its runs failed"
+        left_out = self._queue.set_aside(name, why)
+        text = f"condition {name} is set aside: {why}; {left_out} runs are left out"
+        self._queue.tell("warning", text)
+        self._say("note", level="warning", text=text)
+
+    def _finished(self, claim: Claim, ended: Ended, again: bool = False) -> None:
+        journal = self._folder.journal(claim.number, claim.condition.procedure)
+        self._say(
+            "finished",
+            number=claim.number,
+            attempt=claim.attempt,
+            condition=claim.condition.id,
+            procedure=claim.condition.procedure,
+            ending=ended.ending,
+            again=again,
+            code=ended.code,
+            reason=ended.reason,
+            bench_s=ended.bench_s,
+            journal=str(journal),
+            points=f"{ended.points_done}/{ended.points_planned}",
+        )
+
+    def _perform(self, claim: Claim, at_the_end: ExitStack) -> Outcome:
+        """One attempt at a run, from choosing the bench to a journal that is closed."""
+        from rig.runner.execution import execute
+        from rig.runner.jobs import Job
+
+        condition = claim.condition
+        procedure = installed(condition.procedure)
+        settings = procedure.Settings.model_validate_json(json.dumps(dict(condition.settings)))
+        path = self._folder.journal(claim.number, condition.procedure)
+        resume = to_continue(path)
+        bench = self._bench_for(claim, procedure, at_the_end)
+        job = Job(
+            procedure=procedure,
+            settings=settings,
+            seed=self._seed,
+            results=self._terms.results,
+            user=self._batch.user,
+            sample=self._batch.sample,
+            notes=self._batch.notes,
+            resume=resume,
+            allow_expired=self._batch.allow_expired,
+            recorded_toml=bench.recorded_toml,
+            lock=bench.lock,
+            collection=self._terms.batch_id,
+            run_number=claim.number,
+            journal=path,
+            compiled=False,
+            held=(self._lock,),
+        )
+        self._words.in_run = True
+        try:
+            outcome = execute(job, bench.plan, bench.clock, self._stop, _Reporter(self._say))
+        finally:
+            self._words.in_run = False
+            if bench.started is not None:
+                bench.started.wait()
+        return outcome
+
+    def _bench_for(self, claim: Claim, procedure: Procedure, at_the_end: ExitStack) -> ChosenBench:
+        """The bench file's bench, locked once for all runs; or a simulated one for this run."""
+        fixture = procedure.FIXTURES[0]
+        choosing = Choosing(
+            lambda text: self._say("note", level="info", text=text),
+            getattr(procedure, "import_ahead", lambda: None),
+        )
+        if self._terms.bench is None:
+            with self._stop.nothing_connected(), ExitStack() as nothing:
+                return choosing.bench_for(self._simulated(claim), nothing, fixture)
+        if self._bench is None:
+            request = BenchRequest(bench=self._terms.bench, results=self._terms.results)
+            self._bench = choosing.bench_for(request, at_the_end, fixture)
+        from rig.clock import WallClock
+
+        return replace(self._bench, clock=WallClock())
+
+    def _simulated(self, claim: Claim) -> BenchRequest:
+        """What the simulated bench of a run is, and what befalls it."""
+        own = self._terms.file.simulation
+        request = BenchRequest(seed=self._seed, results=self._folder.path / "runs")
+        if own is None:
+            return request
+        worlds = [own.world] + [c.settings for c in own.change if c.from_run <= claim.number]
+        world = worlds[-1]
+        fault = next(
+            (f.plan for f in own.fault if claim.number in f.runs and claim.attempt <= f.attempts),
+            None,
+        )
+        return replace(
+            request,
+            stages=own.stages,
+            world=None if world is None else self._terms.files_from / world,
+            fault=None if fault is None else self._terms.files_from / fault,
+        )
+
+    @property
+    def _seed(self) -> int:
+        own = self._terms.file.simulation
+        return 0 if own is None else own.seed
+
+    def _nights(self) -> Night:
+        if self._terms.bench is not None:
+            return WallNight()
+        queue = self._queue
+
+        def keep(passed_s: float) -> None:
+            queue.set_meta("night_s", f"{passed_s:.6f}")
+
+        return SlavedNight(self._terms.begun, float(queue.meta("night_s", "0")), keep)
+
+
+def _ended(outcome: Outcome) -> Ended:
+    """An execution's outcome as the queue keeps it."""
+    failed = outcome.status == "failed"
+    reasons = [failure.one_line() for failure in outcome.failures]
+    reasons += [f"{off.name} not switched off: {off.reason}" for off in outcome.off_failures]
+    return Ended(
+        outcome.status,  # type: ignore[arg-type]
+        kind_of(outcome.code, outcome.failures) if failed else "",
+        int(outcome.code),
+        "; ".join(reasons),
+        outcome.duration_s,
+        outcome.points_done,
+        outcome.points_planned,
+        dict(outcome.summary),
+    )
+
+
+def main(arguments: Sequence[str]) -> int:
+    """The program."""
+    folder = BatchFolder(Path(arguments[0]))
+    lines = threading.Lock()
+
+    def say(event: str, **fields: Any) -> None:
+        line = json.dumps({"event": event, **fields}) + "\n"
+        with lines:
+            try:
+                sys.stdout.write(line)
+                sys.stdout.flush()
+            except OSError:  # nobody listens: the end of standard input says so, too
+                sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115 - until the process ends
+
+    signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # between runs; a run has its own switch
+    with StopFlag() as stop:
+        try:
+            with folder.held_by("worker", GUARD_PATIENCE_S) as lock, Queue.open(folder.queue) as q:
+                os.set_inheritable(lock, True)
+                return int(Worker(folder, q, lock, stop, say).work())
+        except StopRequestedError as stopped:
+            say("end", state="stopped", text=stopped.one_line(), code=int(stopped.code))
+            return int(stopped.code)
+        except RigError as error:
+            say("end", state="failed", text=error.one_line(), code=int(error.code))
+            return int(error.code)
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    sys.exit(main(sys.argv[1:]))

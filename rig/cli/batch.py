@@ -1,0 +1,193 @@
+"""Commands of an overnight batch: plan it, run it, look at it, pause, stop and resume it."""
+
+from __future__ import annotations
+
+import json
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rig.cli.outcome import reported, say, start_log
+from rig.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from rig.batch.folder import BatchFolder
+    from rig.batch.status import Status
+
+HELP = "Overnight batches: a file of many runs, each taken exactly once."
+
+app = typer.Typer(
+    name="batch",
+    help=HELP,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+BatchPath = Annotated[Path, typer.Argument(help="Batch file (TOML).", metavar="FILE")]
+Folder = Annotated[
+    Path | None,
+    typer.Argument(help="Folder of the batch [the latest in the results].", metavar="[FOLDER]"),
+]
+Results = Annotated[Path, typer.Option(help="Where to look for the latest batch.")]
+BenchPath = Annotated[
+    Path | None,
+    typer.Option(help="Bench file; without one, the batch file's, ./bench.toml or simulated."),
+]
+Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+RESULTS = Path("results")
+WATCH_S = 1.0
+
+
+@app.command()
+def run(
+    file: BatchPath, bench: BenchPath = None, as_json: AsJson = False, debug: Debug = False
+) -> None:
+    """Check a batch whole, then take its runs; Ctrl-C stops it in order."""
+    with reported(debug, as_json):
+        from datetime import datetime
+
+        from rig.batch.beginning import begin
+        from rig.batch.reading import read_batch
+        from rig.runner.bench_choice import bench_file
+
+        batch, plan, _ = read_batch(file)
+        chosen = bench_file(bench) if batch.batch.bench is None else file.parent / batch.batch.bench
+        estimates = dict.fromkeys(plan.conditions, (20.0, 1.0))
+        now = datetime.now().astimezone()
+        folder = begin(file, batch, plan, estimates, chosen, now)
+        say(f"batch {folder.path}: {len(plan.runs)} runs")
+        _supervise(folder, as_json)
+
+
+@app.command()
+def resume(
+    folder: Folder = None,
+    results: Results = RESULTS,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Queue again what failed or was set aside.")
+    ] = False,
+    despite_changes: Annotated[
+        bool, typer.Option("--despite-changes", help="Go on though files or program changed.")
+    ] = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Go on with a batch that was stopped, or let one go on that is paused or on hold."""
+    with reported(debug, as_json):
+        from rig.batch.beginning import refuse_changes
+        from rig.batch.folder import find_folder
+        from rig.batch.queue import Queue
+        from rig.batch.settings import BatchFile
+
+        found = find_folder(folder, results)
+        with Queue.open(found.queue) as queue:
+            if found.is_held("supervisor"):
+                queue.ask("go")
+                say(f"batch {found.path}: told to go on")
+                return
+            if despite_changes:
+                queue.set_meta("despite changes", "yes")
+            else:
+                refuse_changes(queue, BatchFile.model_validate_json(queue.meta("file")))
+            if retry_failed:
+                say(f"{queue.put_back()} runs are queued again")
+        _supervise(found, as_json)
+
+
+@app.command()
+def pause(folder: Folder = None, results: Results = RESULTS, debug: Debug = False) -> None:
+    """Make the bench safe and wait; the point under way is taken again on `resume`."""
+    _ask("pause", "pausing", folder, results, debug)
+
+
+@app.command()
+def stop(
+    folder: Folder = None,
+    results: Results = RESULTS,
+    now: Annotated[bool, typer.Option("--now", help="At once; the point is lost.")] = False,
+    after_run: Annotated[
+        bool, typer.Option("--after-run", help="After the run under way [after its point].")
+    ] = False,
+    debug: Debug = False,
+) -> None:
+    """Stop a batch in order, after the point under way; `resume` goes on with it."""
+    if now and after_run:
+        raise typer.BadParameter("--now and --after-run exclude each other")
+    when = "now" if now else "after-run" if after_run else "after-point"
+    _ask(f"stop-{when}", f"stopping {when.replace('-', ' its ')}", folder, results, debug)
+
+
+@app.command()
+def status(
+    folder: Folder = None,
+    results: Results = RESULTS,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Show it again every second, until Ctrl-C.")
+    ] = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Say how far a batch is, from any terminal."""
+    with reported(debug):
+        from rig.batch.folder import find_folder
+        from rig.batch.status import status_of
+
+        found = find_folder(folder, results)
+        while True:
+            _show(status_of(found), as_json, watch)
+            if not watch:
+                return
+            time.sleep(WATCH_S)
+
+
+def _show(status: Status, as_json: bool, again: bool) -> None:
+    if as_json:
+        print(json.dumps(status.as_object()), flush=True)  # noqa: T201 - stdout carries data
+        return
+    import sys
+
+    if again and sys.stdout.isatty():
+        print("\033[H\033[2J", end="")  # noqa: T201 - a terminal begins anew
+    print("\n".join(status.lines()), flush=True)  # noqa: T201 - stdout carries data
+
+
+def _ask(word: str, told: str, folder: Path | None, results: Path, debug: bool) -> None:
+    with reported(debug):
+        from rig.batch.folder import find_folder
+        from rig.batch.queue import Queue
+
+        found = find_folder(folder, results)
+        with Queue.open(found.queue) as queue:
+            if not found.is_held("supervisor"):
+                raise ConfigurationError(
+                    f"batch {found.path} is not running ({queue.meta('state')})",
+                    f"go on with it: rig batch resume {found.path}",
+                )
+            queue.ask(word)
+        say(f"batch {found.path}: {told}")
+
+
+def _supervise(folder: BatchFolder, as_json: bool) -> None:
+    """Have a batch taken, tell how it ended, and end with its exit code."""
+    from rig.batch.status import status_of
+    from rig.batch.supervisor import Supervisor
+    from rig.cli.streams import say_at_once
+    from rig.runner.stopping import StopFlag
+
+    with ExitStack() as stack:
+        stop = stack.enter_context(StopFlag(say_at_once))
+        start_log(folder.path)
+        code = Supervisor(folder, stop, say).run()
+    ended: Any = status_of(folder)
+    if as_json:
+        print(json.dumps(ended.as_object() | {"exit": int(code)}))  # noqa: T201 - data
+    else:
+        for line in ended.lines():
+            say(line)
+    raise typer.Exit(int(code))

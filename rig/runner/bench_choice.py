@@ -1,0 +1,183 @@
+"""Which bench a command works on: that of a bench file, or a simulated one that it starts.
+
+The bench of a file is locked, and refused where its last guard left it unsafe. A simulated bench
+boots as a process of its own while the command goes on importing; it belongs to the command alone.
+Nothing is connected here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from rig.bench import BenchFactory, BenchPlan, Fixture, RunningBench
+    from rig.clock import Clock
+    from rig.runner.lock import BenchLock
+
+Stages = Literal["festo", "az", "festo-az", "az-festo"]
+"""Of a simulated bench: on Modbus TCP, or on one Modbus RTU line."""
+BENCH_FILE = Path("bench.toml")
+FIRST_TIME = "the first time on a computer it takes up to two minutes"
+STARTING: dict[Fixture, str] = {
+    "film-clamp": "film in its clamp",
+    "plate": f"skin above its plate; {FIRST_TIME}",
+    "semi-spherical-object": f"skin above a head on the rotary stage; {FIRST_TIME}",
+}
+LIBRARIES_OF_LINKS = ("pyvisa_py.highlevel", "pymodbus.client", "serial")
+"""What the simulated bench's drivers import when they connect."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRequest:
+    """What a command says of the bench it wants."""
+
+    bench: Path | None = None
+    """Bench file; None for a simulated bench."""
+    results: Path = Path("results")
+    seed: int = 0
+    dry_run: bool = False
+    """Rehearse on a simulated bench under the bench file's limits."""
+    stages: Stages | None = None
+    world: Path | None = None
+    fault: Path | None = None
+    world_log: Path | None = None
+
+
+@dataclass(frozen=True)
+class ChosenBench:
+    """The bench that a command works on, not yet connected."""
+
+    plan: BenchPlan
+    clock: Clock
+    lock: BenchLock | None = None
+    """On its instruments, unless they are this command's own."""
+    started: RunningBench | None = None
+    """The simulated bench that was started for this command."""
+    recorded_toml: str | None = None
+    """Its bench file without the process's port numbers."""
+
+
+def bench_file(given: Path | None) -> Path | None:
+    """The bench file that a command line means: the one it names, or ./bench.toml where there is
+    one; None means a simulated bench."""
+    return given or (BENCH_FILE if BENCH_FILE.exists() else None)
+
+
+@dataclass(frozen=True)
+class Choosing:
+    """How a bench is got ready for a command."""
+
+    say: Callable[[str], None]
+    """Gets lines for a person."""
+    meanwhile: Callable[[], None] = lambda: None
+    """Called before anything is connected, while a simulated bench boots."""
+    paced: bool = False
+    """Whether a simulated bench's time goes at a person's pace."""
+
+    def bench_for(
+        self, request: BenchRequest, at_the_end: ExitStack, fixture: Fixture = "film-clamp"
+    ) -> ChosenBench:
+        """The bench file's plan with a wall clock, locked until `at_the_end`; or a started
+        simulated bench, on which `fixture` is mounted, with its own clock."""
+        from rig.bench import read_bench
+
+        if request.bench is not None and not request.dry_run:
+            return self._of_file(request, at_the_end, request.bench)
+        self.say(f"starting the simulated bench ({STARTING[fixture]}) ...")
+        started = start_simulated(request, fixture)  # it boots while this process imports
+        try:
+            real = read_bench(request.bench) if request.bench is not None else None
+            return self._simulated(request, started, real)
+        except BaseException:
+            started.abandon()
+            raise
+
+    def _of_file(self, request: BenchRequest, at_the_end: ExitStack, path: Path) -> ChosenBench:
+        from rig.bench import read_bench
+        from rig.clock import WallClock
+        from rig.runner.guard import refuse_unsafe, report_path
+        from rig.runner.lock import BenchLock
+
+        plan = read_bench(path)
+        _refuse_simulation_options(request, path)
+        lock = at_the_end.enter_context(BenchLock(plan))
+        self._tell_killed(report_path(request.results, plan.settings.name))
+        refuse_unsafe(request.results, plan.settings.name)
+        if plan.settings.simulation is not None:
+            self.say(f"SIMULATED bench ({path}): nothing here is measured")
+        roles = ", ".join(part.role for part in plan.instruments)
+        self.say(f"getting ready to connect to {roles} ...")
+        self._import_ahead()
+        return ChosenBench(plan, WallClock(), lock)
+
+    def _simulated(
+        self, request: BenchRequest, started: RunningBench, real: BenchPlan | None
+    ) -> ChosenBench:
+        from rig.bench import parse_bench, rehearsal
+        from rig.clock import ControlLink, PacedClock, SlavedClock
+        from rig.runner.guard import GUARD_SUFFIX
+
+        self._tell_killed(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
+        self._import_ahead()
+        ready = started.ready()
+        why = "a rehearsal" if request.dry_run else "no bench.toml"
+        self.say(f"SIMULATED bench ({why}, seed {request.seed}): nothing here is measured")
+        plan = parse_bench(ready["bench_toml"], "the simulated bench")
+        if real is not None:
+            plan = rehearsal(real, plan)
+        control = ControlLink(ready["control_port"])
+        clock = PacedClock(control) if self.paced else SlavedClock(control)
+        return ChosenBench(plan, clock, None, started, ready["recorded_toml"])
+
+    def _tell_killed(self, *reports: Path) -> None:
+        from rig.runner.guard import tell_killed
+
+        for report in reports:
+            if (told := tell_killed(report)) is not None:
+                self.say(told)
+
+    def _import_ahead(self) -> None:
+        """What the command will need, while a simulated bench boots beside it."""
+        for name in ("rig.recording.compiled", "rig.runner.execution", *LIBRARIES_OF_LINKS):
+            import_module(name)
+        self.meanwhile()
+
+
+def start_simulated(request: BenchRequest, fixture: Fixture) -> RunningBench:
+    from importlib.metadata import entry_points
+
+    (entry,) = entry_points(group="rig.benches", name="simulated")
+    factory: BenchFactory = entry.load()
+    return factory.start(
+        {
+            "fixture": fixture,
+            **({} if request.stages is None else {"stages": request.stages}),
+            "seed": request.seed,
+            "world": _text(request.world),
+            "fault": _text(request.fault),
+            "world_log": _text(request.world_log),
+            "results": str(request.results),
+        }
+    )
+
+
+def _refuse_simulation_options(request: BenchRequest, path: Path | None) -> None:
+    from rig.errors import ConfigurationError
+
+    own = ("stages", "world", "fault", "world_log")
+    given = [name for name in own if getattr(request, name) is not None]
+    if given:
+        options = ", ".join("--" + name.replace("_", "-") for name in given)
+        raise ConfigurationError(
+            f"{options} belongs to a simulated bench that this command starts, not to {path}",
+            "give it to `rig simulate`, or leave the bench file out",
+        )
+
+
+def _text(path: Path | None) -> str | None:
+    return None if path is None else str(path)
