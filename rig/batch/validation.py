@@ -10,11 +10,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
 
 from rig.batch.findings import Finding, Where
 from rig.batch.plan import Condition, Plan
 from rig.batch.procedures import installed
-from rig.bench import Bench, BenchPlan, Fixture
+from rig.bench import Bench, BenchPlan, Fixture, FixtureSettings
 from rig.errors import RigError
 from rig.runner.points import refusals, require_roles
 
@@ -24,18 +25,31 @@ Connected = Callable[[Fixture], AbstractContextManager[Bench]]
 RUNS_NAMED = 3
 
 
-def validate(plan: Plan, real: BenchPlan | None, connected: Connected) -> tuple[Finding, ...]:
-    """All that is wrong with a plan on a bench, each condition checked once; nothing where it can
-    be begun. `real` is the bench file's plan, None where each run gets a simulated bench of its
-    own, on which what it needs is mounted."""
-    fixtures = {name: fixture_for(name, real) for name in procedures_of(plan)}
-    findings = [] if real is None else [*_unmounted(plan, real, fixtures)]
-    for fixture in dict.fromkeys(fixture for fixture in fixtures.values() if fixture is not None):
-        conditions = [c for c in plan.conditions.values() if fixtures[c.procedure] == fixture]
+@dataclass
+class Checked:
+    """What a plan is on a bench."""
+
+    findings: list[Finding] = field(default_factory=list)
+    """All that is wrong; none where it can be begun."""
+    fixtures: dict[str, FixtureSettings] = field(default_factory=dict)
+    """What is mounted for each procedure, and where everything is."""
+
+
+def validate(plan: Plan, real: BenchPlan | None, connected: Connected) -> Checked:
+    """Check a plan on a bench, each condition once. `real` is the bench file's plan, None where
+    each run gets a simulated bench of its own, on which what it needs is mounted."""
+    checked = Checked()
+    wanted = {name: fixture_for(name, real) for name in procedures_of(plan)}
+    if real is not None:
+        checked.findings += _unmounted(plan, real, wanted)
+    for fixture in dict.fromkeys(fixture for fixture in wanted.values() if fixture is not None):
+        conditions = [c for c in plan.conditions.values() if wanted[c.procedure] == fixture]
         with connected(fixture) as bench:
             refused = [(c, error) for c in conditions for error in _refusals(c, bench, real)]
-        findings += _together(refused)
-    return tuple(findings)
+            place = bench.settings.fixture
+        checked.findings += _together(refused)
+        checked.fixtures |= {name: place for name, one in wanted.items() if one == fixture}
+    return checked
 
 
 def procedures_of(plan: Plan) -> tuple[str, ...]:
