@@ -450,13 +450,12 @@ class Queue:
             self._sql.execute("BEGIN IMMEDIATE")
             try:
                 yield
+                self._sql.execute("COMMIT")
             except BaseException:
-                self._sql.execute("ROLLBACK")
+                if self._sql.in_transaction:  # a full disk has ended it already
+                    self._sql.execute("ROLLBACK")
                 raise
-            self._sql.execute("COMMIT")
         except sqlite3.OperationalError as error:
-            with contextlib.suppress(sqlite3.Error):
-                self._sql.execute("ROLLBACK")
             raise RigError(
                 f"{self.path}: the queue cannot be written: {error}",
                 "free the disk, then: rig batch resume",

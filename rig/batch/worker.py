@@ -33,10 +33,11 @@ from rig.batch.queue import Claim, Ended, Queue
 from rig.batch.settings import BatchFile
 from rig.batch.settling import to_continue, what_became_of
 from rig.errors import ExitCode, RigError
-from rig.runner.bench_choice import BenchRequest, Choosing, ChosenBench
+from rig.runner.bench_choice import BenchRequest, Choosing, ChosenBench, start_simulated
 from rig.runner.stopping import StopFlag, StopRequestedError
 
 if TYPE_CHECKING:
+    from rig.bench import Fixture, RunningBench
     from rig.runner.outcome import Outcome
     from rig.runner.points import Point, Reading
     from rig.runner.procedure import Procedure
@@ -136,6 +137,15 @@ class _Reporter:
         """See `rig.runner.execution.Reporter`."""
 
 
+@dataclass(frozen=True)
+class _Ahead:
+    """A simulated bench that boots while the run before its own is taken."""
+
+    request: BenchRequest
+    fixture: Fixture
+    started: RunningBench
+
+
 class Worker:
     """Takes the runs of a queue until none is left, or something ends the night."""
 
@@ -148,12 +158,15 @@ class Worker:
         self._night = self._nights()
         self._bench: ChosenBench | None = None
         """Of a bench file: locked once, for all runs."""
+        self._ahead: _Ahead | None = None
+        """Of the next run, while this one is taken."""
         self._from, self._until = window(self._batch, self._terms.begun)
 
     def work(self) -> ExitCode:
         """Take the runs; the exit code of the batch."""
         try:
             with ExitStack() as at_the_end:
+                at_the_end.callback(self._abandon)
                 self._settle()
                 self._wait_for_the_window()
                 while (claim := self._next()) is not None:
@@ -365,6 +378,7 @@ class Worker:
             compiled=False,
             held=(self._lock,),
         )
+        self._boot_next()
         self._words.in_run = True
         try:
             outcome = execute(job, bench.plan, bench.clock, self._stop, _Reporter(self._say))
@@ -382,14 +396,37 @@ class Worker:
             getattr(procedure, "import_ahead", lambda: None),
         )
         if self._terms.bench is None:
+            request = self._simulated(claim)
             with self._stop.nothing_connected(), ExitStack() as nothing:
-                return choosing.bench_for(self._simulated(claim), nothing, fixture)
+                return choosing.bench_for(request, nothing, fixture, self._booted(request, fixture))
         if self._bench is None:
             request = BenchRequest(bench=self._terms.bench, results=self._terms.results)
             self._bench = choosing.bench_for(request, at_the_end, fixture)
         from rig.clock import WallClock
 
         return replace(self._bench, clock=WallClock())
+
+    def _booted(self, request: BenchRequest, fixture: Fixture) -> RunningBench | None:
+        """The simulated bench that was started ahead, if it is the one that is asked for."""
+        ahead, self._ahead = self._ahead, None
+        if ahead is not None and (ahead.request, ahead.fixture) != (request, fixture):
+            ahead.started.abandon()
+            return None
+        return None if ahead is None else ahead.started
+
+    def _boot_next(self) -> None:
+        """Have the next run's simulated bench boot beside this run. One with a fault plan waits:
+        its plan may strike this process's disk."""
+        if self._terms.bench is not None or (upcoming := self._queue.upcoming()) is None:
+            return
+        request = self._simulated(upcoming)
+        fixture = installed(upcoming.condition.procedure).FIXTURES[0]
+        if request.fault is None:
+            self._ahead = _Ahead(request, fixture, start_simulated(request, fixture))
+
+    def _abandon(self) -> None:
+        if self._ahead is not None:
+            self._ahead.started.abandon()
 
     def _simulated(self, claim: Claim) -> BenchRequest:
         """What the simulated bench of a run is, and what befalls it."""

@@ -80,16 +80,22 @@ class Choosing:
     """Whether a simulated bench's time goes at a person's pace."""
 
     def bench_for(
-        self, request: BenchRequest, at_the_end: ExitStack, fixture: Fixture = "film-clamp"
+        self,
+        request: BenchRequest,
+        at_the_end: ExitStack,
+        fixture: Fixture = "film-clamp",
+        started: RunningBench | None = None,
     ) -> ChosenBench:
-        """The bench file's plan with a wall clock, locked until `at_the_end`; or a started
-        simulated bench, on which `fixture` is mounted, with its own clock."""
+        """The bench file's plan with a wall clock, locked until `at_the_end`; or a simulated bench,
+        on which `fixture` is mounted, with its own clock: one that was `started` ahead for this
+        request, or its own."""
         from rig.bench import read_bench
 
         if request.bench is not None and not request.dry_run:
             return self._of_file(request, at_the_end, request.bench)
-        self.say(f"starting the simulated bench ({STARTING[fixture]}) ...")
-        started = start_simulated(request, fixture)  # it boots while this process imports
+        if started is None:
+            self.say(f"starting the simulated bench ({STARTING[fixture]}) ...")
+            started = start_simulated(request, fixture)  # it boots while this process imports
         try:
             real = read_bench(request.bench) if request.bench is not None else None
             return self._simulated(request, started, real)

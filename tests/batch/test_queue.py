@@ -1,0 +1,210 @@
+"""The queue: every run exactly once, whoever dies between two transactions."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rig.batch.plan import Condition, Plan, PlannedRun
+from rig.batch.queue import Ended, Queue
+from rig.errors import ConfigurationError, RigError
+
+
+def plan(conditions: int = 2, repeats: int = 3) -> Plan:
+    names = [f"sweep-{k:03d}" for k in range(1, conditions + 1)]
+    made = {
+        name: Condition(name, 0, "sweep", {"load_N": float(k)}, {"load_N": float(k)}, rest_s=1.0)
+        for k, name in enumerate(names, 1)
+    }
+    order = [(name, repeat) for repeat in range(1, repeats + 1) for name in names]
+    return Plan(made, tuple(PlannedRun(k, *run) for k, run in enumerate(order, 1)))
+
+
+def created(path: Path, made: Plan) -> Queue:
+    estimates = dict.fromkeys(made.conditions, (10.0, 2.0))
+    return Queue.create(path / "queue.sqlite", made, estimates, {"name": "test"})
+
+
+def taken(queue: Queue) -> int:
+    upcoming = queue.upcoming()
+    assert upcoming is not None
+    return queue.claim(upcoming.number).number
+
+
+def test_runs_are_claimed_in_order_and_each_once(tmp_path: Path) -> None:
+    with created(tmp_path, plan()) as queue:
+        order = []
+        while (upcoming := queue.upcoming()) is not None:
+            claim = queue.claim(upcoming.number)
+            order.append(claim.number)
+            queue.finish(claim, Ended("complete", bench_s=5.0, summary={"x": 1}), "done")
+        assert order == [1, 2, 3, 4, 5, 6]
+        assert queue.counts()["done"] == 6
+        assert queue.bench_s() == 30.0
+
+
+def test_a_run_that_is_taken_is_nobody_elses(tmp_path: Path) -> None:
+    with created(tmp_path, plan()) as queue, Queue.open(queue.path) as other:
+        assert taken(queue) == 1
+        with pytest.raises(RigError, match="run 1 is not queued"):
+            other.claim(1)
+
+
+def test_what_a_dead_worker_had_claimed_is_found_and_goes_on_in_its_place(tmp_path: Path) -> None:
+    with created(tmp_path, plan()) as queue:
+        taken(queue)
+    with Queue.open(tmp_path / "queue.sqlite") as queue:
+        left = queue.unfinished()
+        assert left is not None
+        assert (left.number, left.attempt) == (1, 1)
+        queue.finish(left, Ended("died", "died", reason="it died"), "queued")
+        again = queue.upcoming()
+        assert again is not None
+        assert (again.number, again.attempt) == (1, 2)
+        assert queue.attempts(1) == {"died": 1}
+        assert queue.unfinished() is None
+
+
+def test_what_is_left_counts_rests_and_adds_spreads_of_one_condition(tmp_path: Path) -> None:
+    with created(tmp_path, plan()) as queue:
+        left = queue.left()
+    assert left.runs == 6
+    assert left.bench_s == 6 * 11.0
+    assert left.spread_s == pytest.approx((6.0**2 + 6.0**2) ** 0.5)
+
+
+def test_setting_a_condition_aside_leaves_the_others(tmp_path: Path) -> None:
+    with created(tmp_path, plan()) as queue:
+        claim = queue.claim(taken(queue) + 1)
+        queue.finish(claim, Ended("failed", "limit", 4, "too much"), "failed")
+        assert queue.set_aside("sweep-002", "1 of its runs failed") == 2
+        assert [row.number for row in queue.rows(("queued",))] == [3, 5]
+        assert [row.number for row in queue.rows(("set-aside",))] == [4, 6]
+        assert queue.put_back() == 3
+        assert [row.number for row in queue.rows(("queued",))] == [2, 3, 4, 5, 6]
+        assert queue.attempts(2) == {}
+
+
+def test_failures_in_a_row_end_with_a_run_that_is_done(tmp_path: Path) -> None:
+    with created(tmp_path, plan()) as queue:
+        for state in ("failed", "done", "failed", "failed"):
+            claim = queue.claim(taken_next(queue))
+            ending = Ended("complete") if state == "done" else Ended("failed", "timeout", 3)
+            queue.finish(claim, ending, state)  # type: ignore[arg-type]
+        assert queue.failed_in_a_row(10) == 2
+
+
+def taken_next(queue: Queue) -> int:
+    upcoming = queue.upcoming()
+    assert upcoming is not None
+    return upcoming.number
+
+
+def test_requests_are_heard_once_and_in_order(tmp_path: Path) -> None:
+    with created(tmp_path, plan()) as queue, Queue.open(queue.path) as terminal:
+        terminal.ask("pause")
+        terminal.ask("go")
+        assert queue.asked() == ["pause", "go"]
+        assert queue.asked() == []
+
+
+def test_a_queue_that_was_not_written_whole_is_none(tmp_path: Path) -> None:
+    estimates = {"sweep-001": (1.0, 0.0)}  # of sweep-002 nothing is known
+    with pytest.raises(KeyError):
+        Queue.create(tmp_path / "queue.sqlite", plan(), estimates, {})
+    with pytest.raises(ConfigurationError, match="holds no batch"):
+        Queue.open(tmp_path / "queue.sqlite")
+
+
+@pytest.mark.parametrize("content", [b"", b"no database", b"SQLite format 3\0" + 200 * b"\xff"])
+def test_what_is_no_queue_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "queue.sqlite"
+    path.write_bytes(content)
+    with pytest.raises(ConfigurationError, match=r"queue\.sqlite cannot be read as the queue"):
+        Queue.open(path)
+
+
+def test_a_disk_that_takes_no_more_is_told_with_the_remedy(tmp_path: Path) -> None:
+    with created(tmp_path, plan()) as queue:
+        queue._sql.execute(f"PRAGMA max_page_count = {_pages(queue)}")
+        with pytest.raises(RigError, match=r"the queue cannot be written: .*full.*free the disk"):
+            _fill(queue)
+        assert queue.counts()["queued"] == 6, "and it goes on being read"
+
+
+def _fill(queue: Queue) -> None:
+    for _ in range(10_000):
+        queue.tell("info", 1000 * "x")
+
+
+def _pages(queue: Queue) -> int:
+    (pages,) = queue._sql.execute("PRAGMA page_count").fetchone()
+    return int(pages)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    kills=st.lists(st.integers(0, 60), max_size=8),
+    failing=st.sets(st.integers(1, 6)),
+)
+def test_no_run_is_lost_or_doubled_wherever_the_worker_dies(
+    tmp_path_factory: pytest.TempPathFactory, kills: list[int], failing: set[int]
+) -> None:
+    """A worker is killed after so many statements of SQL; the next one settles and goes on."""
+    folder = tmp_path_factory.mktemp("queue")
+    done: list[int] = []
+    journals: dict[int, bool] = {}
+    created(folder, plan()).close()
+    for left in [*kills, 10_000]:
+        queue = Queue.open(folder / "queue.sqlite")
+        _dies_after(queue, left)
+        try:
+            _work(queue, journals, done, failing)
+        except (RigError, sqlite3.OperationalError):
+            pass
+        finally:
+            queue._sql.set_trace_callback(None)
+            queue.close()
+    with Queue.open(folder / "queue.sqlite") as queue:
+        states = {row.number: row.state for row in queue.rows()}
+    assert states == {n: "failed" if n in failing else "done" for n in range(1, 7)}
+    assert sorted(done) == [n for n in range(1, 7) if n not in failing], "each was taken once"
+
+
+def _work(queue: Queue, journals: dict[int, bool], done: list[int], failing: set[int]) -> None:
+    """What the worker does, with a journal that says whether its run has ended whole."""
+    claim = queue.unfinished()
+    if claim is not None:
+        whole = journals.get(claim.number, False)
+        queue.finish(
+            claim,
+            Ended("complete") if whole else Ended("died", "died"),
+            "done" if whole else "queued",
+        )
+    while (upcoming := queue.upcoming()) is not None:
+        claim = queue.claim(upcoming.number)
+        if claim.number in failing:
+            queue.finish(claim, Ended("failed", "limit", 4), "failed")
+            continue
+        done.append(claim.number)
+        journals[claim.number] = True
+        queue.finish(claim, Ended("complete"), "done")
+
+
+def _dies_after(queue: Queue, statements: int) -> None:
+    """The connection breaks off at a statement, before it takes effect."""
+    count = 0
+
+    def handler() -> int:
+        return 1 if count > statements else 0
+
+    def counting(_: str) -> None:
+        nonlocal count
+        count += 1
+
+    queue._sql.set_trace_callback(counting)
+    queue._sql.set_progress_handler(handler, 1)
