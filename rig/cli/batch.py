@@ -6,7 +6,7 @@ import json
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -184,10 +184,9 @@ def _supervise(folder: BatchFolder, as_json: bool) -> None:
         stop = stack.enter_context(StopFlag(say_at_once))
         start_log(folder.path)
         code = Supervisor(folder, stop, say).run()
-    ended: Any = status_of(folder)
+    ended = status_of(folder)
     if as_json:
         print(json.dumps(ended.as_object() | {"exit": int(code)}))  # noqa: T201 - data
-    else:
-        for line in ended.lines():
-            say(line)
+    for line in ended.lines():
+        say(line)
     raise typer.Exit(int(code))
