@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from rig.errors import ConfigurationError, InstrumentError
 
 if TYPE_CHECKING:
-    from rig.bench import Bench
+    from rig.bench import Bench, FixtureSettings
     from rig.runner.run import Run
 
 TRAVEL_mm_s = 10.0
@@ -23,6 +23,11 @@ CLEAR_mm = 0.3
 TARE_S = 0.2
 """Stretch of force that the zero is the mean of; the rest before it is twice as long."""
 UNLOAD_DEADLINE_S = 20.0
+HOMING_S = 0.68
+"""Expected of a stage without a reference, wherever it stands (measured on simulated drives)."""
+ARRIVED_S = 0.08
+"""Expected of a quick way beyond its length: to come up to speed and to be asked whether it is over
+(measured)."""
 
 
 def contact_range_mm(bench: Bench) -> tuple[float, float]:
@@ -35,6 +40,25 @@ def contact_range_mm(bench: Bench) -> tuple[float, float]:
             "add contact_from_mm and contact_to_mm, positions of the z stage",
         )
     return fixture.contact_from_mm, fixture.contact_to_mm
+
+
+def expected_contact_mm(fixture: FixtureSettings) -> tuple[float, float, float]:
+    """Positions of z where the slow search begins, where contact is expected, in the middle of
+    where it may be felt, and of the last parking place, in mm; all the same where the fixture does
+    not say: it will be refused."""
+    first_mm, last_mm, parked_mm = (
+        fixture.contact_from_mm,
+        fixture.contact_to_mm,
+        fixture.parked_mm,
+    )
+    if first_mm is None or last_mm is None:
+        return parked_mm, parked_mm, parked_mm
+    return first_mm - CLEAR_mm, (first_mm + last_mm) / 2, parked_mm
+
+
+def travel_s(way_mm: float) -> float:
+    """Bench time that a quick way is expected to take."""
+    return abs(way_mm) / TRAVEL_mm_s + ARRIVED_S if way_mm else 0.0
 
 
 def park(run: Run, name: str, way_back: Callable[[], None]) -> None:

@@ -12,16 +12,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from procedures.contact import (
+    HOMING_S,
     TARE_S,
-    CLEAR_mm,
-    TRAVEL_mm_s,
     come_close,
     contact_range_mm,
+    expected_contact_mm,
     felt_N,
     nothing_felt,
     park,
     refuse_early_contact,
     tare_in_free_air,
+    travel_s,
     unload,
 )
 from rig.bench import FixtureSettings, require
@@ -57,8 +58,6 @@ HELD = 0.01
 HOLD_S = 0.3
 PATIENCE_S = 15.0
 """From contact to a held force, at most."""
-HOME_AND_PARK_S = 1.0
-"""Expected of homing and the first parking; the stage may stand anywhere."""
 
 
 @dataclass
@@ -118,21 +117,19 @@ def press(run: Run, target_N: float) -> Preload:
     return _press_from(run, contact_mm, target_N)
 
 
-def duration_s(fixture: FixtureSettings, target_N: float) -> float:
-    """Bench time that `press` and the way back are expected to take; contact is taken to be in the
-    middle of where it may be felt."""
-    if fixture.contact_from_mm is None or fixture.contact_to_mm is None:
-        return 0.0  # it will be refused
-    slow_from_mm = fixture.contact_from_mm - CLEAR_mm
-    contact_mm = (fixture.contact_from_mm + fixture.contact_to_mm) / 2
-    travel_mm = slow_from_mm - fixture.parked_mm + contact_mm - fixture.parked_mm
+def duration_s(fixture: FixtureSettings, target_N: float, homed: bool) -> float:
+    """Bench time that `press` and the way back are expected to take; a stage that is `homed` waits
+    where it is parked."""
+    slow_from_mm, contact_mm, parked_mm = expected_contact_mm(fixture)
     return (
-        HOME_AND_PARK_S
+        (0.0 if homed else HOMING_S + travel_s(parked_mm))
         + 2 * TARE_S
-        + travel_mm / TRAVEL_mm_s
+        + travel_s(slow_from_mm - parked_mm)
         + (contact_mm - slow_from_mm) / APPROACH_mm_s
+        + KNOWN_AFTER_mm * FIRST_STIFFNESS_N_mm / RISE_N_s
         + target_N / RISE_N_s
         + HOLD_S
+        + travel_s(contact_mm - parked_mm)
     )
 
 

@@ -12,8 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, model_validator
 
-from procedures.contact import contact_range_mm, park, unload
-from rig.bench import STRIPS
+from procedures.contact import (
+    HOMING_S,
+    TARE_S,
+    expected_contact_mm,
+    park,
+    travel_s,
+    unload,
+)
+from rig.bench import STRIPS, FixtureSettings
 from rig.errors import RigError
 from rig.instruments import Acquisition, InputChannel
 from rig.runner.points import Move, Point, Reading
@@ -34,9 +41,14 @@ LINK_S = 0.001
 comes between look and command (decision 0042)."""
 TICK_Hz = 100.0
 """Of the servo, where stages can be told so often."""
-WAY_S, SEARCHED_mm = 3.5, 0.6
-"""Expected of the way to the held force and back where the place of the contact is known, and of
-the search where it is not."""
+NEAR_mm = 0.06
+"""Where the slow search begins, before the place at which contact has been felt already."""
+TAP_S = 0.04
+"""From the way back to the way on, and until the servo takes over."""
+AFTER_S = 0.1
+"""What is still recorded after the motion."""
+RISE_S = 0.22
+"""Expected from touch to the normal force (measured on the skin, 2 to 8 N)."""
 
 
 class PressedSettings(BaseSettings):
@@ -94,15 +106,6 @@ class PressedSettings(BaseSettings):
         return Acquisition(channels, self.rate_S_s, self.block_samples)
 
     @property
-    def search_s(self) -> float:
-        """Expected of the search for a contact whose place is not known."""
-        from rig.runner.approach import TOUCH, search_speed_mm_s
-
-        return SEARCHED_mm / search_speed_mm_s(
-            TOUCH * self.normal_force_N, DELAY_S + self.tick_s, self.acceleration_mm_s2
-        )
-
-    @property
     def tick_s(self) -> float:
         """From one tick to the next, where the stages' links have time for it."""
         return 1 / (self.tick_Hz or TICK_Hz)
@@ -119,13 +122,16 @@ class PressedSettings(BaseSettings):
 
 
 def trial_points(
-    settings: PressedSettings, moves: tuple[Move, ...], trial_s: float, first_s: float
+    settings: PressedSettings, moves: tuple[Move, ...], motion_s: float, first_s: float
 ) -> tuple[Point, ...]:
-    """One point a trial: `trial_s` is expected of each, `first_s` of the first one besides."""
+    """One point a trial: `motion_s` is expected of the motion under the held force and what makes
+    it ready, `first_s` of the first trial besides. The ways in z are a matter of the fixture:
+    `pressed_overhead_s`."""
     held = (
         Move("force_sensor.force", settings.largest_force_N),
         Move("stage_z.update_rate", settings.updates_Hz),
     )
+    trial_s = pressing_s(settings) + motion_s + AFTER_S
     return tuple(
         Point(
             id=f"trial-{number:03d}",
@@ -136,6 +142,35 @@ def trial_points(
         )
         for number in range(1, settings.trials + 1)
     )
+
+
+def pressing_s(settings: PressedSettings) -> float:
+    """Expected of zeroing the force, and from touch to the end of the rest."""
+    return 2 * TARE_S + RISE_S + 2 * TAP_S + settings.rest_s
+
+
+def pressed_overhead_s(
+    settings: PressedSettings, fixture: FixtureSettings, homed: bool, presses: int, x_mm: float
+) -> float:
+    """Expected of all ways to the object and back, and of making ready; x is then at `x_mm`.
+
+    The place of the contact is searched for once; stages that are `homed` wait where they are
+    parked, x about where it begins.
+    """
+    from rig.runner.approach import TOUCH, search_speed_mm_s
+
+    late_s, force_N = DELAY_S + settings.tick_s, settings.normal_force_N
+    slow, quick = (
+        search_speed_mm_s(share * force_N, late_s, settings.acceleration_mm_s2)
+        for share in (TOUCH, 1.0)
+    )
+    slow_from_mm, contact_mm, parked_mm = expected_contact_mm(fixture)
+    searched_mm = contact_mm - slow_from_mm
+    near_mm = min(NEAR_mm, searched_mm)
+    ways_s = travel_s(slow_from_mm - parked_mm) + travel_s(contact_mm - parked_mm)
+    again_s = (searched_mm - near_mm) / quick + near_mm / slow
+    ready_s = 0.0 if homed else 2 * HOMING_S + travel_s(parked_mm) + travel_s(x_mm)
+    return ready_s + presses * ways_s + searched_mm / slow + (presses - 1) * again_s
 
 
 def why_invalid(settings: PressedSettings, reading: Reading) -> str:
@@ -172,7 +207,6 @@ def arm_pressed(run: Run, what: str, stop: Callable[[], None], at_once: Callable
     `what` moves under the held force; it is ended by `stop`, or `at_once` where a watcher acts.
     """
     bench, settings = run.bench, run.settings
-    contact_range_mm(bench)  # a fixture that does not say it is refused before anything happens
     run.stream_force(FORCE_RATE_S_S)
     run.force.watch(settings.largest_force_N)
     run.arm("acquisition", bench.daq.stop)  # last: a DAQ that hangs keeps no skin pressed

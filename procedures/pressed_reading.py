@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.pressed import FORCE_RATE_S_S, PressedSettings
+from procedures.pressed import AFTER_S, FORCE_RATE_S_S, PressedSettings
 from rig.analysis import clock_offset as clocks
 from rig.bench import STRIPS
 
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 CONTACT_N = 0.1
 """Force that means contact: ten times the sensor's noise over a look."""
-AFTER_S = 0.1
-"""What is still recorded after the motion."""
 DECIMATED_Hz = 1000.0
 MISSING_S = 0.05
 """Samples or frames of so long may be under way when a record ends."""

@@ -19,7 +19,15 @@ from procedures.contact import (
     refuse_early_contact,
     tare_in_free_air,
 )
-from procedures.pressed import DELAY_S, FORCE_RATE_S_S, LINK_S, PressedSettings, TICK_Hz
+from procedures.pressed import (
+    DELAY_S,
+    FORCE_RATE_S_S,
+    LINK_S,
+    TAP_S,
+    NEAR_mm,
+    PressedSettings,
+    TICK_Hz,
+)
 from procedures.pressed_reading import CONTACT_N, DECIMATED_Hz, Taken
 from rig.analysis.decimation import Decimator
 from rig.analysis.load_rate import LoadScale, amplifier_dB, load_scale, load_scale_of_record
@@ -42,13 +50,9 @@ LOOK_S = 0.004
 SLOWEST_mm_s = 0.01
 BOTTOM_mm = 0.002
 """So near to contact_to_mm is there."""
-NEAR_mm = 0.06
-"""Where the slow search begins, before the place at which contact has been felt already."""
 TAP = 0.15
 """Of the normal force: what the tap lets go. The clocks need a twentieth (`clock_offset`)."""
 TAP_mm_s = 1.0
-TAP_S = 0.04
-"""From the way back to the way on, and until the servo takes over."""
 FORCE_AGE_S = 0.003
 """How much older the force of a look is than the position read with it."""
 CLOCKS_DIFFER = 1e-3

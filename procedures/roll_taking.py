@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from procedures.contact import TRAVEL_mm_s
-from procedures.pressed_reading import AFTER_S
+from procedures.pressed import AFTER_S
 from procedures.pressed_trial import PressedSeries, PressedTrial
 from procedures.roll_reading import RollTaken, reading_of
+from procedures.roll_trial import NUDGED_S, NUDGES, SETTLED_S
 from rig.analysis.axis_offset import Look, axis_offset
 from rig.errors import LimitError
 
@@ -28,14 +29,10 @@ UPRIGHT_deg_s, UPRIGHT_deg_s2 = 10.0, 100.0
 NUDGE_mm, NUDGE_deg = 0.02, 0.5
 """By how much x and the object are moved to either side to measure the axis: far below a slip."""
 NUDGE_mm_s, NUDGE_deg_s, NUDGE_deg_s2 = 0.2, 2.0, 20.0
-NUDGES = (0, 1, 0, -1, 0)
-NUDGED_S, LOOKED_S = 0.35, 0.1
-"""For a nudge and until the rubber is at rest; and the stretch of force at the end of that which is
-looked at."""
+LOOKED_S = 0.1
+"""The stretch of force at the end of a nudge's rest that is looked at."""
 LOOKS_Hz = 50.0
 """How often three axes and the DAQ are asked at most: a hundred times would fill every tick."""
-SETTLED_S = 0.05
-"""What a stage may be late at the end of its profile."""
 LARGEST_COMPENSATED_mm = 8.0
 """Beyond, the object stands wrong: x would have to follow as fast as the head rolls."""
 SLOWEST_mm_s = 0.02

@@ -17,21 +17,24 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, model_validator
 
 from procedures import roll_layout
+from procedures.contact import contact_range_mm
 from procedures.pressed import (
-    WAY_S,
     PressedSettings,
     arm_pressed,
     import_what_a_trial_needs,
+    pressed_overhead_s,
+    pressing_s,
     summary_of,
     trial_points,
     why_invalid,
 )
 from procedures.roll_profile import Curve, Profile, ThereAndBack
-from rig.bench import Fixture
+from rig.bench import Fixture, FixtureSettings
 from rig.errors import ConfigurationError
 from rig.runner.points import Move, Point, Reading
 
 if TYPE_CHECKING:
+    from rig.bench import Bench
     from rig.runner.run import Run
 
 NAME = "roll-trial"
@@ -41,8 +44,13 @@ LAYOUT = roll_layout.LAYOUT
 STREAMS = roll_layout.STREAMS
 invalid = why_invalid
 
-ALIGNING_S = 12.0
-"""Expected of a press that measures the axis."""
+NUDGES = (0, 1, 0, -1, 0)
+NUDGED_S = 0.35
+"""For a nudge, which measures the axis, and until the rubber is at rest."""
+SETTLED_S = 0.05
+"""What a stage may be late at the end of its profile."""
+HOMING_ROTARY_S = 1.0
+"""Expected of a rotary stage without a reference, and of bringing the object upright."""
 
 
 class Settings(PressedSettings):
@@ -117,13 +125,22 @@ class Settings(PressedSettings):
 
 def points(settings: Settings) -> tuple[Point, ...]:
     """One point a trial."""
-    trial_s = settings.profile.duration_s + settings.rest_s + WAY_S
-    first_s = settings.search_s + (settings.alignment != "none") * ALIGNING_S
+    motion_s = settings.profile.duration_s + SETTLED_S
+    aligned = settings.alignment != "none"
+    first_s = pressing_s(settings) + 2 * len(NUDGES) * NUDGED_S if aligned else 0.0
     moves = (
         Move("rotary.speed", settings.turn_speed_deg_s),
         Move("rotary.acceleration", settings.turn_acceleration_deg_s2),
     )
-    return trial_points(settings, moves, trial_s, first_s)
+    return trial_points(settings, moves, motion_s, first_s)
+
+
+def overhead_s(settings: Settings, fixture: FixtureSettings, homed: bool) -> float:
+    """Bench time that the ways in z, homing and parking are expected to take."""
+    presses = settings.trials + (settings.alignment != "none")
+    x_mm = (fixture.centre_mm or 0.0) + settings.start_mm
+    rotary_s = 0.0 if homed else HOMING_ROTARY_S
+    return rotary_s + pressed_overhead_s(settings, fixture, homed, presses, x_mm)
 
 
 def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, Any]:
@@ -147,6 +164,29 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
     return found
 
 
+def check(settings: Settings, bench: Bench) -> None:
+    """Refuse a fixture that does not say where the object is, or a roll beyond a stage's limits."""
+    from rig.bench import require
+
+    contact_range_mm(bench)
+    fixture = bench.settings.fixture
+    if fixture.centre_mm is None or fixture.upright_deg is None:
+        raise ConfigurationError(
+            f"{bench.plan.source}: [fixture] does not say where the object stands",
+            "add centre_mm, position of x at which the middle of the skin is above it, and "
+            "upright_deg, angle of the rotary stage at which it stands upright",
+        )
+    reach = bench.rotary.reach()
+    for angle_deg in settings.angles_deg:
+        require("angle of the roll", fixture.upright_deg + angle_deg, reach["angle"])
+    start_mm = fixture.centre_mm + settings.start_mm
+    require("start of the roll", start_mm, bench.stage_x.reach()["position"])
+    if settings.profile_times_s:
+        turns = settings.profile.turns(settings.tick_s)
+        fastest = max((turn.speed_deg_s for turn in turns), default=0.0)
+        require("speed of the profile", fastest, reach["speed"])
+
+
 # --- doing it ---------------------------------------------------------------------------------
 
 
@@ -162,7 +202,6 @@ def arm(run: Run) -> None:
     from procedures.pressed_trial import pace_on, scales_on
     from procedures.roll_taking import Series
 
-    _where_it_stands(run)
     run.state = run.state or Series(pace_on(run), scales_on(run))
     if run.settings.alignment == "none":
         run.event("warning", "alignment", "how far the rotary axis is off is not known")
@@ -197,26 +236,3 @@ def take(run: Run, point: Point) -> Reading:
     trial.end_record()
     trial.lift()
     return trial.reading()
-
-
-def _where_it_stands(run: Run) -> None:
-    """Refuse a fixture that does not say where the object is, or a roll beyond a stage's limits."""
-    from rig.bench import require
-
-    bench, settings = run.bench, run.settings
-    fixture = bench.settings.fixture
-    if fixture.centre_mm is None or fixture.upright_deg is None:
-        raise ConfigurationError(
-            f"{bench.plan.source}: [fixture] does not say where the object stands",
-            "add centre_mm, position of x at which the middle of the skin is above it, and "
-            "upright_deg, angle of the rotary stage at which it stands upright",
-        )
-    reach = bench.rotary.reach()
-    for angle_deg in settings.angles_deg:
-        require("angle of the roll", fixture.upright_deg + angle_deg, reach["angle"])
-    start_mm = fixture.centre_mm + settings.start_mm
-    require("start of the roll", start_mm, bench.stage_x.reach()["position"])
-    if settings.profile_times_s:
-        turns = settings.profile.turns(settings.tick_s)
-        fastest = max((turn.speed_deg_s for turn in turns), default=0.0)
-        require("speed of the profile", fastest, reach["speed"])

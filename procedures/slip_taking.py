@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from procedures.pressed_reading import AFTER_S
+from procedures.pressed import AFTER_S
 from procedures.pressed_trial import FORCE_AGE_S, PressedSeries, PressedTrial
 from procedures.slip_reading import SlipTaken, reading_of
+from procedures.slip_trial import SLID_ON_mm
 from rig.runner.ramp import ForceRamp
 from rig.runner.servo import ContactShift
 
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from rig.runner.points import Reading
     from rig.runner.run import Run
 
-SLID_ON_mm = 0.3
-"""How far a slide goes on after a ramp, for the kinetic coefficient."""
 MOVING_EVERY_S = 0.05
 """Between two looks whether x has arrived."""
 

@@ -17,20 +17,24 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, model_validator
 
 from procedures import pressed_layout, slip_layout
+from procedures.contact import contact_range_mm, travel_s
 from procedures.pressed import (
+    AFTER_S,
     DELAY_S,
-    WAY_S,
     PressedSettings,
     arm_pressed,
     import_what_a_trial_needs,
+    pressed_overhead_s,
+    pressing_s,
     summary_of,
     trial_points,
     why_invalid,
 )
-from rig.bench import Fixture
+from rig.bench import Fixture, FixtureSettings
 from rig.runner.points import Move, Point, Reading
 
 if TYPE_CHECKING:
+    from rig.bench import Bench
     from rig.runner.run import Run
 
 NAME = "slip-trial"
@@ -43,6 +47,12 @@ invalid = why_invalid
 UNREHEARSED_mm = 0.0175
 """Travel within delay and tick up to which the servo holds the force through a slide that it has
 not seen, whatever the friction (decision 0035)."""
+SLID_ON_mm = 0.3
+"""How far a slide goes on after a ramp, for the kinetic coefficient."""
+FRICTION = 0.7
+"""Expected of the skin on the plate: where a ramp slips."""
+SEEN_S = 0.04
+"""Expected from the end of a slide until it is seen."""
 
 
 class Settings(PressedSettings):
@@ -82,6 +92,16 @@ class Settings(PressedSettings):
         return rise_s + self.distance_mm / self.speed_mm_s + ramps_s + 1.0
 
     @property
+    def slide_s(self) -> float:
+        """What a slide or a ramp is expected to take."""
+        way_s = self.distance_mm / self.speed_mm_s + self.speed_mm_s / self.acceleration_mm_s2
+        if self.loading == "slide":
+            return way_s + SEEN_S
+        slips_N = min(self.ramp_to_N, FRICTION * self.normal_force_N)
+        on_mm = SLID_ON_mm if slips_N < self.ramp_to_N else 0.0
+        return slips_N / self.ramp_N_s + min(on_mm / self.speed_mm_s, way_s) + SEEN_S
+
+    @property
     def updates_a_tick(self) -> int:
         """See `PressedSettings`."""
         return 2 if self.loading == "ramp" else 1
@@ -108,14 +128,26 @@ class Settings(PressedSettings):
 
 def points(settings: Settings) -> tuple[Point, ...]:
     """One point a trial."""
-    trial_s = settings.longest_slide_s + settings.rest_s + WAY_S
-    first_s = settings.search_s + settings.rehearsed(settings.tick_s) * trial_s
+    motion_s = settings.slide_s + travel_s(settings.distance_mm)
+    rehearsal_s = pressing_s(settings) + motion_s + AFTER_S
+    first_s = rehearsal_s if settings.rehearsed(settings.tick_s) else 0.0
     moves = (
         Move("stage_x.position", settings.start_mm),
         Move("stage_x.position", settings.end_mm),
         Move("stage_x.speed", settings.speed_mm_s),
     )
-    return trial_points(settings, moves, trial_s, first_s)
+    return trial_points(settings, moves, motion_s, first_s)
+
+
+def overhead_s(settings: Settings, fixture: FixtureSettings, homed: bool) -> float:
+    """Bench time that the ways in z, homing and parking are expected to take."""
+    presses = settings.trials + settings.rehearsed(settings.tick_s)
+    return pressed_overhead_s(settings, fixture, homed, presses, settings.start_mm)
+
+
+def check(settings: Settings, bench: Bench) -> None:
+    """Refuse a fixture that does not say where contact has to be felt."""
+    contact_range_mm(bench)
 
 
 def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, Any]:

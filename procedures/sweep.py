@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from pydantic import Field, field_validator, model_validator
 
 from procedures import preload, sweep_layout
+from procedures.contact import contact_range_mm
 from rig.bench import Fixture, FixtureSettings
 from rig.instruments import Acquisition, InputChannel
 from rig.runner.points import Move, Point, Reading
@@ -29,6 +30,7 @@ from rig.settings import Settings as BaseSettings
 if TYPE_CHECKING:
     from procedures.sweep_memory import Memory
     from rig.analysis.frequency_plan import FrequencyPlanSettings
+    from rig.bench import Bench
     from rig.runner.run import Run
 
 NAME = "sweep"
@@ -48,6 +50,20 @@ LISTEN_S = 0.5
 """Length of the record before anything vibrates."""
 LISTENED = 2
 """How often it is expected to be taken: again on the ranges that the first one shows to fit."""
+
+# --- what a point is expected to take, measured on the simulated film ---
+QUIET_S_Hz2 = 9.0
+"""Time at 1 Hz, falling with the square of the frequency, in which noise allows `QUIET_dB` at 1 N:
+what the film gives rises with both."""
+QUIET_dB = 0.05
+LONG_RECORD_S = 0.03
+"""A record that has to be as long averages over all ringing: one is enough, else it takes two."""
+RINGS_BELOW_Hz, RINGS_S = 600.0, 0.03
+"""Where ringing is waited for, and how long."""
+KNOWN_WITHIN = 1.3
+"""Ratio of two frequencies in a row beyond which the drive is not foretold well."""
+LEVELLING_RECORDS, LEVELLING_S = 2.5, 0.03
+"""What finding it takes then."""
 
 
 class Condition(NamedTuple):
@@ -183,9 +199,14 @@ def refine(settings: Settings, readings: Sequence[Reading]) -> tuple[Point, ...]
         return ()
 
 
-def overhead_s(settings: Settings, fixture: FixtureSettings) -> float:
+def overhead_s(settings: Settings, fixture: FixtureSettings, homed: bool) -> float:
     """Bench time that preloading, listening and parking are expected to take."""
-    return preload.duration_s(fixture, settings.preload_N) + LISTENED * LISTEN_S
+    return preload.duration_s(fixture, settings.preload_N, homed) + LISTENED * LISTEN_S
+
+
+def check(settings: Settings, bench: Bench) -> None:
+    """Refuse a fixture that does not say where contact has to be felt."""
+    contact_range_mm(bench)
 
 
 def _grid(settings: Settings) -> FrequencyPlanSettings:
@@ -216,10 +237,14 @@ def _points_at(settings: Settings, frequencies: Sequence[float]) -> tuple[Point,
         conditions.sort(key=lambda c: (c.repeat, -c.frequency_Hz, c.load_N))
     if order == "random":
         random.Random(settings.order_seed).shuffle(conditions)
-    return tuple(_point(settings, condition) for condition in conditions)
+    before = [None, *conditions]
+    return tuple(
+        _point(settings, condition, last)
+        for condition, last in zip(conditions, before, strict=False)
+    )
 
 
-def _point(settings: Settings, condition: Condition) -> Point:
+def _point(settings: Settings, condition: Condition, last: Condition | None) -> Point:
     from rig.analysis.sine_fit import whole_cycles
 
     frequency = condition.frequency_Hz
@@ -236,8 +261,23 @@ def _point(settings: Settings, condition: Condition) -> Point:
             Move("force_sensor.force", settings.preload_N + condition.load_N),
         ),
         acquisitions=(Acquisition(channels, rate, samples),),
-        duration_s=settings.settling_s + 2.5 * samples / rate,
+        duration_s=settings.settling_s + _expected_s(settings, condition, last, samples / rate),
     )
+
+
+def _expected_s(
+    settings: Settings, condition: Condition, last: Condition | None, record_s: float
+) -> float:
+    """Time that a point after `last` is expected to take with records of `record_s` at least."""
+    quieter = QUIET_dB / (settings.target_error_dB * condition.load_N * condition.frequency_Hz)
+    level_s = record_s if record_s >= LONG_RECORD_S else 2 * record_s
+    expected_s = max(level_s, QUIET_S_Hz2 * quieter**2)
+    if condition.frequency_Hz < RINGS_BELOW_Hz:
+        expected_s += RINGS_S
+    ratio = KNOWN_WITHIN if last is None else condition.frequency_Hz / last.frequency_Hz
+    if not 1 / KNOWN_WITHIN < ratio < KNOWN_WITHIN:
+        expected_s += LEVELLING_RECORDS * record_s + LEVELLING_S
+    return min(expected_s, settings.longest_point_s)
 
 
 def _name(condition: Condition) -> str:

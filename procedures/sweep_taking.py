@@ -12,6 +12,7 @@ import math
 from typing import TYPE_CHECKING
 
 from procedures.contact import felt_N
+from procedures.sweep import LONG_RECORD_S
 from procedures.sweep_layout import reading_of
 from procedures.sweep_sampling import Sampled, Sampling, refuse_silence, warn_of_mains
 from rig.analysis.levelling import AGREEMENT_SIGMAS, RecordNeeds, agreement, combined
@@ -47,8 +48,6 @@ LEAP = 1.1
 """Ratio of two frequencies in a row beyond which everything rings anew."""
 LEAP_S = 0.02
 """Wait after that, where a record is too short to average over it."""
-LONG_RECORD_S = 0.03
-"""A record that has to be as long averages over all ringing: one is enough after a wait."""
 VERY_LONG_RECORD_S = 0.15
 """One as long needs no wait either."""
 RINGING_S = 0.015

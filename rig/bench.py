@@ -159,11 +159,27 @@ class BenchSettings(Settings):
     heartbeat_timeout_s: float = Field(default=5.0, ge=1, le=600)
     """A run silent for longer is taken for hung: the guard ends it and makes the bench safe."""
     fixture: FixtureSettings
+    also_mounted: tuple[FixtureSettings, ...] = ()
+    """Fixtures that are mounted beside it, each with its own places: runs on any of them need
+    nobody to change the bench between them."""
     film: FilmSettings | None = None
     load_cell: LoadCellSettings | None = None
     skin: SkinSettings | None = None
     calibrations: CalibrationFiles = CalibrationFiles()
     """Calibration records in use; their values replace those of this file."""
+
+    @model_validator(mode="after")
+    def _each_fixture_once(self) -> Self:
+        mounted = [fixture.mounted for fixture in self.fixtures]
+        for name in mounted:
+            if mounted.count(name) > 1:
+                raise ValueError(f"[fixture] and [[also_mounted]] name the {name} twice")
+        return self
+
+    @property
+    def fixtures(self) -> tuple[FixtureSettings, ...]:
+        """All that is mounted."""
+        return (self.fixture, *self.also_mounted)
 
 
 @dataclass(frozen=True)
@@ -187,15 +203,32 @@ class BenchPlan:
     source: str
     """Where it came from, for messages and the run file."""
 
-    def require_fixture(self, *accepted: Fixture) -> None:
-        """Refuse the run where another fixture is mounted."""
-        mounted = self.settings.fixture.mounted
-        if mounted not in accepted:
-            raise ConfigurationError(
-                f"the bench has the {mounted} mounted, this procedure needs "
-                f"{' or '.join(accepted)}",
-                f"mount it and correct [fixture] in {self.source}",
-            )
+    @property
+    def mounted(self) -> tuple[Fixture, ...]:
+        """The fixtures on the bench, that of [fixture] first."""
+        return tuple(fixture.mounted for fixture in self.settings.fixtures)
+
+    def require_fixture(self, *accepted: Fixture) -> BenchPlan:
+        """The plan on the first mounted fixture of those `accepted`; ConfigurationError, which
+        refuses the run, where none is."""
+        for mounted in self.mounted:
+            if mounted in accepted:
+                return self.on(mounted)
+        raise ConfigurationError(
+            f"the bench has the {' and the '.join(self.mounted)} mounted, this procedure needs "
+            f"{' or '.join(accepted)}",
+            f"mount it and correct [fixture] in {self.source}",
+        )
+
+    def on(self, fixture: Fixture) -> BenchPlan:
+        """The plan with one of the mounted fixtures as that of [fixture], which a run works on."""
+        if fixture == self.settings.fixture.mounted:
+            return self
+        fixtures = self.settings.fixtures
+        chosen = next(one for one in fixtures if one.mounted == fixture)
+        others = tuple(one for one in fixtures if one.mounted != fixture)
+        changed = {"fixture": chosen, "also_mounted": others}
+        return replace(self, settings=self.settings.model_copy(update=changed))
 
 
 class GuardedGenerator:
@@ -391,6 +424,7 @@ def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
         instruments.append(part)
     limits: dict[str, Any] = {
         "fixture": real.settings.fixture,
+        "also_mounted": real.settings.also_mounted,
         "calibrations": CalibrationFiles(),  # those of real sensors are nothing to simulated ones
     }
     if real.settings.load_cell is not None and simulated.settings.load_cell is not None:

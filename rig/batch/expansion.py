@@ -151,7 +151,8 @@ class Expansion:
         defaults = _Converted(self._model).table(self._defaults, (), "")
         own = converted.table(experiment.settings, (*where, "settings"), "settings")
         for name, values in experiment.matrix.items():
-            self._matrix[name] = self._values_of(converted, name, values)
+            if kept := self._values_of(converted, name, values):
+                self._matrix[name] = kept
         excluded, included = (
             [
                 converted.table(entry, (*where, table, number), table)
@@ -169,9 +170,9 @@ class Expansion:
                 for name in entry
                 if name not in experiment.matrix
             ]
-        if self._is_sampled_well(experiment.sample) and not self.findings:
-            combinations = self._combined(excluded, included)
-            self._validate(self._model, {**defaults, **own}, combinations)
+        sample = experiment.sample if self._is_sampled_well(experiment.sample) else None
+        combinations = self._combined(sample, excluded, included)
+        self._validate(self._model, {**defaults, **own}, combinations)
         if not self.conditions and not self.findings:
             self.findings.append(
                 Finding(where, "no combination is left to run", "exclude fewer of them")
@@ -185,7 +186,9 @@ class Expansion:
         kept: dict[Any, Any] = {}
         for number, value in enumerate(values):
             one = converted.one(name, value, (*where, number), told)
-            if one is not None and _same(one) in kept:
+            if one is _WRONG:
+                continue
+            if _same(one) in kept:
                 self.findings.append(
                     Finding(
                         (*where, number),
@@ -219,11 +222,14 @@ class Expansion:
         return len(self.findings) == before
 
     def _combined(
-        self, excluded: Sequence[Mapping[str, Any]], included: Sequence[Mapping[str, Any]]
+        self,
+        sample: Sample | None,
+        excluded: Sequence[Mapping[str, Any]],
+        included: Sequence[Mapping[str, Any]],
     ) -> list[_Combination]:
         """The combinations, without those to leave out, with what is added to them: as the
         matrices of GitHub Actions."""
-        matrix, sample = self._matrix, self.experiment.sample
+        matrix = self._matrix
         sampled = [{}] if sample is None else self._sampled(sample)
         whole = (
             {**dict(zip(matrix, values, strict=True)), **point}
@@ -341,6 +347,10 @@ class Expansion:
         return own, ()
 
 
+_WRONG: Any = object()
+"""Stands for a value of which a finding tells."""
+
+
 class _Converted:
     """Values of settings in the settings' own units, and findings of those that are none."""
 
@@ -354,21 +364,19 @@ class _Converted:
             name: self.one(name, value, (*where, name), f"{place}.{shortened(name)}")
             for name, value in table.items()
         }
-        return {
-            name: value for name, value in converted.items() if name in self._model.model_fields
-        }
+        return {name: value for name, value in converted.items() if value is not _WRONG}
 
     def one(self, name: str, value: Any, where: Where, told: str) -> Any:
-        """A single one; None where it is wrong."""
+        """A single one; _WRONG where it is wrong."""
         info = self._model.model_fields.get(name)
         if info is None:
             self.findings.append(_unknown(self._model, name, told, where))
-            return None
+            return _WRONG
         try:
             return _in_own_unit(value, info.annotation, unit_of(name))
         except ValueError as error:
             self.findings.append(Finding(where, f"{told} = {shortened(repr(value))}: {error}"))
-            return None
+            return _WRONG
 
 
 def _in_own_unit(value: Any, annotation: Any, unit: str | None) -> Any:

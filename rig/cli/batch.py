@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rig.cli import batch_plan
 from rig.cli.outcome import reported, say, start_log
 from rig.errors import ConfigurationError
 
@@ -42,6 +43,10 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 RESULTS = Path("results")
 WATCH_S = 1.0
+
+
+app.command()(batch_plan.plan)
+app.command()(batch_plan.schema)
 
 
 @app.command()

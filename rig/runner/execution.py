@@ -72,7 +72,7 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
     outcome.simulated = plan.settings.simulation is not None
     getattr(job.procedure, "import_ahead", lambda: None)()
     try:
-        plan.require_fixture(*job.procedure.FIXTURES)
+        plan = plan.require_fixture(*job.procedure.FIXTURES)
         points = job.procedure.points(job.settings)
         outcome.points_planned = len(points)
         require_roles(points, plan)
@@ -86,6 +86,7 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
             now = datetime.now().astimezone()
             job.calibrations, warnings = benches.apply_calibrations(bench, now, job.allow_expired)
             check_points(points, bench)
+            getattr(job.procedure, "check", lambda *_: None)(job.settings, bench)
             stop.check()
             journal = job.open_journal(bench, points)
         except RigError as error:
@@ -229,7 +230,8 @@ class _Loop:
 
     def _overhead_s(self) -> float:
         told = getattr(self.job.procedure, "overhead_s", None)
-        return float(told(self.job.settings, self.bench.settings.fixture)) if told else 0.0
+        fixture = self.bench.settings.fixture
+        return float(told(self.job.settings, fixture, False)) if told else 0.0
 
     def _arm(self) -> None:
         with self.run.first_cause():

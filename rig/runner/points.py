@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from rig.bench import Bench, BenchPlan, require
-from rig.errors import ConfigurationError, LimitError
+from rig.errors import ConfigurationError, LimitError, RigError
 from rig.instruments import Acquisition
 
 Reading = dict[str, float | int | bool | str | None]
@@ -58,27 +58,39 @@ def require_roles(points: Sequence[Point], plan: BenchPlan) -> None:
 def check_points(points: Sequence[Point], bench: Bench, taken: Iterable[str] = ()) -> None:
     """Refuse, before anything moves, every value outside a limit; ids must be unique, also among
     those of an earlier plan that are `taken`."""
+    for error in refusals(points, bench, taken):
+        raise error
+
+
+def refusals(
+    points: Sequence[Point], bench: Bench, taken: Iterable[str] = ()
+) -> Iterator[RigError]:
+    """All that `check_points` refuses."""
     if not points:
-        raise ConfigurationError("there is no point to take", "ask for at least one")
+        yield ConfigurationError("there is no point to take", "ask for at least one")
     seen: set[str] = set(taken)
     reach = bench.reach()
     for point in points:
         if point.id in seen:
-            raise ConfigurationError(
+            yield ConfigurationError(
                 f"point {point.id} is asked for twice", "remove one of the two"
             )
         seen.add(point.id)
         for move in point.moves:
             if move.quantity not in reach:
                 role = move.quantity.split(".")[0]
-                raise ConfigurationError(
+                yield ConfigurationError(
                     f"point {point.id} needs {move.quantity}, which this bench has not",
                     f"add a [{role}] table to {bench.plan.source}",
                 )
+                continue
             name = move.quantity.replace(".", " ")
-            require(name, move.value, reach[move.quantity], f"point {point.id}")
+            try:
+                require(name, move.value, reach[move.quantity], f"point {point.id}")
+            except LimitError as error:
+                yield error
         for acquisition in point.acquisitions:
             try:
                 bench.daq.check(acquisition)
             except LimitError as error:
-                raise LimitError(f"point {point.id}: {error.message}", error.hint) from error
+                yield LimitError(f"point {point.id}: {error.message}", error.hint)

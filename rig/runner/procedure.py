@@ -5,10 +5,13 @@
     take(run, point) -> Reading               # act: one point
     refine(settings, readings) -> tuple[Point, ...]   # optional and pure: further points
     invalid(settings, reading) -> str         # optional and pure: why a reading does not count
+    check(settings, bench)                    # optional: refuses what the bench does not allow and
+                                              # no move says, before anything is armed
     import_ahead()                            # optional: what takes long to import, while nothing
                                               # is switched on yet
-    overhead_s(settings, fixture) -> float    # optional and pure: bench time that arming and
-                                              # making safe are expected to take
+    overhead_s(settings, fixture, homed) -> float   # optional and pure: bench time that the
+                                              # points' own leaves out: arming, making safe; homed:
+                                              # the stages know where they are and are parked
 
 A reading that does not count is kept all the same and says so; with settings of a number
 ``retry_invalid``, the point is discarded and taken again up to so many times before.

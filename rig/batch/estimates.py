@@ -1,0 +1,231 @@
+"""What a plan is expected to take: time with its spread, disk, and records that expire on the way.
+
+Bench time is what the procedures expect of their points and of making ready
+(`rig.runner.procedure`), as progress and dry runs show it. Here are what comes to it between runs
+and how sure all that is. The numbers below were measured by
+`tests/benchmarks/bench_batch_plan.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from rig.batch.plan import Condition, Plan, PlannedRun
+from rig.batch.policy import window
+from rig.batch.procedures import installed
+from rig.batch.settings import BatchSettings
+from rig.bench import BenchPlan, FixtureSettings
+from rig.calibration import (
+    FilmCalibration,
+    ForceCalibration,
+    LoadCellCalibration,
+    Record,
+    read_calibration,
+)
+from rig.runner.points import Point
+
+CONNECTING_S = 0.6
+"""From the end of a run to the begin of the next on a real bench: journal, guard, connections."""
+RELATIVE = 0.03
+"""Standard deviation of what is expected of a run, relative, the same for all runs: friction, the
+film's noise, how fast the drives home."""
+RANDOM_S = 0.15
+"""That of a single run."""
+RUN_B, POINT_B = 270_000, 15_000
+"""Bytes of a run file for itself, and of each of its points besides their samples."""
+COUNTS_KEPT, NUMBERS_KEPT = 0.72, 0.85
+"""Share of the bytes of counts, with the times they belong to, and of other numbers that is left
+when they are compressed."""
+ROWS_S = 1000.0
+"""Of streams that are not the DAQ's: frames of the force sensor."""
+UNIFORM = math.sqrt(12)
+"""Width of an even spread by its standard deviation."""
+
+RECORDS: dict[str, type[FilmCalibration] | type[ForceCalibration] | type[LoadCellCalibration]] = {
+    "film": FilmCalibration,
+    "force_sensor": ForceCalibration,
+    "load_cell": LoadCellCalibration,
+    "strip_1": FilmCalibration,
+    "strip_2": FilmCalibration,
+}
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What one run of a condition is expected to take."""
+
+    duration_s: float
+    common_s: float
+    """Standard deviation of what is the same in all its runs: the place of the contact, say."""
+    size_B: int
+    """Of its run file."""
+
+    @property
+    def spread_s(self) -> float:
+        """Standard deviation of the duration of a single run."""
+        return math.hypot(self.common_s, RANDOM_S)
+
+
+@dataclass(frozen=True)
+class PlacedRun:
+    """A run of the queue and when it is expected to begin."""
+
+    run: PlannedRun
+    begins: datetime
+
+
+@dataclass(frozen=True)
+class Expiring:
+    """A calibration record that will have expired when the batch is over."""
+
+    path: Path
+    record: Record
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a whole batch is expected to be."""
+
+    begins: datetime
+    duration_s: float
+    """From there to the end of the last run, rests included."""
+    spread_s: float
+    """Its standard deviation."""
+    size_B: int
+    runs: tuple[PlacedRun, ...]
+    stop_by: datetime | None
+    in_time: int
+    """So many runs, the first of the queue, are over by `stop_by`."""
+    expiring: tuple[Expiring, ...]
+
+    @property
+    def ends(self) -> datetime:
+        """When the last run is expected to be over, were there no `stop_by`."""
+        return self.begins + timedelta(seconds=self.duration_s)
+
+
+def expect(plan: Plan, fixtures: Mapping[str, FixtureSettings], real: bool) -> dict[str, Expected]:
+    """What a run of each condition is expected to take. `fixtures`: what is mounted for each
+    procedure; `real`: a bench that stands there, homed and parked by the run before."""
+    return {
+        name: _expected(condition, fixtures[condition.procedure], real)
+        for name, condition in plan.conditions.items()
+    }
+
+
+def homing_s(plan: Plan, fixtures: Mapping[str, FixtureSettings]) -> float:
+    """What the first run on a real bench is expected to take longer than `expect` says: its stages
+    may not know where they are."""
+    if not plan.runs:
+        return 0.0
+    condition = plan.conditions[plan.runs[0].condition]
+    fixture = fixtures[condition.procedure]
+    return _overhead_s(condition, fixture, False) - _overhead_s(condition, fixture, True)
+
+
+def forecast(
+    batch: BatchSettings,
+    plan: Plan,
+    expected: Mapping[str, Expected],
+    now: datetime,
+    first_s: float = 0.0,
+    bench: BenchPlan | None = None,
+) -> Forecast:
+    """The batch in time, were it begun `now`; `first_s` as of `homing_s`."""
+    not_before, stop_by = window(batch, now)
+    begins = now if not_before is None else max(now, not_before)
+    durations = [
+        plan.conditions[run.condition].rest_s + expected[run.condition].duration_s
+        for run in plan.runs
+    ]
+    over_s = first_s + np.cumsum(durations, dtype=float)
+    begun_s = [0.0, *over_s[:-1].tolist()]
+    total_s = float(over_s[-1]) if len(durations) else 0.0
+    common_s = math.fsum(expected[run.condition].common_s for run in plan.runs)
+    spread_s = math.hypot(common_s, math.sqrt(len(durations)) * RANDOM_S)
+    in_time = len(durations)
+    if stop_by is not None:
+        in_time = int(np.searchsorted(over_s, (stop_by - begins).total_seconds(), "right"))
+    ends = begins + timedelta(seconds=total_s + 2 * spread_s)
+    return Forecast(
+        begins=begins,
+        duration_s=total_s,
+        spread_s=spread_s,
+        size_B=sum(expected[run.condition].size_B for run in plan.runs),
+        runs=tuple(
+            PlacedRun(run, begins + timedelta(seconds=since_s))
+            for run, since_s in zip(plan.runs, begun_s, strict=True)
+        ),
+        stop_by=stop_by,
+        in_time=in_time,
+        expiring=tuple(
+            Expiring(path, record)
+            for path, record in records_of(bench)
+            if now < record.valid_until <= ends
+        ),
+    )
+
+
+def records_of(bench: BenchPlan | None) -> Iterable[tuple[Path, Record]]:
+    """The calibration records that a bench file names; ConfigurationError for one that cannot be
+    read."""
+    if bench is None:
+        return
+    folder = Path(bench.source).parent
+    for name, kind in RECORDS.items():
+        file = getattr(bench.settings.calibrations, name)
+        if file is not None:
+            path = folder / file
+            yield path, read_calibration(path, kind)  # type: ignore[type-var]
+
+
+def _expected(condition: Condition, fixture: FixtureSettings, real: bool) -> Expected:
+    procedure = installed(condition.procedure)
+    points = procedure.points(procedure.Settings.model_validate(condition.settings))
+    taking_s = math.fsum(point.duration_s for point in points)
+    duration_s = taking_s + _overhead_s(condition, fixture, real) + (CONNECTING_S if real else 0.0)
+    earliest, latest = (_overhead_s(condition, place, real) for place in _ends_of_contact(fixture))
+    common_s = math.hypot((latest - earliest) / UNIFORM, RELATIVE * duration_s)
+    return Expected(duration_s, common_s, _size_B(condition, points))
+
+
+def _overhead_s(condition: Condition, fixture: FixtureSettings, homed: bool) -> float:
+    procedure = installed(condition.procedure)
+    told = getattr(procedure, "overhead_s", None)
+    if told is None:
+        return 0.0
+    return float(told(procedure.Settings.model_validate(condition.settings), fixture, homed))
+
+
+def _ends_of_contact(fixture: FixtureSettings) -> tuple[FixtureSettings, FixtureSettings]:
+    """The fixture as if the middle of where contact may be felt were its begin, and its end."""
+    first_mm, last_mm = fixture.contact_from_mm, fixture.contact_to_mm
+    if first_mm is None or last_mm is None:
+        return fixture, fixture
+    farther_mm = 2 * last_mm - first_mm
+    return (
+        fixture.model_copy(update={"contact_to_mm": first_mm}),
+        fixture.model_copy(update={"contact_to_mm": farther_mm}),
+    )
+
+
+def _size_B(condition: Condition, points: Iterable[Point]) -> int:  # noqa: N802 - bytes
+    """Bytes of a run file: every stream goes on for as long as its points take."""
+    streams = installed(condition.procedure).STREAMS
+    size = float(RUN_B)
+    for point in points:
+        rate_S_s = max((a.rate_S_s for a in point.acquisitions), default=0.0)
+        each_s = sum(
+            len(stream.channels)
+            * np.dtype(stream.dtype).itemsize
+            * (rate_S_s * COUNTS_KEPT if stream.units == "count" else ROWS_S * NUMBERS_KEPT)
+            for stream in streams
+        )
+        size += POINT_B + each_s * point.duration_s
+    return round(size)

@@ -1,0 +1,163 @@
+"""Everything that is known of a batch before it begins: read, expanded, checked, foretold.
+
+What `rig batch plan` shows and `rig batch run` insists on. Nothing on a real bench is touched: its
+limits are asked of a simulated bench that has the bench file's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from rig import bench as benches
+from rig.batch.estimates import Expected, Forecast, expect, forecast, homing_s, records_of
+from rig.batch.findings import Finding, RefusedBatchError, Where
+from rig.batch.plan import Plan
+from rig.batch.reading import read_batch
+from rig.batch.settings import BatchFile
+from rig.batch.validation import Checked, Connected, validate
+from rig.bench import Bench, BenchPlan, Fixture, read_bench
+from rig.calibration import require_valid
+from rig.errors import ConfigurationError
+from rig.runner.bench_choice import BenchRequest, Choosing, Stages, bench_file
+
+STAGES: dict[tuple[str, str], Stages] = {
+    ("oriental-az", "oriental-az"): "az",
+    ("festo-cmmt", "oriental-az"): "festo-az",
+    ("oriental-az", "festo-cmmt"): "az-festo",
+}
+"""Which simulated stages have the limits of those of a bench file, z and x."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A batch that may begin."""
+
+    batch: BatchFile
+    plan: Plan
+    bench: Path | None
+    """Bench file; None where every run gets a simulated bench of its own."""
+    expected: Mapping[str, Expected]
+    """By condition."""
+    forecast: Forecast
+
+    @property
+    def estimates(self) -> dict[str, tuple[float, float]]:
+        """Expected duration and standard deviation of a run in s, by condition."""
+        return {name: (one.duration_s, one.spread_s) for name, one in self.expected.items()}
+
+
+def prepare(path: Path, given: Path | None, now: datetime, say: Callable[[str], None]) -> Prepared:
+    """Read a batch file, expand it, check all of it against its bench and foretell it, were it
+    begun `now`. `given`: the bench file of the command line; `say` gets lines for a person.
+
+    RefusedBatchError tells all that is wrong, each with its line.
+    """
+    batch, plan, source = read_batch(path)
+    chosen = bench_of(batch, path, given)
+    real = None if chosen is None else read_bench(chosen)
+    findings = [*_simulation(batch, path, chosen), *_bad_records(batch, real, now)]
+    with tempfile.TemporaryDirectory(prefix="rig-batch-plan-") as results:
+        request = _request(batch, path, chosen, real, Path(results))
+        checked = validate(plan, real, rehearsed(request, say)) if not findings else Checked()
+    if findings := [*findings, *checked.findings]:
+        raise RefusedBatchError(findings, source)
+    fixtures = checked.fixtures
+    expected = expect(plan, fixtures, real is not None)
+    first_s = homing_s(plan, fixtures) if real is not None else 0.0
+    foretold = forecast(batch.batch, plan, expected, now, first_s, real)
+    return Prepared(batch, plan, chosen, expected, foretold)
+
+
+def bench_of(batch: BatchFile, path: Path, given: Path | None) -> Path | None:
+    """The bench file of a batch: that of the command line, of the batch file, or ./bench.toml;
+    None for simulated benches, one a run."""
+    if given is None and batch.batch.bench is not None:
+        return path.parent / batch.batch.bench
+    return bench_file(given)
+
+
+def rehearsed(request: BenchRequest, say: Callable[[str], None]) -> Connected:
+    """Simulated benches under the limits of the request's bench file, connected one at a time."""
+
+    @contextlib.contextmanager
+    def connected(fixture: Fixture) -> Iterator[Bench]:
+        with ExitStack() as at_the_end:
+            chosen = Choosing(say).bench_for(request, at_the_end, fixture)
+            assert chosen.started is not None, "a rehearsal starts its bench"
+            at_the_end.callback(chosen.started.wait)
+            try:
+                bench = benches.connect(chosen.plan.on(fixture), chosen.clock)
+            except BaseException:
+                chosen.clock.close()
+                raise
+            with contextlib.closing(bench):
+                yield bench
+
+    return connected
+
+
+def _request(
+    batch: BatchFile, path: Path, chosen: Path | None, real: BenchPlan | None, results: Path
+) -> BenchRequest:
+    """The simulated bench that a batch is checked on."""
+    own = batch.simulation
+    if real is not None or own is None:
+        stages = None if real is None else STAGES.get(_drivers(real))
+        return BenchRequest(bench=chosen, results=results, dry_run=True, stages=stages)
+    world = None if own.world is None else path.parent / own.world
+    return BenchRequest(
+        results=results, dry_run=True, seed=own.seed, stages=own.stages, world=world
+    )
+
+
+def _drivers(real: BenchPlan) -> tuple[str, str]:
+    by_role = {part.role: part.driver_name for part in real.instruments}
+    return by_role.get("stage_z", ""), by_role.get("stage_x", by_role.get("stage_z", ""))
+
+
+def _simulation(batch: BatchFile, path: Path, bench: Path | None) -> Iterator[Finding]:
+    """What is wrong with [simulation]: a bench that it is not for, files that are not there."""
+    own = batch.simulation
+    if own is None:
+        return
+    if bench is not None:
+        yield Finding(
+            ("simulation",),
+            f"[simulation] is of benches that the batch starts for itself, not of {bench}",
+            "leave it out, or the bench file",
+        )
+    named: list[tuple[Where, str | None]] = [(("simulation", "world"), own.world)]
+    named += [(("simulation", "fault", k, "plan"), one.plan) for k, one in enumerate(own.fault)]
+    named += [
+        (("simulation", "change", k, "settings"), one.settings) for k, one in enumerate(own.change)
+    ]
+    for where, name in named:
+        if name is not None and not (path.parent / name).is_file():
+            told = ".".join(str(part) for part in where if isinstance(part, str))
+            yield Finding(
+                where,
+                f"{told} = {name!r}: there is no such file beside the batch file",
+                "name a file relative to the batch file",
+            )
+
+
+def _bad_records(batch: BatchFile, real: BenchPlan | None, now: datetime) -> Iterator[Finding]:
+    """Calibration records that no run could use."""
+    try:
+        for path, record in records_of(real):
+            require_valid(
+                record,
+                record.sensor,
+                now,
+                source=path,
+                simulated_bench=real is not None and real.settings.simulation is not None,
+                allow_expired=batch.batch.allow_expired,
+            )
+    except ConfigurationError as error:
+        yield Finding(("batch", "bench"), error.message, error.hint)

@@ -1,0 +1,128 @@
+"""A whole plan against a bench, before anything starts: fixtures, instruments, every limit.
+
+A plan is checked on connected instruments, since only they know all of their limits. For a batch
+on a real bench these are simulated ones under the bench file's limits, as in a dry run: nothing on
+the bench is touched.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+
+from rig.batch.findings import Finding, Where
+from rig.batch.plan import Condition, Plan
+from rig.batch.procedures import installed
+from rig.bench import Bench, BenchPlan, Fixture, FixtureSettings
+from rig.errors import RigError
+from rig.runner.points import refusals, require_roles
+
+Connected = Callable[[Fixture], AbstractContextManager[Bench]]
+"""A connected bench with a fixture mounted, for as long as a `with` block lasts."""
+
+RUNS_NAMED = 3
+
+
+@dataclass
+class Checked:
+    """What a plan is on a bench."""
+
+    findings: list[Finding] = field(default_factory=list)
+    """All that is wrong; none where it can be begun."""
+    fixtures: dict[str, FixtureSettings] = field(default_factory=dict)
+    """What is mounted for each procedure, and where everything is."""
+
+
+def validate(plan: Plan, real: BenchPlan | None, connected: Connected) -> Checked:
+    """Check a plan on a bench, each condition once. `real` is the bench file's plan, None where
+    each run gets a simulated bench of its own, on which what it needs is mounted."""
+    checked = Checked()
+    wanted = {name: fixture_for(name, real) for name in procedures_of(plan)}
+    if real is not None:
+        checked.findings += _unmounted(plan, real, wanted)
+    for fixture in dict.fromkeys(fixture for fixture in wanted.values() if fixture is not None):
+        conditions = [c for c in plan.conditions.values() if wanted[c.procedure] == fixture]
+        with connected(fixture) as bench:
+            refused = [(c, error) for c in conditions for error in _refusals(c, bench, real)]
+            place = bench.settings.fixture
+        checked.findings += _together(refused)
+        checked.fixtures |= {name: place for name, one in wanted.items() if one == fixture}
+    return checked
+
+
+def procedures_of(plan: Plan) -> tuple[str, ...]:
+    """The procedures of a plan, each once, as the file names them first."""
+    return tuple(dict.fromkeys(condition.procedure for condition in plan.conditions.values()))
+
+
+def fixture_for(procedure: str, real: BenchPlan | None) -> Fixture | None:
+    """The fixture a procedure works on: the first of those mounted that it accepts, None where
+    none is. A bench that is simulated for a run has the one that the procedure names first."""
+    accepted = installed(procedure).FIXTURES
+    if real is None:
+        return accepted[0]
+    return next((mounted for mounted in real.mounted if mounted in accepted), None)
+
+
+def _unmounted(
+    plan: Plan, real: BenchPlan, fixtures: Mapping[str, Fixture | None]
+) -> Iterator[Finding]:
+    """Experiments that would need another fixture mounted half-way."""
+    mounted = " and the ".join(real.mounted)
+    for experiment in dict.fromkeys(c.experiment for c in plan.conditions.values()):
+        own = {c.id: c for c in plan.conditions.values() if c.experiment == experiment}
+        procedure = next(iter(own.values())).procedure
+        if fixtures[procedure] is not None:
+            continue
+        needed = installed(procedure).FIXTURES
+        numbers = [run.number for run in plan.runs if run.condition in own]
+        yield Finding(
+            ("experiment", experiment, "procedure"),
+            f"{procedure} ({_runs(numbers)}) needs the {' or the '.join(needed)}, the bench has "
+            f"the {mounted} mounted: somebody would have to change it during the batch",
+            f"make a batch of its own of it; or, where both are mounted at once, declare the other "
+            f'with [[also_mounted]] mounted = "{needed[0]}" in {real.source}',
+        )
+
+
+def _runs(numbers: list[int]) -> str:
+    named = ", ".join(str(number) for number in numbers[:RUNS_NAMED])
+    more = len(numbers) - RUNS_NAMED
+    return f"run {named}" + (f" and {more} more" if more > 0 else "")
+
+
+def _refusals(condition: Condition, bench: Bench, real: BenchPlan | None) -> Iterator[RigError]:
+    """Why a condition cannot be run on a bench, every reason for itself."""
+    procedure = installed(condition.procedure)
+    settings = procedure.Settings.model_validate(condition.settings)
+    try:
+        points = procedure.points(settings)
+        if real is not None:  # the simulated bench may have more than the real one
+            require_roles(points, real)
+        require_roles(points, bench.plan)
+    except RigError as error:
+        yield error
+        return
+    yield from refusals(points, bench)
+    try:
+        getattr(procedure, "check", lambda *_: None)(settings, bench)
+    except RigError as error:
+        yield error
+
+
+def _together(refused: Iterable[tuple[Condition, RigError]]) -> Iterator[Finding]:
+    """A finding for each reason, told of the first condition and point that it holds for."""
+    conditions: dict[tuple[int, str], dict[str, None]] = {}
+    errors: dict[tuple[int, str], RigError] = {}
+    for condition, error in refused:
+        reason = condition.experiment, re.sub(r"^point \S+: ", "", error.message)
+        conditions.setdefault(reason, {})[condition.id] = None
+        errors.setdefault(reason, error)
+    for reason, ids in conditions.items():
+        experiment, error = reason[0], errors[reason]
+        name, more = next(iter(ids)), len(ids) - 1
+        others = f" and {more} more" if more else ""
+        where: Where = ("experiment", experiment)
+        yield Finding(where, f"{name}{others}: {error.message}", error.hint, error.code)

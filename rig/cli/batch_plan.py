@@ -1,0 +1,167 @@
+"""What a batch would be: `rig batch plan`, and the JSON schema of its file."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rig.cli.outcome import reported, say
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rig.batch.estimates import PlacedRun
+    from rig.batch.preparation import Prepared
+
+
+def plan(
+    file: Annotated[Path, typer.Argument(help="Batch file (TOML).", metavar="FILE")],
+    bench: Annotated[
+        Path | None,
+        typer.Option(help="Bench file; without one, the batch file's, ./bench.toml or simulated."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Check a batch whole and list its runs: when each begins, how long all takes, disk."""
+    with reported(debug, as_json):
+        from rig.batch.preparation import prepare
+
+        prepared = prepare(file, bench, datetime.now().astimezone(), say)
+        free_B = shutil.disk_usage(_existing(Path(prepared.batch.batch.results))).free
+        if as_json:
+            print(json.dumps(as_object(prepared, free_B)))  # noqa: T201 - stdout carries data
+            return
+        for line in _table(prepared):
+            print(line)  # noqa: T201 - stdout carries data
+        for line in _summary(prepared, free_B):
+            say(line)
+
+
+def schema() -> None:
+    """Print the JSON schema of the batch file, with the settings of the installed procedures."""
+    from rig.batch.schema import batch_schema
+
+    print(json.dumps(batch_schema(), indent=2))  # noqa: T201 - stdout carries data
+
+
+def as_object(prepared: Prepared, free_B: int) -> dict[str, Any]:
+    """The object that ``--json`` prints."""
+    forecast, expected = prepared.forecast, prepared.expected
+    return {
+        "name": prepared.batch.batch.name,
+        "bench": None if prepared.bench is None else str(prepared.bench),
+        "begins": forecast.begins.isoformat(timespec="seconds"),
+        "ends": forecast.ends.isoformat(timespec="seconds"),
+        "duration_s": forecast.duration_s,
+        "spread_s": forecast.spread_s,
+        "stop_by": None if forecast.stop_by is None else forecast.stop_by.isoformat(),
+        "runs_in_time": forecast.in_time,
+        "disk_B": forecast.size_B,
+        "free_B": free_B,
+        "expiring": [
+            {"file": str(one.path), "valid_until": one.record.valid_until.isoformat()}
+            for one in forecast.expiring
+        ],
+        "conditions": {
+            name: {
+                "experiment": condition.experiment + 1,
+                "procedure": condition.procedure,
+                "reference": condition.reference,
+                "varied": dict(condition.varied),
+                "settings": dict(condition.settings),
+                "rest_s": condition.rest_s,
+                "duration_s": expected[name].duration_s,
+                "spread_s": expected[name].spread_s,
+                "disk_B": expected[name].size_B,
+            }
+            for name, condition in prepared.plan.conditions.items()
+        },
+        "runs": [
+            {
+                "number": placed.run.number,
+                "condition": placed.run.condition,
+                "repeat": placed.run.repeat,
+                "begins": placed.begins.isoformat(timespec="seconds"),
+            }
+            for placed in forecast.runs
+        ],
+    }
+
+
+def _table(prepared: Prepared) -> Iterator[str]:
+    """One line a run: number, begin, condition, repeat, expected duration, what is varied."""
+    width = max((len(name) for name in prepared.plan.conditions), default=0)
+    digits = len(str(len(prepared.plan.runs)))
+    for placed in prepared.forecast.runs:
+        yield _line(prepared, placed, digits, width)
+
+
+def _line(prepared: Prepared, placed: PlacedRun, digits: int, width: int) -> str:
+    run = placed.run
+    condition = prepared.plan.conditions[run.condition]
+    varied = " ".join(f"{name}={_shown(value)}" for name, value in condition.varied.items())
+    if condition.reference:
+        varied = "reference"
+    duration_s = prepared.expected[run.condition].duration_s
+    return (
+        f"{run.number:>{digits}} {placed.begins:%m-%d %H:%M:%S} {run.condition:{width}} "
+        f"{run.repeat:>3} {duration_s:7.1f} s  {varied}"
+    ).rstrip()
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, list):
+        return ",".join(_shown(item) for item in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _summary(prepared: Prepared, free_B: int) -> Iterator[str]:
+    forecast = prepared.forecast
+    name, runs = prepared.batch.batch.name, len(prepared.plan.runs)
+    yield (
+        f"{name}: {runs} runs of {len(prepared.plan.conditions)} conditions, "
+        f"{_duration(forecast.duration_s)} ± {_duration(forecast.spread_s)}, "
+        f"from {forecast.begins:%Y-%m-%d %H:%M:%S} to {forecast.ends:%Y-%m-%d %H:%M:%S}"
+    )
+    yield f"disk: about {_size(forecast.size_B)} of run files, {_size(free_B)} are free"
+    if forecast.size_B > free_B:
+        yield "warning: the disk is too small: free it, or choose another folder for results"
+    if forecast.stop_by is not None and forecast.in_time < runs:
+        yield (
+            f"warning: stop_by {forecast.stop_by:%Y-%m-%d %H:%M:%S}: {forecast.in_time} of {runs} "
+            "runs are over by then; `rig batch resume` goes on the next night"
+        )
+    for one in forecast.expiring:
+        allowed = prepared.batch.batch.allow_expired
+        then = "it is used all the same" if allowed else "runs after that are refused"
+        yield (
+            f"warning: {one.path}: the calibration of {one.record.sensor!r} expires on "
+            f"{one.record.valid_until.astimezone():%Y-%m-%d %H:%M}, during the batch: {then}; "
+            "calibrate before"
+        )
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 60 else str(timedelta(seconds=round(seconds)))
+
+
+def _size(size_B: float) -> str:
+    for unit in ("B", "kB", "MB"):
+        if size_B < 1000:
+            return f"{size_B:.3g} {unit}"
+        size_B /= 1000
+    return f"{size_B:.3g} GB"
+
+
+def _existing(folder: Path) -> Path:
+    """The folder, or the nearest one around it that exists."""
+    folder = folder.absolute()
+    while not folder.exists():
+        folder = folder.parent
+    return folder
