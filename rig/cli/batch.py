@@ -58,15 +58,16 @@ def run(
         from datetime import datetime
 
         from rig.batch.beginning import begin
-        from rig.batch.reading import read_batch
-        from rig.runner.bench_choice import bench_file
+        from rig.batch.preparation import prepare
 
-        batch, plan, _ = read_batch(file)
-        chosen = bench_file(bench) if batch.batch.bench is None else file.parent / batch.batch.bench
-        estimates = dict.fromkeys(plan.conditions, (20.0, 1.0))
         now = datetime.now().astimezone()
-        folder = begin(file, batch, plan, estimates, chosen, now)
-        say(f"batch {folder.path}: {len(plan.runs)} runs")
+        prepared = prepare(file, bench, now, say)
+        folder = begin(file, prepared, datetime.now().astimezone())
+        forecast = prepared.forecast
+        say(
+            f"batch {folder.path}: {len(prepared.plan.runs)} runs, expected to be over at "
+            f"{forecast.ends:%Y-%m-%d %H:%M:%S}"
+        )
         _supervise(folder, as_json)
 
 
