@@ -7,16 +7,18 @@ something moves, and lifts off. Whatever ends it, what moves stops first, then z
 
 from __future__ import annotations
 
+import math
 import statistics
 from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, model_validator
 
-from procedures.contact import contact_range_mm, park, unload
+from procedures.contact import contact_range_mm, force_zero_of, park, unload
 from rig.bench import STRIPS
 from rig.errors import RigError
 from rig.instruments import Acquisition, InputChannel
 from rig.runner.points import Move, Point, Reading
+from rig.runner.procedure import DriftFigure
 from rig.settings import Settings as BaseSettings
 
 if TYPE_CHECKING:
@@ -37,6 +39,13 @@ TICK_Hz = 100.0
 WAY_S, SEARCHED_mm = 3.5, 0.6
 """Expected of the way to the held force and back where the place of the contact is known, and of
 the search where it is not."""
+
+TOUCH_DRIFT = {
+    f"mean_touch_gain_{number}_dB": DriftFigure("gain by touch-down and tap", strip, 0.5)
+    for number, strip in enumerate(STRIPS, 1)
+}
+"""Five hundred times the scatter over seeds, several times what a first touch differs
+(decision 0051)."""
 
 
 class PressedSettings(BaseSettings):
@@ -155,6 +164,18 @@ def summary_of(readings: Sequence[Reading], names: Sequence[str]) -> dict[str, A
             found[f"mean_{name}"] = statistics.fmean(values)
         if len(values) > 1:
             found[f"standard_deviation_{name}"] = statistics.stdev(values)
+    return found | _touch_gains_of(readings) | force_zero_of(readings)
+
+
+def _touch_gains_of(readings: Sequence[Reading]) -> dict[str, float]:
+    """Each strip's mean gain in dB re 1 V s/N. A trial that does not count was pressed all the
+    same."""
+    found = {}
+    for number in (1, 2):
+        name = f"touch_gain_{number}_V_s_N"
+        gains = [float(gain) for r in readings if (gain := r.get(name)) is not None]
+        if gains and (mean := statistics.fmean(gains)):
+            found[f"mean_touch_gain_{number}_dB"] = 20 * math.log10(abs(mean))
     return found
 
 

@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 
 from procedures import roll_layout
 from procedures.pressed import (
+    TOUCH_DRIFT,
     WAY_S,
     PressedSettings,
     arm_pressed,
@@ -40,6 +41,7 @@ FIGURE = "roll_trial"
 LAYOUT = roll_layout.LAYOUT
 STREAMS = roll_layout.STREAMS
 invalid = why_invalid
+DRIFT = TOUCH_DRIFT
 
 ALIGNING_S = 12.0
 """Expected of a press that measures the axis."""

@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 from procedures import pressed_layout, slip_layout
 from procedures.pressed import (
     DELAY_S,
+    TOUCH_DRIFT,
     WAY_S,
     PressedSettings,
     arm_pressed,
@@ -39,6 +40,7 @@ FIGURE = "slip_trial"
 LAYOUT = slip_layout.LAYOUT
 STREAMS = pressed_layout.STREAMS
 invalid = why_invalid
+DRIFT = TOUCH_DRIFT
 
 UNREHEARSED_mm = 0.0175
 """Travel within delay and tick up to which the servo holds the force through a slide that it has

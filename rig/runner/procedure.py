@@ -9,6 +9,8 @@
                                               # is switched on yet
     overhead_s(settings, fixture) -> float    # optional and pure: bench time that arming and
                                               # making safe are expected to take
+    DRIFT: Mapping[str, DriftFigure]          # optional: figures of the summary by which its run
+                                              # as a batch's reference shows wear
 
 A reading that does not count is kept all the same and says so; with settings of a number
 ``retry_invalid``, the point is discarded and taken again up to so many times before.
@@ -42,6 +44,18 @@ class StreamPlan:
     dtype: str = "<i2"
     """NumPy's notation."""
     units: str = "count"
+
+
+@dataclass(frozen=True)
+class DriftFigure:
+    """What a figure of the summary says of the bench, where the same run is made again."""
+
+    what: str
+    """In words, such as ``gain near 200 Hz``."""
+    part: str
+    """Of the bench, that it speaks of: ``film``, ``strip_1``, ``strip_2``."""
+    tolerance: float
+    """How far it may move from the first run's, in the figure's own unit."""
 
 
 class Procedure(Protocol):
