@@ -513,9 +513,11 @@ class ForceAmplifier:
         """Use this matrix, force in N by bridge output in mV/V, from the next `read` on."""
         self._matrix = np.array(matrix_N_mV_V, dtype=np.float64)
 
-    def tare(self, zero_mV_V: tuple[float, float, float]) -> None:
-        """Take this reading in mV/V as no force, from the next `read` on."""
+    def tare(self, zero_mV_V: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Take this reading in mV/V as no force, from the next `read` on; what it is in N."""
         self._zero = np.array(zero_mV_V, dtype=np.float64)
+        x, y, z = (float(force) for force in self._matrix @ self._zero)
+        return x, y, z
 
     def make_safe(self) -> None:
         """Nothing: a sensor drives nothing, and its stream guards the rest of the bench."""

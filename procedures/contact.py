@@ -8,13 +8,15 @@ and the force brought up is each procedure's own; the way back is the same again
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rig.errors import ConfigurationError, InstrumentError
+from rig.recording.layout import Column
 
 if TYPE_CHECKING:
     from rig.bench import Bench, FixtureSettings
+    from rig.runner.points import Reading
     from rig.runner.run import Run
 
 TRAVEL_mm_s = 10.0
@@ -28,6 +30,33 @@ HOMING_S = 0.68
 ARRIVED_S = 0.08
 """Expected of a quick way beyond its length: to come up to speed and to be asked whether it is over
 (measured)."""
+
+
+class ForceZero(NamedTuple):
+    """What the force sensor says in free air, in N along its axes, z up out of the object."""
+
+    x_N: float = 0.0
+    y_N: float = 0.0
+    z_N: float = 0.0
+
+    def columns(self) -> Reading:
+        """It, as columns of a reading."""
+        return {f"force_zero_{name}": value for name, value in self._asdict().items()}
+
+
+ZERO_COLUMNS = tuple(
+    Column(f"force_zero_{axis}", f"force_zero_{axis}_N", "N", f"Force zero along {axis} (N)")
+    for axis in "xyz"
+)
+"""Of a table of readings: where the force sensor's zero was found."""
+
+
+def force_zero_of(readings: Sequence[Reading]) -> dict[str, Any]:
+    """``force_zero_N`` of a run's summary: x, y, z of the last reading, whose drift from run to run
+    shows a sensor that is overloaded, warm or touched by something."""
+    names = [column.source for column in ZERO_COLUMNS]
+    found = [zero for r in readings if None not in (zero := [r.get(name) for name in names])]
+    return {"force_zero_N": found[-1]} if found else {}
 
 
 def contact_range_mm(bench: Bench) -> tuple[float, float]:
@@ -76,10 +105,10 @@ def park(run: Run, name: str, way_back: Callable[[], None]) -> None:
     stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
 
 
-def tare_in_free_air(run: Run) -> None:
-    """Zero the force sensor once what has moved is at rest."""
+def tare_in_free_air(run: Run) -> ForceZero:
+    """Zero the force sensor once what has moved is at rest; where its zero was found."""
     run.clock.sleep(2 * TARE_S)
-    run.force.tare(TARE_S)
+    return ForceZero(*run.force.tare(TARE_S))
 
 
 def come_close(run: Run, contact_N: float, look_s: float, every_s: float) -> None:

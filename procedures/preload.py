@@ -8,12 +8,13 @@ Whatever ends the run, the stage is stopped, and moved away where it still can b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from procedures.contact import (
     HOMING_S,
     TARE_S,
+    ForceZero,
     come_close,
     contact_range_mm,
     expected_contact_mm,
@@ -74,6 +75,8 @@ class Preload:
     """From contact to the force being held."""
     position_mm: float
     """Where the stage was told to be."""
+    zero: ForceZero = field(default_factory=ForceZero)
+    """Of the force sensor, before the film was touched."""
 
     def follow(self, run: Run, stretch_s: float) -> bool:
         """Bring the mean force of the latest stretch back where the film has crept; one small move
@@ -111,10 +114,12 @@ def press(run: Run, target_N: float) -> Preload:
     run.stream_force(FORCE_RATE_S_S)
     run.force.watch(bench.force_sensor.reach()["force"].high)
     park(run, "preload", lambda: unload(run, "film"))
-    tare_in_free_air(run)
+    zero = tare_in_free_air(run)
     come_close(run, CONTACT_N, LOOK_S, LOOK_AROUND_S)
     contact_mm = _approach(run, first_mm, last_mm)
-    return _press_from(run, contact_mm, target_N)
+    pressed = _press_from(run, contact_mm, target_N)
+    pressed.zero = zero
+    return pressed
 
 
 def duration_s(fixture: FixtureSettings, target_N: float, homed: bool) -> float:

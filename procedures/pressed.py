@@ -7,6 +7,7 @@ something moves, and lifts off. Whatever ends it, what moves stops first, then z
 
 from __future__ import annotations
 
+import math
 import statistics
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from procedures.contact import (
     HOMING_S,
     TARE_S,
     expected_contact_mm,
+    force_zero_of,
     park,
     travel_s,
     unload,
@@ -24,6 +26,7 @@ from rig.bench import STRIPS, FixtureSettings
 from rig.errors import RigError
 from rig.instruments import Acquisition, InputChannel
 from rig.runner.points import Move, Point, Reading
+from rig.runner.procedure import DriftFigure
 from rig.settings import Settings as BaseSettings
 
 if TYPE_CHECKING:
@@ -49,6 +52,13 @@ AFTER_S = 0.1
 """What is still recorded after the motion."""
 RISE_S = 0.22
 """Expected from touch to the normal force (measured on the skin, 2 to 8 N)."""
+
+TOUCH_DRIFT = {
+    f"mean_touch_gain_{number}_dB": DriftFigure("gain by touch-down and tap", strip, 0.5)
+    for number, strip in enumerate(STRIPS, 1)
+}
+"""Five hundred times the scatter over seeds, several times what a first touch differs
+(decision 0051)."""
 
 
 class PressedSettings(BaseSettings):
@@ -190,6 +200,18 @@ def summary_of(readings: Sequence[Reading], names: Sequence[str]) -> dict[str, A
             found[f"mean_{name}"] = statistics.fmean(values)
         if len(values) > 1:
             found[f"standard_deviation_{name}"] = statistics.stdev(values)
+    return found | _touch_gains_of(readings) | force_zero_of(readings)
+
+
+def _touch_gains_of(readings: Sequence[Reading]) -> dict[str, float]:
+    """Each strip's mean gain in dB re 1 V s/N. A trial that does not count was pressed all the
+    same."""
+    found = {}
+    for number in (1, 2):
+        name = f"touch_gain_{number}_V_s_N"
+        gains = [float(gain) for r in readings if (gain := r.get(name)) is not None]
+        if gains and (mean := statistics.fmean(gains)):
+            found[f"mean_touch_gain_{number}_dB"] = 20 * math.log10(abs(mean))
     return found
 
 

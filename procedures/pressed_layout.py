@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from procedures.contact import ZERO_COLUMNS
 from rig.recording.layout import Column
 from rig.runner.procedure import StreamPlan
 
@@ -59,6 +60,7 @@ ASKED = (
 """What was asked for."""
 
 HELD = (
+    *ZERO_COLUMNS,
     Column("contact", "contact_mm", "mm", "z of the contact (mm)"),
     Column("stiffness", "stiffness_N_mm", "N/mm", "Stiffness at the force (N/mm)"),
     Column("overshoot", "overshoot_percent", "%", "Overshoot of the approach (%)"),
@@ -68,16 +70,24 @@ HELD = (
 )
 """How contact was found and the force held."""
 
-CALIBRATED = (
+TOUCHED = (
     Column("clock_offset", "clock_offset_s", "s", "DAQ's clock behind the force's (s)"),
     Column("clock_offset_error", "clock_offset_error_s", "s", "Standard error (s)"),
+    Column("touch_gain_1", "touch_gain_1_V_s_N", "V s/N", "S1 by rate of force (V s/N)"),
+    Column("touch_gain_1_error", "touch_gain_1_error_V_s_N", "V s/N", "Standard error (V s/N)"),
+    Column("touch_gain_2", "touch_gain_2_V_s_N", "V s/N", "S2 by rate of force (V s/N)"),
+    Column("touch_gain_2_error", "touch_gain_2_error_V_s_N", "V s/N", "Standard error (V s/N)"),
+)
+"""What touch-down and tap tell: the two clocks, and how much each strip gives."""
+
+CALIBRATED = (
     Column("load_scale_1", "load_scale_1_N_s_V", "N/s/V", "Load rate of S1 by volt (N/s/V)"),
     Column("load_scale_1_error", "load_scale_1_error_N_s_V", "N/s/V", "Standard error (N/s/V)"),
     Column("load_scale_2", "load_scale_2_N_s_V", "N/s/V", "Load rate of S2 by volt (N/s/V)"),
     Column("load_scale_2_error", "load_scale_2_error_N_s_V", "N/s/V", "Standard error (N/s/V)"),
     Column("load_rate_flat_to", "load_rate_flat_to_Hz", "Hz", "Load rates flat up to (Hz)"),
 )
-"""The two clocks, and volts as load rate."""
+"""Volts as load rate."""
 
 RECORDED = (
     Column("samples", "samples", "", "Rows of the strips"),

@@ -10,8 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from procedures.contact import ForceZero
 from procedures.pressed import AFTER_S, FORCE_RATE_S_S, PressedSettings
-from rig.analysis import clock_offset as clocks
+from procedures.pressed_layout import TOUCHED
+from rig.analysis.clock_offset import clock_offset
+from rig.analysis.touch_down import Series, TouchDownError
+from rig.analysis.touch_gain import touch_gain
 from rig.bench import STRIPS
 
 if TYPE_CHECKING:
@@ -46,6 +50,8 @@ class Taken:
     begun_s: float = 0.0
     """When the record began, on the run's clock."""
     filter_delay_s: float = 0.0
+    zero: ForceZero = field(default_factory=ForceZero)
+    """Of the force sensor, before the skin touched anything."""
     contact_mm: float = 0.0
     stiffness_N_mm: float = 0.0
     tapped_s: float = 0.0
@@ -106,6 +112,7 @@ def reading_of(run: Run, taken: Taken) -> Reading:
     reading: Reading = {
         "trial": taken.number,
         "normal_force_set_N": settings.normal_force_N,
+        **taken.zero.columns(),
         "contact_mm": taken.contact_mm,
         "stiffness_N_mm": taken.stiffness_N_mm,
         "overshoot_percent": max(0.0, float(error[t < taken.motion_from_s].max())),
@@ -121,7 +128,7 @@ def reading_of(run: Run, taken: Taken) -> Reading:
         "filter_delay_s": taken.filter_delay_s,
     }
     run.check_stop()  # computing takes a while: still alive
-    reading |= _clock_offset(run, taken, force)
+    reading |= _touch_down(run, taken, force)
     run.check_stop()
     if truth := run.clock.truth():
         begun_us = round(1e6 * taken.begun_s)
@@ -130,27 +137,34 @@ def reading_of(run: Run, taken: Taken) -> Reading:
     return reading
 
 
-def _clock_offset(run: Run, taken: Taken, force: npt.NDArray[np.float64]) -> Reading:
-    """Of the force sensor's clock against the DAQ's, from touch-down and tap that both saw."""
-    volts = np.concatenate(taken.volts).sum(axis=1)
+def _touch_down(run: Run, taken: Taken, force: npt.NDArray[np.float64]) -> Reading:
+    """How far the force sensor's clock and the DAQ's are apart, and each strip's gain, from
+    touch-down and tap that all of them saw."""
+    volts = np.concatenate(taken.volts)
     touch_s = float(np.argmax(force[:, 0] > CONTACT_N)) / FORCE_RATE_S_S
     begin_s = touch_s - CLOCKS_SEEN_S
     end_s = min(taken.tapped_s + CLOCKS_SEEN_S, taken.motion_from_s)
     wider_s = CLOCKS_SEARCHED_S + CLOCKS_SEEN_S
-    seen = _stretch(volts, DECIMATED_Hz, begin_s, end_s)
-    felt = _stretch(force[:, 0], FORCE_RATE_S_S, begin_s - wider_s, end_s + wider_s)
-    half_frame_s = 0.5 / FORCE_RATE_S_S
+
+    def seen(column: npt.NDArray[np.float64]) -> Series:
+        return Series(*_stretch(column, DECIMATED_Hz, begin_s, end_s), taken.filter_delay_s)
+
+    stretch = _stretch(force[:, 0], FORCE_RATE_S_S, begin_s - wider_s, end_s + wider_s)
+    felt = Series(*stretch, delay_s=0.5 / FORCE_RATE_S_S)
     try:
-        found = clocks.clock_offset(
-            clocks.Series(*felt, delay_s=half_frame_s),
-            clocks.Series(*seen, taken.filter_delay_s),
-            CLOCKS_SEARCHED_S,
-        )
-    except clocks.ClockOffsetError as error:
-        run.event("warning", "clock-offset", f"trial {taken.number}: {error.one_line()}")
-        return {"clock_offset_s": None, "clock_offset_error_s": None}
-    offset = found.offset
-    return {"clock_offset_s": offset.value, "clock_offset_error_s": offset.standard_error}
+        offset = clock_offset(felt, seen(volts.sum(axis=1)), CLOCKS_SEARCHED_S).offset
+        gains = [touch_gain(felt, seen(column), offset.value) for column in volts.T]
+    except TouchDownError as error:
+        run.event("warning", "touch-down", f"trial {taken.number}: {error.one_line()}")
+        return {column.source: None for column in TOUCHED}
+    reading: Reading = {
+        "clock_offset_s": offset.value,
+        "clock_offset_error_s": offset.standard_error,
+    }
+    for number, gain in enumerate(gains, 1):
+        reading[f"touch_gain_{number}_V_s_N"] = gain.value
+        reading[f"touch_gain_{number}_error_V_s_N"] = gain.standard_error
+    return reading
 
 
 def _doubts(settings: PressedSettings, taken: Taken, reading: Reading, late: float) -> list[str]:

@@ -162,7 +162,7 @@ class PressedTrial:
         """Up, x to where the trial begins, and zero the force in free air."""
         self.z.move_to(self.fixture.parked_mm, TRAVEL_mm_s)
         self.x.move_to(start_mm, TRAVEL_mm_s)
-        tare_in_free_air(self.run)
+        self.taken.zero = tare_in_free_air(self.run)
         self._z_commanded = self.fixture.parked_mm
         self._x_commanded = start_mm
         self._x_mm = self.x.position_mm()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from procedures import pressed_layout
-from procedures.pressed_layout import ASKED, CALIBRATED, HELD, RECORDED
+from procedures.pressed_layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED
 from rig.recording.layout import Column, Layout, Plot, Trace
 from rig.runner.procedure import StreamPlan
 
@@ -36,6 +36,7 @@ LAYOUT = Layout(
         Column("axis_offset", "axis_offset_mm", "mm", "Rotary axis above the contact (mm)"),
         Column("axis_offset_error", "axis_offset_error_mm", "mm", "Standard error (mm)"),
         Column("ridge_lifted", "ridge_lifted", "", "SIMULATED truth: the ridge left the head"),
+        *TOUCHED,
         *CALIBRATED,
         Column("roll_from", "roll_from_s", "s", "Begin of the roll, since the record's (s)"),
         Column("roll_to", "roll_to_s", "s", "End of the roll, since the record's (s)"),

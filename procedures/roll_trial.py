@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 from procedures import roll_layout
 from procedures.contact import contact_range_mm
 from procedures.pressed import (
+    TOUCH_DRIFT,
     PressedSettings,
     arm_pressed,
     import_what_a_trial_needs,
@@ -43,6 +44,7 @@ FIGURE = "roll_trial"
 LAYOUT = roll_layout.LAYOUT
 STREAMS = roll_layout.STREAMS
 invalid = why_invalid
+DRIFT = TOUCH_DRIFT
 
 NUDGES = (0, 1, 0, -1, 0)
 NUDGED_S = 0.35

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from procedures.pressed_layout import ASKED, CALIBRATED, HELD, RECORDED
+from procedures.pressed_layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED
 from rig.recording.layout import Column, Layout, Plot, Trace
 
 LAYOUT = Layout(
@@ -18,6 +18,7 @@ LAYOUT = Layout(
         Column("kinetic_friction", "kinetic_friction", "", "Kinetic friction coefficient"),
         Column("kinetic_friction_error", "kinetic_friction_error", "", "Standard error"),
         Column("no_friction", "no_friction", "", "Why there are no coefficients", "text"),
+        *TOUCHED,
         *CALIBRATED,
         Column("ramp_error_rms", "ramp_error_rms_N", "N", "Error of the tangential ramp, rms (N)"),
         Column("ramp_to", "ramp_to_s", "s", "End of the ramp, since the record's begin (s)"),

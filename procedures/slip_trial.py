@@ -21,6 +21,7 @@ from procedures.contact import contact_range_mm, travel_s
 from procedures.pressed import (
     AFTER_S,
     DELAY_S,
+    TOUCH_DRIFT,
     PressedSettings,
     arm_pressed,
     import_what_a_trial_needs,
@@ -43,6 +44,7 @@ FIGURE = "slip_trial"
 LAYOUT = slip_layout.LAYOUT
 STREAMS = pressed_layout.STREAMS
 invalid = why_invalid
+DRIFT = TOUCH_DRIFT
 
 UNREHEARSED_mm = 0.0175
 """Travel within delay and tick up to which the servo holds the force through a slide that it has

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pydantic import Field, field_validator, model_validator
 
-from procedures import preload, sweep_layout
+from procedures import contact, preload, sweep_layout
 from procedures.contact import contact_range_mm
 from rig.bench import Fixture, FixtureSettings
 from rig.instruments import Acquisition, InputChannel
 from rig.runner.points import Move, Point, Reading
-from rig.runner.procedure import StreamPlan
+from rig.runner.procedure import DriftFigure, StreamPlan
 from rig.settings import Settings as BaseSettings
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ FIXTURES: tuple[Fixture, ...] = ("film-clamp",)
 FIGURE = "sweep"
 LAYOUT = sweep_layout.LAYOUT
 CHANNELS = ("load_cell", "film")
+DRIFT = {"gain_near_200_Hz_dB": DriftFigure("gain near 200 Hz", "film", 0.5)}
 STREAMS = (StreamPlan("waveform", "daq", CHANNELS, "Load cell and film, raw counts"),)
 
 HIGHEST_RATE_S_S = 500e3
@@ -353,4 +354,9 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
 
     if not readings:
         return {"points": 0}
-    return {**figures(readings), **model(readings, several_loads=len(settings.levels_N) > 1)}
+    several = len(settings.levels_N) > 1
+    return {
+        **figures(readings),
+        **contact.force_zero_of(readings),
+        **model(readings, several_loads=several),
+    }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from procedures.contact import ZERO_COLUMNS
 from rig.recording.layout import Column, Layout, Plot
 from rig.runner.points import Reading
 
@@ -77,6 +78,7 @@ LAYOUT = Layout(
         Column("physics", "physics_s", "s", "Time of waits and records in it (s)"),
         Column("largest_load", "largest_load_N", "N", "Largest load on the way, peak (N)"),
         Column("settled_at", "settled_at_s", "s", "Time of the record's end (s)"),
+        *ZERO_COLUMNS,
     ),
     plots=(
         Plot(

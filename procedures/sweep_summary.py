@@ -75,12 +75,16 @@ def model(readings: Sequence[Reading], several_loads: bool) -> dict[str, Any]:
 
 
 def _gain_near_200(readings: Sequence[Reading]) -> dict[str, Any]:
-    """The gain nearest to 200 Hz; nothing where none was measured near it."""
+    """The gain nearest to 200 Hz, its standard error; nothing where none was measured near it."""
     nearest = min(readings, key=lambda r: abs(math.log(float(r["frequency_Hz"] or 1) / 200)))
     frequency = float(nearest["frequency_Hz"] or 1)
     if not 1 / NEAR_200 <= frequency / 200 <= NEAR_200:
         return {}
-    return {"gain_near_200_Hz_dB": nearest["gain_dB"], "gain_near_200_Hz_at_Hz": frequency}
+    return {
+        "gain_near_200_Hz_dB": nearest["gain_dB"],
+        "gain_near_200_Hz_error_dB": nearest["gain_standard_error_dB"],
+        "gain_near_200_Hz_at_Hz": frequency,
+    }
 
 
 def _column(readings: Sequence[Reading], name: str) -> npt.NDArray[np.float64]:

@@ -157,6 +157,7 @@ class Taking:
             "physics_s": sampling.physics_s,
             "largest_load_N": sampling.largest_load_N,
             "preload_N": felt_N(run, max(STATIC_S, 1 / condition.frequency_Hz)),
+            **self.memory.preload.zero.columns(),
         }
 
     # --- the drive ------------------------------------------------------------------------------

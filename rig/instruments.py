@@ -332,8 +332,9 @@ class ForceSensor(Instrument, Protocol):
         """Use this matrix, force in N by bridge output in mV/V, from the next `read` on."""
         ...
 
-    def tare(self, zero_mV_V: tuple[float, float, float]) -> None:
-        """Take this reading as no force; the amplifier's own zero stays as it is."""
+    def tare(self, zero_mV_V: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Take this reading as no force; the amplifier's own zero stays as it is. Returns the force
+        along x, y, z in N that the reading would be against that."""
         ...
 
 

@@ -36,3 +36,16 @@ def test_why_a_trial_has_no_friction_coefficients_is_said() -> None:
     trials = [reading(0.6), reading(None, no_friction="the slide is too short; slide further")]
     (told,) = summarise(Settings(), trials)["no_friction"]
     assert told.startswith("1 of 2 trials give no friction coefficients: the slide is too short")
+
+
+def test_strips_gains_and_the_last_zero_of_the_force_are_told() -> None:
+    def touched(gain: float, zero_N: float, **changes: object) -> dict[str, object]:
+        zero = {"force_zero_x_N": 0.0, "force_zero_y_N": -0.1, "force_zero_z_N": zero_N}
+        gains = {"touch_gain_1_V_s_N": gain, "touch_gain_2_V_s_N": None}
+        return reading(0.6, **zero, **gains, **changes)
+
+    trials = [touched(-2e-4, 0.1), touched(-4e-4, 0.2, invalid="late ticks")]
+    found = summarise(Settings(), trials)
+    assert found["mean_touch_gain_1_dB"] == pytest.approx(-70.458, abs=1e-3)
+    assert "mean_touch_gain_2_dB" not in found
+    assert found["force_zero_N"] == [0.0, -0.1, 0.2]

@@ -24,21 +24,22 @@ broken lines lead away, and `LEAST_s`; without a way back also `UNREVERSED_s`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.analysis.estimate import Estimate
-from rig.errors import ExitCode, RigError
+from rig.analysis.touch_down import (
+    GRID_Hz,
+    Reals,
+    Series,
+    SmoothForce,
+    TouchDownError,
+    standard_error,
+    still_columns,
+    volts_on_grid,
+)
 
-Reals = NDArray[np.float64]
-
-WIDTH_s = 0.004
-"""Standard deviation of the Gaussian: it leaves 0.2 N/s of dF/dt to 3 mN of noise per frame."""
-GRID_Hz = 1000.0
-"""Where the two are compared."""
 KNOTS = (
     (0.0, 0.1, 0.25, 0.5, 1.0),
     (0.0, 0.08, 0.16, 0.28, 0.45, 0.7, 1.0),
@@ -50,9 +51,6 @@ STEP_s = 0.004
 """Between the offsets that are tried before the nearest is looked for finely."""
 THINNED = 4
 """Of the grid, for that: the Gaussian leaves nothing in between."""
-MAINS_Hz = 50.0
-MEMORY = 4.0
-"""Widths of the Gaussian over which residuals are taken to be correlated."""
 LEAST_s = 6e-5
 """Frame shape, transducer and P are not known better: what was left on simulated touch-downs."""
 REVERSAL = 0.05
@@ -63,22 +61,8 @@ ENOUGH = 0.5
 """Share of the volts' variance that the force has to explain."""
 
 
-class ClockOffsetError(RigError):
+class ClockOffsetError(TouchDownError):
     """Two series from which no offset follows."""
-
-    code = ExitCode.FINISHED_WITH_FAILURES
-
-
-@dataclass(frozen=True)
-class Series:
-    """Equally spaced samples (n,) on a clock of their own."""
-
-    values: Reals
-    rate_Hz: float
-    first_s: float = 0.0
-    """When the first sample was taken, on that clock."""
-    delay_s: float = 0.0
-    """How late a sample shows what happened: half a frame for a mean, a filter's `delay_s`."""
 
 
 @dataclass(frozen=True)
@@ -100,8 +84,8 @@ def clock_offset(force_N: Series, volts: Series, within_s: float = 0.2) -> Clock
     time before and after, at least `within_s` more of the force. ClockOffsetError where the series
     do not overlap, or have no touch-down in common.
     """
-    time, seen = _volts_on_grid(volts)
-    touch = _Force(force_N)
+    time, seen = volts_on_grid(volts)
+    touch = SmoothForce(force_N)
     inside = (time - within_s >= touch.first_s) & (time + within_s <= touch.last_s)
     time, seen = time[inside], seen[inside]
     if time.size < 10 * len(KNOTS[-1]):
@@ -131,67 +115,10 @@ def clock_offset(force_N: Series, volts: Series, within_s: float = 0.2) -> Clock
     return ClockOffset(Estimate.normal(offset, error, "s"), explained, reversed_)
 
 
-def _gaussian(values: Reals, rate_Hz: float, order: int) -> Reals:
-    from scipy.ndimage import gaussian_filter1d
-
-    smooth = gaussian_filter1d(values, WIDTH_s * rate_Hz, order=order, mode="nearest", truncate=5.0)
-    result: Reals = np.asarray(smooth, dtype=np.float64) * rate_Hz**order
-    return result
-
-
-def _volts_on_grid(volts: Series) -> tuple[Reals, Reals]:
-    """Times on the volts' clock, corrected, and smoothed volts."""
-    values = np.asarray(volts.values, dtype=np.float64)
-    start = volts.first_s - volts.delay_s
-    edge = 4 * WIDTH_s
-    end = start + (values.size - 1) / volts.rate_Hz
-    time = np.arange(start + edge, end - edge, 1 / GRID_Hz)
-    if not time.size:
-        raise ClockOffsetError(f"{values.size} samples of volts are too few")
-    own = start + np.arange(values.size) / volts.rate_Hz
-    return time, _cubic(own, _gaussian(values, volts.rate_Hz, 0))(time)
-
-
-def _cubic(x: Reals, y: Reals) -> Callable[[Reals], Reals]:
-    from scipy.interpolate import CubicSpline
-
-    spline: Callable[[Reals], Reals] = CubicSpline(x, y)
-    return spline
-
-
-class _Force:
-    """Smoothed force and its rate at any time of the force's clock."""
-
-    def __init__(self, series: Series):
-        values = np.asarray(series.values, dtype=np.float64)
-        self._time = series.first_s - series.delay_s + np.arange(values.size) / series.rate_Hz
-        self._force = _gaussian(values, series.rate_Hz, 0)
-        self._force_at = _cubic(self._time, self._force)
-        self._rate_at = _cubic(self._time, _gaussian(values, series.rate_Hz, 1))
-        edge = 4 * WIDTH_s
-        self.first_s = float(self._time[0]) + edge
-        self.last_s = float(self._time[-1]) - edge
-        self.largest_N = float(self._force.max())
-
-    def way_back(self, start_s: float, end_s: float) -> float:
-        """How far the force fell after it had risen, as a share of the largest."""
-        inside = (self._time >= start_s) & (self._time <= end_s)
-        force = self._force[inside]
-        return float((np.maximum.accumulate(force) - force).max()) / self.largest_N
-
-    def columns(self, time: Reals, knots: tuple[float, ...]) -> Reals:
-        """dF/dt times each hat function of F: (n, knots)."""
-        force = np.clip(self._force_at(time) / self.largest_N, 0.0, 1.0)
-        rate = self._rate_at(time)
-        hats = [np.interp(force, knots, row) for row in np.eye(len(knots))]
-        return np.column_stack([rate * hat for hat in hats])
-
-
 class _Fit:
-    def __init__(self, touch: _Force, time: Reals, seen: Reals, knots: tuple[float, ...]):
+    def __init__(self, touch: SmoothForce, time: Reals, seen: Reals, knots: tuple[float, ...]):
         self._touch, self._time, self._seen, self._knots = touch, time, seen, knots
-        turn = 2 * np.pi * MAINS_Hz * time
-        self._still = np.column_stack([np.ones(time.size), np.cos(turn), np.sin(turn)])
+        self._still = still_columns(time)
 
     def nearest(self, within_s: float) -> float:
         """Offset of the least residual, to half of `STEP_s`."""
@@ -216,16 +143,8 @@ class _Fit:
         later, earlier = self._shifted(offset_s, step), self._shifted(offset_s, -step)
         slope = (later - earlier) / (2 * step)
         slope = slope - orthonormal @ (orthonormal.T @ slope)  # what P and v_0 cannot imitate
-        product = slope * residual
-        lags = round(MEMORY * WIDTH_s * GRID_Hz)
-        long_run = float(product @ product)
-        for lag in range(1, lags):
-            long_run += 2 * (1 - lag / lags) * float(product[lag:] @ product[:-lag])
-        parameters = len(self._knots) + 4
-        independent = max(self._time.size / lags, parameters + 1.0)
-        inflation = independent / (independent - min(parameters, 0.5 * independent))
         steepness = float(slope @ slope)
-        return residual, float(np.sqrt(max(long_run, 0.0) * inflation)) / steepness
+        return residual, standard_error(slope / steepness, residual, len(self._knots) + 4)
 
     def _cost(self, offset_s: float) -> float:
         model, _ = self._model(offset_s)

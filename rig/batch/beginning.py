@@ -4,13 +4,13 @@ kept beside it, and looked at again before anything goes on."""
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 
 import rig
 from rig.batch.folder import BatchFolder, new_folder
-from rig.batch.plan import Plan
+from rig.batch.preparation import Prepared
 from rig.batch.queue import Queue
 from rig.batch.settings import BatchFile, Simulation
 from rig.errors import ConfigurationError
@@ -18,24 +18,17 @@ from rig.runner.source_state import source_state
 from rig.settings import fingerprint
 
 
-def begin(
-    batch_file: Path,
-    batch: BatchFile,
-    plan: Plan,
-    estimates: Mapping[str, tuple[float, float]],
-    bench: Path | None,
-    now: datetime,
-) -> BatchFolder:
-    """Make a batch's folder with its queue. `estimates`: bench time and its standard deviation by
-    condition, in s; `bench`: bench file, None for simulated benches."""
+def begin(batch_file: Path, prepared: Prepared, now: datetime) -> BatchFolder:
+    """Make the folder of a batch that may begin, with its queue."""
+    batch, bench = prepared.batch, prepared.bench
     folder = new_folder(Path(batch.batch.results), batch.batch.name, now)
     text = batch_file.read_text(encoding="utf-8")
     folder.batch_file.write_text(text, encoding="utf-8")
     files_from = batch_file.absolute().parent
     Queue.create(
         folder.queue,
-        plan,
-        estimates,
+        prepared.plan,
+        prepared.estimates,
         {
             "id": str(uuid.uuid4()),
             "name": batch.batch.name,

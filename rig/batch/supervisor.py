@@ -31,9 +31,6 @@ hangs; from then on the run's guard watches."""
 CRASHES = 3
 """So many workers in a row that die without having begun a run: it is no use."""
 
-WORDS = ("stop-now", "stop-after-point", "stop-after-run", "pause", "go")
-"""What may be asked for."""
-
 
 @dataclass
 class Now:
@@ -118,7 +115,7 @@ class Supervisor:
                         self._hear(json.loads(line))
                 if self._stop.requested is not None and not told_to_stop:
                     told_to_stop = True
-                    self._say(worker, "stop-now")
+                    self._say(worker, f"signal {self._stop.requested.value}")
                 for word in self._queue.asked():
                     self._say(worker, word)
                 if self._give_up is not None and time.monotonic() > self._give_up:
@@ -164,15 +161,17 @@ class Supervisor:
             self._tell(f"{said['level']}: {said['text']}")
 
     def _on_state(self, said: Mapping[str, Any]) -> None:
-        self._now = Now(said["state"], said.get("text", ""))
-        if said.get("text"):
-            self._tell(f"{said['state']}: {said['text']}")
+        self._set_state(said["state"], said.get("text", ""))
+
+    def _set_state(self, state: str, text: str = "") -> None:
+        self._now.state, self._now.text = state, text
+        told = f"{state}: {text}" if text else state
+        self._queue.set_meta("state", told)
+        self._tell(told)
 
     def _on_hold(self, said: Mapping[str, Any]) -> None:
-        self._tell(
-            f"HOLD: {said['text']}; the bench is safe and waits: rig batch resume "
-            f"{self._folder.path}"
-        )
+        self._set_state("held", said["text"])
+        self._tell(f"the bench is safe and waits; go on with: rig batch resume {self._folder.path}")
 
     def _on_finished(self, said: Mapping[str, Any]) -> None:
         self._give_up = None

@@ -3,9 +3,9 @@
     python -m rig.batch.worker FOLDER
 
 It is started by the supervisor (`rig.batch.supervisor`), which tells it words on its standard input
-("stop-now", "stop-after-point", "stop-after-run", "pause", "go") and gets one object of JSON a line
-on its standard output. When its input ends the supervisor has died: it stops in order, as it does
-when it is told to.
+("stop-now", "stop-after-point", "stop-after-run", "pause", "go", "signal 2") and gets one object of
+JSON a line on its standard output. When its input ends the supervisor has died: it stops in order,
+as it does when it is told to.
 
 What it decides is in `rig.batch.policy`; that nothing is lost or doubled, in `rig.batch.queue`.
 """
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from rig.runner.points import Point, Reading
     from rig.runner.procedure import Procedure
 
+LOOK_S = 0.05
+"""How often a worker that waits for a person looks whether it may go on."""
 GUARD_PATIENCE_S = 60.0
 """How long the guard of a worker that died is waited for."""
 
@@ -83,8 +85,8 @@ class _EndError(RigError):
 class _Words:
     """What the supervisor says, heard by a thread; acted on by the main thread."""
 
-    def __init__(self, stop: StopFlag):
-        self._stop = stop
+    def __init__(self, stop: StopFlag, say: Say):
+        self._stop, self._say = stop, say
         self.paused = threading.Event()
         self.stop_after_run = False
         self.in_run = False
@@ -96,7 +98,9 @@ class _Words:
         os.kill(os.getpid(), signal.SIGHUP)  # nobody is there any more
 
     def _hear(self, word: str) -> None:
-        if word == "stop-now":
+        if word.startswith("signal "):
+            os.kill(os.getpid(), int(word.removeprefix("signal ")))
+        elif word == "stop-now":
             os.kill(os.getpid(), signal.SIGTERM)
         elif word == "stop-after-point":
             self._stop.after_point = self.stop_after_run = True
@@ -104,9 +108,12 @@ class _Words:
             self.stop_after_run = True
         elif word == "pause" and not self.paused.is_set():
             self.paused.set()
+            self._say("state", state="paused", text="by the operator")
             if self.in_run:
                 os.kill(os.getpid(), signal.SIGTSTP)
         elif word == "go":
+            if self.paused.is_set():
+                self._say("state", state="running")
             self.paused.clear()
             if self.in_run:
                 os.kill(os.getpid(), signal.SIGCONT)
@@ -154,7 +161,7 @@ class Worker:
         self._say = say
         self._terms = Terms.of(queue, folder)
         self._batch = self._terms.file.batch
-        self._words = _Words(stop)
+        self._words = _Words(stop, say)
         self._night = self._nights()
         self._bench: ChosenBench | None = None
         """Of a bench file: locked once, for all runs."""
@@ -220,7 +227,7 @@ class Worker:
             if upcoming.attempt > 1 and self._queue.attempts(upcoming.number):
                 rest_s += self._batch.retries.rest_s
             if rest_s:
-                self._say("state", state="resting", seconds=rest_s)
+                self._say("state", state="resting", text=f"{rest_s:g} s")
                 self._night.rest(rest_s, self._between_runs)
             return upcoming
 
@@ -230,36 +237,30 @@ class Worker:
         if self._words.stop_after_run:
             raise StopRequestedError(signal.SIGTERM, " between runs")
         if self._words.paused.is_set():
-            self._wait("paused", "paused by the operator")
+            self._wait("paused")
 
     def _hold(self, why: str) -> None:
         """Something wants a person: wait for one, or end, as the batch says."""
         self._queue.tell("hold", why)
         if self._batch.on_hold == "stop":
             raise _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
-        self._say("hold", text=why)
         self._words.paused.set()
-        self._wait("held", why)
+        self._say("hold", text=why)
+        self._wait("held")
 
-    def _wait(self, state: str, why: str) -> None:
-        self._queue.set_meta("state", f"{state}: {why}")
-        self._say("state", state=state, text=why)
+    def _wait(self, state: str) -> None:
         while self._words.paused.is_set():
             self._stop.check()
             if self._words.stop_after_run:
                 raise StopRequestedError(signal.SIGTERM, f" while {state}")
-            time.sleep(0.05)
-        self._say("state", state="running")
-        self._queue.set_meta("state", "running")
-        self._queue.tell("info", "going on")
+            time.sleep(LOOK_S)
 
     def _wait_for_the_window(self) -> None:
         if self._from is None or (wait_s := (self._from - self._night.now()).total_seconds()) <= 0:
             return
-        self._queue.set_meta("state", f"waiting for {self._from:%Y-%m-%d %H:%M:%S}")
         self._say("state", state="waiting", text=f"not before {self._from:%Y-%m-%d %H:%M:%S}")
         self._night.rest(wait_s, self._between_runs)
-        self._queue.set_meta("state", "running")
+        self._say("state", state="running")
 
     def _end(self, state: str, why: str, code: ExitCode) -> None:
         self._queue.set_meta("state", f"{state}: {why}" if why else state)

@@ -6,7 +6,7 @@ import json
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -58,15 +58,16 @@ def run(
         from datetime import datetime
 
         from rig.batch.beginning import begin
-        from rig.batch.reading import read_batch
-        from rig.runner.bench_choice import bench_file
+        from rig.batch.preparation import prepare
 
-        batch, plan, _ = read_batch(file)
-        chosen = bench_file(bench) if batch.batch.bench is None else file.parent / batch.batch.bench
-        estimates = dict.fromkeys(plan.conditions, (20.0, 1.0))
         now = datetime.now().astimezone()
-        folder = begin(file, batch, plan, estimates, chosen, now)
-        say(f"batch {folder.path}: {len(plan.runs)} runs")
+        prepared = prepare(file, bench, now, say)
+        folder = begin(file, prepared, datetime.now().astimezone())
+        forecast = prepared.forecast
+        say(
+            f"batch {folder.path}: {len(prepared.plan.runs)} runs, expected to be over at "
+            f"{forecast.ends:%Y-%m-%d %H:%M:%S}"
+        )
         _supervise(folder, as_json)
 
 
@@ -189,10 +190,9 @@ def _supervise(folder: BatchFolder, as_json: bool) -> None:
         stop = stack.enter_context(StopFlag(say_at_once))
         start_log(folder.path)
         code = Supervisor(folder, stop, say).run()
-    ended: Any = status_of(folder)
+    ended = status_of(folder)
     if as_json:
         print(json.dumps(ended.as_object() | {"exit": int(code)}))  # noqa: T201 - data
-    else:
-        for line in ended.lines():
-            say(line)
+    for line in ended.lines():
+        say(line)
     raise typer.Exit(int(code))

@@ -148,9 +148,11 @@ def finish(
 
 def _tell_summary(outcome: Outcome) -> None:
     for name, value in outcome.summary.items():
-        if isinstance(value, list):
+        if isinstance(value, list) and all(isinstance(item, str) for item in value):
             for sentence in value:
                 say(f"  {sentence}")
+        elif isinstance(value, list):
+            say(f"  {name}: {', '.join(f'{item:.6g}' for item in value)}")
         elif not isinstance(value, dict):  # tables are for --json
             say(f"  {name}: {value:.6g}" if isinstance(value, float) else f"  {name}: {value}")
     if outcome.file is not None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,10 +54,23 @@ def save(figure: Figure, run_file: Path, simulated: bool) -> list[Path]:
         _lay_out(figure)
         # The canvases themselves: `savefig` draws everything once more before each of them.
         canvas: Any = FigureCanvasAgg(figure)
-        canvas.print_png(png)
+        with _whole(png) as part:
+            canvas.print_png(part)
         canvas = FigureCanvasSVG(figure)
-        canvas.print_svg(svg, metadata={"Date": None})
+        with _whole(svg) as part:
+            canvas.print_svg(part, metadata={"Date": None})
     return [png, svg]
+
+
+@contextlib.contextmanager
+def _whole(picture: Path) -> Iterator[Path]:
+    """A name to draw to: the picture appears under its own when it is whole."""
+    part = picture.with_name(f".{picture.name}.{os.getpid()}.part")
+    try:
+        yield part
+        part.replace(picture)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def import_matplotlib() -> None:

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from rig.recording.header import RunHeader
+    from rig.recording.layout import Layout
     from rig.recording.runfile import Waveform
 
 STRIPS = ("v_1", "v_2")
@@ -121,6 +122,13 @@ def detect_trials(run: RunFile, settings: DetectorSettings) -> list[DetectedTria
             except ValueError as error:
                 raise ConfigurationError(f"{run.path}: trial {point}: {error}") from error
     return trials
+
+
+def stream_of_strips(layout: Layout) -> str | None:
+    """The stream that holds v_1 and v_2, as a file's own layout says; None where none does."""
+    return next(
+        (trace.stream for trace in layout.traces if set(STRIPS) <= set(trace.channels())), None
+    )
 
 
 def _detect(job: Job) -> Found:
@@ -217,14 +225,13 @@ def _source(run: RunFile, sha256: str) -> Source:
 
 
 def _stream_of_strips(run: RunFile) -> str:
-    """The stream that holds v_1 and v_2, as the file's own layout says."""
-    for trace in run.header.layout.traces:
-        if set(STRIPS) <= set(trace.channels()):
-            return trace.stream
-    raise ConfigurationError(
-        f"{run.path}: a {run.header.procedure}, which records no strips v_1 and v_2",
-        "slips are looked for in slip trials, roll trials and imported recordings",
-    )
+    stream = stream_of_strips(run.header.layout)
+    if stream is None:
+        raise ConfigurationError(
+            f"{run.path}: a {run.header.procedure}, which records no strips v_1 and v_2",
+            "slips are looked for in slip trials, roll trials and imported recordings",
+        )
+    return stream
 
 
 def _detect_trial(point: str, pieces: list[Waveform], settings: DetectorSettings) -> DetectedTrial:

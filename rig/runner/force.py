@@ -138,14 +138,16 @@ class ForceMonitor:
             latest = self._recent[-1] if self._recent else None
         return latest.first_index + len(latest) if latest is not None else self._frames_before
 
-    def tare(self, seconds: float) -> None:
-        """Take the mean of the latest `seconds` as no force."""
+    def tare(self, seconds: float) -> tuple[float, float, float]:
+        """Take the mean of the latest `seconds` as no force. Returns the force along x, y, z in N
+        that it is against the amplifier's own zero."""
         zero = np.concatenate([f.raw[-n:] for f, n in self._latest(seconds)]).mean(axis=0)
-        self._sensor.tare((float(zero[0]), float(zero[1]), float(zero[2])))
+        zero_N = self._sensor.tare((float(zero[0]), float(zero[1]), float(zero[2])))
         with self._lock:
             if self._recent:
                 self._frames_before = self._recent[-1].first_index + len(self._recent[-1])
             self._recent.clear()
+        return zero_N
 
     def check(self) -> None:
         """Raise what the reader's thread met, once for a trip."""

@@ -12,6 +12,8 @@
     overhead_s(settings, fixture, homed) -> float   # optional and pure: bench time that the
                                               # points' own leaves out: arming, making safe; homed:
                                               # the stages know where they are and are parked
+    DRIFT: Mapping[str, DriftFigure]          # optional: figures of the summary by which its run
+                                              # as a batch's reference shows wear
 
 A reading that does not count is kept all the same and says so; with settings of a number
 ``retry_invalid``, the point is discarded and taken again up to so many times before.
@@ -45,6 +47,18 @@ class StreamPlan:
     dtype: str = "<i2"
     """NumPy's notation."""
     units: str = "count"
+
+
+@dataclass(frozen=True)
+class DriftFigure:
+    """What a figure of the summary says of the bench, where the same run is made again."""
+
+    what: str
+    """In words, such as ``gain near 200 Hz``."""
+    part: str
+    """Of the bench, that it speaks of: ``film``, ``strip_1``, ``strip_2``."""
+    tolerance: float
+    """How far it may move from the first run's, in the figure's own unit."""
 
 
 class Procedure(Protocol):

@@ -131,8 +131,9 @@ def test_what_is_no_queue_is_refused_by_name(tmp_path: Path, content: bytes) -> 
 def test_a_disk_that_takes_no_more_is_told_with_the_remedy(tmp_path: Path) -> None:
     with created(tmp_path, plan()) as queue:
         queue._sql.execute(f"PRAGMA max_page_count = {_pages(queue)}")
-        with pytest.raises(RigError, match=r"the queue cannot be written: .*full.*free the disk"):
+        with pytest.raises(RigError, match=r"cannot be written: .*full") as raised:
             _fill(queue)
+        assert raised.value.hint == "free the disk, then: rig batch resume"
         assert queue.counts()["queued"] == 6, "and it goes on being read"
 
 

@@ -220,6 +220,7 @@ def test_measurements_between_request_and_response_are_kept_and_those_before_dro
     with playing(*exchanges) as port:
         amplifier = connected(port)
         assert amplifier.start(1000) == 1000
+        assert amplifier.tare((0.025, 0, -0.5)) == pytest.approx((0.025 * 50 / 0.6, 0, -25 / 0.6))
         amplifier.tare((0.025, 0, 0))
         frames = read_frames(amplifier, 2)
         assert frames.raw.tolist() == [[0.125, -0.25, 0.5], pytest.approx([0.125, -0.25, 3.675])]

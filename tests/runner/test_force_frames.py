@@ -24,8 +24,9 @@ class Sensor:
     def read(self) -> ForceFrames | None:
         return self.coming.pop(0) if self.coming else None
 
-    def tare(self, zero: tuple[float, float, float]) -> None:
-        pass
+    def tare(self, zero: tuple[float, float, float]) -> tuple[float, float, float]:
+        x, y, z = (2 * value for value in zero)
+        return x, y, z
 
 
 class Clock:
@@ -132,7 +133,8 @@ def test_a_tare_forgets_what_was_and_goes_on_counting(
 ) -> None:
     feed(monitor, sensor, frames(0, 400))
     monitor._rate = 1000.0
-    monitor.tare(0.2)
+    zero_N = monitor.tare(0.2)
+    assert zero_N == pytest.approx((2 * 299.5, -2 * 299.5, 2 * 2.995))
     assert monitor.frames_seen == 400
     assert monitor.frames_since(400) is None
     feed(monitor, sensor, frames(400, 5))

@@ -1,0 +1,124 @@
+"""A touch-down that force sensor and strips both saw: its two records as one model needs them.
+
+When the object is pressed on, the force rises and the strips see their stress rise with it. A ridge
+takes its share of the force later or sooner than the others, so that the volts are
+
+    v(t) = P(F) dF/dt + v_0 + mains,
+
+with a share P that is a function of the force alone: a broken line between some forces. Both
+records are first smoothed by the same Gaussian, so that rates and frame times do not matter.
+`rig.analysis.clock_offset` finds when the two were taken, `rig.analysis.touch_gain` how large P is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import ExitCode, RigError
+
+Reals = NDArray[np.float64]
+
+WIDTH_s = 0.004
+"""Standard deviation of the Gaussian: it leaves 0.2 N/s of dF/dt to 3 mN of noise per frame."""
+GRID_Hz = 1000.0
+"""Where the two are compared."""
+MAINS_Hz = 50.0
+MEMORY = 4.0
+"""Widths of the Gaussian over which residuals are taken to be correlated."""
+
+
+class TouchDownError(RigError):
+    """Two records from which nothing follows."""
+
+    code = ExitCode.FINISHED_WITH_FAILURES
+
+
+@dataclass(frozen=True)
+class Series:
+    """Equally spaced samples (n,) on a clock of their own."""
+
+    values: Reals
+    rate_Hz: float
+    first_s: float = 0.0
+    """When the first sample was taken, on that clock."""
+    delay_s: float = 0.0
+    """How late a sample shows what happened: half a frame for a mean, a filter's `delay_s`."""
+
+
+def _gaussian(values: Reals, rate_Hz: float, order: int) -> Reals:
+    from scipy.ndimage import gaussian_filter1d
+
+    smooth = gaussian_filter1d(values, WIDTH_s * rate_Hz, order=order, mode="nearest", truncate=5.0)
+    result: Reals = np.asarray(smooth, dtype=np.float64) * rate_Hz**order
+    return result
+
+
+def volts_on_grid(volts: Series) -> tuple[Reals, Reals]:
+    """Times on the volts' clock, corrected, and smoothed volts."""
+    values = np.asarray(volts.values, dtype=np.float64)
+    start = volts.first_s - volts.delay_s
+    edge = 4 * WIDTH_s
+    end = start + (values.size - 1) / volts.rate_Hz
+    time = np.arange(start + edge, end - edge, 1 / GRID_Hz)
+    if not time.size:
+        raise TouchDownError(f"{values.size} samples of volts are too few")
+    own = start + np.arange(values.size) / volts.rate_Hz
+    return time, _cubic(own, _gaussian(values, volts.rate_Hz, 0))(time)
+
+
+def _cubic(x: Reals, y: Reals) -> Callable[[Reals], Reals]:
+    from scipy.interpolate import CubicSpline
+
+    spline: Callable[[Reals], Reals] = CubicSpline(x, y)
+    return spline
+
+
+class SmoothForce:
+    """Smoothed force and its rate at any time of the force's clock."""
+
+    def __init__(self, series: Series):
+        values = np.asarray(series.values, dtype=np.float64)
+        self._time = series.first_s - series.delay_s + np.arange(values.size) / series.rate_Hz
+        self._force = _gaussian(values, series.rate_Hz, 0)
+        self._force_at = _cubic(self._time, self._force)
+        self._rate_at = _cubic(self._time, _gaussian(values, series.rate_Hz, 1))
+        edge = 4 * WIDTH_s
+        self.first_s = float(self._time[0]) + edge
+        self.last_s = float(self._time[-1]) - edge
+        self.largest_N = float(self._force.max())
+
+    def way_back(self, start_s: float, end_s: float) -> float:
+        """How far the force fell after it had risen, as a share of the largest."""
+        inside = (self._time >= start_s) & (self._time <= end_s)
+        force = self._force[inside]
+        return float((np.maximum.accumulate(force) - force).max()) / self.largest_N
+
+    def columns(self, time: Reals, knots: tuple[float, ...]) -> Reals:
+        """dF/dt times each hat function of F: (n, knots)."""
+        force = np.clip(self._force_at(time) / self.largest_N, 0.0, 1.0)
+        rate = self._rate_at(time)
+        hats = [np.interp(force, knots, row) for row in np.eye(len(knots))]
+        return np.column_stack([rate * hat for hat in hats])
+
+
+def still_columns(time: Reals) -> Reals:
+    """What the volts hold at rest: a constant and the mains, (n, 3)."""
+    turn = 2 * np.pi * MAINS_Hz * time
+    return np.column_stack([np.ones(time.size), np.cos(turn), np.sin(turn)])
+
+
+def standard_error(influence: Reals, residual: Reals, parameters: int) -> float:
+    """Standard error of a fitted number, ``influence @ volts``, from the residuals with their own
+    autocovariance (Newey and West 1987); enlarged for the `parameters` that were fitted."""
+    product = influence * residual
+    lags = round(MEMORY * WIDTH_s * GRID_Hz)
+    long_run = float(product @ product)
+    for lag in range(1, lags):
+        long_run += 2 * (1 - lag / lags) * float(product[lag:] @ product[:-lag])
+    independent = max(residual.size / lags, parameters + 1.0)
+    inflation = independent / (independent - min(parameters, 0.5 * independent))
+    return float(np.sqrt(max(long_run, 0.0) * inflation))

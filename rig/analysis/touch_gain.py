@@ -1,0 +1,61 @@
+"""How much a strip gives for the force that presses on the object: volts per newton a second.
+
+A film that wears, tears or comes off its amplifier shows here from trial to trial, without a
+vibrator and whatever moves afterwards. The strip's own share P of the touch-down
+(`rig.analysis.touch_down`) depends on the force, since the ridge takes its part of it sooner or
+later than the others; its mean over the force, from none to the largest, is the gain: the integral
+of the volts over time by the force that was brought up. It belongs to this skin on this object
+under this force: compared is like with like.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rig.analysis.estimate import Estimate
+from rig.analysis.touch_down import (
+    Reals,
+    Series,
+    SmoothForce,
+    TouchDownError,
+    standard_error,
+    still_columns,
+    volts_on_grid,
+)
+
+KNOTS = (0.0, 0.08, 0.16, 0.28, 0.45, 0.7, 1.0)
+"""Shares of the largest force between which P is straight."""
+ENOUGH = 10
+"""Samples for each of them."""
+
+
+def touch_gain(force_N: Series, volts: Series, offset_s: float) -> Estimate:
+    """A strip's gain in V s/N, with its sign; what was at t on the volts' clock was at t +
+    `offset_s` on the force's, which is taken as known.
+
+    Both hold the touch-down and some time before and after. TouchDownError where they do not
+    overlap.
+    """
+    time, seen = volts_on_grid(volts)
+    touch = SmoothForce(force_N)
+    inside = (time + offset_s >= touch.first_s) & (time + offset_s <= touch.last_s)
+    time, seen = time[inside], seen[inside]
+    if time.size < ENOUGH * len(KNOTS):
+        raise TouchDownError(
+            f"the force's frames and the strip's volts have {time.size} ms in common",
+            "record both from before the touch-down until after it",
+        )
+    columns = np.column_stack([touch.columns(time + offset_s, KNOTS), still_columns(time)])
+    weighting = np.zeros(columns.shape[1])
+    weighting[: len(KNOTS)] = _mean_weights()
+    inverse = np.linalg.pinv(columns, rcond=1e-9)
+    influence, residual = weighting @ inverse, seen - columns @ (inverse @ seen)
+    error = standard_error(influence, residual, columns.shape[1])
+    return Estimate.normal(float(influence @ seen), error, "V s/N")
+
+
+def _mean_weights() -> Reals:
+    """Weights of the values at the knots in the broken line's mean."""
+    widths = np.diff(KNOTS)
+    weights: Reals = 0.5 * (np.append(widths, 0.0) + np.append(0.0, widths))
+    return weights

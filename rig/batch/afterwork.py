@@ -1,0 +1,128 @@
+"""The worker behind `rig.batch.afterwards`: one run after the other, at the lowest priority.
+
+``python -m rig.batch.afterwork`` takes the steward's jobs on its standard input and answers each on
+its standard output. It ends with its input.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from rig.batch.afterwards import Answer, Job, job_of
+from rig.errors import RigError
+
+NICENESS = 19
+PR_SET_PDEATHSIG = 1
+"""Linux, prctl(2): the signal that a process gets when its parent dies."""
+
+
+def work_on(job: Job) -> Answer:
+    """Compile a run's journal where there still is one, then draw and detect what was asked for.
+
+    What can be done without the rest is done; what could not is in the answer. Nothing raises.
+    """
+    try:
+        file = _run_file(job.journal)
+    except Exception as error:  # noqa: BLE001 - a bug costs one file, not the others
+        return Answer(job.journal, error=_told(error))
+    warnings: list[str] = []
+    figures: list[Path] = []
+    processed: Path | None = None
+    with _telling(warnings):
+        figure, has_points, has_strips = _kind_of(file)
+        if job.detect and has_points and has_strips:
+            with _telling(warnings):
+                processed, told = _detect(file)
+                warnings += told
+        if job.figures and has_points:
+            from rig.figures import draw
+
+            figures = draw(figure, file)
+    return Answer(job.journal, file, processed, tuple(figures), tuple(warnings))
+
+
+@contextlib.contextmanager
+def _telling(warnings: list[str]) -> Iterator[None]:
+    """A step that fails is told and does not stop the next one."""
+    try:
+        yield
+    except Exception as error:  # noqa: BLE001 - a bug costs its step
+        warnings.append(_told(error))
+
+
+def _run_file(journal: Path) -> Path:
+    """The run's file, compiled if its journal is still there."""
+    from rig.recording.compiled import compile_run
+    from rig.recording.naming import RUN_SUFFIX
+
+    file = journal.with_suffix(RUN_SUFFIX)
+    if file.exists() and not journal.exists():
+        return file
+    return compile_run(journal, retire=True)
+
+
+def _kind_of(file: Path) -> tuple[str, bool, bool]:
+    """A run file's figure; whether it has points; whether it has the strips' signals."""
+    from rig.recording.detection import stream_of_strips
+    from rig.recording.runfile import RunFile
+
+    with RunFile.open(file) as run:
+        figure = run.header.procedure.replace("-", "_")
+        return figure, bool(run.point_ids()), stream_of_strips(run.header.layout) is not None
+
+
+def _detect(file: Path) -> tuple[Path | None, list[str]]:
+    """The processed file beside a run file, as ``rig detect`` makes it, and what is to be told."""
+    from rig.detector.settings import named_detectors
+    from rig.recording import detection
+
+    found = detection.detect_file(detection.Job(file, named_detectors()["rig"]))
+    if isinstance(found, detection.Failure):
+        return None, [found.error().one_line()]
+    return found.file, list(found.warnings)
+
+
+def _told(error: Exception) -> str:
+    return error.one_line() if isinstance(error, RigError) else f"{type(error).__name__}: {error}"
+
+
+def take_lowest_priority() -> None:
+    """Run only where nothing else wants to: `SCHED_IDLE` where the system has it (Linux, which
+    derives the priority of the disk from it), and nice 19."""
+    with contextlib.suppress(OSError):
+        os.nice(NICENESS)
+    with contextlib.suppress(AttributeError, OSError):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+
+
+def go_on_without_steward() -> None:
+    """Where the steward is killed while this process stands still, let it go on to its file's end
+    (Linux)."""
+    with contextlib.suppress(AttributeError, OSError):
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGCONT))
+
+
+def main() -> None:
+    """Serve jobs until there are no more."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    go_on_without_steward()
+    take_lowest_priority()
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever a library prints is no answer
+    for line in sys.stdin:
+        answers.write(work_on(job_of(line)).as_line())
+        with contextlib.suppress(BrokenPipeError):  # the steward was killed: the input ends, too
+            answers.flush()
+        gc.collect()  # figures hold each other
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""The heartbeat of a batch: a small file from which an outside monitor sees that it lives.
+
+One JSON object, replaced as a whole, so that a reader never sees half of it:
+
+    {"time": "2026-11-22T23:14:05+01:00", "pid": 4711, "state": "running", "run": 12, "of": 240,
+     "point": "trial-003", "simulated": false, "message": "slip-trial-002, repeat 3"}
+
+A monitor that cannot read JSON goes by the file's own time. A disk that is full or gone disturbs
+nobody: the file grows old, which is what it is for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Literal
+
+EVERY_S = 5.0
+"""Between two beats where nothing has changed but the point."""
+MOST_BYTES = 64 << 10
+"""A heartbeat has two hundred."""
+
+State = Literal["waiting", "running", "resting", "holding", "finishing", "ended"]
+"""waiting: for its window or the bench. running, resting: a run, or the rest before one. holding:
+a person is wanted. finishing: the bench is not needed any more. ended: nothing follows."""
+
+log = logging.getLogger("rig")
+
+
+@dataclass(frozen=True)
+class Beat:
+    """How far a batch is."""
+
+    state: State
+    run: int = 0
+    """Number in the queue of the run under way, or of the latest; 0 before the first."""
+    of: int = 0
+    """Runs of the queue."""
+    point: str = ""
+    """Of that run."""
+    simulated: bool = False
+    message: str = ""
+    """For people: what is under way, or why it holds or has ended."""
+    time: str = ""
+    """When it was written, ISO 8601 with time zone."""
+    pid: int = 0
+    """Of the process that writes."""
+
+
+class Heartbeat:
+    """Writes a batch's heartbeat, as often as is needed."""
+
+    def __init__(self, path: Path, monotonic_s: Callable[[], float] = time.monotonic):
+        self._path, self._monotonic_s = path, monotonic_s
+        self._written: tuple[object, ...] = ()
+        self._due_s = 0.0
+        self._failed = False
+
+    def write(self, beat: Beat) -> None:
+        """Have the file say this, at once where more than the point has changed, else every
+        `EVERY_S`; its time and pid are filled in. Never raises."""
+        now_s = self._monotonic_s()
+        told = (beat.state, beat.run, beat.of, beat.simulated, beat.message)
+        if told == self._written and now_s < self._due_s:
+            return
+        self._written, self._due_s = told, now_s + EVERY_S
+        now = datetime.now().astimezone().isoformat(timespec="seconds")
+        text = json.dumps({**asdict(beat), "time": now, "pid": os.getpid()}) + "\n"
+        part = self._path.with_name(f".{self._path.name}.part")
+        try:
+            part.write_text(text, encoding="utf-8")
+            part.replace(self._path)
+            self._failed = False
+        except OSError as error:
+            if not self._failed:  # once, not every few seconds
+                log.warning("the heartbeat %s cannot be written: %s", self._path, error)
+            self._failed = True
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
+
+
+def read(path: Path) -> Beat | None:
+    """The latest heartbeat; None where there is none, or the file is something else."""
+    try:
+        with path.open("rb") as file:
+            told = json.loads(file.read(MOST_BYTES))
+        beat = Beat(**told)
+        datetime.fromisoformat(beat.time)
+    except (OSError, ValueError, TypeError):
+        return None
+    return beat
+
+
+def age_s(beat: Beat, now: datetime) -> float:
+    """How long ago it was written; `now` carries its time zone."""
+    return (now - datetime.fromisoformat(beat.time)).total_seconds()

@@ -1,0 +1,84 @@
+"""The file by which a monitor sees that a batch lives."""
+
+from __future__ import annotations
+
+import json
+import os
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from rig.batch.heartbeat import EVERY_S, Beat, Heartbeat, age_s, read
+
+
+class Hours:
+    now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "night-1.heartbeat.json"
+
+
+def running(point: str = "", run: int = 12, message: str = "") -> Beat:
+    return Beat("running", run, 240, point, simulated=True, message=message)
+
+
+def test_a_heartbeat_says_who_is_where_and_since_when(path: Path) -> None:
+    Heartbeat(path).write(running("trial-003"))
+    told = json.loads(path.read_text())
+    assert told["pid"] == os.getpid()
+    assert [told[key] for key in ("state", "run", "of", "point")] == [
+        "running",
+        12,
+        240,
+        "trial-003",
+    ]
+    beat = read(path)
+    assert beat is not None
+    assert beat.simulated
+    now = datetime.fromisoformat(told["time"]) + timedelta(seconds=90)
+    assert age_s(beat, now) == 90.0
+    assert [file.name for file in path.parent.iterdir()] == [path.name], "nothing is left beside it"
+
+
+def test_a_new_point_waits_for_its_time_and_a_new_run_or_message_does_not(path: Path) -> None:
+    hours = Hours()
+    heartbeat = Heartbeat(path, hours)
+
+    def said(beat: Beat) -> Beat | None:
+        heartbeat.write(beat)
+        return read(path)
+
+    assert said(running("a")).point == "a"
+    assert said(running("b")).point == "a"
+    hours.now_s += EVERY_S
+    assert said(running("c")).point == "c"
+    assert said(running("d", run=13)).point == "d"
+    assert said(running("e", run=13, message="retaken")).message == "retaken"
+    assert said(Beat("holding", 13, 240)).state == "holding"
+
+
+def test_a_disk_that_does_not_take_it_disturbs_nobody_and_is_told_once(
+    path: Path, tmp_path: Path, caplog
+) -> None:
+    hours = Hours()
+    gone = Heartbeat(tmp_path / "gone" / "night-1.json", hours)
+    for _ in range(3):
+        gone.write(running())
+        hours.now_s += EVERY_S
+    assert len(caplog.records) == 1
+    (tmp_path / "gone").mkdir()
+    gone.write(running())
+    assert read(tmp_path / "gone" / "night-1.json") is not None
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"state": "running"}', '{"other": 1}'])
+def test_what_is_no_heartbeat_is_none(path: Path, text: str) -> None:
+    assert read(path) is None
+    path.write_text(text)
+    assert read(path) is None

@@ -1,0 +1,157 @@
+"""Notifications by real processes and over HTTP on this computer; nothing of them disturbs."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from datetime import datetime
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+
+from rig.batch import notification
+from rig.batch.notification import Notifier, require_usable
+from rig.batch.settings import Notify
+from rig.errors import ConfigurationError
+
+KEEPS = (
+    "import json, sys;"
+    "open(sys.argv[1], 'a').write(json.dumps([sys.argv[2:], json.load(sys.stdin)]) + chr(10))"
+)
+CLOSING_S = 60.0
+
+
+def command(program: str, *arguments: str) -> Notify:
+    return Notify(command=(sys.executable, "-c", program, *arguments))
+
+
+def test_a_command_gets_title_and_text_as_arguments_and_all_of_it_as_json(tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    notifier = Notifier(command(KEEPS, str(kept)))
+    notifier.tell("hold", "night-1: on hold", "film 'F12' is worn", {"run": 12, "file": kept})
+    assert notifier.close(CLOSING_S) == []
+    arguments, told = json.loads(kept.read_text())
+    assert arguments == ["night-1: on hold", "film 'F12' is worn"]
+    assert told["occasion"] == "hold"
+    assert [told["title"], told["text"]] == arguments
+    assert told["details"] == {"run": 12, "file": str(kept)}
+    assert datetime.fromisoformat(told["time"]).tzinfo is not None
+
+
+def test_several_are_told_in_their_order_and_only_of_what_was_asked_for(tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    settings = command(KEEPS, str(kept)).model_copy(update={"on": ("failure", "end")})
+    notifier = Notifier(settings)
+    for number in range(4):
+        notifier.tell("failure", f"run {number} failed", "")
+        notifier.tell("start", "not asked for", "")
+    notifier.tell("end", "over", "")
+    assert notifier.close(CLOSING_S) == []
+    titles = [json.loads(line)[0][0] for line in kept.read_text().splitlines()]
+    assert titles == [f"run {number} failed" for number in range(4)] + ["over"]
+
+
+def test_a_command_that_fails_is_a_warning_and_in_the_log(caplog) -> None:
+    notifier = Notifier(command("import sys; sys.exit('no network')"))
+    notifier.tell("failure", "run 3 failed", "")
+    (warning,) = notifier.close(CLOSING_S)
+    assert warning == "notify.command: 'run 3 failed' was not told: exit code 1: no network"
+    assert warning in caplog.text
+    assert notifier.warnings() == [], "each is told once"
+
+
+def test_a_command_that_hangs_is_killed_with_what_it_has_started(tmp_path: Path) -> None:
+    marks = tmp_path / "marks"
+    child = "import sys, time; time.sleep(4); open(sys.argv[1], 'a').write('alive')"
+    program = (
+        "import subprocess, sys, time;"
+        f"subprocess.Popen([sys.executable, '-c', {child!r}, sys.argv[1]]); time.sleep(600)"
+    )
+    notifier = Notifier(command(program, str(marks)), patience_s=1.0)
+    notifier.tell("end", "over", "")
+    begun = time.monotonic()
+    (warning,) = notifier.close(CLOSING_S)
+    assert "no end after 1 s, killed" in warning
+    time.sleep(max(0.0, 6.0 - (time.monotonic() - begun)))
+    assert not marks.exists()
+
+
+def test_telling_does_not_wait_and_what_is_not_delivered_in_time_is_given_up() -> None:
+    notifier = Notifier(command("import time; time.sleep(20)"), patience_s=20.0)
+    for number in range(notification.MOST_WAITING + 5):
+        notifier.tell("failure", f"run {number}", "")
+    warnings = notifier.warnings()
+    assert warnings
+    assert all("100 are waiting already" in warning for warning in warnings), "none was waited for"
+    assert "given up after 0.1 s" in notifier.close(0.1)[-1]
+
+
+def test_what_no_program_can_be_given_disturbs_nobody(tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    notifier = Notifier(command(KEEPS, str(kept)))
+    notifier.tell("failure", "a\0b", "x" * 100_000, {"set": {1, 2}})
+    assert notifier.close(CLOSING_S) == []
+    (title, text), _ = json.loads(kept.read_text())
+    assert title == "a b"
+    assert len(text) == notification.LONGEST
+
+
+def test_a_command_that_is_gone_by_then_is_a_warning() -> None:
+    notifier = Notifier(Notify(command=("/nowhere/notify-send",)))
+    notifier.tell("start", "begun", "")
+    (warning,) = notifier.close(CLOSING_S)
+    assert "No such file" in warning
+
+
+@pytest.fixture
+def listener() -> Iterator[ThreadingHTTPServer]:
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers["Content-Length"]))
+            server.told.append(json.loads(body))  # type: ignore[attr-defined]
+            self.send_response(500 if self.path == "/refuses" else 200)
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.told = []  # type: ignore[attr-defined]
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    yield server
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def test_an_address_of_apprise_is_told_and_one_that_refuses_is_a_warning(listener) -> None:
+    here = f"json://user:secret@127.0.0.1:{listener.server_address[1]}"
+    notifier = Notifier(Notify(urls=(f"{here}/refuses", f"{here}/takes")), patience_s=CLOSING_S)
+    notifier.tell("hold", "night-1: on hold", "the disk is full")
+    (warning,) = notifier.close(CLOSING_S)
+    assert [(told["title"], told["message"], told["type"]) for told in listener.told] == 2 * [
+        ("night-1: on hold", "the disk is full", "warning")
+    ]
+    assert "notify.urls: 'night-1: on hold' was not told: exit code 1: address 1: " in warning
+    assert "address 2" not in warning
+    assert "secret" not in warning
+
+
+def test_what_could_never_be_delivered_is_refused_beforehand(monkeypatch) -> None:
+    require_usable(Notify())
+    require_usable(Notify(command=(sys.executable,), urls=("json://127.0.0.1:9",)))
+    with pytest.raises(ConfigurationError, match="no-such-program"):
+        require_usable(Notify(command=("no-such-program", "-x")))
+    with pytest.raises(ConfigurationError, match=r"address 2 \(nosuch://\.\.\.\)") as refused:
+        require_usable(Notify(urls=("json://127.0.0.1:9", "nosuch://user:secret@host")))
+    assert "secret" not in refused.value.one_line()
+    monkeypatch.setitem(sys.modules, "apprise", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ConfigurationError) as refused:
+        require_usable(Notify(urls=("json://127.0.0.1:9",)))
+    assert 'uv pip install "tactile-rig[notify]"' in refused.value.one_line()

@@ -1,0 +1,131 @@
+"""What the end of a run means for the night."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta, timezone
+from typing import Any
+
+import pytest
+
+from rig.batch.policy import (
+    Kind,
+    Verdict,
+    after_failure,
+    does_not_fit,
+    kind_of,
+    reason_to_end,
+    window,
+)
+from rig.batch.settings import BatchSettings
+from rig.errors import (
+    ConfigurationError,
+    InstrumentError,
+    InstrumentTimeoutError,
+    LimitError,
+    RigError,
+)
+from rig.recording.errors import RecordingError
+
+TEN = datetime(2026, 11, 21, 22, 0, tzinfo=timezone(timedelta(hours=1)))
+
+
+def batch(**given: Any) -> BatchSettings:
+    return BatchSettings.model_validate({"name": "night", **given})
+
+
+@pytest.mark.parametrize(
+    ("code", "failure", "kind"),
+    [
+        (3, InstrumentTimeoutError("daq", "read", "silent"), "timeout"),
+        (3, InstrumentError("daq", "read", "garbage"), "instrument"),
+        (4, LimitError("too much"), "limit"),
+        (2, ConfigurationError("unknown"), "usage"),
+        (1, RigError("a defect"), "internal"),
+        (1, RecordingError("run.rigj", "disk full"), "storage"),
+        (7, InstrumentTimeoutError("stage_z", "stop", "silent"), "unsafe"),
+    ],
+)
+def test_the_first_cause_says_the_kind_but_an_unsafe_bench_comes_before(
+    code: int, failure: RigError, kind: Kind
+) -> None:
+    assert kind_of(code, [failure, LimitError("what came of it")]) == kind
+
+
+@pytest.mark.parametrize(("kind", "tries"), [("timeout", 3), ("instrument", 2), ("died", 3)])
+def test_what_may_pass_is_tried_again_so_often(kind: Kind, tries: int) -> None:
+    for attempt in range(1, tries):
+        assert after_failure(batch(), kind, {kind: attempt}, 0, 0, "x") == Verdict("again")
+    assert after_failure(batch(), kind, {kind: tries}, 0, 0, "x").run == "failed"
+
+
+@pytest.mark.parametrize("kind", ["limit", "usage", "internal"])
+def test_what_would_happen_again_is_never_tried_again(kind: Kind) -> None:
+    assert after_failure(batch(), kind, {kind: 1}, 0, 0, "x").run == "failed"
+
+
+def test_tries_of_one_kind_are_not_those_of_another() -> None:
+    assert after_failure(batch(), "timeout", {"timeout": 1, "died": 9}, 0, 0, "x").run == "again"
+
+
+def test_a_condition_is_set_aside_with_its_last_allowed_failure() -> None:
+    assert not after_failure(batch(), "limit", {"limit": 1}, 0, 0, "x").set_aside
+    assert after_failure(batch(), "limit", {"limit": 1}, 1, 0, "x").set_aside
+
+
+@pytest.mark.parametrize(
+    ("given", "in_a_row", "becomes"),
+    [
+        ({}, 1, "go-on"),
+        ({}, 2, "hold"),
+        ({"on_failure": "hold"}, 0, "hold"),
+        ({"on_failure": "stop"}, 0, "end"),
+        ({"hold_when": {"consecutive_failures": 1}}, 0, "hold"),
+    ],
+)
+def test_what_a_failure_means_for_the_batch(
+    given: dict[str, Any], in_a_row: int, becomes: str
+) -> None:
+    assert after_failure(batch(**given), "limit", {"limit": 1}, 0, in_a_row, "x").batch == becomes
+
+
+def test_a_full_disk_holds_and_an_unsafe_bench_ends_the_batch_and_neither_costs_the_run() -> None:
+    for kind, becomes in (("storage", "hold"), ("unsafe", "end")):
+        verdict = after_failure(batch(), kind, {kind: 1}, 5, 5, "x")  # type: ignore[arg-type]
+        assert (verdict.run, verdict.batch) == ("again", becomes)
+
+
+@pytest.mark.parametrize(
+    ("when", "told"),
+    [
+        ({"finished_runs": 3}, "3 runs are finished"),
+        ({"failed_runs": 2}, "2 runs have failed"),
+        ({"bench_hours": 2.0}, "in use for 2.00 h"),
+        ({"finished_runs": 4, "failed_runs": 3, "bench_hours": 2.1}, ""),
+    ],
+)
+def test_stop_conditions_tell_what_was_met(when: dict[str, Any], told: str) -> None:
+    why = reason_to_end(batch(stop_when=when), done=3, failed=2, bench_s=7200.0)
+    assert told in why
+    assert bool(why) == bool(told)
+
+
+def test_a_time_of_the_day_is_the_next_one_and_the_end_comes_after_the_beginning() -> None:
+    night = batch(not_before="23:30:00", stop_by="07:00:00")
+    first, last = window(night, TEN)
+    assert first == TEN.replace(hour=23, minute=30)
+    assert last == datetime(2026, 11, 22, 7, 0, tzinfo=TEN.tzinfo)
+    after_midnight, _ = window(night, TEN + timedelta(hours=2))
+    assert after_midnight == TEN.replace(hour=23, minute=30) + timedelta(days=1)
+
+
+def test_a_date_is_taken_as_it_is_in_the_zone_of_the_bench() -> None:
+    first, last = window(batch(not_before="2026-11-22T20:00:00"), TEN)
+    assert first == datetime(2026, 11, 22, 20, 0, tzinfo=TEN.tzinfo)
+    assert last is None
+
+
+def test_a_run_begins_only_if_it_would_be_over_with_two_standard_deviations_to_spare() -> None:
+    until = TEN + timedelta(seconds=100)
+    assert not does_not_fit(TEN, until, 80.0, 10.0)
+    assert "stop_by is 22:01:40" in does_not_fit(TEN, until, 80.0, 10.1)
+    assert not does_not_fit(TEN, None, 1e9, 0.0)

@@ -1,0 +1,192 @@
+"""A batch through the real command line: every run once, whoever dies, and people at other
+terminals."""
+
+from __future__ import annotations
+
+import math
+import signal
+
+import pytest
+from nights import (
+    SWEEPS,
+    Taken,
+    ask,
+    await_answer,
+    await_point,
+    folder_of,
+    kill,
+    object_of,
+    taken,
+    worker_of,
+)
+
+SIX_POINTS = SWEEPS.replace("[180, 200, 220]", "[160, 180, 200, 220, 240, 260]")
+
+
+def begin(rig, text: str):
+    """Start a batch; it has its folder, and its first run is under way."""
+    (rig.folder / "night.toml").write_text(text)
+    running = rig.start("batch", "run", "night.toml", "--json")
+    running.wait_for(r"^run 1/")
+    return running
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(rig_of_the_module) -> dict[int, Taken]:
+    """The same runs, each to its end."""
+    rig = rig_of_the_module
+    (rig.folder / "night.toml").write_text(SIX_POINTS)
+    ended = rig.run("batch", "run", "night.toml", "--json")
+    assert ended.code == 0, ended.stderr
+    assert object_of(ended.stdout)["runs"]["done"] == 2
+    return taken(folder_of(rig.results))
+
+
+def same(interrupted: dict[int, Taken], uninterrupted: dict[int, Taken]) -> None:
+    """Every point once, and what it gave within the stated errors: the film remembers its
+    preload."""
+    assert interrupted.keys() == uninterrupted.keys()
+    for number, run in interrupted.items():
+        expected = uninterrupted[number]
+        assert run.state == "done"
+        assert sorted(run.points) == sorted(set(run.points)), "each point once"
+        assert set(run.points) == set(expected.points)
+        gains = {r["frequency_Hz"]: r for r in expected.readings}
+        for reading in run.readings:
+            other = gains[reading["frequency_Hz"]]
+            error = math.hypot(reading["gain_standard_error_dB"], other["gain_standard_error_dB"])
+            assert abs(reading["gain_dB"] - other["gain_dB"]) < 5 * error
+
+
+def test_every_run_is_taken_once_and_its_file_says_of_which_batch(
+    uninterrupted: dict[int, Taken], rig_of_the_module
+) -> None:
+    folder = folder_of(rig_of_the_module.results)
+    assert [run.state for run in uninterrupted.values()] == ["done", "done"]
+    assert [len(run.points) for run in uninterrupted.values()] == [6, 6]
+    assert ask(folder, "SELECT run, attempt, ending FROM attempt") == [
+        (1, 1, "complete"),
+        (2, 1, "complete"),
+    ]
+    shown = rig_of_the_module.run("batch", "status", str(folder))
+    assert "SIMULATED batch night: complete" in shown.stdout
+    assert "2 of 2 runs done" in shown.stdout
+
+
+def test_a_worker_that_is_killed_is_followed_by_another(
+    rig, uninterrupted: dict[int, Taken]
+) -> None:
+    running = begin(rig, SIX_POINTS)
+    folder = folder_of(rig.results)
+    await_point(folder, 1)
+    kill(worker_of(folder))
+    ended = running.finish()
+    assert ended.code == 0, ended.stderr
+    assert "warning: the worker died (signal 9)" in ended.stderr
+    assert ask(folder, "SELECT ending FROM attempt WHERE run = 1") == [("died",), ("complete",)]
+    same(taken(folder), uninterrupted)
+
+
+def test_with_its_supervisor_killed_the_worker_stops_in_order_and_resume_goes_on(
+    rig, uninterrupted: dict[int, Taken]
+) -> None:
+    running = begin(rig, SIX_POINTS)
+    folder = folder_of(rig.results)
+    await_point(folder, 1)
+    running.send(signal.SIGKILL)
+    await_answer(folder, "SELECT ending FROM attempt WHERE run = 1", "stopped")
+    shown = rig.run("batch", "status")
+    assert f"go on with: rig batch resume results/{folder.name}" in shown.stdout
+    ended = rig.run("batch", "resume", "--json")
+    assert ended.code == 0, ended.stderr
+    same(taken(folder), uninterrupted)
+
+
+def test_ctrl_c_stops_a_batch_safely_and_resume_goes_on_at_the_point(
+    rig, uninterrupted: dict[int, Taken]
+) -> None:
+    running = begin(rig, SIX_POINTS)
+    folder = folder_of(rig.results)
+    await_point(folder, 1)
+    running.send(signal.SIGINT)
+    ended = running.finish()
+    assert ended.code == 130, ended.stderr
+    assert "go on with: rig batch resume" in ended.stderr
+    assert rig.run("batch", "resume").code == 0
+    same(taken(folder), uninterrupted)
+
+
+def test_other_terminals_pause_it_let_it_go_on_and_stop_it_after_a_point(rig) -> None:
+    running = begin(rig, SIX_POINTS)
+    folder = folder_of(rig.results)
+    await_point(folder, 1)
+    assert rig.run("batch", "pause").code == 0
+    running.wait_for("^paused")
+    status = object_of(rig.run("batch", "status", "--json").stdout)
+    assert status["running"]
+    assert status["state"].startswith("paused")
+    assert rig.run("batch", "resume").code == 0
+    running.wait_for(r"^run \d/")
+    assert rig.run("batch", "stop").code == 0
+    ended = running.finish()
+    assert ended.code == 143, ended.stderr
+    assert object_of(ended.stdout)["state"].startswith("stopped")
+    refused = rig.run("batch", "stop")
+    assert refused.code == 2
+    assert "is not running" in refused.stderr
+
+
+def test_a_time_out_is_tried_again_and_a_limit_never(rig) -> None:
+    (rig.folder / "silence.toml").write_text(
+        '[[fault]]\ndevice = "daq"\nkind = "silence"\nat = 40\n'
+    )
+    (rig.folder / "spikes.toml").write_text(
+        '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nafter_s = 6\n'
+    )
+    text = SWEEPS + (
+        "repeat = 2\n"
+        '[simulation]\n[[simulation.fault]]\nruns = [1]\nplan = "silence.toml"\n'
+        '[[simulation.fault]]\nruns = [2]\nplan = "spikes.toml"\nattempts = 9\n'
+    )
+    text = text.replace("figures = false", "figures = false\nset_aside_after = 1")
+    (rig.folder / "night.toml").write_text(text)
+    ended = rig.run("batch", "run", "night.toml", "--json")
+    folder = folder_of(rig.results)
+    assert ended.code == 5, ended.stderr
+    attempts = ask(folder, "SELECT run, ending, kind FROM attempt ORDER BY run, attempt")
+    assert attempts == [
+        (1, "failed", "timeout"),
+        (1, "complete", ""),
+        (2, "failed", "limit"),
+        (3, "complete", ""),
+    ]
+    states = dict(ask(folder, "SELECT number, state FROM run"))
+    assert states == {1: "done", 2: "failed", 3: "done", 4: "set-aside"}
+    assert "condition sweep-002 is set aside" in ended.stderr
+    again = rig.run("batch", "resume", "--retry-failed")
+    assert "2 runs are queued again" in again.stderr
+
+
+def test_what_changed_since_the_beginning_is_told_and_refused(rig) -> None:
+    running = begin(rig, SWEEPS)
+    running.send(signal.SIGTERM)
+    assert running.finish().code == 143
+    (rig.folder / "night.toml").write_text(SWEEPS + "repeat = 3\n")
+    refused = rig.run("batch", "resume")
+    assert refused.code == 2
+    assert "changed since the batch began: batch file" in refused.stderr
+    assert rig.run("batch", "resume", "--despite-changes").code == 0
+
+
+def test_a_second_supervisor_is_refused(rig) -> None:
+    running = begin(rig, SWEEPS)
+    folder = folder_of(rig.results)
+    told = rig.run("batch", "resume", str(folder))
+    assert "told to go on" in told.stderr
+    assert running.finish().code == 0
+
+
+def test_where_no_batch_is_says_so(rig) -> None:
+    ended = rig.run("batch", "status")
+    assert ended.code == 2
+    assert "there is no batch in results; name its folder" in ended.stderr
