@@ -73,7 +73,8 @@ def test_a_run_takes_what_is_expected_of_it(
 def test_what_takes_longer_is_expected_to() -> None:
     longer: list[tuple[dict[str, Any], dict[str, Any], float]] = [
         ({"rest_s": 0.0}, {"rest_s": 5.0}, 5.0),
-        ({"distance_mm": 1.0}, {"distance_mm": 3.0}, 4.2),
+        ({"distance_mm": 1.0}, {"distance_mm": 3.0}, 4.0),
+        ({"distance_mm": 1.0, "trials": 2}, {"distance_mm": 3.0, "trials": 2}, 8.2),
     ]
     for short, long, difference_s in longer:
         found_s = of_one(**long).duration_s - of_one(**short).duration_s
