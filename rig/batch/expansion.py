@@ -245,14 +245,12 @@ class Expansion:
             for values in product(*matrix.values())
             for point in sampled
         )
-        originals = []
+        originals: list[_Combination] = []
+        number = 0
         if matrix or sample is not None or not included:
-            originals = [
-                _Combination(number, values)
-                for number, values in enumerate(whole, 1)
-                if not any(_has_all(values, entry) for entry in excluded)
-            ]
-        number = math.prod(len(values) for values in matrix.values()) * len(sampled)
+            for number, values in enumerate(whole, 1):
+                if not any(_has_all(values, entry) for entry in excluded):
+                    originals.append(_Combination(number, values))
         further: list[_Combination] = []
         for k, entry in enumerate(included):
             added = {name: (value, k) for name, value in entry.items()}
@@ -262,8 +260,7 @@ class Expansion:
                     name: value for name, value in added.items() if name not in combination.values
                 }
             if not fitting:
-                place = (number if originals else 0) + len(further) + 1
-                further.append(_Combination(place, {}, added))
+                further.append(_Combination(number + len(further) + 1, {}, added))
         return originals + further
 
     def _sampled(self, sample: Sample) -> list[dict[str, Any]]:
@@ -285,11 +282,11 @@ class Expansion:
                 values = low * (high / low) ** share
             else:
                 values = low + (high - low) * share
-            values = np.clip(values, low, high)
             if _number(self._model.model_fields[name]) is int:
                 columns[name] = [round(float(value)) for value in values]
-            else:
-                columns[name] = [float(f"{value:.6g}") for value in values]
+            else:  # as many digits as anybody reads, within the range all the same
+                short = [float(f"{value:.6g}") for value in values]
+                columns[name] = [min(max(value, low), high) for value in short]
         rows = zip(*columns.values(), strict=True)
         return [dict(zip(columns, values, strict=True)) for values in rows]
 

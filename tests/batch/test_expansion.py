@@ -88,6 +88,13 @@ def test_what_is_excluded_is_left_out_and_the_others_keep_their_ids() -> None:
     assert [v["speed_mm_s"] for v in varied(plan)] == [0.2, 0.2, 0.5]
 
 
+def test_what_include_makes_follows_the_whole_matrix_whatever_is_excluded() -> None:
+    further = {"matrix": {"speed_mm_s": SPEEDS}, "include": [{"speed_mm_s": 2.0}]}
+    for excluded, ids in (([], (1, 2, 3, 4)), ([{"speed_mm_s": s} for s in SPEEDS], (4,))):
+        plan = planned({**further, "exclude": excluded})
+        assert list(plan.conditions) == [f"slip-trial-{number:03d}" for number in ids]
+
+
 def test_include_is_that_of_github_actions() -> None:
     """The example of its documentation: forces stand for fruit (apple, pear, banana), rests for
     animals (cat, dog), objects for colours and the direction for the shape."""
