@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+from calibrated import write_record
 
 from rig.batch.reading import parse_batch
 from rig.batch.schema import batch_schema
@@ -92,6 +94,23 @@ def test_a_bench_with_another_fixture_is_refused_before_anything_is_connected(ri
     assert "sweep (run 2, 3, 5 and 1 more) needs the film-clamp" in ended.stderr
     assert "[[also_mounted]]" in ended.stderr
     assert "starting" not in ended.stderr
+
+
+def test_a_record_that_no_run_could_use_is_refused_before_anything_is_connected(rig: Any) -> None:
+    calibrated = '[fixture]\nmounted = "film-clamp"\n[calibrations]\nload_cell = "cell.json"\n'
+    (rig.folder / "bench.toml").write_text('name = "b"\n' + calibrated)
+    missing = rig.run("batch", "plan", write(rig, SWEEPS))
+    assert missing.code == 2
+    assert "night.toml:1: cannot read the calibration record cell.json" in missing.stderr
+    begun = datetime(2020, 1, 1, tzinfo=UTC)
+    write_record(rig.folder / "cell.json", begun, "2021-01-01T00:00:00+00:00")
+    expired = rig.run("batch", "plan", write(rig, SWEEPS))
+    assert expired.code == 2
+    assert "the calibration of 'cell 3' of 2020-01-01 expired on 2021-01-01" in expired.stderr
+    allowed = SWEEPS.replace('"nights"', '"nights"\nallow_expired = true')
+    ended = rig.run("batch", "plan", write(rig, allowed))
+    assert "expired" not in ended.stderr
+    assert "needs what the bench has not" in ended.stderr, "it went on to look at the rest"
 
 
 def test_files_of_the_simulation_have_to_be_there(rig: Any) -> None:

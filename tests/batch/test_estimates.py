@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from calibrated import write_record
 
 from procedures import roll_trial, slip_trial, sweep
 from rig.batch.estimates import Expected, expect, forecast, homing_s
@@ -15,7 +16,6 @@ from rig.batch.expansion import expand
 from rig.batch.plan import Plan
 from rig.batch.settings import BatchFile, BatchSettings
 from rig.bench import BenchPlan, FixtureSettings, parse_bench
-from rig.calibration import LoadCellCalibration, as_text
 
 NOW = datetime(2026, 11, 22, 20, 0, tzinfo=UTC)
 PLATE = FixtureSettings(mounted="plate", contact_from_mm=12.0, contact_to_mm=13.0)
@@ -161,26 +161,7 @@ def test_a_window_places_the_batch_and_says_how_many_runs_are_in_time() -> None:
 
 
 def bench_with(folder: Path, valid_until: str) -> BenchPlan:
-    quantity = {"value": 0.1, "standard_error": 1e-4, "low": 0.0998, "high": 0.1002, "unit": "V/N"}
-    reading = {"load_N": 1.0, "reading_V": 0.1, "standard_error_V": 1e-4, "samples": 9}
-    record = LoadCellCalibration.model_validate(
-        {
-            "sensor": "cell 3",
-            "date": NOW - timedelta(days=100),
-            "valid_until": valid_until,
-            "simulated": False,
-            "weights_N": (1.0,),
-            "weight_tolerance_percent": 0.1,
-            "coverage": 1.96,
-            "zero_V": quantity,
-            "sensitivity_V_N": quantity,
-            "residual_rms_N": 0.01,
-            "largest_residual_N": 0.02,
-            "input_range_V": 1.25,
-            "readings": (reading,) * 3,
-        }
-    )
-    (folder / "cell.json").write_text(as_text(record))
+    write_record(folder / "cell.json", NOW - timedelta(days=100), valid_until)
     text = '[fixture]\nmounted = "plate"\n[calibrations]\nload_cell = "cell.json"\n'
     return parse_bench('name = "bench-6"\n' + text, str(folder / "bench.toml"))
 
