@@ -160,12 +160,18 @@ def pressing_s(settings: PressedSettings) -> float:
 
 
 def pressed_overhead_s(
-    settings: PressedSettings, fixture: FixtureSettings, homed: bool, presses: int, x_mm: float
+    settings: PressedSettings,
+    fixture: FixtureSettings,
+    homed: bool,
+    presses: int,
+    x_mm: float,
+    slid_mm: float = 0.0,
 ) -> float:
-    """Expected of all ways to the object and back, and of making ready; x is then at `x_mm`.
+    """Expected of all ways to the object and back, and of making ready.
 
-    The place of the contact is searched for once; stages that are `homed` wait where they are
-    parked, x about where it begins.
+    The place of the contact is searched for once. x begins at `x_mm`, and is `slid_mm` from there
+    after each press. Stages that are `homed` wait where they are parked, x where the last run has
+    left it.
     """
     from rig.runner.approach import TOUCH, search_speed_mm_s
 
@@ -180,7 +186,8 @@ def pressed_overhead_s(
     ways_s = travel_s(slow_from_mm - parked_mm) + travel_s(contact_mm - parked_mm)
     again_s = (searched_mm - near_mm) / quick + near_mm / slow
     ready_s = 0.0 if homed else 2 * HOMING_S + travel_s(parked_mm) + travel_s(x_mm)
-    return ready_s + presses * ways_s + searched_mm / slow + (presses - 1) * again_s
+    back_s = (presses - 1 + homed) * travel_s(slid_mm)
+    return ready_s + presses * ways_s + back_s + searched_mm / slow + (presses - 1) * again_s
 
 
 def why_invalid(settings: PressedSettings, reading: Reading) -> str:

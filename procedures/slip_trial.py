@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, model_validator
 
 from procedures import pressed_layout, slip_layout
-from procedures.contact import contact_range_mm, travel_s
+from procedures.contact import contact_range_mm
 from procedures.pressed import (
     AFTER_S,
     DELAY_S,
@@ -130,7 +130,7 @@ class Settings(PressedSettings):
 
 def points(settings: Settings) -> tuple[Point, ...]:
     """One point a trial."""
-    motion_s = settings.slide_s + travel_s(settings.distance_mm)
+    motion_s = settings.slide_s
     rehearsal_s = pressing_s(settings) + motion_s + AFTER_S
     first_s = rehearsal_s if settings.rehearsed(settings.tick_s) else 0.0
     moves = (
@@ -144,7 +144,9 @@ def points(settings: Settings) -> tuple[Point, ...]:
 def overhead_s(settings: Settings, fixture: FixtureSettings, homed: bool) -> float:
     """Bench time that the ways in z, homing and parking are expected to take."""
     presses = settings.trials + settings.rehearsed(settings.tick_s)
-    return pressed_overhead_s(settings, fixture, homed, presses, settings.start_mm)
+    return pressed_overhead_s(
+        settings, fixture, homed, presses, settings.start_mm, settings.distance_mm
+    )
 
 
 def check(settings: Settings, bench: Bench) -> None:

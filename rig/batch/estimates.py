@@ -31,7 +31,8 @@ from rig.calibration import (
 from rig.runner.points import Point
 
 CONNECTING_S = 0.6
-"""From the end of a run to the begin of the next on a real bench: journal, guard, connections."""
+"""On a real bench, from the end of a run to the begin of the next (journal, guard, connections),
+and what its links take within a run beyond those of a simulated bench."""
 RELATIVE = 0.03
 """Standard deviation of what is expected of a run, relative, the same for all runs: friction, the
 film's noise, how fast the drives home."""

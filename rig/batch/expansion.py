@@ -57,15 +57,15 @@ def expand(batch: BatchFile) -> Plan:
 def labels(experiments: Sequence[Experiment]) -> list[str]:
     """What the ids of each experiment's conditions begin with: its name or its procedure, and a
     number where an earlier one has the same."""
-    taken: list[str] = []
+    taken: dict[str, None] = {}
     for experiment in experiments:
         label = wanted = experiment.name or experiment.procedure
         number = 1
         while label in taken:
             number += 1
             label = f"{wanted}-{number}"
-        taken.append(label)
-    return taken
+        taken[label] = None
+    return list(taken)
 
 
 def check_defaults(defaults: Mapping[str, Mapping[str, Any]]) -> Iterator[Finding]:
@@ -119,6 +119,8 @@ class Expansion:
         self._model: type[Settings] | None = None
         self._matrix: dict[str, list[Any]] = {}
         """In the settings' units."""
+        self._places: dict[tuple[str, Any], int] = {}
+        """Of each of its values, where in its list it stands."""
         try:
             self._model = installed(experiment.procedure).Settings
         except ConfigurationError as error:
@@ -197,6 +199,7 @@ class Expansion:
                     )
                 )
             kept[_same(one)] = one
+            self._places[name, _same(one)] = number
         return list(kept.values())
 
     def _is_sampled_well(self, sample: Sample | None) -> bool:
@@ -205,7 +208,7 @@ class Expansion:
             return True
         assert self._model is not None
         before = len(self.findings)
-        for name in sample.ranges:
+        for name, (low, high) in sample.ranges.items():
             where = (*self.where, "sample", "ranges", name)
             told = f"sample.ranges.{shortened(name)}"
             info = self._model.model_fields.get(name)
@@ -218,6 +221,12 @@ class Expansion:
             elif _number(info) is None:
                 self.findings.append(
                     Finding(where, f"{told}: is no number", "list its values in matrix instead")
+                )
+            elif not math.isfinite(high - low) or (
+                name in sample.log and not math.isfinite(high / low)
+            ):
+                self.findings.append(
+                    Finding(where, f"{told}: {low:g} to {high:g} is too wide", "narrow it")
                 )
         return len(self.findings) == before
 
@@ -236,14 +245,12 @@ class Expansion:
             for values in product(*matrix.values())
             for point in sampled
         )
-        originals = []
+        originals: list[_Combination] = []
+        number = 0
         if matrix or sample is not None or not included:
-            originals = [
-                _Combination(number, values)
-                for number, values in enumerate(whole, 1)
-                if not any(_has_all(values, entry) for entry in excluded)
-            ]
-        number = math.prod(len(values) for values in matrix.values()) * len(sampled)
+            for number, values in enumerate(whole, 1):
+                if not any(_has_all(values, entry) for entry in excluded):
+                    originals.append(_Combination(number, values))
         further: list[_Combination] = []
         for k, entry in enumerate(included):
             added = {name: (value, k) for name, value in entry.items()}
@@ -253,8 +260,7 @@ class Expansion:
                     name: value for name, value in added.items() if name not in combination.values
                 }
             if not fitting:
-                place = (number if originals else 0) + len(further) + 1
-                further.append(_Combination(place, {}, added))
+                further.append(_Combination(number + len(further) + 1, {}, added))
         return originals + further
 
     def _sampled(self, sample: Sample) -> list[dict[str, Any]]:
@@ -276,11 +282,11 @@ class Expansion:
                 values = low * (high / low) ** share
             else:
                 values = low + (high - low) * share
-            values = np.clip(values, low, high)
             if _number(self._model.model_fields[name]) is int:
                 columns[name] = [round(float(value)) for value in values]
-            else:
-                columns[name] = [float(f"{value:.6g}") for value in values]
+            else:  # as many digits as anybody reads, within the range all the same
+                short = [float(f"{value:.6g}") for value in values]
+                columns[name] = [min(max(value, low), high) for value in short]
         rows = zip(*columns.values(), strict=True)
         return [dict(zip(columns, values, strict=True)) for values in rows]
 
@@ -336,7 +342,7 @@ class Expansion:
         if name in experiment.matrix:
             if name not in combination.values:  # of a combination that include has made
                 return (*own, "matrix", name), ("matrix",)
-            place = self._matrix[name].index(combination.values[name])
+            place = self._places[name, _same(combination.values[name])]
             return (*own, "matrix", name, place), ("matrix",)
         if experiment.sample is not None and name in experiment.sample.ranges:
             return (*own, "sample", "ranges", name), ("sample",)

@@ -12,6 +12,7 @@ from rig.runner.procedure import Procedure
 GROUP = "rig.procedures"
 
 
+@cache
 def known() -> tuple[str, ...]:
     """Their names."""
     return tuple(sorted(found.name for found in entry_points(group=GROUP)))
@@ -20,7 +21,7 @@ def known() -> tuple[str, ...]:
 @cache
 def installed(name: str) -> Procedure:
     """The procedure of this name; ConfigurationError where there is none, or none that loads."""
-    found = entry(GROUP, name)
+    found = entry(GROUP, name) if name in known() else None
     if found is None:
         raise ConfigurationError(
             f"procedure = {shortened(name)!r} is unknown", f"known are {', '.join(known())}"

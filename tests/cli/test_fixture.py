@@ -55,3 +55,48 @@ def test_a_procedure_gets_the_bench_with_its_fixture(
     assert bench.started is not None
     bench.clock.close()
     bench.started.wait()
+
+
+BOTH = """
+name = "bench-1"
+[fixture]
+mounted = "plate"
+contact_from_mm = 2.0
+contact_to_mm = 3.0
+parked_mm = 1.0
+[[also_mounted]]
+mounted = "film-clamp"
+contact_from_mm = 12.0
+contact_to_mm = 13.0
+[film]
+[load_cell]
+sensitivity_V_N = 0.1
+[generator]
+driver = "keysight-33500b"
+resource = "TCPIP::192.168.0.12::5025::SOCKET"
+max_amplitude_V = 5.0
+[daq]
+driver = "keysight-u2300a"
+resource = "USB0::0x0957::0x1518::TW12345678::INSTR"
+channels = { load_cell = 101, film = 102 }
+[stage_z]
+driver = "festo-cmmt"
+axis = "z"
+host = "192.168.0.20"
+low_limit_mm = 0.0
+high_limit_mm = 20.0
+max_speed_mm_s = 20.0
+[force_sensor]
+driver = "me-gsv8"
+port = "/dev/ttyUSB0"
+"""
+
+
+def test_a_procedure_works_on_a_fixture_that_is_mounted_beside_another(rig: Any) -> None:
+    (rig.folder / "both.toml").write_text(BOTH)
+    swept = rig.run("sweep", "--frequencies", "200", "--dry-run", "--json", "--bench", "both.toml")
+    assert swept.code == 0, swept.stderr
+    assert swept.object["points_done"] == 1, "contact is where the film clamp's is"
+    refused = rig.run("roll-trial", "--dry-run", "--bench", "both.toml")
+    assert refused.code == 2, refused.stderr
+    assert "has the plate and the film-clamp mounted" in refused.errors[0]
