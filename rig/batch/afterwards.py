@@ -23,6 +23,7 @@ nothing of weight.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
 import os
 import select
@@ -48,6 +49,9 @@ ONE_THREAD = dict.fromkeys(
     "1",
 )
 """One thread of linear algebra: a second processor may be the tick loop's."""
+NICENESS = 19
+PR_SET_PDEATHSIG = 1
+"""prctl(2): the signal that a process gets when its parent dies."""
 KILLED_S = 5.0
 """What is waited for a process that was killed."""
 
@@ -209,6 +213,18 @@ class Afterwards:
 # --- the steward's side -----------------------------------------------------------------------
 
 
+def _become_worker() -> None:
+    """In the new process, before its program begins: run only where nothing else wants to
+    (`SCHED_IDLE` where the system has it: Linux, which derives the disk's priority from it). If the
+    steward is killed while the worker stands still, have it go on to its file's end (Linux)."""
+    with contextlib.suppress(OSError):
+        os.nice(NICENESS)
+    with contextlib.suppress(AttributeError, OSError):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    with contextlib.suppress(AttributeError, OSError):
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGCONT))
+
+
 class _Worker:
     """A worker process and the job that it has; the steward waits for it, never it for the
     steward."""
@@ -219,6 +235,7 @@ class _Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | ONE_THREAD,
+            preexec_fn=_become_worker,  # the steward has no thread that could hold a lock
         )
         assert self.process.stdout is not None
         self.output = self.process.stdout.fileno()

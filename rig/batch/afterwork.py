@@ -1,13 +1,12 @@
-"""The worker behind `rig.batch.afterwards`: one run after the other, at the lowest priority.
+"""The worker behind `rig.batch.afterwards`: one run after the other.
 
 ``python -m rig.batch.afterwork`` takes the steward's jobs on its standard input and answers each on
-its standard output. It ends with its input.
+its standard output. It ends with its input. Priority and threads are what the steward gives it.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import gc
 import os
 import signal
@@ -17,10 +16,6 @@ from pathlib import Path
 
 from rig.batch.afterwards import Answer, Job, job_of
 from rig.errors import RigError
-
-NICENESS = 19
-PR_SET_PDEATHSIG = 1
-"""Linux, prctl(2): the signal that a process gets when its parent dies."""
 
 
 def work_on(job: Job) -> Answer:
@@ -35,10 +30,10 @@ def work_on(job: Job) -> Answer:
     warnings: list[str] = []
     figures: list[Path] = []
     processed: Path | None = None
-    with _telling(warnings):
+    with _telling(warnings, f"{file.name}: not drawn"):
         figure, has_points, has_strips = _kind_of(file)
         if job.detect and has_points and has_strips:
-            with _telling(warnings):
+            with _telling(warnings, f"{file.name}: not judged by the detector"):
                 processed, told = _detect(file)
                 warnings += told
         if job.figures and has_points:
@@ -49,12 +44,12 @@ def work_on(job: Job) -> Answer:
 
 
 @contextlib.contextmanager
-def _telling(warnings: list[str]) -> Iterator[None]:
+def _telling(warnings: list[str], what: str) -> Iterator[None]:
     """A step that fails is told and does not stop the next one."""
     try:
         yield
     except Exception as error:  # noqa: BLE001 - a bug costs its step
-        warnings.append(_told(error))
+        warnings.append(f"{what}: {_told(error)}")
 
 
 def _run_file(journal: Path) -> Path:
@@ -93,28 +88,10 @@ def _told(error: Exception) -> str:
     return error.one_line() if isinstance(error, RigError) else f"{type(error).__name__}: {error}"
 
 
-def take_lowest_priority() -> None:
-    """Run only where nothing else wants to: `SCHED_IDLE` where the system has it (Linux, which
-    derives the priority of the disk from it), and nice 19."""
-    with contextlib.suppress(OSError):
-        os.nice(NICENESS)
-    with contextlib.suppress(AttributeError, OSError):
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-
-
-def go_on_without_steward() -> None:
-    """Where the steward is killed while this process stands still, let it go on to its file's end
-    (Linux)."""
-    with contextlib.suppress(AttributeError, OSError):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGCONT))
-
-
 def main() -> None:
     """Serve jobs until there are no more."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    go_on_without_steward()
-    take_lowest_priority()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever a library prints is no answer
     for line in sys.stdin:

@@ -51,6 +51,10 @@ class BatchFolder:
         """Where it is compiled to."""
         return self.journal(number, procedure).with_suffix(RUN_SUFFIX)
 
+    def world_log(self, number: int) -> Path:
+        """A simulated bench's own log of a run, of all its attempts."""
+        return self.path / "runs" / f"r{number:05d}.world.jsonl"
+
     @contextlib.contextmanager
     def held_by(self, who: str, patience_s: float) -> Iterator[int]:
         """One process at a time is a batch's `who`, "worker" or "supervisor": the file descriptor

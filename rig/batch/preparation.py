@@ -18,6 +18,7 @@ from rig import bench as benches
 from rig.batch.estimates import Expected, Forecast, expect, forecast, homing_s, records_of
 from rig.batch.findings import Finding, RefusedBatchError, Where
 from rig.batch.plan import Plan
+from rig.batch.queue import Estimate
 from rig.batch.reading import read_batch
 from rig.batch.settings import BatchFile
 from rig.batch.validation import Checked, Connected, validate
@@ -47,9 +48,12 @@ class Prepared:
     forecast: Forecast
 
     @property
-    def estimates(self) -> dict[str, tuple[float, float]]:
-        """Expected duration and standard deviation of a run in s, by condition."""
-        return {name: (one.duration_s, one.spread_s) for name, one in self.expected.items()}
+    def estimates(self) -> dict[str, Estimate]:
+        """What is expected of a run, by condition."""
+        return {
+            name: Estimate(one.duration_s, one.spread_s, one.size_B)
+            for name, one in self.expected.items()
+        }
 
 
 def prepare(path: Path, given: Path | None, now: datetime, say: Callable[[str], None]) -> Prepared:

@@ -22,7 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 from rig.batch.plan import Condition, Plan
 from rig.errors import ConfigurationError, RigError
@@ -39,7 +39,7 @@ CREATE TABLE condition (
     id TEXT PRIMARY KEY, place INTEGER NOT NULL, experiment INTEGER NOT NULL,
     procedure TEXT NOT NULL, settings TEXT NOT NULL, varied TEXT NOT NULL,
     reference INTEGER NOT NULL, rest_s REAL NOT NULL, estimate_s REAL NOT NULL,
-    spread_s REAL NOT NULL, set_aside TEXT NOT NULL DEFAULT ''
+    spread_s REAL NOT NULL, size_B INTEGER NOT NULL, set_aside TEXT NOT NULL DEFAULT ''
 ) WITHOUT ROWID;
 CREATE TABLE run (
     number INTEGER PRIMARY KEY, condition TEXT NOT NULL REFERENCES condition (id),
@@ -61,6 +61,16 @@ CREATE TABLE event (
 );
 CREATE TABLE request (id INTEGER PRIMARY KEY, time TEXT NOT NULL, kind TEXT NOT NULL);
 """
+
+
+class Estimate(NamedTuple):
+    """What is expected of a run."""
+
+    duration_s: float
+    spread_s: float
+    """Standard deviation of its duration."""
+    size_B: int = 0
+    """Of its run file."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +108,8 @@ class Left:
     bench_s: float
     spread_s: float
     """Standard deviation of `bench_s`, runs of one condition wrong together."""
+    size_B: int = 0
+    """Of the run files to come."""
 
 
 @dataclass(frozen=True)
@@ -128,11 +140,11 @@ class Queue:
         cls,
         path: Path,
         plan: Plan,
-        estimates: Mapping[str, tuple[float, float]],
+        estimates: Mapping[str, Estimate],
         meta: Mapping[str, str],
     ) -> Self:
-        """A new queue of all runs of a plan. `estimates`: expected bench time and its standard
-        deviation by condition, in s. It appears under its name when it is whole."""
+        """A new queue of all runs of a plan, with what is expected of a run by condition. It
+        appears under its name when it is whole."""
         beside = path.with_suffix(".new")
         beside.unlink(missing_ok=True)
         with contextlib.closing(sqlite3.connect(beside, isolation_level=None)) as sql:
@@ -143,7 +155,7 @@ class Queue:
             sql.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
             sql.executemany(
                 "INSERT INTO condition (id, place, experiment, procedure, settings, varied,"
-                " reference, rest_s, estimate_s, spread_s) VALUES (?,?,?,?,?,?,?,?,?,?)",
+                " reference, rest_s, estimate_s, spread_s, size_B) VALUES (?,?,?,?,?,?,?,?,?,?,?)",
                 (
                     _condition_row(place, condition, estimates[condition.id])
                     for place, condition in enumerate(plan.conditions.values())
@@ -217,7 +229,8 @@ class Queue:
     def left(self) -> Left:
         """What is queued, with the rests between."""
         rows = self._sql.execute(
-            "SELECT n, n * (c.estimate_s + c.rest_s), n * c.spread_s FROM condition c JOIN"
+            "SELECT n, n * (c.estimate_s + c.rest_s), n * c.spread_s, n * c.size_B"
+            " FROM condition c JOIN"
             " (SELECT condition, count(*) AS n FROM run WHERE state IN ('queued', 'running')"
             " GROUP BY condition) ON condition = c.id"
         ).fetchall()
@@ -225,6 +238,7 @@ class Queue:
             sum(row[0] for row in rows),
             sum(row[1] for row in rows),
             sum(row[2] ** 2 for row in rows) ** 0.5,
+            sum(row[3] for row in rows),
         )
 
     def bench_s(self, number: int | None = None) -> float:
@@ -271,12 +285,12 @@ class Queue:
         )
         return [(row[0], json.loads(row[1])) for row in rows]
 
-    def first_summary_with(self, figure: str) -> tuple[int, dict[str, Any]] | None:
-        """The first run that is done whose summary has a figure."""
+    def first_summary_with(self, figure: str, since: int) -> tuple[int, dict[str, Any]] | None:
+        """The first run from number `since` on that is done and whose summary has a figure."""
         row = self._sql.execute(
-            "SELECT number, summary FROM run WHERE state = 'done'"
+            "SELECT number, summary FROM run WHERE state = 'done' AND number >= ?"
             " AND json_extract(summary, ?) IS NOT NULL ORDER BY number LIMIT 1",
-            (f'$."{figure}"',),
+            (since, f'$."{figure}"'),
         ).fetchone()
         return None if row is None else (row[0], json.loads(row[1]))
 
@@ -397,14 +411,13 @@ class Queue:
 
     # --- afterwards -----------------------------------------------------------------------------
 
-    def unprocessed(self, most: int) -> list[int]:
-        """Numbers of ended runs that nothing was made of yet."""
+    def unprocessed(self) -> list[tuple[int, str]]:
+        """Number and procedure of ended runs that nothing was made of yet."""
         rows = self._sql.execute(
-            "SELECT number FROM run WHERE processed IS NULL AND state IN ('done', 'failed')"
-            " ORDER BY number LIMIT ?",
-            (most,),
+            "SELECT number, procedure FROM run JOIN condition ON condition.id = run.condition"
+            " WHERE processed IS NULL AND state IN ('done', 'failed') ORDER BY number"
         )
-        return [row[0] for row in rows]
+        return [(row[0], row[1]) for row in rows]
 
     def set_processed(self, number: int, what: Mapping[str, Any]) -> None:
         """Keep what was made of a run."""
@@ -478,9 +491,7 @@ class Queue:
         )
 
 
-def _condition_row(
-    place: int, condition: Condition, estimate: tuple[float, float]
-) -> tuple[Any, ...]:
+def _condition_row(place: int, condition: Condition, estimate: Estimate) -> tuple[Any, ...]:
     return (
         *(condition.id, place, condition.experiment, condition.procedure),
         *(json.dumps(dict(condition.settings)), json.dumps(dict(condition.varied))),

@@ -207,6 +207,8 @@ class Simulation(Settings):
     """The World's settings (TOML), relative to the batch file."""
     fault: tuple[FaultOn, ...] = ()
     change: tuple[WorldFrom, ...] = ()
+    world_log: bool = False
+    """Whether every simulated bench's own log is kept beside its run."""
 
 
 class BatchFile(Settings):

@@ -32,12 +32,14 @@ from rig.batch.procedures import installed
 from rig.batch.queue import Claim, Ended, Queue
 from rig.batch.settings import BatchFile
 from rig.batch.settling import to_continue, what_became_of
+from rig.batch.watching import Watch
 from rig.errors import ExitCode, RigError
 from rig.runner.bench_choice import BenchRequest, Choosing, ChosenBench, start_simulated
 from rig.runner.stopping import StopFlag, StopRequestedError
 
 if TYPE_CHECKING:
-    from rig.bench import Fixture, RunningBench
+    from rig.batch.references import Finding
+    from rig.bench import BenchSettings, Fixture, RunningBench
     from rig.runner.outcome import Outcome
     from rig.runner.points import Point, Reading
     from rig.runner.procedure import Procedure
@@ -167,6 +169,9 @@ class Worker:
         """Of a bench file: locked once, for all runs."""
         self._ahead: _Ahead | None = None
         """Of the next run, while this one is taken."""
+        self._watch = Watch(queue, self._terms.file, self._terms.bench, self._terms.results)
+        self._mounted: BenchSettings | None = None
+        """The bench of the latest run."""
         self._from, self._until = window(self._batch, self._terms.begun)
 
     def work(self) -> ExitCode:
@@ -223,6 +228,9 @@ class Worker:
             )
             if why:
                 raise _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
+            if found := self._watch.before(upcoming, self._night.now()):
+                self._hold(_told(found))
+                continue
             rest_s = upcoming.condition.rest_s
             if upcoming.attempt > 1 and self._queue.attempts(upcoming.number):
                 rest_s += self._batch.retries.rest_s
@@ -264,7 +272,8 @@ class Worker:
 
     def _end(self, state: str, why: str, code: ExitCode) -> None:
         self._queue.set_meta("state", f"{state}: {why}" if why else state)
-        self._queue.tell("info" if code == ExitCode.DONE else "warning", f"{state}: {why or code}")
+        told = f"{state}: {why}" if why else state
+        self._queue.tell("info" if code == ExitCode.DONE else "warning", told)
         self._say("end", state=state, text=why, code=int(code))
 
     # --- one run --------------------------------------------------------------------------------
@@ -298,6 +307,11 @@ class Worker:
         if ended.ending == "complete":
             self._queue.finish(claim, ended, "done")
             self._finished(claim, ended)
+            if self._mounted is not None and (
+                found := self._watch.after(claim, ended, self._mounted)
+            ):
+                self._hold(_told(found))
+                self._watch.accept(claim)
             return
         if ended.ending == "stopped":
             self._queue.finish(claim, ended, "queued")
@@ -361,6 +375,7 @@ class Worker:
         path = self._folder.journal(claim.number, condition.procedure)
         resume = to_continue(path)
         bench = self._bench_for(claim, procedure, at_the_end)
+        self._mounted = bench.plan.settings
         job = Job(
             procedure=procedure,
             settings=settings,
@@ -446,6 +461,7 @@ class Worker:
             stages=own.stages,
             world=None if world is None else self._terms.files_from / world,
             fault=None if fault is None else self._terms.files_from / fault,
+            world_log=self._folder.world_log(claim.number) if own.world_log else None,
         )
 
     @property
@@ -462,6 +478,10 @@ class Worker:
             queue.set_meta("night_s", f"{passed_s:.6f}")
 
         return SlavedNight(self._terms.begun, float(queue.meta("night_s", "0")), keep)
+
+
+def _told(findings: Sequence[Finding]) -> str:
+    return "; ".join(f"{found.text}: {found.hint}" for found in findings)
 
 
 def _ended(outcome: Outcome) -> Ended:

@@ -357,7 +357,8 @@ class _Loop:
 
     def _finish_data(self) -> None:
         outcome = self.outcome
-        if outcome.points_done and self.job.compiled:
+        compiled = self.job.compiled or outcome.status != "complete"
+        if outcome.points_done and compiled:
             self.reporter.storing()
         outcome.warnings = self.run.warnings + outcome.warnings
         with self._storing():
@@ -370,7 +371,7 @@ class _Loop:
             self.recorder.close()
         if outcome.status == "failed":
             self._count_what_is_kept()
-        if self.job.compiled:
+        if compiled:
             with self._storing():
                 outcome.file = compile_run(self.journal.path, retire=True)
                 if outcome.points_done:

@@ -82,7 +82,8 @@ class Job:
     journal: Path | None = None
     """Where a fresh journal goes; None for the next name of the day."""
     compiled: bool = True
-    """Whether the journal is compiled when the bench is safe, or by somebody else later."""
+    """Whether a complete run's journal is compiled when the bench is safe, or by somebody else
+    later."""
     held: tuple[int, ...] = ()
     """Files that the guard keeps open as long as it lives, besides the lock's."""
     allow_expired: bool = False

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rig.batch.plan import Condition, Plan, PlannedRun
-from rig.batch.queue import Ended, Queue
+from rig.batch.queue import Ended, Estimate, Queue
 from rig.errors import ConfigurationError, RigError
 
 
@@ -25,7 +25,7 @@ def plan(conditions: int = 2, repeats: int = 3) -> Plan:
 
 
 def created(path: Path, made: Plan) -> Queue:
-    estimates = dict.fromkeys(made.conditions, (10.0, 2.0))
+    estimates = dict.fromkeys(made.conditions, Estimate(10.0, 2.0, 1000))
     return Queue.create(path / "queue.sqlite", made, estimates, {"name": "test"})
 
 
@@ -113,7 +113,7 @@ def test_requests_are_heard_once_and_in_order(tmp_path: Path) -> None:
 
 
 def test_a_queue_that_was_not_written_whole_is_none(tmp_path: Path) -> None:
-    estimates = {"sweep-001": (1.0, 0.0)}  # of sweep-002 nothing is known
+    estimates = {"sweep-001": Estimate(1.0, 0.0)}  # of sweep-002 nothing is known
     with pytest.raises(KeyError):
         Queue.create(tmp_path / "queue.sqlite", plan(), estimates, {})
     with pytest.raises(ConfigurationError, match="holds no batch"):

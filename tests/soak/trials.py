@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,6 +25,7 @@ REQUESTS = {
     "stage_x": 300,
     "force_sensor": 40,
     FORCE_STREAM: 900,
+    ROTARY: 80,
 }
 """About as many as a trial has."""
 COMMANDS = {
@@ -53,10 +54,7 @@ class Trial:
     @property
     def plan(self) -> str:
         """The fault plan as TOML."""
-        return "".join(
-            "[[fault]]\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in fault.items())
-            for fault in self.faults
-        )
+        return as_toml(self.faults)
 
 
 KINDS = tuple(kind for kind, able in BEFALLEN.items() if set(able) - {ROTARY})
@@ -70,14 +68,19 @@ def draw(seed: int, slip_share: float = 0.15) -> Trial:
     arguments = _slip(chance) if slip else _sweep(chance)
     devices = {STAGE_X} if slip else {"generator"}
     absent = {"generator", STAGE_X, ROTARY} - devices
-    kinds = [kind for kind, able in BEFALLEN.items() if set(able) - absent]
-    faults = tuple(
-        _fault(chance, chance.choice(kinds), absent) for _ in range(chance.choice((1, 1, 2, 3)))
-    )
+    faults = tuple(fault(chance, absent) for _ in range(chance.choice((1, 1, 2, 3))))
     world = SLIP_WORLD if slip else SWEEP_WORLD
     if any(fault["kind"] == "runaway" for fault in faults):
         world += RUNAWAY_WORLD
     return Trial(seed, (*arguments, "--seed", str(seed % 1000)), world, faults)
+
+
+def as_toml(faults: Iterable[Fault]) -> str:
+    """A fault plan."""
+    return "".join(
+        "[[fault]]\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in fault.items())
+        for fault in faults
+    )
 
 
 def shrunk(trial: Trial, fails: Callable[[Trial], bool]) -> Trial:
@@ -111,7 +114,9 @@ def _slip(chance: random.Random) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def _fault(chance: random.Random, kind: str, absent: set[str]) -> Fault:
+def fault(chance: random.Random, absent: set[str]) -> Fault:
+    """A fault of any kind that befalls a device which is not `absent`."""
+    kind = chance.choice([kind for kind, able in BEFALLEN.items() if set(able) - absent])
     device = chance.choice([name for name in BEFALLEN[kind] if name not in absent])
     return {"device": device, "kind": kind, **_KEYS.get(kind, _reply)(chance, device)}
 
@@ -164,6 +169,12 @@ _KEYS: dict[str, Callable[[random.Random, str], Fault]] = {
         **_timed(chance, device), "amplitude_V": round(math.exp(chance.uniform(-4, 1)), 4),
     },
     "overrun": _timed,
+    "warning-flag": lambda chance, device: {
+        "after_s": round(chance.uniform(0.2, 9), 3), "flag": chance.choice(("WH", "FS", "FZ")),
+    },
+    "knob": lambda chance, device: {
+        "after_s": round(chance.uniform(0.2, 9), 3), "by_deg": round(chance.uniform(-3, 3), 2),
+    },
     "clock-jump": lambda chance, device: {
         "after_s": round(chance.uniform(0.2, 9), 3), "by_s": round(chance.uniform(0.05, 10), 2),
     },

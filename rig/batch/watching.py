@@ -1,0 +1,83 @@
+"""What speaks against the next run: what references show, and what runs out. It looks and says; the
+worker holds the batch."""
+
+from __future__ import annotations
+
+import shutil
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from rig.batch.estimates import records_of
+from rig.batch.procedures import installed
+from rig.batch.queue import Claim, Ended, Queue
+from rig.batch.references import (
+    Finding,
+    ReferenceRun,
+    disk_space,
+    expiring,
+    judge,
+    part_names,
+    watched_figures,
+    zero_drift,
+)
+from rig.batch.settings import BatchFile
+from rig.bench import BenchPlan, BenchSettings, read_bench
+
+ZERO = "force_zero_N"
+"""Of a summary: what the force sensor said in free air."""
+ACCEPTED = "accepted "
+"""Of the queue's words: from which run on a drifted figure is compared, since a person has looked
+at the bench and let it go on."""
+
+
+class Watch:
+    """Looks at a batch between its runs."""
+
+    def __init__(self, queue: Queue, file: BatchFile, bench: Path | None, results: Path):
+        self._queue, self._file, self._results = queue, file, results
+        self._plan: BenchPlan | None = None if bench is None else read_bench(bench)
+
+    def before(self, claim: Claim, now: datetime) -> list[Finding]:
+        """What speaks against beginning a run now."""
+        batch = self._file.batch
+        needed_B = self._queue.left().size_B
+        free_B = shutil.disk_usage(self._results).free
+        found = disk_space(free_B, needed_B, batch.hold_when.free_disk_GB)
+        if not batch.allow_expired:
+            run_s = claim.condition.rest_s + claim.estimate_s
+            found += expiring(records_of(self._plan), now, timedelta(seconds=run_s))
+        return found
+
+    def after(self, claim: Claim, ended: Ended, bench: BenchSettings) -> list[Finding]:
+        """What a run that is done shows: of a reference, drift; of any, the force sensor's zero."""
+        return [*self._zero(claim, ended), *self._drift(claim, ended, bench)]
+
+    def accept(self, claim: Claim) -> None:
+        """A person has let the batch go on: what this run found is what others are compared with
+        from here on."""
+        self._queue.set_meta(ACCEPTED + ZERO, str(claim.number))
+        self._queue.set_meta(ACCEPTED + claim.condition.id, str(claim.number))
+
+    def _zero(self, claim: Claim, ended: Ended) -> list[Finding]:
+        now_N = (ended.summary or {}).get(ZERO)
+        since = int(self._queue.meta(ACCEPTED + ZERO, "1"))
+        first = self._queue.first_summary_with(ZERO, since)
+        if now_N is None or first is None or first[0] == claim.number:
+            return []
+        limit_N = self._file.batch.hold_when.zero_drift_N
+        return zero_drift(first[1][ZERO], now_N, limit_N, first[0])
+
+    def _drift(self, claim: Claim, ended: Ended, bench: BenchSettings) -> list[Finding]:
+        condition = claim.condition
+        if not condition.reference or ended.summary is None:
+            return []
+        usual = getattr(installed(condition.procedure), "DRIFT", {})
+        watched = watched_figures(usual, self._file.experiment[condition.experiment].drift)
+        since = int(self._queue.meta(ACCEPTED + condition.id, "1"))
+        earlier = [
+            ReferenceRun(number, summary)
+            for number, summary in self._queue.summaries(condition.id)
+            if since <= number < claim.number
+        ]
+        now = ReferenceRun(claim.number, ended.summary)
+        return judge(earlier, now, watched, part_names(bench))
