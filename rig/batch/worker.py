@@ -25,13 +25,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import rig
 from rig.batch.folder import BatchFolder
 from rig.batch.night import Night, SlavedNight, WallNight
 from rig.batch.policy import after_failure, does_not_fit, kind_of, reason_to_end, window
 from rig.batch.procedures import installed
 from rig.batch.queue import Claim, Ended, Queue
 from rig.batch.settings import BatchFile
-from rig.batch.settling import to_continue, what_became_of
+from rig.batch.settling import put_away, to_continue, what_became_of
 from rig.batch.watching import Watch
 from rig.errors import ExitCode, RigError
 from rig.runner.bench_choice import BenchRequest, Choosing, ChosenBench, start_simulated
@@ -394,6 +395,12 @@ class Worker:
             compiled=False,
             held=(self._lock,),
         )
+        toml = bench.recorded_toml or bench.plan.text
+        if resume is not None and self._queue.meta("despite changes"):
+            began = (resume.header.fingerprint, resume.header.program.version)
+            if began != (job.fingerprint(toml), rig.__version__):
+                put_away(path)
+                job.resume = None
         self._boot_next()
         self._words.in_run = True
         try:
