@@ -1,9 +1,8 @@
 """The application ``rig``: its commands, put together so that ``rig --help`` imports next to
 nothing.
 
-A procedure's options come from its settings, whose classes are expensive to import. Only the
-procedure that was asked for is therefore imported; the others show the first line of their module's
-docstring, read from the source.
+Only what was asked for is imported. A procedure's options come from its settings, whose classes are
+expensive; the others show the first line of their module's docstring, read from the source.
 """
 
 from __future__ import annotations
@@ -11,42 +10,93 @@ from __future__ import annotations
 import ast
 import sys
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
 
 import typer
 
-from rig.cli import (
-    batch,
-    calibrate,
-    detect,
-    files,
-    imports,
-    jog,
-    low_pass,
-    score,
-    simulate,
-    skin,
-    train,
-)
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
 
-COMMANDS: dict[str, Callable[..., None]] = {
-    "resume": files.resume,
-    "show": files.show,
-    "verify": files.verify,
-    "recover": files.recover,
-    "import": imports.import_,
-    "detect": detect.detect,
-    "filter": low_pass.filter_,
-    "simulate": simulate.simulate,
-    "jog": jog.jog,
-    "score": score.score,
-    "train": train.train,
-    "make-safe": simulate.make_safe,
+COMMANDS: dict[str, tuple[str, str, str]] = {
+    "resume": (
+        "rig.cli.files",
+        "resume",
+        "Go on with an interrupted run at the point where it was interrupted.",
+    ),
+    "show": (
+        "rig.cli.files",
+        "show",
+        "Say what a run file, processed file or journal holds; draw a file's figures again.",
+    ),
+    "verify": (
+        "rig.cli.files",
+        "verify",
+        "Check run files, processed files and journals; exit 8 where something is wrong.",
+    ),
+    "recover": (
+        "rig.cli.files",
+        "recover",
+        "Compile what a killed run left behind into its run file.",
+    ),
+    "import": (
+        "rig.cli.imports",
+        "import_",
+        "Make a run file of a recording from elsewhere: CSV, text in columns, LVM, MATLAB.",
+    ),
+    "detect": (
+        "rig.cli.detect",
+        "detect",
+        "Look for incipient slips in run files; what is found goes into processed files.",
+    ),
+    "filter": (
+        "rig.cli.low_pass",
+        "filter_",
+        "Design the low-pass of the predictive signal: its numbers, its curves, Figure 14.",
+    ),
+    "simulate": (
+        "rig.cli.simulate",
+        "simulate",
+        "Serve the simulated bench in real time and print the bench file that drives it.",
+    ),
+    "jog": (
+        "rig.cli.jog",
+        "jog",
+        "Move an axis by keys: small slow steps, stopped when the key is let go.",
+    ),
+    "score": (
+        "rig.cli.score",
+        "score",
+        "Score detectors on trials whose truth is known: found, false alarms, delays, prediction.",
+    ),
+    "train": (
+        "rig.cli.train",
+        "train",
+        "Train the network of the detector `rig` on simulated trials whose truth is known.",
+    ),
+    "make-safe": (
+        "rig.cli.simulate",
+        "make_safe",
+        "Bring every instrument of a bench to rest, whatever state it was left in.",
+    ),
 }
+"""Module, function, and the first line of its docstring: only the one that is asked for is
+imported."""
+
+GROUPS: dict[str, tuple[str, str]] = {
+    "batch": ("rig.cli.batch", "Overnight batches: a file of many runs, each taken exactly once."),
+    "calibrate": (
+        "rig.cli.calibrate",
+        "Make calibration records: a film from a sweep's file, sensors from known weights.",
+    ),
+    "skin": (
+        "rig.cli.skin",
+        "Simulate the finger skin: slides, rolls, the paper's 4.2, where strips belong.",
+    ),
+}
+"""Module with its ``app``, and its ``HELP``."""
 
 HELP = """Tactile bench controller: sweeps, slip and roll trials, calibrations, and their files.
 
@@ -89,11 +139,14 @@ def build(arguments: Sequence[str]) -> typer.Typer:
 
             function = command(procedure)
         _add(app, procedure.name, summary(procedure), function)
-    for name, function in COMMANDS.items():
-        _add(app, name, (function.__doc__ or "").split("\n", 1)[0], function)
-    app.add_typer(batch.app, name="batch", short_help=batch.HELP)
-    app.add_typer(calibrate.app, name="calibrate", short_help=calibrate.HELP)
-    app.add_typer(skin.app, name="skin", short_help=skin.HELP)
+    for name, (module, function_name, text) in COMMANDS.items():
+        own = getattr(import_module(module), function_name) if name == asked else _not_asked
+        _add(app, name, text, own)
+    for name, (module, text) in GROUPS.items():
+        if name == asked:
+            app.add_typer(import_module(module).app, name=name, short_help=text)
+        else:
+            _add(app, name, text, _not_asked)
     return app
 
 
@@ -111,4 +164,4 @@ def summary(procedure: EntryPoint) -> str:
 
 
 def _not_asked() -> None:
-    """Stands in the list of commands for a procedure that another command line asks for."""
+    """Stands in the list of commands for what another command line asks for."""

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib import import_module
 from importlib.metadata import entry_points
 
 import pytest
+
+from rig.cli.app import COMMANDS, GROUPS
 
 EXPENSIVE = ("scipy", "numpy", "h5py", "matplotlib", "pint", "pydantic", "pyvisa", "numba")
 PROGRAM = f"""
@@ -92,3 +95,16 @@ def test_a_signal_while_python_clears_up_ends_the_command_without_a_complaint() 
     assert ended.returncode == 143
     assert ended.stderr == ""
     assert "Usage: rig" in ended.stdout
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_is_listed_by_the_first_line_of_its_docstring(name: str) -> None:
+    module, function, text = COMMANDS[name]
+    docstring = getattr(import_module(module), function).__doc__
+    assert docstring.split("\n", 1)[0] == text
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_a_group_is_listed_as_it_tells_itself(name: str) -> None:
+    module, text = GROUPS[name]
+    assert text == import_module(module).HELP
