@@ -57,8 +57,7 @@ TOUCH_DRIFT = {
     f"mean_touch_gain_{number}_dB": DriftFigure("gain by touch-down and tap", strip, 0.5)
     for number, strip in enumerate(STRIPS, 1)
 }
-"""Five hundred times the scatter over seeds, several times what a first touch differs
-(decision 0051)."""
+"""Five times the largest difference that was seen on the simulated bench (decision 0051)."""
 
 
 class PressedSettings(BaseSettings):
