@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import InstrumentError, InstrumentTimeoutError
@@ -166,7 +167,7 @@ class VisaLink:
             raise InstrumentError(
                 self.device,
                 _first(message),
-                "; ".join(errors),
+                "; ".join(_each_once(errors)),
                 "check the value against its manual",
             )
 
@@ -219,6 +220,12 @@ class VisaLink:
             f"the connection failed ({cause})",
             f"check that {self.resource} is switched on and reachable",
         )
+
+
+def _each_once(errors: Sequence[str]) -> Iterator[str]:
+    """Each entry, with how often it was there."""
+    for entry, count in Counter(errors).items():
+        yield entry if count == 1 else f"{entry} ({count} times)"
 
 
 def _first(message: str) -> str:

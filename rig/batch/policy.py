@@ -32,10 +32,11 @@ class Verdict:
     """Whether its condition's other runs are left out."""
 
 
-def kind_of(code: int, failures: Sequence[RigError]) -> Kind:
-    """The kind of failure that ended a run: exit code and failures, first cause first."""
+def kind_of(code: int, failures: Sequence[RigError], made_safe: bool = False) -> Kind:
+    """The kind of failure that ended a run: exit code and failures, first cause first; `made_safe`
+    where the run could not make its bench safe, and its guard then could."""
     if code == ExitCode.UNSAFE:
-        return "unsafe"
+        return "instrument" if made_safe else "unsafe"
     first = failures[0] if failures else None
     if isinstance(first, RecordingError):
         return "storage"

@@ -496,9 +496,12 @@ def _ended(outcome: Outcome) -> Ended:
     failed = outcome.status == "failed"
     reasons = [failure.one_line() for failure in outcome.failures]
     reasons += [f"{off.name} not switched off: {off.reason}" for off in outcome.off_failures]
+    safe_after_all = outcome.taken_over is not None and outcome.taken_over.safe
+    if outcome.taken_over is not None:
+        reasons.append(outcome.taken_over.told)
     return Ended(
         outcome.status,  # type: ignore[arg-type]
-        kind_of(outcome.code, outcome.failures) if failed else "",
+        kind_of(outcome.code, outcome.failures, safe_after_all) if failed else "",
         int(outcome.code),
         "; ".join(reasons),
         outcome.duration_s,

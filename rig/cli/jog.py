@@ -180,7 +180,7 @@ def _at_the_bench(
         say(HELP)
         ended = session.go(guard)
     if ended.off_failures:
-        say(guard.take_over())
+        say(guard.take_over().told)
     else:
         guard.done()
     return ended

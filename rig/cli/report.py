@@ -132,8 +132,8 @@ def finish(
             tell_failure(failure, debug)
     for off in outcome.off_failures:
         say(f"error: NOT SAFE: {off.name} could not be switched off: {off.reason}")
-    if outcome.guard_report:
-        say(outcome.guard_report)
+    if outcome.taken_over is not None:
+        say(outcome.taken_over.told)
     for warning in outcome.warnings:
         say(f"warning: {warning}")
     drawn = reporter.drawn(debug) if outcome.file is not None else []

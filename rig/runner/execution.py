@@ -162,7 +162,7 @@ class _Loop:
             self._make_safe()
         self._finish_data()
         if self.outcome.off_failures:
-            self.outcome.guard_report = self.guard.take_over()
+            self.outcome.taken_over = self.guard.take_over()
         else:
             self.guard.done()
 

@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from rig.bench import BenchPlan
@@ -95,6 +95,14 @@ def refuse_unsafe(results: Path, bench_name: str) -> None:
         )
 
 
+class TakenOver(NamedTuple):
+    """What a guard made of a bench that its run could not make safe."""
+
+    safe: bool
+    told: str
+    """In a sentence."""
+
+
 class GuardLink:
     """The run's side: starts the guard and keeps it informed."""
 
@@ -145,8 +153,8 @@ class GuardLink:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(timeout=5)
 
-    def take_over(self) -> str:
-        """Leave the bench to the guard, and say in a sentence what it made of it."""
+    def take_over(self) -> TakenOver:
+        """Leave the bench to the guard, and say what it made of it."""
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
             self._process.stdin.close()
@@ -154,14 +162,16 @@ class GuardLink:
             self._process.wait(timeout=TAKE_OVER_S)
             report = json.loads(self._report.read_text())
         except (subprocess.TimeoutExpired, OSError, ValueError) as error:
-            return f"the guard did not report: {error}"
+            return TakenOver(False, f"the guard did not report: {error}")
         own = (os.getpid(), self._journal)
         if (report["run_pid"], report["journal"]) != own:  # an earlier run's
-            return f"the guard did not report: it ended with code {self._process.returncode}"
+            code = self._process.returncode
+            return TakenOver(False, f"the guard did not report: it ended with code {code}")
         if report["safe"]:
             _mark_told(self._report, report)
-            return "the guard then made the bench safe"
-        return f"the guard could not make the bench safe either: {report['failures']}"
+            return TakenOver(True, "the guard then made the bench safe")
+        failures = report["failures"]
+        return TakenOver(False, f"the guard could not make the bench safe either: {failures}")
 
     def _tell(self, word: str) -> None:
         assert self._process.stdin is not None

@@ -9,6 +9,7 @@ from typing import Any
 
 from rig.errors import ExitCode, RigError
 from rig.runner.arming import OffFailure
+from rig.runner.guard import TakenOver
 
 
 @dataclass
@@ -30,7 +31,7 @@ class Outcome:
     failures: list[RigError] = field(default_factory=list)
     """What went wrong, first cause first."""
     off_failures: list[OffFailure] = field(default_factory=list)
-    guard_report: str = ""
+    taken_over: TakenOver | None = None
     """What the guard made of a bench that the run could not make safe."""
     switched_off: tuple[str, ...] = ()
     warnings: list[str] = field(default_factory=list)

@@ -19,6 +19,7 @@ from rig.batch.policy import (
 from rig.batch.settings import BatchSettings
 from rig.errors import (
     ConfigurationError,
+    ExitCode,
     InstrumentError,
     InstrumentTimeoutError,
     LimitError,
@@ -49,6 +50,11 @@ def test_the_first_cause_says_the_kind_but_an_unsafe_bench_comes_before(
     code: int, failure: RigError, kind: Kind
 ) -> None:
     assert kind_of(code, [failure, LimitError("what came of it")]) == kind
+
+
+def test_a_bench_that_the_guard_made_safe_is_one_that_can_be_gone_on_with() -> None:
+    failure = InstrumentTimeoutError("stage_x", "stop", "silent")
+    assert kind_of(ExitCode.UNSAFE, [failure], made_safe=True) == "instrument"
 
 
 @pytest.mark.parametrize(("kind", "tries"), [("timeout", 3), ("instrument", 2), ("died", 3)])

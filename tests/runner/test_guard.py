@@ -129,7 +129,7 @@ def test_a_run_that_is_done_leaves_its_guard_nothing_to_do(bench: Bench) -> None
 def test_a_closed_pipe_makes_the_guard_act_on_a_connection_of_its_own(bench: Bench) -> None:
     link = GuardLink(bench.plan, bench.journal, bench.report)
     link.beat()
-    assert link.take_over() == "the guard then made the bench safe"
+    assert link.take_over() == (True, "the guard then made the bench safe")
     (_, run), (off, by) = bench.outputs()
     assert off is False
     assert by != run
@@ -246,7 +246,7 @@ def test_an_earlier_guards_report_is_not_taken_for_this_ones(bench: Bench) -> No
     link._process.wait(PATIENCE_S)
     assert link.lost
     link.beat()  # tells nobody, and ends nothing
-    assert link.take_over() == "the guard did not report: it ended with code -9"
+    assert link.take_over() == (False, "the guard did not report: it ended with code -9")
 
 
 def test_a_report_that_cannot_be_written_keeps_no_data_back(bench: Bench) -> None:
