@@ -3,8 +3,11 @@ terminals."""
 
 from __future__ import annotations
 
+import json
 import math
 import signal
+import sqlite3
+from contextlib import closing
 
 import pytest
 from nights import (
@@ -117,7 +120,7 @@ def test_ctrl_c_stops_a_batch_safely_and_resume_goes_on_at_the_point(
 
 
 def test_other_terminals_pause_it_let_it_go_on_and_stop_it_after_a_point(rig) -> None:
-    running = begin(rig, SIX_POINTS)
+    running = begin(rig, SIX_POINTS + "repeat = 50\n")
     folder = folder_of(rig.results)
     await_point(folder, 1)
     assert rig.run("batch", "pause").code == 0
@@ -126,7 +129,7 @@ def test_other_terminals_pause_it_let_it_go_on_and_stop_it_after_a_point(rig) ->
     assert status["running"]
     assert status["state"].startswith("paused")
     assert rig.run("batch", "resume").code == 0
-    running.wait_for(r"^run \d/")
+    running.wait_for("^running")
     assert rig.run("batch", "stop").code == 0
     ended = running.finish()
     assert ended.code == 143, ended.stderr
@@ -190,3 +193,22 @@ def test_where_no_batch_is_says_so(rig) -> None:
     ended = rig.run("batch", "status")
     assert ended.code == 2
     assert "there is no batch in results; name its folder" in ended.stderr
+
+
+def test_a_run_whose_worker_died_before_it_could_say_so_is_done_and_not_taken_again(
+    uninterrupted: dict[int, Taken], rig_of_the_module
+) -> None:
+    """Its files are whole, the queue says that it is running."""
+    folder = folder_of(rig_of_the_module.results)
+    with closing(sqlite3.connect(folder / "queue.sqlite")) as queue, queue:
+        queue.execute("UPDATE run SET state = 'running', summary = NULL WHERE number = 2")
+        queue.execute("UPDATE attempt SET ended = NULL, ending = NULL WHERE run = 2")
+    before = (folder / "runs" / "r00002_sweep.h5").stat().st_ino
+    ended = rig_of_the_module.run("batch", "resume", "--json")
+    assert ended.code == 0, ended.stderr
+    assert ask(folder, "SELECT run, attempt, ending FROM attempt WHERE run = 2") == [
+        (2, 1, "complete")
+    ]
+    ((summary,),) = ask(folder, "SELECT summary FROM run WHERE number = 2")
+    assert json.loads(summary)["points"] == 6
+    assert (folder / "runs" / "r00002_sweep.h5").stat().st_ino == before
