@@ -150,6 +150,7 @@ def test_a_time_out_is_tried_again_and_a_limit_never(rig) -> None:
         "repeat = 2\n"
         '[simulation]\n[[simulation.fault]]\nruns = [1]\nplan = "silence.toml"\n'
         '[[simulation.fault]]\nruns = [2]\nplan = "spikes.toml"\nattempts = 9\n'
+        '[batch.notify]\ncommand = ["sh", "-c", "echo $1 >> told.txt", "tell"]\n'
     )
     text = text.replace("figures = false", "figures = false\nset_aside_after = 1")
     (rig.folder / "night.toml").write_text(text)
@@ -166,6 +167,13 @@ def test_a_time_out_is_tried_again_and_a_limit_never(rig) -> None:
     states = dict(ask(folder, "SELECT number, state FROM run"))
     assert states == {1: "done", 2: "failed", 3: "done", 4: "set-aside"}
     assert "condition sweep-002 is set aside" in ended.stderr
+    assert (rig.folder / "told.txt").read_text().splitlines() == [
+        "SIMULATED batch night: start",
+        "SIMULATED batch night: failure",
+        "SIMULATED batch night: end",
+    ]
+    beat = json.loads((folder / "heartbeat.json").read_text())
+    assert (beat["state"], beat["of"], beat["simulated"]) == ("ended", 4, True)
     again = rig.run("batch", "resume", "--retry-failed")
     assert "2 runs are queued again" in again.stderr
 
