@@ -32,7 +32,7 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -124,9 +124,12 @@ class Afterwards:
     """The steward as its batch has it. Nothing here waits, but for `close`, and nothing raises for
     a steward that has died: `lost` says so."""
 
-    def __init__(self) -> None:
+    def __init__(self, held: Sequence[int] = ()) -> None:
+        """`held`: files that steward and worker keep open as long as they live, the batch's lock:
+        two of them would disturb each other over one file."""
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "rig.batch.afterwards"],
+            pass_fds=held,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -235,6 +238,7 @@ class _Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | ONE_THREAD,
+            close_fds=False,  # the batch's lock is the worker's as well
             preexec_fn=_become_worker,  # the steward has no thread that could hold a lock
         )
         assert self.process.stdout is not None

@@ -57,7 +57,7 @@ class BatchFolder:
 
     @contextlib.contextmanager
     def held_by(self, who: str, patience_s: float) -> Iterator[int]:
-        """One process at a time is a batch's `who`, "worker" or "supervisor": the file descriptor
+        """One process at a time is a batch's "worker", "supervisor" or "afterwards": the descriptor
         of the lock, for processes that are to hold it as well.
 
         ConfigurationError where another is for longer than `patience_s`.

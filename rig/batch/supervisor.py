@@ -56,6 +56,8 @@ HEARTBEAT: dict[str, State] = {"paused": "holding", "held": "holding", "starting
 """States of a heartbeat that are called otherwise here."""
 CLOSING_S = 10.0
 """How long work on a run's file is waited for when somebody waits for the command to end."""
+FILE_PATIENCE_S = 120.0
+"""How long the file is waited for that an earlier supervisor had begun to have worked on."""
 FEW_PROCESSORS = 4
 """On a computer with less, nothing else works while a run needs its ticks in real time."""
 
@@ -78,6 +80,7 @@ class Supervisor:
         supervisor has it."""
         with (
             self._folder.held_by("supervisor", 0.0),
+            self._folder.held_by("afterwards", FILE_PATIENCE_S) as lock,
             Queue.open(self._folder.queue) as self._queue,
             self._folder.log.open("ab") as self._log,
         ):
@@ -87,7 +90,7 @@ class Supervisor:
             self._runs = sum(self._queue.counts().values())
             self._heartbeat = Heartbeat(self._folder.heartbeat)
             self._notifier = Notifier(self._batch.notify)
-            self._afterwards = Afterwards()
+            self._afterwards = Afterwards((lock,))
             for number, procedure in self._queue.unprocessed():
                 self._work_on(number, procedure)
             self._queue.set_meta("state", "running")
