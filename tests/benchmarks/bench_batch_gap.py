@@ -1,4 +1,4 @@
-"""From the last sample of a run to the first motion of the next, over sockets and ptys in real time:
+"""From the last sample of a run to the first motion of the next, over sockets, in real time:
 a batch of short runs on a bench that `rig simulate` serves, timed by the World's own log.
 
     ./run python tests/benchmarks/bench_batch_gap.py      RIG_RUNS=12 RIG_PROCEDURE=slip-trial
@@ -31,10 +31,13 @@ RIG = [sys.executable, "-c", "from rig.cli import main; main()"]
 def gaps_s(log: Path) -> Iterator[float]:
     """Last frame of the force sensor to the next motion that somebody commands."""
     ended_us: int | None = None
+    begun = False
     for line in log.read_text().splitlines():
         entry = json.loads(line)
-        if entry["what"] == "streaming" and entry["value"] is False:
-            ended_us = entry["t_us"]
+        if entry["what"] == "streaming":
+            if begun and not entry["value"]:
+                ended_us = entry["t_us"]
+            begun = begun or entry["value"]
         elif entry["what"] == "move" and ended_us is not None:
             yield (entry["t_us"] - ended_us) * 1e-6
             ended_us = None
@@ -69,7 +72,7 @@ def main() -> None:
         finally:
             bench.terminate()
             bench.wait()
-        found = sorted(gaps_s(log))[: RUNS - 1]  # homing comes before the first motion of all
+        found = sorted(gaps_s(log))
         queue = folder_of(folder / "results")
         states = ask(queue, "SELECT state, count(*) FROM run GROUP BY state")
         print(f"{PROCEDURE}: exit code {batch.returncode}, runs {states}, {wall_s:.1f} s")
