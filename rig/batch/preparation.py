@@ -17,6 +17,7 @@ from pathlib import Path
 from rig import bench as benches
 from rig.batch.estimates import Expected, Forecast, expect, forecast, homing_s, records_of
 from rig.batch.findings import Finding, RefusedBatchError, Where
+from rig.batch.notification import require_usable
 from rig.batch.plan import Plan
 from rig.batch.queue import Estimate
 from rig.batch.reading import read_batch
@@ -65,7 +66,11 @@ def prepare(path: Path, given: Path | None, now: datetime, say: Callable[[str], 
     batch, plan, source = read_batch(path)
     chosen = bench_of(batch, path, given)
     real = None if chosen is None else read_bench(chosen)
-    findings = [*_simulation(batch, path, chosen), *_bad_records(batch, real, now)]
+    findings = [
+        *_simulation(batch, path, chosen),
+        *_bad_records(batch, real, now),
+        *_nobody_told(batch),
+    ]
     with tempfile.TemporaryDirectory(prefix="rig-batch-plan-") as results:
         request = _request(batch, path, chosen, real, Path(results))
         checked = validate(plan, real, rehearsed(request, say)) if not findings else Checked()
@@ -149,6 +154,14 @@ def _simulation(batch: BatchFile, path: Path, bench: Path | None) -> Iterator[Fi
                 f"{told} = {name!r}: there is no such file beside the batch file",
                 "name a file relative to the batch file",
             )
+
+
+def _nobody_told(batch: BatchFile) -> Iterator[Finding]:
+    """Notifications that could never be delivered."""
+    try:
+        require_usable(batch.batch.notify)
+    except ConfigurationError as error:
+        yield Finding(("batch", "notify"), error.message, error.hint)
 
 
 def _bad_records(batch: BatchFile, real: BenchPlan | None, now: datetime) -> Iterator[Finding]:

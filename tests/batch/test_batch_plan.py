@@ -165,3 +165,10 @@ def test_the_documented_example_expands_as_the_text_says() -> None:
     assert known <= {word.strip("`") for word in re.findall(r"`[a-z_]+`", text)}, (
         "each is explained"
     )
+
+
+def test_a_notification_that_could_never_be_delivered_is_refused_with_its_line(rig: Any) -> None:
+    text = SWEEPS.replace("[defaults", '[batch.notify]\ncommand = ["no-such-program"]\n[defaults')
+    ended = rig.run("batch", "plan", write(rig, text))
+    assert ended.code == 2
+    assert "night.toml:5: notify.command: 'no-such-program' is not found" in ended.stderr
