@@ -171,4 +171,4 @@ def test_a_notification_that_could_never_be_delivered_is_refused_with_its_line(r
     text = SWEEPS.replace("[defaults", '[batch.notify]\ncommand = ["no-such-program"]\n[defaults')
     ended = rig.run("batch", "plan", write(rig, text))
     assert ended.code == 2
-    assert "night.toml:5: notify.command: 'no-such-program' is not found" in ended.stderr
+    assert "night.toml:4: notify.command: 'no-such-program' is not found" in ended.stderr
