@@ -290,6 +290,9 @@ class Worker:
             procedure=claim.condition.procedure,
             estimate_s=claim.estimate_s,
         )
+        if claim.attempt > 1 and (ended := self._completed_elsewhere(claim)) is not None:
+            self._conclude(claim, ended)
+            return
         try:
             outcome = self._perform(claim, at_the_end)
         except StopRequestedError as stopped:  # nothing was connected yet
@@ -302,6 +305,12 @@ class Worker:
             ended = _ended(outcome)
         self._night.used(ended.bench_s)
         self._conclude(claim, ended)
+
+    def _completed_elsewhere(self, claim: Claim) -> Ended | None:
+        """How a run ended that was interrupted, and that somebody has completed with `rig resume`
+        since; None of any other."""
+        ended = what_became_of(self._folder.journal(claim.number, claim.condition.procedure))
+        return replace(ended, bench_s=0.0) if ended.ending == "complete" else None
 
     def _conclude(self, claim: Claim, ended: Ended) -> None:
         """Keep how an attempt ended, and do what follows from it."""

@@ -115,6 +115,8 @@ def test_ctrl_c_stops_a_batch_safely_and_resume_goes_on_at_the_point(
     ended = running.finish()
     assert ended.code == 130, ended.stderr
     assert "go on with: rig batch resume" in ended.stderr
+    journal = folder / "runs" / "r00001_sweep.rigj"
+    assert rig.run("resume", str(journal), "--no-figures").code == 0, "a run alone, by hand"
     assert rig.run("batch", "resume").code == 0
     same(taken(folder), uninterrupted)
 
