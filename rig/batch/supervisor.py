@@ -52,7 +52,12 @@ class Now:
     points: str = ""
 
 
-HEARTBEAT: dict[str, State] = {"paused": "holding", "held": "holding", "starting": "waiting"}
+HEARTBEAT: dict[str, State] = {
+    "starting": "waiting",
+    "pausing": "running",
+    "paused": "holding",
+    "held": "holding",
+}
 """States of a heartbeat that are called otherwise here."""
 CLOSING_S = 10.0
 """How long work on a run's file is waited for when somebody waits for the command to end."""

@@ -36,6 +36,7 @@ from rig.batch.settling import put_away, to_continue, what_became_of
 from rig.batch.watching import Watch
 from rig.errors import ExitCode, RigError
 from rig.runner.bench_choice import BenchRequest, Choosing, ChosenBench, start_simulated
+from rig.runner.holds import PAUSE
 from rig.runner.stopping import StopFlag, StopRequestedError
 
 if TYPE_CHECKING:
@@ -111,8 +112,8 @@ class _Words:
             self.stop_after_run = True
         elif word == "pause" and not self.paused.is_set():
             self.paused.set()
-            self._say("state", state="paused", text="by the operator")
-            if self.in_run:
+            self._say("state", state="pausing")
+            if self.in_run:  # one that still connects takes no notice: the batch waits after it
                 os.kill(os.getpid(), signal.SIGTSTP)
         elif word == "go":
             if self.paused.is_set():
@@ -139,6 +140,8 @@ class _Reporter:
     def event(self, level: str, message: str) -> None:
         """See `rig.runner.execution.Reporter`."""
         self._say("note", level=level, text=message)
+        if PAUSE in message:
+            self._say("state", state="paused", text="the bench is safe")
 
     def storing(self) -> None:
         """See `rig.runner.execution.Reporter`."""
@@ -246,6 +249,7 @@ class Worker:
         if self._words.stop_after_run:
             raise StopRequestedError(signal.SIGTERM, " between runs")
         if self._words.paused.is_set():
+            self._say("state", state="paused", text="between runs")
             self._wait("paused")
 
     def _hold(self, why: str) -> None:
