@@ -625,7 +625,7 @@ def _clamp_drives(
     clamp = world.settings.clamp
     z = make_drive(STAGE_Z)
     z.axis.stiffest_load_N_mm = clamp.stiffness_N_mm + clamp.creep_stiffness_N_mm
-    world.mount(z.position_mm)
+    world.mount(z.positions_mm)
     return [z]
 
 
