@@ -32,6 +32,7 @@ from rig.cli import (
 )
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
+from rig.imports import importing
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "resume": files.resume,
@@ -85,9 +86,10 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     for procedure in entry_points(group="rig.procedures"):
         function: Callable[..., None] = _not_asked
         if procedure.name == asked:
-            from rig.cli.procedures import command
+            with importing():
+                from rig.cli.procedures import command
 
-            function = command(procedure)
+                function = command(procedure)
         _add(app, procedure.name, summary(procedure), function)
     for name, function in COMMANDS.items():
         _add(app, name, (function.__doc__ or "").split("\n", 1)[0], function)
