@@ -49,7 +49,7 @@ FIRMWARE_WITH_CRC = (1, 56)
 INPUT_RANGE_MV_V = 3.5
 """Input range of the factory setting; with a user scale as large, floats are in mV/V."""
 MULTI_AXIS, AUTO_FILTER, MIN_MAX = 0x01, 0x02, 0x04
-READ_WAIT_S = 0.005
+READ_WAIT_S = 0.02
 """Longest wait for bytes in one read: what a request may be kept waiting by the reader."""
 STREAMING = 0x08
 CRC16_ON = b"\x08"
@@ -336,7 +336,9 @@ class GsvLink:
                 raise self._error("read", "the port is closed")
             waiting = self._port.in_waiting
             data: bytes = self._port.read(waiting or 1)
-            if data and not waiting:  # the first byte has come: take the others with it
+            if not data:
+                return 0
+            if not waiting:  # the first byte has come: take the others with it
                 data += self._port.read(self._port.in_waiting)
             for frame in self._decoder.feed(data):
                 if isinstance(frame, Response):

@@ -14,12 +14,11 @@ stop by themselves.
 from __future__ import annotations
 
 import json
-import select
 import socket
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 from rig.errors import InstrumentError
 
@@ -40,6 +39,19 @@ CONTROL_TIMEOUT_S = 60.0
 """Wall time the simulated bench may take to answer an advance: only a dead one takes longer."""
 
 Unregister = Callable[[], None]
+
+
+class StreamConsumer(Protocol):
+    """Who takes a stream's bytes off its link."""
+
+    def bytes_handled(self) -> int:
+        """Bytes whose samples have been seen to."""
+        ...
+
+    def await_bytes(self, count: int, patience_s: float) -> int:
+        """Wait until `count` bytes have been handled, no longer than `patience_s` of wall time and
+        not for one that has ended; how many have been."""
+        ...
 
 
 class Clock(ABC):
@@ -101,8 +113,8 @@ class Clock(ABC):
         nothing where nobody knows."""
         return {}
 
-    def follow_stream(self, name: str, consumed: Callable[[], int]) -> Unregister:
-        """Make waits last until the reader of stream `name` has consumed, by its count, what the
+    def follow_stream(self, name: str, reader: StreamConsumer) -> Unregister:
+        """Make waits last until the reader of stream `name` has handled, by its count, what the
         bench has sent; in real time there is nothing to wait for."""
         return lambda: None
 
@@ -141,7 +153,8 @@ class SlavedClock(Clock):
         super().__init__()
         self._control = control
         self._now_us = 0
-        self._consumed: dict[str, Callable[[], int]] = {}
+        self._followed: dict[str, tuple[StreamConsumer, int]] = {}
+        """Readers by stream, and what the bench had sent by its count when theirs began."""
 
     def now(self) -> float:
         """Seconds of bench time since the bench started."""
@@ -155,21 +168,19 @@ class SlavedClock(Clock):
                 callback()
             if remaining_us == 0:
                 return
-            slice_s = STREAM_SLICE_S if self._consumed else WAIT_SLICE_S
+            slice_s = STREAM_SLICE_S if self._followed else WAIT_SLICE_S
             step_us = min(remaining_us, round(slice_s * 1e6))
             self._advance(step_us)
             remaining_us -= step_us
 
-    def follow_stream(self, name: str, consumed: Callable[[], int]) -> Unregister:
-        """Make `sleep` wait for the reader of stream `name`, whose byte count is `consumed()`.
+    def follow_stream(self, name: str, reader: StreamConsumer) -> Unregister:
+        """Make `sleep` wait for the reader of stream `name`.
 
-        What the bench had sent before counts as consumed before; call it while nothing streams.
+        What the bench had sent before counts as handled before; call it while nothing streams.
         """
         streams = self._control.request("advance", us=0)["streams"]
-        sent_before = int(streams.get(name, 0))
-        missing = sent_before - consumed()
-        self._consumed[name] = lambda: consumed() + missing
-        return lambda: self._consumed.pop(name, None) and None
+        self._followed[name] = reader, int(streams.get(name, 0)) - reader.bytes_handled()
+        return lambda: self._followed.pop(name, None) and None
 
     def while_computing(self, beat: Callable[[], None]) -> None:
         """Of each request to the bench."""
@@ -201,24 +212,23 @@ class SlavedClock(Clock):
         reply = self._control.request("advance", us=step_us)
         self._now_us = int(reply["now_us"])
         for name, sent in reply.get("streams", {}).items():
-            if name in self._consumed:
+            if name in self._followed:
                 try:
                     self._wait_for_reader(name, int(sent))
                 except BaseException:  # said once: a clean-up may still have to wait
-                    self._consumed.pop(name, None)
+                    self._followed.pop(name, None)
                     raise
 
     def _wait_for_reader(self, name: str, sent: int) -> None:
-        give_up = time.monotonic() + STREAM_PATIENCE_S
-        while (got := self._consumed[name]()) < sent:
-            if time.monotonic() > give_up:
-                raise InstrumentError(
-                    name,
-                    "stream",
-                    f"{sent - got} of {sent} bytes did not arrive within {STREAM_PATIENCE_S:g} s",
-                    "the reader or the link is stuck; check the cable and start again",
-                )
-            time.sleep(20e-6)
+        reader, before = self._followed[name]
+        got = before + reader.await_bytes(sent - before, STREAM_PATIENCE_S)
+        if got < sent:
+            raise InstrumentError(
+                name,
+                "stream",
+                f"{sent - got} of {sent} bytes did not arrive within {STREAM_PATIENCE_S:g} s",
+                "the reader or the link is stuck; check the cable and start again",
+            )
 
 
 class PacedClock(SlavedClock):
@@ -240,11 +250,11 @@ class ControlLink:
 
     def __init__(self, port: int, host: str = "127.0.0.1"):
         try:
-            self._socket = socket.create_connection((host, port), timeout=CONTROL_TIMEOUT_S)
+            self._socket = socket.create_connection((host, port), timeout=BEAT_S)
         except OSError as error:
             raise _control_failed("connect", error) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._lines = self._socket.makefile("rb")
+        self._received = b""
         self.beat: Callable[[], None] = lambda: None
         """Called about once a second while an answer takes so long."""
 
@@ -252,14 +262,10 @@ class ControlLink:
         """Send one request and return the bench's answer; InstrumentError where it is gone."""
         try:
             self._socket.sendall(json.dumps({"do": do, **values}).encode() + b"\n")
-            for _ in range(round(CONTROL_TIMEOUT_S / BEAT_S)):
-                if select.select([self._socket], [], [], BEAT_S)[0]:
-                    break
-                self.beat()
-            line = self._lines.readline()
+            line = self._line()
         except OSError as error:
             raise _control_failed(do, error) from error
-        if not line.endswith(b"\n"):
+        if line is None:
             raise _control_failed(do, "the bench process has ended")
         try:
             answer: dict[str, Any] = json.loads(line)
@@ -269,6 +275,23 @@ class ControlLink:
             raise _control_failed(do, str(answer["error"]))
         return answer
 
+    def _line(self) -> bytes | None:
+        """The next line of the bench, without its end; None where the bench has ended."""
+        give_up = time.monotonic() + CONTROL_TIMEOUT_S
+        while b"\n" not in self._received:
+            try:
+                data = self._socket.recv(65536)
+            except TimeoutError:
+                if time.monotonic() > give_up:
+                    raise
+                self.beat()
+                continue
+            if not data:
+                return None
+            self._received += data
+        line, _, self._received = self._received.partition(b"\n")
+        return line
+
     def stop(self) -> None:
         """Ask the bench to end, and close; a bench that is gone already is as good."""
         try:
@@ -276,7 +299,6 @@ class ControlLink:
         except InstrumentError:
             pass
         finally:
-            self._lines.close()
             self._socket.close()
 
 

@@ -8,9 +8,13 @@ infinities are refused; pydantic collects every error of a document, so that all
 
 from __future__ import annotations
 
+import ast
 import hashlib
+import inspect
 import json
+import textwrap
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
@@ -70,8 +74,36 @@ class Settings(BaseModel):
         frozen=True,
         allow_inf_nan=False,
         validate_default=True,
-        use_attribute_docstrings=True,
     )
+
+
+def descriptions(model: type[Settings]) -> dict[str, str]:
+    """What the docstring below each field says, by field name, inherited ones included.
+
+    Read from the source when somebody wants to show it: pydantic would read the source of every
+    settings class as it is imported, which takes longer than all else about them.
+    """
+    said: dict[str, str] = {}
+    for cls in reversed(model.__mro__):
+        if issubclass(cls, Settings) and cls is not Settings:
+            said |= _attribute_docstrings(cls)
+    return said
+
+
+def _attribute_docstrings(cls: type[Settings]) -> dict[str, str]:
+    try:
+        source = inspect.getsource(cls)
+    except OSError:  # typed in at a prompt: nobody can show it
+        return {}
+    tree = ast.parse(textwrap.dedent(source))
+    (body,) = (node.body for node in tree.body if isinstance(node, ast.ClassDef))
+    return {
+        field.target.id: inspect.cleandoc(text.value.value)
+        for field, text in pairwise(body)
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+        if isinstance(text.value.value, str)
+    }
 
 
 def unit_of(field_name: str) -> str | None:

@@ -192,13 +192,23 @@ def test_callbacks_see_the_bench_time_before_every_slice(
     assert seen == [0, 20_000, 40_000, 50_000]
 
 
+class NoReader:
+    """Handles nothing, for nothing comes."""
+
+    def bytes_handled(self) -> int:
+        return 0
+
+    def await_bytes(self, count: int, patience_s: float) -> int:
+        return 0
+
+
 def test_slices_are_10_ms_while_an_instrument_streams(
     slaved: tuple[SlavedClock, SlavedBench],
 ) -> None:
     clock, bench = slaved
     seen: list[int] = []
     clock.each_slice(lambda: seen.append(bench.world.now_us))
-    unfollow = clock.follow_stream("force", lambda: 0)
+    unfollow = clock.follow_stream("force", NoReader())
     clock.sleep(0.02)
     unfollow()
     unfollow()
@@ -269,7 +279,7 @@ def streaming(
     reader: StreamReader[int] = StreamReader("force", force, watchers)
     with slaved_bench(force=lambda: force.sent) as bench:
         clock = SlavedClock(ControlLink(bench.port))
-        clock.follow_stream("force", reader.bytes_handled)
+        clock.follow_stream("force", reader)
         reader.start()
         try:
             yield clock, bench, force, reader
@@ -305,8 +315,9 @@ def test_a_stuck_reader_is_an_error_that_counts_the_missing_bytes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(rig.clock, "STREAM_PATIENCE_S", 0.2)
-    with streaming() as (clock, _, force, _):
+    with streaming() as (clock, _, force, reader):
         force.stuck = True
+        reader.settle()  # a read that has begun may still take what comes
         force.send_late(b"abcdef", delay_s=0)
         with pytest.raises(
             InstrumentError, match=r"force: stream: [1-6] of 6 bytes did not arrive"

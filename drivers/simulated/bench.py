@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from rig.documents import toml_value
 from rig.errors import ConfigurationError, InstrumentError, RigError
+from rig.imports import importing
 
 if TYPE_CHECKING:
     from drivers.simulated.disk_faults import FaultyDisk
@@ -303,24 +304,25 @@ def serve(options: dict[str, Any], ready: Callable[[str], None]) -> None:
 
 
 async def _serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> None:
-    from drivers.simulated.control import ControlServer
-    from drivers.simulated.fault_plan import TimedFault
-    from drivers.simulated.world import World
-
     for asked, known in ((options.fixture, Fixture), (options.stages, Stages)):
         if asked not in get_args(known):
             raise ConfigurationError(
                 f"the simulated bench has no {asked} to mount",
                 f"it has {' and '.join(get_args(known))}",
             )
-    settings = _read_world(options)
-    faults = _read_faults(options)
-    log = Path(options.world_log) if options.world_log else None
-    world = World(settings, options.seed, options.slaved, log, faults.of(TimedFault))
+    with importing():
+        from drivers.simulated.control import ControlServer
+        from drivers.simulated.fault_plan import TimedFault
+        from drivers.simulated.world import World
+
+        settings = _read_world(options)
+        faults = _read_faults(options)
+        log = Path(options.world_log) if options.world_log else None
+        world = World(settings, options.seed, options.slaved, log, faults.of(TimedFault))
+        bench = _Instruments(world, options, faults)
+    monitor = bench.monitor(settings.watch)
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
-    bench = _Instruments(world, options, faults)
-    monitor = bench.monitor(settings.watch)
 
     def settle() -> None:
         for drive in bench.drives:
@@ -625,7 +627,7 @@ def _clamp_drives(
     clamp = world.settings.clamp
     z = make_drive(STAGE_Z)
     z.axis.stiffest_load_N_mm = clamp.stiffness_N_mm + clamp.creep_stiffness_N_mm
-    world.mount(z.position_mm)
+    world.mount(z.positions_mm)
     return [z]
 
 

@@ -7,12 +7,15 @@ a while, so that a converter may sample the past. It asks the axis where it was 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from rig.model.film_clamp import FilmClampSettings, creep_step, push_after
+
+if TYPE_CHECKING:
+    from drivers.simulated.meeting import Where
 
 Reals = npt.NDArray[np.float64]
 
@@ -24,10 +27,10 @@ KEPT = 30_000
 class ClampedFilm:
     """The static force on the film. Its past never changes: a value lags by one millisecond."""
 
-    def __init__(self, settings: FilmClampSettings, position_mm: Callable[[int], float]):
+    def __init__(self, settings: FilmClampSettings, stage_z_mm: Where):
         self.settings = settings
-        self._position_mm = position_mm
-        self._at_mm = position_mm(0)
+        self._stage_z_mm = stage_z_mm
+        (self._at_mm,) = stage_z_mm(np.zeros(1, np.int64)).tolist()
         self._fading_N = 0.0
         self._newest = 0
         """Millisecond of the newest value, which is ``_forces[_count - 1]``."""
@@ -57,8 +60,12 @@ class ClampedFilm:
         newest = t_us // GRID_us
         if newest <= self._newest:
             return
-        path = [self._position_mm(k * GRID_us) for k in range(self._newest + 1, newest + 1)]
-        positions = np.array([self._at_mm, *path])
+        first = self._newest + 1
+        path = self._stage_z_mm(np.arange(first, newest + 1) * GRID_us)
+        path = path[self._newest + 1 - first :]  # a stage that moves has asked for its load
+        if not path.size:
+            return
+        positions = np.concatenate([[self._at_mm], path])
         forces, self._fading_N = creep_step(
             self.settings, self._fading_N, positions, GRID_us * 1e-6
         )
@@ -68,4 +75,4 @@ class ClampedFilm:
             self._forces[: len(kept)], self._count = kept, len(kept)
         self._forces[self._count : self._count + len(fresh)] = fresh
         self._count += len(fresh)
-        self._newest, self._at_mm = newest, path[-1]
+        self._newest, self._at_mm = newest, float(path[-1])

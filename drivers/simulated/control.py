@@ -17,9 +17,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-import socket
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, cast
 
 from drivers.simulated.world import World
 
@@ -49,7 +48,8 @@ class ControlServer:
 
     async def start(self, port: int = 0) -> int:
         """Listen; returns the port."""
-        self._server = await asyncio.start_server(self._serve, "127.0.0.1", port)
+        loop = asyncio.get_running_loop()
+        self._server = await loop.create_server(lambda: _Peer(self), "127.0.0.1", port)
         return int(self._server.sockets[0].getsockname()[1])
 
     def close(self) -> None:
@@ -96,16 +96,34 @@ class ControlServer:
         self._world.timeline.advance(step_us)
         self._time_passed()
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        owner, self._owned = not self._owned, True
-        try:
-            while line := await reader.readline():
-                writer.write(json.dumps(self.answer(line)).encode() + b"\n")
-                await writer.drain()
-        except (ConnectionError, asyncio.LimitOverrunError, ValueError):
-            pass  # the owner died in the middle of a word: the same as a close
-        finally:
-            writer.close()
-            if owner and not self._stopped:
-                self._orphaned()
+    def connected(self) -> bool:
+        """Whether a new connection is the first, which owns the World's time."""
+        first, self._owned = not self._owned, True
+        return first
+
+    def lost(self) -> None:
+        """The connection of the time's owner has closed."""
+        if not self._stopped:
+            self._orphaned()
+
+
+class _Peer(asyncio.Protocol):
+    """One connection; asyncio sets TCP_NODELAY on it."""
+
+    def __init__(self, server: ControlServer):
+        self._server = server
+        self._owner = False
+        self._received = b""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)
+        self._owner = self._server.connected()
+
+    def data_received(self, data: bytes) -> None:
+        *lines, self._received = (self._received + data).split(b"\n")
+        for line in lines:
+            self._transport.write(json.dumps(self._server.answer(line)).encode() + b"\n")
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._owner:
+            self._server.lost()

@@ -192,6 +192,8 @@ class Gsv8:
         self._input = bytearray()
         self._origin_us, self._sent = 0, 0
         self._divisor, self._period_s = 1, 0.0
+        self._back_s = np.zeros(1)
+        """From the end of a frame to each of its conversions that is computed."""
         self._crc16 = self._streaming = False
         self._last_error = 0
         self._noise_key: tuple[int, ...] | None = None
@@ -486,6 +488,8 @@ class Gsv8:
         """Frames are counted from here."""
         self._origin_us, self._sent = self._port.now_us, 0
         self._period_s = self._divisor / CONVERSIONS_PER_S
+        count = min(self._divisor, CONVERSIONS_COMPUTED)
+        self._back_s = self._period_s * np.arange(count)[::-1] / count
 
     def _stream(self, on: bool, by: str) -> None:
         if on != self._streaming:
@@ -538,12 +542,10 @@ class Gsv8:
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
         """Each channel's mean over the frame period that ends at each instant, in input ranges,
         and whether the converter stood at its end within it: both (n, 8)."""
-        count = min(self._divisor, CONVERSIONS_COMPUTED)
-        back = self._period_s * np.arange(count)[::-1] / count
-        times = np.maximum(ends_s[:, None] - back, 0.0)
+        times = np.maximum(ends_s[:, None] - self._back_s, 0.0)
         bridges = self.sensor.bridges(self._port.force_N(times.ravel()))
         full = np.array([_input_range(kind) for kind in self.memory.input_type])
-        converted = bridges.reshape(len(ends_s), count, 3) / full[:3]
+        converted = bridges.reshape(*times.shape, 3) / full[:3]
         saturated = np.zeros((len(ends_s), CHANNELS), bool)
         saturated[:, :3] = (np.abs(converted) >= OVERRANGE).any(axis=1)
         ranges = self._noise_of(len(ends_s)) / full
@@ -638,12 +640,10 @@ def _crc8(data: bytes) -> int:
 
 
 def _crc16(data: bytes) -> int:
-    """CRC-16 as Modbus has it: x16 + x15 + x2 + 1 reflected, start FFFF; a nibble at a time."""
+    """CRC-16 as Modbus has it: x16 + x15 + x2 + 1 reflected, start FFFF."""
     remainder = 0xFFFF
     for byte in data:
-        remainder ^= byte
-        remainder = remainder >> 4 ^ _NIBBLES[remainder & 15]
-        remainder = remainder >> 4 ^ _NIBBLES[remainder & 15]
+        remainder = remainder >> 8 ^ _BYTES[(remainder ^ byte) & 0xFF]
     return remainder
 
 
@@ -651,3 +651,5 @@ _NIBBLES = (
     *(0x0000, 0xCC01, 0xD801, 0x1400, 0xF001, 0x3C00, 0x2800, 0xE401),
     *(0xA001, 0x6C00, 0x7800, 0xB401, 0x5000, 0x9C01, 0x8801, 0x4400),
 )
+_BYTES = tuple((byte := _NIBBLES[n & 15] ^ n >> 4) >> 4 ^ _NIBBLES[byte & 15] for n in range(256))
+"""A byte's two nibbles in one."""

@@ -44,6 +44,7 @@ from rig.model.front_end import FrontEndSettings
 from rig.settings import Settings
 
 if TYPE_CHECKING:
+    from drivers.simulated.meeting import Where
     from drivers.simulated.skin_contact import SkinContact
 
 LOAD_CELL_TERMINAL = 101
@@ -154,8 +155,8 @@ class World:
         """Keys the force sensor's noise."""
         return (self._seed, *self._point_key, FORCE_NOISE)
 
-    def mount(self, stage_z_mm: Callable[[int], float]) -> None:
-        """The z stage carries the vibrator: where its carriage is or was, by World time in us."""
+    def mount(self, stage_z_mm: Where) -> None:
+        """The z stage carries the vibrator: where its carriage is or was."""
         self._clamp = ClampedFilm(self.settings.clamp, stage_z_mm)
 
     def hang(self, skin: SkinContact, strips: FrontEndSettings) -> None:

@@ -8,6 +8,8 @@ import signal
 import sys
 from types import FrameType
 
+from rig.imports import importing
+
 SIGINT_CODE, SIGTERM_CODE, SIGHUP_CODE = 130, 143, 129
 
 
@@ -22,7 +24,8 @@ def main() -> None:
         from rig.cli.streams import outlast_readers
 
         outlast_readers()
-        from rig.cli.app import perform
+        with importing():
+            from rig.cli.app import perform
 
         perform(sys.argv[1:])
     except KeyboardInterrupt:

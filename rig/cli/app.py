@@ -19,6 +19,7 @@ import typer
 
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
+from rig.imports import importing
 
 COMMANDS: dict[str, tuple[str, str, str]] = {
     "resume": (
@@ -135,9 +136,10 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     for procedure in entry_points(group="rig.procedures"):
         function: Callable[..., None] = _not_asked
         if procedure.name == asked:
-            from rig.cli.procedures import command
+            with importing():
+                from rig.cli.procedures import command
 
-            function = command(procedure)
+                function = command(procedure)
         _add(app, procedure.name, summary(procedure), function)
     for name, (module, function_name, text) in COMMANDS.items():
         own = getattr(import_module(module), function_name) if name == asked else _not_asked

@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 
 from rig.errors import ConfigurationError
 from rig.quantities import parse
-from rig.settings import Settings, name_without_unit, unit_of
+from rig.settings import Settings, descriptions, name_without_unit, unit_of
 
 
 def option_name(field: str) -> str:
@@ -27,6 +27,7 @@ def option_name(field: str) -> str:
 
 def parameters(model: type[Settings]) -> list[inspect.Parameter]:
     """Command parameters for a settings class: all optional text, validated by the class."""
+    said = descriptions(model)
     return [
         inspect.Parameter(
             field,
@@ -37,7 +38,7 @@ def parameters(model: type[Settings]) -> list[inspect.Parameter]:
                 typer.Option(
                     option_name(field),
                     *_short(info),
-                    help=_help(field, info),
+                    help=_help(field, info, said.get(field, "")),
                     metavar=(unit_of(field) or "VALUE"),
                     show_default=False,
                     rich_help_panel="Settings",
@@ -80,8 +81,8 @@ def _short(info: FieldInfo) -> tuple[str, ...]:
     return (str(extra["short"]),) if isinstance(extra, dict) and "short" in extra else ()
 
 
-def _help(field: str, info: FieldInfo) -> str:
-    words = " ".join((info.description or "").split())
+def _help(field: str, info: FieldInfo, said: str) -> str:
+    words = " ".join(said.split())
     default = info.get_default(call_default_factory=True)
     if default is None:
         return words

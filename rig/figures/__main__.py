@@ -14,6 +14,7 @@ from pathlib import Path
 
 from rig.errors import RigError
 from rig.figures import draw_part
+from rig.imports import importing
 
 NICENESS = 5
 """What takes the data, and what keeps them, goes first."""
@@ -23,10 +24,11 @@ def main() -> None:
     """Serve one request; an input that ends without one is none."""
     os.nice(NICENESS)
     part = sys.argv[1]
-    from rig.figures.style import import_matplotlib
+    with importing():
+        from rig.figures.style import import_matplotlib
 
-    import_matplotlib()
-    import_module(part.partition(":")[0])
+        import_matplotlib()
+        import_module(part.partition(":")[0])
     run_file = sys.stdin.readline().rstrip("\n")
     if not run_file:
         return

@@ -14,6 +14,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from rig.imports import importing
+
 if TYPE_CHECKING:
     from rig.bench import BenchFactory, BenchPlan, Fixture, RunningBench
     from rig.clock import Clock
@@ -149,9 +151,10 @@ class Choosing:
 
     def _import_ahead(self) -> None:
         """What the command will need, while a simulated bench boots beside it."""
-        for name in ("rig.recording.compiled", "rig.runner.execution", *LIBRARIES_OF_LINKS):
-            import_module(name)
-        self.meanwhile()
+        with importing():
+            for name in ("rig.recording.compiled", "rig.runner.execution", *LIBRARIES_OF_LINKS):
+                import_module(name)
+            self.meanwhile()
 
 
 def start_simulated(request: BenchRequest, fixture: Fixture) -> RunningBench:

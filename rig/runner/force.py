@@ -72,7 +72,7 @@ class ForceMonitor:
 
     def start(self, rate_S_s: float) -> None:
         """Begin to stream and to watch; no limit is in force yet."""
-        self._unfollow = self._clock.follow_stream("force_sensor", self._bytes_handled)
+        self._unfollow = self._clock.follow_stream("force_sensor", self)
         self._looked_s = self._clock.now()
         self._reader.start()  # first: frames may come although the answer to the start is lost
         self._rate = self._sensor.start(rate_S_s)
@@ -171,6 +171,21 @@ class ForceMonitor:
         a wait of the bench clock, which may hold what the thread needs."""
         self._reader.settle()
 
+    # --- what the clock waits for -------------------------------------------------------------
+    # Nothing any more where the thread has ended: `check` tells why, and a clean-up, which looks at
+    # no force, is not disturbed by it.
+
+    def bytes_handled(self) -> int:
+        """See `rig.clock.StreamConsumer`."""
+        return self.await_bytes(0, 0.0)
+
+    def await_bytes(self, count: int, patience_s: float) -> int:
+        """See `rig.clock.StreamConsumer`."""
+        try:
+            return self._reader.await_bytes(count, patience_s)
+        except Exception:  # noqa: BLE001 - check() raises it
+            return sys.maxsize
+
     # --- the reader's thread ------------------------------------------------------------------
 
     @property
@@ -195,14 +210,6 @@ class ForceMonitor:
         self._watch_force(frames)
         self._watch_standstill(frames)
         return [frames]
-
-    def _bytes_handled(self) -> int:
-        """What the clock waits for; nothing any more where the thread has ended. `check` tells why,
-        and a clean-up, which looks at no force, is not disturbed by it."""
-        try:
-            return self._reader.bytes_handled()
-        except Exception:  # noqa: BLE001 - check() raises it
-            return sys.maxsize
 
     def _watch_force(self, frames: ForceFrames) -> None:
         if frames.saturated.any():

@@ -86,6 +86,15 @@ class StreamReader(Generic[Sample]):
         self.check()
         return self._handled_bytes
 
+    def await_bytes(self, count: int, patience_s: float) -> int:
+        """Wait for that; see `rig.clock.StreamConsumer`. Raises what ended the thread."""
+        if self._handled_bytes < count:
+            with self._turned:
+                self._turned.wait_for(
+                    lambda: self._handled_bytes >= count or not self._running, patience_s
+                )
+        return self.bytes_handled()
+
     def latest(self, count: int) -> list[Sample]:
         """The last `count` samples, oldest first, fewer where fewer have come."""
         with self._lock:

@@ -97,7 +97,7 @@ class ForceScale:
     def _frames(self) -> list[ForceFrames]:
         """All frames of a stream as long as settling and reading, in batches."""
         reader = StreamReader("force reader", _Frames(self._sensor))
-        unfollow = self._clock.follow_stream(FORCE_STREAM, reader.bytes_handled)
+        unfollow = self._clock.follow_stream(FORCE_STREAM, reader)
         try:
             self._rate = self._sensor.start(self._rate)
             reader.start()
