@@ -43,45 +43,48 @@ class SlipWatch:
     """
 
     def __init__(self, ridge_of_node: NDArray[np.int64], step_s: float, since_s: float = 0.0):
-        self._ridge = ridge_of_node
+        ridges = int(ridge_of_node.max()) + 1
+        self._on_ridge = (ridge_of_node[:, None] == np.arange(ridges)).astype(np.float32)
+        """Of each node and ridge whether it lies on it: 1 or 0."""
         self._step_s = step_s
         self._since_s = since_s
         self._steps = 0
-        ridges = int(ridge_of_node.max()) + 1
         self._first = np.full(ridges, np.nan)
         self._whole = np.full(ridges, np.nan)
         self._lifted = np.full(ridges, np.nan)
         self._touched = np.zeros(ridges, bool)
-        self._gross = np.nan
+        self._gross = np.full(1, np.nan)
 
     def add(self, status: Statuses) -> None:
         """Take the statuses (k, m) of the next k steps."""
         time = np.arange(self._steps + 1.0, self._steps + status.shape[0] + 1.0) * self._step_s
         self._steps += status.shape[0]
-        judged = time >= self._since_s - self._step_s / 2
-        slips, touches = status > STICK, status != OPEN
-        for ridge in range(self._first.size):
-            nodes = self._ridge == ridge
-            slipping = slips[:, nodes].any(axis=1)
-            touching = touches[:, nodes].any(axis=1)
-            sticking = (status[:, nodes] == STICK).any(axis=1)
-            self._note(self._first, ridge, time, judged & slipping)
-            self._note(self._whole, ridge, time, judged & touching & ~sticking)
-            before = np.concatenate([[self._touched[ridge]], touching[:-1]])
-            self._note(self._lifted, ridge, time, judged & before & ~touching)
-            if touching.size:
-                self._touched[ridge] = touching[-1]
-        gross = judged & touches.any(axis=1) & ~(status == STICK).any(axis=1)
-        if np.isnan(self._gross) and gross.any():
-            self._gross = float(time[gross.argmax()])
+        if not time.size:
+            return
+        judged = (time >= self._since_s - self._step_s / 2)[:, None]
+        sticks, touches = status == STICK, status != OPEN
+        slipping, touching, sticking = map(self._by_ridge, (status > STICK, touches, sticks))
+        before = np.concatenate([self._touched[None], touching[:-1]])
+        self._touched = touching[-1]
+        _note(self._first, time, judged & slipping)
+        _note(self._whole, time, judged & touching & ~sticking)
+        _note(self._lifted, time, judged & before & ~touching)
+        gross = judged[:, 0] & touches.any(axis=1) & ~sticks.any(axis=1)
+        _note(self._gross, time, gross[:, None])
+
+    def _by_ridge(self, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Whether it is so anywhere on a ridge: (k, nodes) to (k, ridges)."""
+        anywhere: NDArray[np.bool_] = seen.astype(np.float32) @ self._on_ridge > 0
+        return anywhere
 
     def truth(self) -> SlipTruth:
         """What was seen so far."""
         return SlipTruth(
-            self._first.copy(), self._whole.copy(), self._lifted.copy(), float(self._gross)
+            self._first.copy(), self._whole.copy(), self._lifted.copy(), float(self._gross[0])
         )
 
-    @staticmethod
-    def _note(kept: Floats, ridge: int, time: Floats, seen: NDArray[np.bool_]) -> None:
-        if np.isnan(kept[ridge]) and seen.any():
-            kept[ridge] = time[seen.argmax()]
+
+def _note(kept: Floats, time: Floats, seen: NDArray[np.bool_]) -> None:
+    """Keep, in (n,), when each of n things was seen first: times (k,), seen (k, n)."""
+    fresh = np.isnan(kept) & seen.any(axis=0)
+    kept[fresh] = time[seen.argmax(axis=0)[fresh]]
