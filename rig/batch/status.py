@@ -20,6 +20,7 @@ class Status:
     folder: BatchFolder
     name: str
     simulated: bool
+    """On benches that the batch starts for itself, whose time goes as fast as they can."""
     state: str
     running: bool
     """Whether a supervisor is at work."""
@@ -74,7 +75,7 @@ class Status:
             spread = f" +- {_duration(self.left.spread_s)}" if self.left.spread_s else ""
             shown.append(
                 f"left: {_duration(self.left.bench_s)}{spread} of bench time"
-                + (f", over at {self.finish:%Y-%m-%d %H:%M}" if self.running else "")
+                + (f", over at {self.finish:%Y-%m-%d %H:%M}" if self._goes_by_the_wall else "")
             )
         shown.append(f"used: {_duration(self.bench_s)} of bench time")
         shown += [f"failed: run {r.number} {r.condition}: {r.reason}" for r in self.failures]
@@ -82,6 +83,11 @@ class Status:
         if not self.running and self.left.runs:
             shown.append(f"go on with: rig batch resume {self.folder.path}")
         return shown
+
+    @property
+    def _goes_by_the_wall(self) -> bool:
+        """Whether it is under way on a bench whose time is nobody's to move."""
+        return self.running and not self.simulated
 
     def _state(self) -> str:
         if self.running or not self.state.startswith(("running", "waiting", "paused", "held")):

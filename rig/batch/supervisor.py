@@ -250,6 +250,7 @@ class Supervisor:
 
     def _on_run(self, said: Mapping[str, Any]) -> None:
         self._begun_a_run = True
+        self._queue.set_meta("state", "running")
         if self._ticks:
             self._afterwards.hold()
         self._give_up = time.monotonic() + STARTING_S

@@ -64,10 +64,10 @@ def run(
         prepared = prepare(file, bench, now, say)
         folder = begin(file, prepared, datetime.now().astimezone())
         forecast = prepared.forecast
-        say(
-            f"batch {folder.path}: {len(prepared.plan.runs)} runs, expected to be over at "
-            f"{forecast.ends:%Y-%m-%d %H:%M:%S}"
-        )
+        over = f"over at {forecast.ends:%Y-%m-%d %H:%M:%S}"
+        if prepared.bench is None:
+            over = f"to take {forecast.duration_s / 3600:.2f} h of the simulated benches' time"
+        say(f"batch {folder.path}: {len(prepared.plan.runs)} runs, expected {over}")
         _supervise(folder, as_json)
 
 
