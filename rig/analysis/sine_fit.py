@@ -427,7 +427,7 @@ def _lines_to_fit(
     frequencies = [frequency, *candidates, *(order * frequency for order in orders)]
     normal = _normal_equations(frequencies, rate, n)
     chosen = [0]
-    bare = _tone_variance(normal, chosen)
+    present = bare = _tone_variance(normal, chosen)
     limit = largest_inflation * bare
     everything = list(range(len(frequencies)))
     beats = _beats(frequencies, rate, n)
@@ -438,9 +438,11 @@ def _lines_to_fit(
         if index > len(candidates):  # a harmonic
             if beats[index, [*chosen, index]].min() < FULL_BEAT:
                 continue
-            limit = max(LARGEST_INFLATION * bare, _tone_variance(normal, chosen) * 1.01)
-        if _tone_variance(normal, [*chosen, index]) <= limit:
+            limit = max(LARGEST_INFLATION * bare, present * 1.01)
+        with_it = _tone_variance(normal, [*chosen, index])
+        if with_it <= limit:
             chosen.append(index)
+            present = with_it
     fitted = [candidates[k - 1] for k in chosen if 0 < k <= len(candidates)]
     measured = [orders[k - 1 - len(candidates)] for k in chosen if k > len(candidates)]
     return fitted, measured
