@@ -6,6 +6,7 @@ import subprocess
 import sys
 from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
 
 import pytest
 
@@ -108,3 +109,23 @@ def test_a_command_is_listed_by_the_first_line_of_its_docstring(name: str) -> No
 def test_a_group_is_listed_as_it_tells_itself(name: str) -> None:
     module, text = GROUPS[name]
     assert text == import_module(module).HELP
+
+
+def test_processes_that_are_started_take_no_modules_from_where_they_are_started(
+    tmp_path: Path,
+) -> None:
+    """Bench, guard and figure are processes of their own; somebody's folder ``rig`` is not ours."""
+    for name in ("rig", "drivers"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise SystemExit('not this one')\n")
+    program = Path(sys.executable).with_name("rig")
+    ended = subprocess.run(
+        [str(program), "sweep", "--frequencies", "200,300"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "the guard has died" not in ended.stderr
+    assert list((tmp_path / "results").glob("*/*.png")), "and the figure is there"

@@ -96,3 +96,15 @@ def test_a_run_is_not_resumed_on_another_program_version(rig, monkeypatch):
 
     assert again.code == 2
     assert "journal" in again.errors[0] or "rigj" in again.errors[0]
+
+
+def test_a_simulated_run_is_resumed_on_a_simulated_bench_whatever_lies_beside(rig):
+    running = rig.start_sweep("--frequencies", "300,400,500,600,700,800")
+    running.wait_for(r"^2/6 ")
+    running.send(signal.SIGINT)
+    stopped = running.finish()
+    assert stopped.code == 130, stopped.stderr
+    (rig.folder / "bench.toml").write_text("[no bench file at all")
+    resumed = rig.run("resume", stopped.object["journal"], "--no-figures", "--json")
+    assert resumed.code == 0, resumed.stderr
+    assert resumed.object["points_done"] == 6
