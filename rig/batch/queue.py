@@ -198,6 +198,12 @@ class Queue:
         sql.row_factory = sqlite3.Row
         return cls(path, sql)
 
+    def close_log(self) -> None:
+        """Leave one file, which can be read from where nothing can be written; nothing happens
+        while somebody else has it open."""
+        with contextlib.suppress(sqlite3.OperationalError):
+            self._sql.execute("PRAGMA journal_mode = DELETE")
+
     def close(self) -> None:
         """Let go of the file."""
         self._sql.close()

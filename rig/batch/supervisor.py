@@ -108,6 +108,7 @@ class Supervisor:
             self._notify("end", self._now.text)
             for warning in self._notifier.close():
                 self._tell(f"warning: {warning}")
+            self._queue.close_log()
             return code
 
     def _workers(self) -> ExitCode:

@@ -97,8 +97,11 @@ class _Words:
         threading.Thread(target=self._listen, name="words", daemon=True).start()
 
     def _listen(self) -> None:
-        for line in sys.stdin:
-            self._hear(line.strip())
+        rest = b""
+        while chunk := os.read(0, 4096):  # unbuffered: Python ends while this still listens
+            *lines, rest = (rest + chunk).split(b"\n")
+            for line in lines:
+                self._hear(line.decode())
         os.kill(os.getpid(), signal.SIGHUP)  # nobody is there any more
 
     def _hear(self, word: str) -> None:

@@ -120,6 +120,20 @@ def test_a_queue_that_was_not_written_whole_is_none(tmp_path: Path) -> None:
         Queue.open(tmp_path / "queue.sqlite")
 
 
+def test_a_queue_that_is_over_is_one_file_that_opens_where_nothing_can_be_written(
+    tmp_path: Path,
+) -> None:
+    with created(tmp_path, plan()) as queue:
+        taken(queue)
+        queue.close_log()
+        queue.close()
+        assert [path.name for path in tmp_path.iterdir()] == ["queue.sqlite"]
+        header = queue.path.read_bytes()[18:20]
+    assert header == bytes([1, 1]), "no write-ahead log is asked for"
+    with Queue.open(tmp_path / "queue.sqlite", read_only=True) as queue:
+        assert queue.counts()["running"] == 1
+
+
 @pytest.mark.parametrize("content", [b"", b"no database", b"SQLite format 3\0" + 200 * b"\xff"])
 def test_what_is_no_queue_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "queue.sqlite"
