@@ -73,8 +73,10 @@ def taken(folder: Path) -> dict[int, Taken]:
     states = dict(ask(folder, "SELECT number, state FROM run ORDER BY number"))
     found: dict[int, Taken] = {}
     for number, state in states.items():
-        files = sorted((folder / "runs").glob(f"r{number:05d}_*.h5"))
-        journals = sorted((folder / "runs").glob(f"r{number:05d}_*.rigj"))
+        files, journals = (
+            [path for path in (folder / "runs").glob(f"r{number:05d}_*.{kind}") if _own(path)]
+            for kind in ("h5", "rigj")
+        )
         assert len(files) <= 1
         assert len(journals) <= 1
         ids: list[str] = []
@@ -88,6 +90,11 @@ def taken(folder: Path) -> dict[int, Taken]:
                 ids = list(run.point_ids())
         found[number] = Taken(number, state, tuple(ids), tuple(readings))
     return found
+
+
+def _own(path: Path) -> bool:
+    """Whether it is a run's file; what could not be continued is put away under another name."""
+    return path.name.count(".") == 1
 
 
 def await_point(folder: Path, number: int) -> None:
