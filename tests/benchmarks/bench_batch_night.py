@@ -78,7 +78,7 @@ rest_s = {REST_S}
 
 [[experiment]]
 procedure = "roll-trial"
-repeat = {6 * each}
+repeat = {7 * each}
 rest_s = {REST_S}
 
 [[experiment]]
