@@ -1,7 +1,7 @@
 """A night on the simulated bench: eight hours of bench time, all three procedures, runs that go
 wrong at random, one command. Counts what was lost, doubled or left unsafe.
 
-    ./run python tests/benchmarks/bench_batch_night.py   # RIG_RUNS, RIG_SEED, RIG_SHARE, RIG_FIGURES
+    ./run python tests/benchmarks/bench_batch_night.py # RIG_RUNS, RIG_SEED, RIG_SHARE, RIG_FIGURES
 
 Who looks at the bench when the batch holds is played here: it lets it go on, and starts it again
 where the bench could not be made safe. How often is told.
