@@ -1,13 +1,19 @@
-"""Numbers with units, as people write them: ``200ms`` for a field in seconds."""
+"""Numbers with units, as people write and read them: ``200ms`` for a field in seconds."""
 
 from __future__ import annotations
 
 import re
 import typing
+from datetime import timedelta
 from typing import Any
 
 _QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 _UNIT = re.compile(r"^[A-Za-zµμΩ°%][A-Za-zµμΩ°%0-9/*^ ]*$")
+
+
+def duration(seconds: float) -> str:
+    """A stretch of time as a person reads it: ``12.3 s``, ``0:02:05``."""
+    return f"{seconds:.1f} s" if seconds < 60 else str(timedelta(seconds=round(seconds)))
 
 
 def parse(text: str, annotation: Any, unit: str | None) -> Any:

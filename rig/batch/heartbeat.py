@@ -24,8 +24,6 @@ from typing import Literal
 
 EVERY_S = 5.0
 """Between two beats where nothing has changed but the point."""
-MOST_BYTES = 64 << 10
-"""A heartbeat has two hundred."""
 
 State = Literal["waiting", "running", "resting", "holding", "finishing", "ended"]
 """waiting: for its window or the bench. running, resting: a run, or the rest before one. holding:
@@ -84,20 +82,3 @@ class Heartbeat:
             self._failed = True
             with contextlib.suppress(OSError):
                 part.unlink(missing_ok=True)
-
-
-def read(path: Path) -> Beat | None:
-    """The latest heartbeat; None where there is none, or the file is something else."""
-    try:
-        with path.open("rb") as file:
-            told = json.loads(file.read(MOST_BYTES))
-        beat = Beat(**told)
-        datetime.fromisoformat(beat.time)
-    except (OSError, ValueError, TypeError):
-        return None
-    return beat
-
-
-def age_s(beat: Beat, now: datetime) -> float:
-    """How long ago it was written; `now` carries its time zone."""
-    return (now - datetime.fromisoformat(beat.time)).total_seconds()

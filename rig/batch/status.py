@@ -8,6 +8,7 @@ from typing import Any
 
 from rig.batch.folder import BatchFolder
 from rig.batch.queue import Left, Queue, RunRow, RunState
+from rig.quantities import duration
 
 LATEST = 5
 """Failures and events that are shown."""
@@ -72,12 +73,12 @@ class Status:
             again = f", attempt {run.attempts}" if run.attempts > 1 else ""
             shown.append(f"run {run.number}: {run.condition}{again}")
         if self.left.runs:
-            spread = f" +- {_duration(self.left.spread_s)}" if self.left.spread_s else ""
+            spread = f" +- {duration(self.left.spread_s)}" if self.left.spread_s else ""
             shown.append(
-                f"left: {_duration(self.left.bench_s)}{spread} of bench time"
+                f"left: {duration(self.left.bench_s)}{spread} of bench time"
                 + (f", over at {self.finish:%Y-%m-%d %H:%M}" if self._goes_by_the_wall else "")
             )
-        shown.append(f"used: {_duration(self.bench_s)} of bench time")
+        shown.append(f"used: {duration(self.bench_s)} of bench time")
         shown += [f"failed: run {r.number} {r.condition}: {r.reason}" for r in self.failures]
         shown += [f"{time[:19]} {level}: {text}" for time, level, text in self.events]
         if not self.running and self.left.runs:
@@ -112,9 +113,3 @@ def status_of(folder: BatchFolder) -> Status:
             queue.events(LATEST),
             datetime.now().astimezone(),
         )
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    return str(timedelta(seconds=round(seconds)))

@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import os
 import selectors
+import signal
 import subprocess
 import sys
 import time
@@ -158,7 +159,7 @@ class Supervisor:
                         break
                     *lines, buffer = (buffer + (chunk or b"")).split(b"\n")
                     for line in lines:
-                        self._hear(json.loads(line))
+                        self._hear(line)
                 if self._stop.requested is not None and not told_to_stop:
                     told_to_stop = True
                     self._say(worker, f"signal {self._stop.requested.value}")
@@ -174,17 +175,25 @@ class Supervisor:
 
     def _say(self, worker: subprocess.Popen[bytes], word: str) -> None:
         assert worker.stdin is not None
-        self._queue.tell("info", f"asked for: {word}")
+        number = word.removeprefix("signal ")
+        told = word if number == word else f"stop by {signal.Signals(int(number)).name}"
+        self._queue.tell("info", f"asked for: {told}")
         try:
             worker.stdin.write(word.encode() + b"\n")
             worker.stdin.flush()
         except OSError:  # it has died, which is seen at its other end
             pass
 
-    def _hear(self, said: Mapping[str, Any]) -> None:
-        """One line from the worker."""
-        event = said["event"]
-        getattr(self, f"_on_{event.replace('-', '_')}")(said)
+    def _hear(self, line: bytes) -> None:
+        """One line from the worker; what a library has printed goes to the log."""
+        try:
+            said = json.loads(line)
+            heard = getattr(self, f"_on_{said['event']}")
+        except (ValueError, TypeError, KeyError, AttributeError):
+            self._log.write(line + b"\n")
+            self._log.flush()
+            return
+        heard(said)
 
     def _look_around(self) -> None:
         """What is to be done besides, often."""
@@ -233,7 +242,7 @@ class Supervisor:
         way."""
         self._afterwards.go()
         if self._stop.requested is None and self._numbers:
-            self._tell(f"{len(self._numbers)} run files are still being made ...")
+            self._tell(f"run files still to be made: {len(self._numbers)} ...")
         while self._numbers and self._stop.requested is None and not self._afterwards.lost:
             self._beat("finishing")
             for answer in self._afterwards.answers():
@@ -243,7 +252,7 @@ class Supervisor:
             self._keep(answer)
         if self._numbers:
             self._tell(
-                f"{len(self._numbers)} runs are journals still; "
+                f"runs that are journals still: {len(self._numbers)}; "
                 f"rig batch resume {self._folder.path} makes their files"
             )
 

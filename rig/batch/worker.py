@@ -279,8 +279,8 @@ class Worker:
         self._say("state", state="running")
 
     def _end(self, state: str, why: str, code: ExitCode) -> None:
-        self._queue.set_meta("state", f"{state}: {why}" if why else state)
-        told = f"{state}: {why}" if why else state
+        told = f"{state}: {why.removeprefix(state + ' ')}" if why else state
+        self._queue.set_meta("state", told)
         self._queue.tell("info" if code == ExitCode.DONE else "warning", told)
         self._say("end", state=state, text=why, code=int(code))
 

@@ -59,6 +59,7 @@ def run(
 
         from rig.batch.beginning import begin
         from rig.batch.preparation import prepare
+        from rig.quantities import duration
 
         now = datetime.now().astimezone()
         prepared = prepare(file, bench, now, say)
@@ -66,7 +67,7 @@ def run(
         forecast = prepared.forecast
         over = f"over at {forecast.ends:%Y-%m-%d %H:%M:%S}"
         if prepared.bench is None:
-            over = f"to take {forecast.duration_s / 3600:.2f} h of the simulated benches' time"
+            over = f"to take {duration(forecast.duration_s)} of the simulated benches' time"
         say(f"batch {folder.path}: {len(prepared.plan.runs)} runs, expected {over}")
         _supervise(folder, as_json)
 
@@ -171,9 +172,10 @@ def _ask(word: str, told: str, folder: Path | None, results: Path, debug: bool) 
         found = find_folder(folder, results)
         with Queue.open(found.queue) as queue:
             if not found.is_held("supervisor"):
+                left = queue.left().runs
                 raise ConfigurationError(
                     f"batch {found.path} is not running ({queue.meta('state')})",
-                    f"go on with it: rig batch resume {found.path}",
+                    f"go on with it: rig batch resume {found.path}" if left else "it is over",
                 )
             queue.ask(word)
         say(f"batch {found.path}: {told}")

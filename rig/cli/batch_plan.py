@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
-from datetime import datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rig.cli.outcome import reported, say
+from rig.quantities import duration
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -126,7 +127,7 @@ def _summary(prepared: Prepared, free_B: int) -> Iterator[str]:
     name, runs = prepared.batch.batch.name, len(prepared.plan.runs)
     yield (
         f"{name}: {runs} runs of {len(prepared.plan.conditions)} conditions, "
-        f"{_duration(forecast.duration_s)} ± {_duration(forecast.spread_s)}, "
+        f"{duration(forecast.duration_s)} ± {duration(forecast.spread_s)}, "
         f"from {forecast.begins:%Y-%m-%d %H:%M:%S} to {forecast.ends:%Y-%m-%d %H:%M:%S}"
     )
     yield f"disk: about {_size(forecast.size_B)} of run files, {_size(free_B)} are free"
@@ -145,10 +146,6 @@ def _summary(prepared: Prepared, free_B: int) -> Iterator[str]:
             f"{one.record.valid_until.astimezone():%Y-%m-%d %H:%M}, during the batch: {then}; "
             "calibrate before"
         )
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds:.1f} s" if seconds < 60 else str(timedelta(seconds=round(seconds)))
 
 
 def _size(size_B: float) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from datetime import timedelta
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
@@ -18,6 +17,7 @@ from rich.progress import (
 
 from rig.cli.outcome import say, tell_failure
 from rig.errors import RigError
+from rig.quantities import duration
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,7 +61,7 @@ class ConsoleReporter:
         self._say(
             f"{self._name}: {len(points) - len(kept)} points to take"
             + (f", {len(kept)} kept before" if kept else "")
-            + f", about {_duration(left + overhead_s)} of bench time"
+            + f", about {duration(left + overhead_s)} of bench time"
         )
         if self._progress is not None:  # a plan before this one is done
             self._progress.stop()
@@ -165,7 +165,7 @@ def finish_dry_run(outcome: Outcome, as_json: bool) -> None:
         tell_failure(failure)
     say(
         f"dry run: {outcome.points_done} of {outcome.points_planned} points in "
-        f"{_duration(outcome.duration_s)} of bench time on the simulated bench; "
+        f"{duration(outcome.duration_s)} of bench time on the simulated bench; "
         "nothing was recorded"
     )
     if as_json:
@@ -187,7 +187,7 @@ def closing_line(name: str, outcome: Outcome) -> str:
         + (f" in {outcome.file}" if outcome.file else "")
     )
     if outcome.duration_s:
-        parts.append(f"{_duration(outcome.duration_s)} of bench time")
+        parts.append(f"{duration(outcome.duration_s)} of bench time")
     if outcome.journal is not None and outcome.file is None:
         parts.append(f"recover with: rig recover {outcome.journal}")
     elif outcome.journal is not None and outcome.points_done < outcome.points_planned:
@@ -212,9 +212,3 @@ def as_object(outcome: Outcome, figures: list[str]) -> dict[str, Any]:
         "warnings": outcome.warnings,
         "figures": figures,
     }
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    return str(timedelta(seconds=round(seconds)))
