@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from rig.documents import toml_value
 from rig.errors import ConfigurationError, InstrumentError, RigError
 from rig.imports import importing
+from rig.processor import Turns, let_run_anywhere
 
 if TYPE_CHECKING:
     from drivers.simulated.disk_faults import FaultyDisk
@@ -256,6 +257,8 @@ class StartedBench:
             stderr=subprocess.PIPE,
             start_new_session=True,  # a terminal's Ctrl-C is the run's business, not the bench's
         )
+        let_run_anywhere(self._process.pid)
+        self._turns: Turns | None = None
 
     def ready(self) -> dict[str, Any]:
         """Wait until the bench listens: ``control_port``, ``bench_toml``, ``recorded_toml``."""
@@ -270,11 +273,14 @@ class StartedBench:
             raise InstrumentError(
                 "simulated bench", "start", words[-1] if words else "the process ended at once"
             )
+        self._turns = Turns(self._process.pid)
         return answer
 
     def wait(self, timeout_s: float = 5.0) -> None:
         """Wait for the process to end; one that does not is ended. With it end the faults of the
         disk."""
+        if self._turns is not None:
+            self._turns.close()
         if self._disk is not None:
             self._disk.remove()
         try:

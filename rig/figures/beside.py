@@ -14,6 +14,7 @@ from pathlib import Path
 
 from rig.errors import RigError
 from rig.figures import FIGURES
+from rig.processor import let_run_anywhere
 
 PATIENCE_S = 120.0
 """How long a figure may take to be drawn."""
@@ -34,6 +35,8 @@ class Drawing:
             )
             for part in FIGURES.get(name, ())
         ]
+        for process in self._processes:
+            let_run_anywhere(process.pid)
 
     def begin(self, run_file: Path) -> None:
         """The file is there."""

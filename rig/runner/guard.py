@@ -27,6 +27,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rig.processor import let_run_anywhere
+
 if TYPE_CHECKING:
     from rig.bench import BenchPlan
 
@@ -129,6 +131,7 @@ class GuardLink:
             start_new_session=True,
             pass_fds=held,
         )
+        let_run_anywhere(self._process.pid)
         self._tell(json.dumps(order))
 
     @property
