@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments import Identity
+from rig.visa_library import import_visa
 
 if TYPE_CHECKING:
     from rig.clock import Clock
@@ -132,6 +133,7 @@ class VisaLink:
         """A new session; `message` is what it is wanted for."""
         import pyvisa
 
+        import_visa(self.resource)
         wait_ms = round(self._timeout_s * 1000)
         try:
             session: Any = pyvisa.ResourceManager("@py").open_resource(

@@ -9,8 +9,12 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from rig.figures.style import Together
 
 FIGURES = {
     "sweep": ("rig.figures.sweep:draw_data", "rig.figures.sweep:draw_model"),
@@ -28,9 +32,11 @@ def draw(name: str, run_file: Path, folder: Path | None = None) -> list[Path]:
     return [path for part in FIGURES[name] for path in draw_part(part, run_file, folder)]
 
 
-def draw_part(part: str, run_file: Path, folder: Path | None = None) -> list[Path]:
-    """Draw what one of the functions gives."""
-    from rig.figures.style import save
+def draw_part(
+    part: str, run_file: Path, folder: Path | None = None, together: Together | None = None
+) -> list[Path]:
+    """Draw what one of the functions gives; `together` may draw the pictures side by side."""
+    from rig.figures.style import one_by_one, save
     from rig.recording.runfile import RunFile
 
     beside = run_file if folder is None else folder / run_file.name
@@ -41,7 +47,10 @@ def draw_part(part: str, run_file: Path, folder: Path | None = None) -> list[Pat
             path
             for added, figure in draw_figures(run).items()
             for path in save(
-                figure, beside.with_stem(beside.stem + added), simulated=bool(run.outcome.simulated)
+                figure,
+                beside.with_stem(beside.stem + added),
+                bool(run.outcome.simulated),
+                together or one_by_one,
             )
         ]
 

@@ -1,7 +1,7 @@
-"""One part of a figure, drawn by a process of its own (see `rig.figures.beside`).
+"""Figures drawn by a process of their own (see `rig.figures.beside`).
 
-``python -m rig.figures MODULE:FUNCTION`` imports what the part needs, then waits for the run file's
-path on its standard input. One line of JSON answers: ``paths``, or ``error`` and ``hint``.
+``python -m rig.figures MODULE:FUNCTION ...`` imports what the parts need, then waits for the run
+file's path on its standard input. One line of JSON answers: ``paths``, or ``error`` and ``hint``.
 """
 
 from __future__ import annotations
@@ -9,11 +9,13 @@ from __future__ import annotations
 import json
 import os
 import sys
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
 from rig.errors import RigError
 from rig.figures import draw_part
+from rig.figures.forked import side_by_side
 from rig.imports import importing
 
 NICENESS = 5
@@ -23,17 +25,20 @@ NICENESS = 5
 def main() -> None:
     """Serve one request; an input that ends without one is none."""
     os.nice(NICENESS)
-    part = sys.argv[1]
+    parts = sys.argv[1:]
     with importing():
         from rig.figures.style import import_matplotlib
 
         import_matplotlib()
-        import_module(part.partition(":")[0])
+        for part in parts:
+            import_module(part.partition(":")[0])
     run_file = sys.stdin.readline().rstrip("\n")
     if not run_file:
         return
+    draw = partial(draw_part, run_file=Path(run_file), together=side_by_side)
     try:
-        answer: dict[str, object] = {"paths": [str(p) for p in draw_part(part, Path(run_file))]}
+        drawn = side_by_side([partial(draw, part) for part in parts])
+        answer: dict[str, object] = {"paths": [str(path) for paths in drawn for path in paths]}
     except RigError as error:
         answer = {"error": error.message, "hint": error.hint}
     except (OSError, ValueError) as error:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+T = TypeVar("T")
 
 STYLE: Any = {
     "font.size": 9,
@@ -30,7 +33,18 @@ NUMBERED_SPAN = 1e3
 """Over so large a ratio of frequencies the numbers at 2 and 5 would touch each other."""
 
 
-def save(figure: Figure, run_file: Path, simulated: bool) -> list[Path]:
+Together = Callable[[Sequence[Callable[[], Path]]], list[Path]]
+"""How several pictures are drawn: one after the other, or side by side."""
+
+
+def one_by_one(tasks: Sequence[Callable[[], T]]) -> list[T]:
+    """What the tasks give."""
+    return [task() for task in tasks]
+
+
+def save(
+    figure: Figure, run_file: Path, simulated: bool, together: Together = one_by_one
+) -> list[Path]:
     """Write the figure as PNG and SVG beside its run file, marked where it is simulated."""
     import matplotlib as mpl
 
@@ -46,20 +60,32 @@ def save(figure: Figure, run_file: Path, simulated: bool) -> list[Path]:
             va="center",
             rotation=20,
         )
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    png, svg = run_file.with_suffix(".png"), run_file.with_suffix(".svg")
     with mpl.rc_context(STYLE):
         _lay_out(figure)
-        # The canvases themselves: `savefig` draws everything once more before each of them.
-        canvas: Any = FigureCanvasAgg(figure)
-        with _whole(png) as part:
-            canvas.print_png(part)
-        canvas = FigureCanvasSVG(figure)
-        with _whole(svg) as part:
-            canvas.print_svg(part, metadata={"Date": None})
-    return [png, svg]
+        return together(
+            (partial(_save_png, figure, run_file), partial(_save_svg, figure, run_file))
+        )
+
+
+# The canvases themselves: `savefig` draws everything once more before each of them.
+
+
+def _save_png(figure: Figure, run_file: Path) -> Path:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas: Any = FigureCanvasAgg(figure)
+    with _whole(run_file.with_suffix(".png")) as part:
+        canvas.print_png(part)
+    return run_file.with_suffix(".png")
+
+
+def _save_svg(figure: Figure, run_file: Path) -> Path:
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    canvas: Any = FigureCanvasSVG(figure)
+    with _whole(run_file.with_suffix(".svg")) as part:
+        canvas.print_svg(part, metadata={"Date": None})
+    return run_file.with_suffix(".svg")
 
 
 @contextlib.contextmanager

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from rig.imports import importing
+from rig.visa_library import import_visa
 
 if TYPE_CHECKING:
     from rig.bench import BenchFactory, BenchPlan, Fixture, RunningBench
@@ -30,8 +31,8 @@ STARTING: dict[Fixture, str] = {
     "plate": f"skin above its plate; {FIRST_TIME}",
     "semi-spherical-object": f"skin above a head on the rotary stage; {FIRST_TIME}",
 }
-LIBRARIES_OF_LINKS = ("pyvisa_py.highlevel", "pymodbus.client", "serial")
-"""What the simulated bench's drivers import when they connect."""
+LIBRARIES_OF_LINKS = ("pymodbus.client", "serial")
+"""What drivers import when they connect, besides what VISA needs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,6 +155,7 @@ class Choosing:
         with importing():
             for name in ("rig.recording.compiled", "rig.runner.execution", *LIBRARIES_OF_LINKS):
                 import_module(name)
+            import_visa()
             self.meanwhile()
 
 

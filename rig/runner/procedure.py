@@ -27,13 +27,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rig.bench import Fixture
 from rig.recording.layout import Layout
 from rig.runner.points import Point, Reading
-from rig.runner.run import Run
 from rig.settings import Settings
+
+if TYPE_CHECKING:
+    from rig.runner.run import Run
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
-
-import numpy.typing as npt
+from typing import TYPE_CHECKING, Any
 
 from rig.bench import WAITS_PER_CALL, Bench
 from rig.clock import Clock
@@ -17,6 +15,9 @@ from rig.runner.arming import OFF_DEADLINE_S, Arming
 from rig.runner.force import ForceMonitor
 from rig.runner.holds import Holds
 from rig.runner.points import Reading
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 
 class Run:

@@ -12,7 +12,7 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-from drivers.simulated.bench import Options
+from drivers.simulated.options import Options
 from rig.recording.contents import read_journal
 from rig.recording.runfile import RunFile
 from rig.recording.verify import verify
@@ -163,7 +163,7 @@ def test_a_run_killed_while_it_starts_leaves_no_bench_behind(rig):
 def test_a_bench_whose_owner_died_before_it_listened_ends_by_itself(rig):
     options = Options(slaved=True, world_log=str(rig.world_log), linger_s=0.1)
     bench = subprocess.Popen(
-        [sys.executable, "-m", "drivers.simulated.bench", json.dumps(asdict(options))],
+        [sys.executable, "-m", "drivers.simulated.process", json.dumps(asdict(options))],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
     )

@@ -14,8 +14,9 @@ from typing import Any
 
 import pytest
 
-from drivers.simulated.bench import Options, start
+from drivers.simulated.bench import start
 from drivers.simulated.control import LONGEST_ADVANCE_US, ControlServer
+from drivers.simulated.options import Options
 from drivers.simulated.world import World, WorldSettings
 
 PATIENCE_S = 30.0

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 from drivers.simulated.axis import Axis, Command, Mechanics
-from drivers.simulated.bench import Options, start
+from drivers.simulated.bench import start
 from drivers.simulated.me_gsv8 import NOISE_MV_V, Sensor
+from drivers.simulated.options import Options
 from rig.bench import Bench, connect, parse_bench
 from rig.cache import DiskCache
 from rig.clock import ControlLink, SlavedClock
