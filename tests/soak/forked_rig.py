@@ -15,9 +15,14 @@ from rig.cli import main
 for name in (
     *("h5py", "numpy", "pymodbus.client", "pyvisa_py.highlevel", "serial", "scipy.optimize"),
     *("rig.cli.procedures", "rig.cli.report", "rig.recording.compiled", "rig.runner.execution"),
-    *("procedures.sweep", "procedures.slip_trial"),
+    *("procedures.sweep", "procedures.slip_trial", "procedures.roll_trial"),
     *("drivers.festo_cmmt", "drivers.keysight_33500b", "drivers.keysight_u2300a"),
-    *("drivers.me_gsv8", "drivers.simulated.bench", "drivers.simulated.disk_faults"),
+    *(
+        "drivers.me_gsv8",
+        "drivers.simulated.bench",
+        "drivers.simulated.disk_faults",
+        "drivers.zaber_rst",
+    ),
 ):
     importlib.import_module(name)
 

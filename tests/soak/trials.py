@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from drivers.simulated.fault_plan import BEFALLEN, FORCE_STREAM, ROTARY, STAGE_X
+from drivers.simulated.fault_plan import BEFALLEN, DEVICES, FORCE_STREAM, ROTARY, STAGE_X
 
 Fault = dict[str, Any]
 
 SWEEP_WORLD = "[watch]\nforce_limit_N = 40.0\n"
-SLIP_WORLD = "skin_mount.contact_mm = 12.05\n[watch]\nforce_limit_N = 15.0\n"
+SKIN_WORLD = "skin_mount.contact_mm = 12.05\n[watch]\nforce_limit_N = 15.0\n"
 """Contact soon after the search begins."""
 RUNAWAY_WORLD = "reaction_s = 0.06\n"
 """What runs into the film at travel speed, 10 mm/s, takes 50 ms to brake at 200 mm/s^2."""
@@ -34,6 +34,7 @@ COMMANDS = {
     "stage_z": ("FC3 100", "FC16 0"),
     "stage_x": ("FC3 100", "FC16 0"),
     "force_sensor": ("23", "24", "8B"),
+    ROTARY: ("move abs", "get pos", "stop"),
 }
 
 
@@ -57,22 +58,31 @@ class Trial:
         return as_toml(self.faults)
 
 
-KINDS = tuple(kind for kind, able in BEFALLEN.items() if set(able) - {ROTARY})
-"""That befall sweeps and slip trials; roll trials are not among what is drawn."""
+KINDS = tuple(BEFALLEN)
+ROTARY_KINDS = tuple(kind for kind, able in BEFALLEN.items() if set(able) == {ROTARY})
+"""That befall roll trials alone."""
 
 
-def draw(seed: int, slip_share: float = 0.15) -> Trial:
-    """The trial of a seed; a share of them are slip trials, which take longer."""
+def draw(seed: int, slip_share: float = 0.15, roll_share: float = 0.05) -> Trial:
+    """The trial of a seed; shares of them are slip and roll trials, which take longer. Of what goes
+    wrong in a roll trial half befalls the stage that only it has."""
     chance = random.Random(seed)
-    slip = chance.random() < slip_share
-    arguments = _slip(chance) if slip else _sweep(chance)
-    devices = {STAGE_X} if slip else {"generator"}
-    absent = {"generator", STAGE_X, ROTARY} - devices
-    faults = tuple(fault(chance, absent) for _ in range(chance.choice((1, 1, 2, 3))))
-    world = SLIP_WORLD if slip else SWEEP_WORLD
+    which = chance.random()
+    rotary_share = 0.0
+    if which < slip_share:
+        arguments, world, absent = _slip(chance), SKIN_WORLD, {"generator", ROTARY}
+    elif which < slip_share + roll_share:
+        arguments, world, absent = _roll(chance), SKIN_WORLD, {"generator"}
+        rotary_share = 0.5
+    else:
+        arguments, world, absent = _sweep(chance), SWEEP_WORLD, {STAGE_X, ROTARY}
+    faults = []
+    for _ in range(chance.choice((1, 1, 2, 3))):
+        only_rotary = rotary_share and chance.random() < rotary_share
+        faults.append(fault(chance, {*DEVICES} - {ROTARY} if only_rotary else absent))
     if any(fault["kind"] == "runaway" for fault in faults):
         world += RUNAWAY_WORLD
-    return Trial(seed, (*arguments, "--seed", str(seed % 1000)), world, faults)
+    return Trial(seed, (*arguments, "--seed", str(seed % 1000)), world, tuple(faults))
 
 
 def as_toml(faults: Iterable[Fault]) -> str:
@@ -111,6 +121,18 @@ def _slip(chance: random.Random) -> tuple[str, ...]:
         "--rest", "100ms",
         "--normal-force", f"{chance.uniform(2, 5):.1f}N",
         "--direction", chance.choice(("+x", "-x")),
+    )  # fmt: skip
+
+
+def _roll(chance: random.Random) -> tuple[str, ...]:
+    return (
+        "roll-trial",
+        "--angle", f"{chance.uniform(1.5, 3.5):.2f}deg",
+        "--start", f"{chance.uniform(-6, 0):.2f}mm",
+        "--rest", "100ms",
+        "--stay", "100ms",
+        "--normal-force", f"{chance.uniform(2, 5):.1f}N",
+        "--alignment", chance.choice(("compensate", "measure", "none")),
     )  # fmt: skip
 
 
