@@ -59,6 +59,12 @@ HELD = 0.01
 HOLD_S = 0.3
 PATIENCE_S = 15.0
 """From contact to a held force, at most."""
+GONE_S = 0.1
+"""What was felt and is not there for so long was no contact: something has shaken the sensor."""
+CREEP_PATIENCE_S = 60.0
+"""Until a held film creeps slowly enough to leave it alone, at most."""
+WORTH_mm = 0.002
+"""A move at least so far tells the film's stiffness."""
 
 
 @dataclass
@@ -77,12 +83,30 @@ class Preload:
     """Where the stage was told to be."""
     zero: ForceZero = field(default_factory=ForceZero)
     """Of the force sensor, before the film was touched."""
+    _moved: tuple[float, float] | None = None
+    """How far the latest move went, mm, and the force before it."""
+
+    def hold(self, run: Run, stretch_s: float, pause_s: float) -> None:
+        """Follow the film until it creeps slowly; InstrumentError where it does not come to that.
+        A move has its effect within `pause_s`."""
+        give_up_s = run.clock.now() + CREEP_PATIENCE_S
+        while self.follow(run, stretch_s):
+            run.clock.sleep(stretch_s + pause_s)
+            if run.clock.now() > give_up_s:
+                raise InstrumentError(
+                    "stage_z",
+                    "preload",
+                    f"{felt_N(run, stretch_s):.4g} N, followed for {CREEP_PATIENCE_S:g} s and not "
+                    f"within {100 * CLOSE:g} % of {self.target_N:g} N",
+                    "look at the film and its clamp: something gives way, or the stage hunts",
+                )
 
     def follow(self, run: Run, stretch_s: float) -> bool:
         """Bring the mean force of the latest stretch back where the film has crept; one small move
         at most, and whether there was one. The stretch has to be of whole periods of what
         vibrates."""
         missing_N = self.target_N - felt_N(run, stretch_s)
+        self._learn_stiffness(self.target_N - missing_N)
         if abs(missing_N) <= CLOSE * self.target_N:
             return False
         if abs(missing_N) > 0.2 * self.target_N:
@@ -92,9 +116,22 @@ class Preload:
                 "look at the film and its clamp: something has given way",
             )
         creep_N = CLOSE * self.target_N if missing_N > 0 else 0.0  # it will go on creeping
-        self.position_mm += (missing_N + creep_N) / self.stiffness_N_mm
+        step_mm = (missing_N + creep_N) / self.stiffness_N_mm
+        self.position_mm += step_mm
+        self._moved = step_mm, self.target_N - missing_N
         run.bench.stage_z.start_move(self.position_mm, RISE_N_s / self.stiffness_N_mm)
         return True
+
+    def _learn_stiffness(self, force_N: float) -> None:
+        """A film that answered the latest move with more than was expected is stiffer than it was
+        taken for, since the force rises faster the further it is pressed, or since contact was felt
+        too early: moves that are too long would never come to an end."""
+        if self._moved is None:
+            return
+        (step_mm, before_N), self._moved = self._moved, None
+        if abs(step_mm) >= WORTH_mm:
+            shown_N_mm = (force_N - before_N) / step_mm
+            self.stiffness_N_mm = max(self.stiffness_N_mm, min(shown_N_mm, FIRST_STIFFNESS_N_mm))
 
 
 def refuse_impossible(preload_N: float, load_N: float, share: float) -> None:
@@ -116,8 +153,8 @@ def press(run: Run, target_N: float) -> Preload:
     park(run, "preload", lambda: unload(run, "film"))
     zero = tare_in_free_air(run)
     come_close(run, CONTACT_N, LOOK_S, LOOK_AROUND_S)
-    contact_mm = _approach(run, first_mm, last_mm)
-    pressed = _press_from(run, contact_mm, target_N)
+    while (pressed := _press_from(run, _approach(run, first_mm, last_mm), target_N)) is None:
+        run.event("warning", "preload", "what was felt is gone again: the approach goes on")
     pressed.zero = zero
     return pressed
 
@@ -157,15 +194,21 @@ def _approach(run: Run, first_mm: float, last_mm: float) -> float:
     raise nothing_felt(run, felt_N(run, LOOK_S), CONTACT_N, check)
 
 
-def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload:
-    """From contact to the held preload: small targets ahead of the stage, as stiff as it proves."""
+def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload | None:
+    """From contact to the held preload: small targets ahead of the stage, as stiff as it proves;
+    None where it was no contact."""
     stage, clock = run.bench.stage_z, run.clock
     start_s, held_since_s = clock.now(), None
+    felt_s = start_s
     stiffness, largest_N = FIRST_STIFFNESS_N_mm, 0.0
     target_mm = contact_mm
     while clock.now() - start_s < PATIENCE_S:
         force_N = felt_N(run, LOOK_S)
         largest_N = max(largest_N, force_N)
+        if force_N > CONTACT_N / 2:
+            felt_s = clock.now()
+        elif clock.now() - felt_s >= GONE_S:
+            return None
         here_mm = stage.position_mm()
         pressed_mm = here_mm - contact_mm
         if pressed_mm > KNOWN_AFTER_mm:

@@ -75,8 +75,7 @@ class Memory:
 
     def hold_preload(self, run: Run) -> None:
         """While nothing vibrates yet: follow the film's creep until it is slow."""
-        while self.preload.follow(run, FOLLOW_S):
-            run.clock.sleep(FOLLOW_S + FOLLOWED_S)
+        self.preload.hold(run, FOLLOW_S, FOLLOWED_S)
 
     def follow_preload(self, run: Run) -> None:
         """Follow the film's creep by the mean force over whole periods of the present vibration."""

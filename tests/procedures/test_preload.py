@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from procedures import preload
+from rig.errors import InstrumentError
 from rig.instruments import Reach
 
 CONTACT_mm, TARGET_N = 12.6, 25.0
@@ -61,6 +63,56 @@ def test_a_late_force_neither_ends_the_way_to_the_preload_nor_sends_the_stage_fa
     bench = Bench(stiffness_N_mm, late_ms)
     run = SimpleNamespace(bench=SimpleNamespace(stage_z=bench), clock=bench, force=bench)
     pressed = preload._press_from(run, CONTACT_mm, TARGET_N)  # type: ignore[arg-type]
+    assert pressed is not None
     assert pressed.reached_N == pytest.approx(TARGET_N, rel=0.02)
     assert bench.farthest_ahead_mm <= 0.051
     assert max(bench.known) < 1.1 * TARGET_N
+
+
+def test_what_was_felt_and_is_gone_is_no_contact() -> None:
+    bench = Bench(90.0, 5)
+    run = SimpleNamespace(bench=SimpleNamespace(stage_z=bench), clock=bench, force=bench)
+    bench.position = CONTACT_mm - 0.4  # the sensor was shaken: nothing is touched yet
+    bench.known = deque([0.0] * 6, maxlen=6)
+    assert preload._press_from(run, bench.position, TARGET_N) is None  # type: ignore[arg-type]
+    assert bench.position < CONTACT_mm
+
+
+def held(stiffness_N_mm: float, taken_for_N_mm: float) -> tuple[Bench, preload.Preload, object]:
+    """A film under less than its preload, and stiffer or softer than it is taken for."""
+    bench = Bench(stiffness_N_mm, 5)
+    bench.position = bench.target = CONTACT_mm + 0.95 * TARGET_N / stiffness_N_mm
+    bench.sleep(0.01)
+    run = SimpleNamespace(bench=SimpleNamespace(stage_z=bench), clock=bench, force=bench)
+    pressed = preload.Preload(
+        TARGET_N, CONTACT_mm, taken_for_N_mm, TARGET_N, 0.0, 0.0, bench.position
+    )
+    return bench, pressed, run
+
+
+@pytest.mark.parametrize("taken_for_N_mm", [20.0, 35.0, 90.0, 300.0])
+def test_a_film_that_is_stiffer_than_it_seemed_is_not_hunted_for(taken_for_N_mm: float) -> None:
+    bench, pressed, run = held(90.0, taken_for_N_mm)
+    pressed.hold(run, 0.05, 0.02)  # type: ignore[arg-type]
+    assert bench.known[0] == pytest.approx(TARGET_N, rel=preload.CLOSE)
+    assert bench.now() < 2.0
+
+
+def test_a_film_that_never_comes_to_rest_is_told_in_time() -> None:
+    bench, pressed, run = held(90.0, 90.0)
+    bench.sleep = _giving_way(bench)  # type: ignore[method-assign]
+    with pytest.raises(InstrumentError, match=r"followed for 60 s and not within 0\.2 % of 25 N"):
+        pressed.hold(run, 0.05, 0.02)  # type: ignore[arg-type]
+    assert preload.CREEP_PATIENCE_S < bench.now() < preload.CREEP_PATIENCE_S + 1
+
+
+def _giving_way(bench: Bench) -> Callable[[float], None]:
+    """A film that loses force as fast as the stage gives it some."""
+    steady = bench.sleep
+
+    def sleep(seconds: float) -> None:
+        steady(seconds)
+        for k in range(len(bench.known)):
+            bench.known[k] = 0.96 * TARGET_N
+
+    return sleep
