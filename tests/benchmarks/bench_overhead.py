@@ -72,6 +72,12 @@ class Silent:
     def event(self, level, message):
         pass
 
+    def storing(self):
+        pass
+
+    def stored(self, run_file):
+        pass
+
 
 @pytest.fixture
 def real_time_bench(rig):

@@ -59,7 +59,7 @@ def test_help(tmp_path):
 
     heading("./run rig sweep --help (warm)")
     _, printed = measured("whole process", ["rig", "sweep", "--help"], tmp_path, 10)
-    assert "--amplitude" in printed
+    assert "--load" in printed
 
     heading("./run true (the script itself)")
     measured("whole process", ["true"], tmp_path, 20)
