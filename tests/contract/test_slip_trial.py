@@ -232,7 +232,7 @@ def test_a_drive_that_fails_in_a_slide_leaves_the_skin_pressed_and_says_so(rig):
 
 
 def test_a_force_over_the_limit_lifts_off_and_ends_the_run_after_one_retake(rig):
-    ended = rig.run(*arguments(rig, *SHORT, "--largest-force", "4.02N"))
+    ended = rig.run(*arguments(rig, *SHORT, "--largest-force", "4.01N"))
     assert ended.code == 4, ended.stderr
     assert "retaking point trial-001 once" in ended.stderr
     assert_off_the_plate(rig)
