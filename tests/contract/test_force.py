@@ -50,6 +50,20 @@ def test_a_sweep_presses_holds_and_parks(rig):
         assert run.column("load_amplitude") == pytest.approx(1.0, rel=0.01)
 
 
+@pytest.mark.stages("festo", because="the push has to fall into the approach")
+def test_a_push_in_free_air_is_no_contact_and_the_stage_does_not_hunt_for_the_preload(rig):
+    push = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nafter_s = 3.0\n'
+    plan = rig.fault(push + "force_N = 2.1\nfor_s = 0.16\n")
+    ended = rig.sweep(*SHORT, "--preload", "23.6N", "--fault", plan)
+    assert ended.code == 0, ended.stderr
+    with RunFile.open(rig.only("*.h5")) as run:
+        said = [message.decode() for message in run.entry["events/message"][()]]
+        assert "what was felt is gone again: the approach goes on" in said
+        assert run.column("preload") == pytest.approx(23.6, rel=0.02)
+    stood = [x for x in rig.log() if (x["device"], x["what"]) == ("stage_z", "at-rest")]
+    assert len(stood) < 25
+
+
 def test_a_force_over_its_limit_trips_and_the_point_is_retaken_once(rig):
     ended = rig.sweep(*SHORT, "--fault", rig.fault(spikes(LISTENING + 2)))
     assert ended.code == 0, ended.stderr
