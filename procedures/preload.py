@@ -205,12 +205,12 @@ def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload | None:
     while clock.now() - start_s < PATIENCE_S:
         force_N = felt_N(run, LOOK_S)
         largest_N = max(largest_N, force_N)
-        if force_N > CONTACT_N / 2:
+        here_mm = stage.position_mm()
+        pressed_mm = here_mm - contact_mm
+        if force_N > CONTACT_N / 2 or pressed_mm > KNOWN_AFTER_mm:  # a film does not go away
             felt_s = clock.now()
         elif clock.now() - felt_s >= GONE_S:
             return None
-        here_mm = stage.position_mm()
-        pressed_mm = here_mm - contact_mm
         if pressed_mm > KNOWN_AFTER_mm:
             stiffness = max((force_N - CONTACT_N) / pressed_mm, 1e-3)
         missing_N = target_N - force_N

@@ -1,7 +1,7 @@
 """One processor for two processes that take turns.
 
 In slaved time a command and its simulated bench never work at once: each waits for the other's
-answer, tens of thousands of times a run. On two processors every turn has to wake a processor up,
+answer, some six thousand times a sweep. On two processors every turn has to wake a processor up,
 which on a virtual machine may cost more than the turn itself; on one it is a switch. A claim on the
 processor keeps two such pairs from sharing one: whoever finds none free goes without. Elsewhere
 than on Linux all of this does nothing.

@@ -90,11 +90,7 @@ resource = "{endpoints.generator}"
 timeout_s = {LINK_TIMEOUT_S}
 max_amplitude_V = 10.0
 
-[daq]
-driver = "keysight-u2300a"
-resource = "{endpoints.daq}"
-timeout_s = {LINK_TIMEOUT_S}
-channels = {{ load_cell = 101, film = 102 }}
+{_daq_table(endpoints, "load_cell = 101, film = 102")}
 
 {_stage_table(options, endpoints, "z", 14.0, 45.0)}"""
 
@@ -105,14 +101,18 @@ name = "simulated skin {options.seed}"
 amplifier_gain = 1000.0
 ridge = 3
 
-[daq]
-driver = "keysight-u2300a"
-resource = "{endpoints.daq}"
-timeout_s = {LINK_TIMEOUT_S}
-channels = {{ strip_1 = 101, strip_2 = 102 }}
+{_daq_table(endpoints, "strip_1 = 101, strip_2 = 102")}
 
 {_stage_table(options, endpoints, "z", 14.0, 45.0)}
 {_stage_table(options, endpoints, "x", 40.0, 30.0)}{_rotary_table(options, endpoints)}"""
+
+
+def _daq_table(endpoints: Endpoints, channels: str) -> str:
+    return f"""[daq]
+driver = "keysight-u2300a"
+resource = "{endpoints.daq}"
+timeout_s = {LINK_TIMEOUT_S}
+channels = {{ {channels} }}"""
 
 
 def _rotary_table(options: Options, endpoints: Endpoints) -> str:

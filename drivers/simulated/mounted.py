@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from drivers.simulated.bench_file import AZ_STEPS_PER_MM, SKIN_UNIT_MM, Endpoints
+from drivers.simulated.fault_plan import FORCE_SENSOR
 from drivers.simulated.options import HEAD, Options, Stages, drive_kind
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from drivers.simulated.world import World
     from drivers.simulated.zaber_rst import RotaryStage
 
-FORCE_SENSOR = "force_sensor"
 
 AZ_LINE = "stages"
 """The serial line of the AZ pair, whose units are z and x in this order."""

@@ -35,8 +35,8 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
             )
     with importing():
         from drivers.simulated.control import ControlServer
-        from drivers.simulated.fault_plan import TimedFault
-        from drivers.simulated.mounted import FORCE_SENSOR, Instruments
+        from drivers.simulated.fault_plan import FORCE_SENSOR, TimedFault
+        from drivers.simulated.mounted import Instruments
         from drivers.simulated.world import World
 
         settings = world_settings(options)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 import os
 import selectors
-import signal
 import subprocess
 import sys
 import time
@@ -162,7 +161,8 @@ class Supervisor:
                         self._hear(line)
                 if self._stop.requested is not None and not told_to_stop:
                     told_to_stop = True
-                    self._say(worker, f"signal {self._stop.requested.value}")
+                    asked = self._stop.requested
+                    self._say(worker, f"signal {asked.value}", f"stop by {asked.name}")
                 for word in self._queue.asked():
                     self._say(worker, word)
                 self._look_around()
@@ -173,11 +173,10 @@ class Supervisor:
             worker.stdin.close()
         return worker.returncode
 
-    def _say(self, worker: subprocess.Popen[bytes], word: str) -> None:
+    def _say(self, worker: subprocess.Popen[bytes], word: str, told: str = "") -> None:
+        """Pass on what was asked for, `told` to a person in these words."""
         assert worker.stdin is not None
-        number = word.removeprefix("signal ")
-        told = word if number == word else f"stop by {signal.Signals(int(number)).name}"
-        self._queue.tell("info", f"asked for: {told}")
+        self._queue.tell("info", f"asked for: {told or word}")
         try:
             worker.stdin.write(word.encode() + b"\n")
             worker.stdin.flush()
