@@ -51,7 +51,8 @@ KNOWN_AFTER_mm = 0.02
 """Compression from which the film's own stiffness is believed."""
 AHEAD_S = 0.1
 """Of motion at the wanted speed: how far ahead of the stage its target is put at most, so that a
-program that is late does not press on, and a stiffness that came out wrong does no harm."""
+program that is late does not press on, nor one that hangs until the drive has noticed, and a
+stiffness that came out wrong does no harm."""
 CLOSE = 0.002
 """Relative error of the force that is left alone."""
 HELD = 0.01
@@ -63,6 +64,8 @@ GONE_S = 0.1
 """What was felt and is not there for so long was no contact: something has shaken the sensor."""
 CREEP_PATIENCE_S = 60.0
 """Until a held film creeps slowly enough to leave it alone, at most."""
+BOTTOM_mm = 0.002
+"""So near to contact_to_mm is there."""
 WORTH_mm = 0.002
 """A move at least so far tells the film's stiffness."""
 
@@ -176,19 +179,16 @@ def duration_s(fixture: FixtureSettings, target_N: float, homed: bool) -> float:
 
 
 def _approach(run: Run, first_mm: float, last_mm: float) -> float:
-    """Go on slowly until something is felt; where that was."""
+    """Go on slowly until something is felt, small targets ahead of the stage; where that was."""
     stage = run.bench.stage_z
-    stage.start_move(last_mm, APPROACH_mm_s)
-    moving = True
-    while moving:
+    while (here_mm := stage.position_mm()) < last_mm - BOTTOM_mm:
+        stage.start_move(min(here_mm + AHEAD_S * APPROACH_mm_s, last_mm), APPROACH_mm_s)
         run.clock.sleep(LOOK_AROUND_S)
-        here_mm = stage.position_mm()
-        force_N = felt_N(run, LOOK_S)
-        if force_N > CONTACT_N:
-            if here_mm < first_mm:
+        if (force_N := felt_N(run, LOOK_S)) > CONTACT_N:
+            touched_mm = stage.position_mm()
+            if touched_mm < first_mm:
                 refuse_early_contact(run, force_N, CONTACT_N)
-            return here_mm
-        moving = stage.moving()
+            return touched_mm
     stage.stop()
     check = "the film is clamped and the force sensor connected"
     raise nothing_felt(run, felt_N(run, LOOK_S), CONTACT_N, check)

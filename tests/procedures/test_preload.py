@@ -35,9 +35,8 @@ class Bench:
             self.now_ms += 1
             step = 1e-3 * self.speed
             self.position += min(max(self.target - self.position, -step), step)
-            self.known.append(
-                preload.CONTACT_N + self.stiffness_N_mm * (self.position - CONTACT_mm)
-            )
+            pressed_N = preload.CONTACT_N + self.stiffness_N_mm * (self.position - CONTACT_mm)
+            self.known.append(max(pressed_N, 0.0))
 
     def mean_N(  # noqa: N802 - the unit keeps its capital
         self, seconds: float
@@ -67,6 +66,30 @@ def test_a_late_force_neither_ends_the_way_to_the_preload_nor_sends_the_stage_fa
     assert pressed.reached_N == pytest.approx(TARGET_N, rel=0.02)
     assert bench.farthest_ahead_mm <= 0.051
     assert max(bench.known) < 1.1 * TARGET_N
+
+
+def test_a_program_that_stands_still_on_the_way_to_contact_does_not_press_on() -> None:
+    bench = Bench(90.0, 5)
+    bench.position = bench.target = CONTACT_mm - 0.1
+    bench.known = deque([0.0] * 6, maxlen=6)
+    in_free_air = SimpleNamespace(now=bench.now, sleep=_standing_still(bench, CONTACT_mm))
+    run = SimpleNamespace(bench=SimpleNamespace(stage_z=bench), clock=in_free_air, force=bench)
+    felt_mm = preload._approach(run, CONTACT_mm - 0.2, 13.0)  # type: ignore[arg-type]
+    assert bench.now() > 3.0
+    assert CONTACT_mm < felt_mm < CONTACT_mm + 0.051
+    assert max(bench.known) < 90.0 * 0.051
+
+
+def _standing_still(bench: Bench, at_mm: float) -> Callable[[float], None]:
+    """For 3 s once the stage has come so far; nothing is touched before the film."""
+
+    def sleep(seconds: float) -> None:
+        before_mm = bench.position
+        bench.sleep(seconds)
+        if before_mm < at_mm <= bench.position:
+            bench.sleep(3.0)
+
+    return sleep
 
 
 def test_what_was_felt_and_is_gone_is_no_contact() -> None:
