@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 TRAVEL_mm_s = 10.0
 CLEAR_mm = 0.3
 """Where the quick way ends, before the earliest contact."""
+BOTTOM_mm = 0.002
+"""So near to the latest contact is there."""
 TARE_S = 0.2
 """Stretch of force that the zero is the mean of; the rest before it is twice as long."""
 UNLOAD_DEADLINE_S = 20.0
@@ -154,6 +156,17 @@ def nothing_felt(run: Run, force_N: float, contact_N: float, check: str) -> Inst
         f"no contact is felt down to {contact_range_mm(run.bench)[1]:g} mm (contact_to_mm): "
         f"force_sensor reads {force_N:.2g} N, contact means {contact_N:g} N",
         f"check that {check}; correct [fixture]",
+    )
+
+
+def not_there(run: Run, within_s: float) -> InstrumentError:
+    """That z has not come to the latest contact, and felt nothing, in more time than it needs."""
+    return InstrumentError(
+        "stage_z",
+        "approach",
+        f"it stands at {run.bench.stage_z.position_mm():.3f} mm after {within_s:.3g} s of approach "
+        f"and has not come to {contact_range_mm(run.bench)[1]:g} mm (contact_to_mm)",
+        "look what holds the stage; then start again",
     )
 
 

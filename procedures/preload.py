@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING
 from procedures.contact import (
     HOMING_S,
     TARE_S,
+    BOTTOM_mm,
     ForceZero,
     come_close,
     contact_range_mm,
     expected_contact_mm,
     felt_N,
+    not_there,
     nothing_felt,
     park,
     refuse_early_contact,
@@ -43,6 +45,8 @@ LOOK_S = 0.005
 CONTACT_N = 0.4
 """Force that means contact: far above the sensor's noise, far below the preload."""
 APPROACH_mm_s = 0.5
+LATE_S = 1.0
+"""Beyond what the approach needs at this speed, before it is ended."""
 RISE_N_s = 25.0
 """How fast the force may rise."""
 FIRST_STIFFNESS_N_mm = 1000.0
@@ -64,8 +68,6 @@ GONE_S = 0.1
 """What was felt and is not there for so long was no contact: something has shaken the sensor."""
 CREEP_PATIENCE_S = 60.0
 """Until a held film creeps slowly enough to leave it alone, at most."""
-BOTTOM_mm = 0.002
-"""So near to contact_to_mm is there."""
 WORTH_mm = 0.002
 """A move at least so far tells the film's stiffness."""
 
@@ -180,10 +182,15 @@ def duration_s(fixture: FixtureSettings, target_N: float, homed: bool) -> float:
 
 def _approach(run: Run, first_mm: float, last_mm: float) -> float:
     """Go on slowly until something is felt, small targets ahead of the stage; where that was."""
-    stage = run.bench.stage_z
+    stage, clock = run.bench.stage_z, run.clock
+    patience_s = (last_mm - stage.position_mm()) / APPROACH_mm_s + LATE_S
+    begin_s = clock.now()
     while (here_mm := stage.position_mm()) < last_mm - BOTTOM_mm:
+        if clock.now() - begin_s > patience_s:
+            stage.stop()
+            raise not_there(run, patience_s)
         stage.start_move(min(here_mm + AHEAD_S * APPROACH_mm_s, last_mm), APPROACH_mm_s)
-        run.clock.sleep(LOOK_AROUND_S)
+        clock.sleep(LOOK_AROUND_S)
         if (force_N := felt_N(run, LOOK_S)) > CONTACT_N:
             touched_mm = stage.position_mm()
             if touched_mm < first_mm:

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from procedures.contact import (
+    BOTTOM_mm,
     CLEAR_mm,
     TRAVEL_mm_s,
     come_close,
     contact_range_mm,
     felt_N,
+    not_there,
     nothing_felt,
     refuse_early_contact,
     tare_in_free_air,
@@ -48,8 +50,6 @@ if TYPE_CHECKING:
 LOOK_S = 0.004
 """Stretch of force that a tick looks at: shorter is noisier, longer is later."""
 SLOWEST_mm_s = 0.01
-BOTTOM_mm = 0.002
-"""So near to contact_to_mm is there."""
 TAP = 0.15
 """Of the normal force: what the tap lets go. The clocks need a twentieth (`clock_offset`)."""
 TAP_mm_s = 1.0
@@ -253,7 +253,7 @@ class PressedTrial:
         self._loop(search_s + PATIENCE_S, look)
         if not arrived:
             self.z.stop()
-            self._refuse_no_force(touched)
+            self._refuse_no_force(touched, search_s + PATIENCE_S)
 
     def _tap(self) -> None:
         """Let go a little and press on again: a force that only rises would not tell how far the
@@ -381,7 +381,7 @@ class PressedTrial:
 
     # --- what can be wrong ----------------------------------------------------------------------
 
-    def _refuse_no_force(self, touched: bool) -> None:
+    def _refuse_no_force(self, touched: bool, within_s: float) -> None:
         here_mm, force_N = self.z.position_mm(), self._force_N()
         if touched:
             raise InstrumentError(
@@ -390,6 +390,8 @@ class PressedTrial:
                 f"{force_N:.3g} N at {here_mm:.3f} mm, {self.settings.normal_force_N:g} N wanted",
                 "look at the skin and the object; correct contact_to_mm if it may go further",
             )
+        if here_mm < contact_range_mm(self.bench)[1] - BOTTOM_mm:
+            raise not_there(self.run, within_s)
         check = "the object stands on the force sensor and that the sensor is connected"
         raise nothing_felt(self.run, force_N, CONTACT_N, check)
 

@@ -50,6 +50,9 @@ class Bench:
         self.target, self.speed = position_mm, speed_mm_s
         self.farthest_ahead_mm = max(self.farthest_ahead_mm, position_mm - self.position)
 
+    def stop(self) -> None:
+        self.target = self.position
+
     def reach(self) -> dict[str, Reach]:
         return {"position": REACH}
 
@@ -78,6 +81,22 @@ def test_a_program_that_stands_still_on_the_way_to_contact_does_not_press_on() -
     assert bench.now() > 3.0
     assert CONTACT_mm < felt_mm < CONTACT_mm + 0.051
     assert max(bench.known) < 90.0 * 0.051
+
+
+def test_a_stage_that_stands_in_free_air_is_told_in_time() -> None:
+    bench = Bench(90.0, 5)
+    bench.position = bench.target = CONTACT_mm - 0.2
+    bench.known = deque([0.0] * 6, maxlen=6)
+    bench.start_move = lambda position_mm, speed_mm_s: None  # type: ignore[method-assign]
+    fixture = SimpleNamespace(contact_from_mm=12.0, contact_to_mm=13.0)
+    settings = SimpleNamespace(fixture=fixture)
+    run = SimpleNamespace(
+        bench=SimpleNamespace(stage_z=bench, settings=settings), clock=bench, force=bench
+    )
+    told = r"stands at 12\.400 mm after 2\.2 s of approach and has not come to 13 mm"
+    with pytest.raises(InstrumentError, match=told):
+        preload._approach(run, 12.0, 13.0)  # type: ignore[arg-type]
+    assert bench.now() < 2.3
 
 
 def _standing_still(bench: Bench, at_mm: float) -> Callable[[float], None]:
