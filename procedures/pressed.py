@@ -223,9 +223,7 @@ def _touch_gains_of(readings: Sequence[Reading]) -> dict[str, float]:
 
 def import_what_a_trial_needs() -> None:
     """What takes seconds to import: never while something is switched on."""
-    import scipy.interpolate
     import scipy.ndimage
-    import scipy.optimize
     import scipy.special  # noqa: F401
 
 

@@ -51,6 +51,10 @@ STEP_s = 0.004
 """Between the offsets that are tried before the nearest is looked for finely."""
 THINNED = 4
 """Of the grid, for that: the Gaussian leaves nothing in between."""
+FINE_s = 1e-7
+"""To which the offset is looked for then."""
+LONGEST = 30
+"""Steps of that at most: some five are taken."""
 LEAST_s = 6e-5
 """Frame shape, transducer and P are not known better: what was left on simulated touch-downs."""
 REVERSAL = 0.05
@@ -94,6 +98,13 @@ def clock_offset(force_N: Series, volts: Series, within_s: float = 0.2) -> Clock
             f"{within_s:g} s to either side",
             "record both from before the touch-down until after it",
         )
+    variation = float(np.square(seen - seen.mean()).sum())
+    if not (variation > 0 and touch.largest_N > 0):
+        still = "force" if variation > 0 else "strips"
+        raise ClockOffsetError(
+            f"the {still} did not change: no touch-down in common",
+            "look whether the object touches the ridge with the strips, and at their wiring",
+        )
     fits = [_Fit(touch, time, seen, knots) for knots in KNOTS]
     near_s = _Fit(touch, time[::THINNED], seen[::THINNED], KNOTS[1]).nearest(within_s)
     offsets = [fit.best(near_s, within_s) for fit in fits]
@@ -103,7 +114,7 @@ def clock_offset(force_N: Series, volts: Series, within_s: float = 0.2) -> Clock
     reversed_ = touch.way_back(time[0] + offset, time[-1] + offset) >= REVERSAL
     if not reversed_:
         error = math.hypot(error, UNREVERSED_s)
-    explained = 1 - float(residual @ residual) / float(np.square(seen - seen.mean()).sum())
+    explained = 1 - float(residual @ residual) / variation
     if not explained > ENOUGH:
         raise ClockOffsetError(
             f"the force explains only {100 * max(explained, 0):.0f} % of what the strips say: no "
@@ -126,25 +137,34 @@ class _Fit:
         return float(coarse[int(np.argmin([self._cost(float(offset)) for offset in coarse]))])
 
     def best(self, near_s: float, within_s: float) -> float:
-        """Offset of the least residual next to `near_s`."""
-        from scipy.optimize import minimize_scalar
-
+        """Offset of the least residual next to `near_s`: Gauss-Newton with P and the rest projected
+        out (Kaufman 1975)."""
         low, high = max(near_s - STEP_s, -within_s), min(near_s + STEP_s, within_s)
-        found = minimize_scalar(
-            self._cost, bounds=(low, high), method="bounded", options={"xatol": 1e-7}
-        )
-        return float(found.x)
+        offset_s = near_s
+        for _ in range(LONGEST):
+            residual, slope = self._residual(offset_s)
+            steepness = float(slope @ slope)
+            if not steepness > 0:  # a force that does not change tells no time
+                break
+            before_s = offset_s
+            offset_s = min(max(offset_s + float(residual @ slope) / steepness, low), high)
+            if abs(offset_s - before_s) < FINE_s:
+                break
+        return offset_s
 
     def error(self, offset_s: float) -> tuple[Reals, float]:
         """Residuals and the offset's standard error."""
+        residual, slope = self._residual(offset_s)
+        influence = slope / float(slope @ slope)
+        return residual, standard_error(influence, residual, len(self._knots) + 4)
+
+    def _residual(self, offset_s: float) -> tuple[Reals, Reals]:
+        """Residuals, and how the fit changes with the offset beyond what P and v_0 can imitate."""
         model, orthonormal = self._model(offset_s)
-        residual = self._seen - model
         step = 2e-4
         later, earlier = self._shifted(offset_s, step), self._shifted(offset_s, -step)
         slope = (later - earlier) / (2 * step)
-        slope = slope - orthonormal @ (orthonormal.T @ slope)  # what P and v_0 cannot imitate
-        steepness = float(slope @ slope)
-        return residual, standard_error(slope / steepness, residual, len(self._knots) + 4)
+        return self._seen - model, slope - orthonormal @ (orthonormal.T @ slope)
 
     def _cost(self, offset_s: float) -> float:
         model, _ = self._model(offset_s)

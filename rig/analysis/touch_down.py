@@ -66,15 +66,21 @@ def volts_on_grid(volts: Series) -> tuple[Reals, Reals]:
     time = np.arange(start + edge, end - edge, 1 / GRID_Hz)
     if not time.size:
         raise TouchDownError(f"{values.size} samples of volts are too few")
-    own = start + np.arange(values.size) / volts.rate_Hz
-    return time, _cubic(own, _gaussian(values, volts.rate_Hz, 0))(time)
+    return time, _cubic(start, volts.rate_Hz, _gaussian(values, volts.rate_Hz, 0))(time)
 
 
-def _cubic(x: Reals, y: Reals) -> Callable[[Reals], Reals]:
-    from scipy.interpolate import CubicSpline
+def _cubic(first_s: float, rate_Hz: float, values: Reals) -> Callable[[Reals], Reals]:
+    """The cubic spline through equally spaced values."""
+    from scipy.ndimage import map_coordinates, spline_filter1d
 
-    spline: Callable[[Reals], Reals] = CubicSpline(x, y)
-    return spline
+    coefficients = spline_filter1d(values, mode="mirror")
+
+    def at(time: Reals) -> Reals:
+        places = ((time - first_s) * rate_Hz)[None, :]
+        between: Reals = map_coordinates(coefficients, places, mode="mirror", prefilter=False)
+        return between
+
+    return at
 
 
 class SmoothForce:
@@ -84,8 +90,9 @@ class SmoothForce:
         values = np.asarray(series.values, dtype=np.float64)
         self._time = series.first_s - series.delay_s + np.arange(values.size) / series.rate_Hz
         self._force = _gaussian(values, series.rate_Hz, 0)
-        self._force_at = _cubic(self._time, self._force)
-        self._rate_at = _cubic(self._time, _gaussian(values, series.rate_Hz, 1))
+        first_s, rate_Hz = float(self._time[0]), series.rate_Hz
+        self._force_at = _cubic(first_s, rate_Hz, self._force)
+        self._rate_at = _cubic(first_s, rate_Hz, _gaussian(values, rate_Hz, 1))
         edge = 4 * WIDTH_s
         self.first_s = float(self._time[0]) + edge
         self.last_s = float(self._time[-1]) - edge

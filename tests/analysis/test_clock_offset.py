@@ -106,3 +106,16 @@ def test_series_that_do_not_overlap_are_refused(presses) -> None:
     frames, noisy = as_measured(*presses[4.0, True], 0.0, 5, 1e-3)
     with pytest.raises(ClockOffsetError, match="in common"):
         clock_offset(frames, Series(noisy, 10_000.0, 5.0), within_s=0.05)
+
+
+@pytest.mark.parametrize(
+    ("silent", "force_N", "level"), [("strips", 1.0, 0.0), ("force", 0.0, 1.0)]
+)
+def test_a_channel_that_says_the_same_throughout_is_refused(
+    presses, silent: str, force_N: float, level: float
+) -> None:
+    frames, noisy = as_measured(*presses[4.0, True], 0.0, 5, 1e-3)
+    felt = Series(force_N * frames.values, frames.rate_Hz, frames.first_s)
+    volts = Series(level * noisy, 10_000.0, STEP_s)
+    with pytest.raises(ClockOffsetError, match=f"the {silent} did not change"):
+        clock_offset(felt, volts, within_s=0.05)
