@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
+from rig.model import transducer
 from rig.model.pvdf import CircuitSettings
 from rig.model.transducer import TransducerChain, TransducerSettings
 
@@ -49,3 +51,9 @@ def test_the_output_clips_at_its_limit():
     volts = TransducerChain(TransducerSettings(), 1e-4).advance(stress)
     assert volts[-1] == pytest.approx([10.0, -10.0])
     assert np.abs(volts).max() == 10.0
+
+
+@pytest.mark.parametrize("a", [-300.0, -1.5, -1.0, -0.3, -1e-4, 0.0, 1e-9, 0.7])
+def test_a_step_of_one_state_is_the_matrix_exponential(a: float) -> None:
+    moved = expm(np.array([[a, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]))
+    assert transducer._exponentials(a) == pytest.approx(tuple(moved[0]), rel=1e-13)

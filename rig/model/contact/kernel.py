@@ -70,12 +70,23 @@ def _fill(target: Any, value: float) -> None:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _multiply(A: Any, b: Any, n: int, out: Any) -> None:
-    """out[:n] = A[:n, :n] b[:n]"""
-    for r in range(n):
+    """out[:n] = A[:n, :n] b[:n]; of four rows at once each b[c] is fetched once."""
+    r = 0
+    while r + 4 <= n:
+        t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0
+        for c in range(n):
+            t0 += A[r, c] * b[c]
+            t1 += A[r + 1, c] * b[c]
+            t2 += A[r + 2, c] * b[c]
+            t3 += A[r + 3, c] * b[c]
+        out[r], out[r + 1], out[r + 2], out[r + 3] = t0, t1, t2, t3
+        r += 4
+    while r < n:
         total = 0.0
         for c in range(n):
             total += A[r, c] * b[c]
         out[r] = total
+        r += 1
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
