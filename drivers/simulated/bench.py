@@ -2,13 +2,14 @@
 
 Entry point ``simulated`` of group ``rig.benches``. `serve` runs the bench here until it is stopped
 (``rig simulate``); `start` runs it as a process of its own with its time slaved to the caller,
-which is what a run without a bench file does. Both end up in the same few lines: there is no other
-way to be a simulated bench. Those are in `drivers.simulated.process`, which whoever starts one need
-not import.
+which is what a run without a bench file does: one that was begun earlier, when nobody knew yet how
+it was to be, or its own. Both end up in the same few lines: there is no other way to be a simulated
+bench. Those are in `drivers.simulated.process`, which whoever starts one need not import.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -31,19 +32,27 @@ ABANDONED_S = 0.5
 class StartedBench:
     """A bench that was started as a process of its own, and how to drive it."""
 
-    def __init__(self, options: Options):
-        self._disk = _faulty_disk(options)
-        if self._disk is not None:
-            self._disk.install()
+    def __init__(self) -> None:
+        self._disk: FaultyDisk | None = None
+        self._turns: Turns | None = None
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "drivers.simulated.process", json.dumps(asdict(options))],
-            stdin=subprocess.PIPE,  # never written: its end tells the bench that we died
+            [sys.executable, "-P", "-m", "drivers.simulated.process"],
+            stdin=subprocess.PIPE,  # its end tells the bench that we died
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             start_new_session=True,  # a terminal's Ctrl-C is the run's business, not the bench's
         )
         let_run_anywhere(self._process.pid)
-        self._turns: Turns | None = None
+
+    def be(self, options: Options) -> None:
+        """Tell it, once, how it is to be; then `ready` may be asked."""
+        self._disk = _faulty_disk(options)
+        if self._disk is not None:
+            self._disk.install()
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # one that has died is told by `ready`
+            self._process.stdin.write(json.dumps(asdict(options)).encode() + b"\n")
+            self._process.stdin.flush()
 
     def ready(self) -> dict[str, Any]:
         """Wait until the bench listens: ``control_port``, ``bench_toml``, ``recorded_toml``."""
@@ -78,15 +87,26 @@ class StartedBench:
                 pipe.close()
 
     def abandon(self) -> None:
-        """End the process, which nobody needs: it may still be making its skin."""
+        """End the process, which nobody needs: it may still be making its skin, or know nothing."""
         self._process.terminate()
         self.wait(ABANDONED_S)
 
 
-def start(options: dict[str, Any]) -> StartedBench:
-    """Start a slaved bench; `options` are fields of `Options`. A fault plan's disk is this
-    process's, until the bench has been waited for."""
-    return StartedBench(Options(**{**options, "slaved": True}))
+def begin() -> StartedBench:
+    """Start a slaved bench that is to be told later how it is to be, by `start`."""
+    return StartedBench()
+
+
+def start(options: dict[str, Any], begun: StartedBench | None = None) -> StartedBench:
+    """Start a slaved bench, or go on with one that has `begun`; `options` are fields of `Options`.
+    A fault plan's disk is this process's, until the bench has been waited for."""
+    bench = begun or begin()
+    try:
+        bench.be(Options(**{**options, "slaved": True}))
+    except BaseException:
+        bench.abandon()
+        raise
+    return bench
 
 
 def serve(options: dict[str, Any], ready: Callable[[str], None]) -> None:

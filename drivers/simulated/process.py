@@ -1,7 +1,8 @@
 """The process of a simulated bench: a World, what is mounted, the control socket, until the end.
 
-``python -m drivers.simulated.process OPTIONS`` is a bench whose time is slaved to whoever started
-it and holds its standard input; `serve` runs one here, in real time.
+``python -m drivers.simulated.process`` is a bench whose time is slaved to whoever started it and
+holds its standard input, the first line of which says how it is to be: until that comes, it imports
+what every bench needs. `serve` runs one here, in real time.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any, get_args
 
@@ -33,12 +35,13 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
                 f"the simulated bench has no {asked} to mount",
                 f"it has {' and '.join(get_args(known))}",
             )
-    with importing():
-        from drivers.simulated.control import ControlServer
-        from drivers.simulated.fault_plan import FORCE_SENSOR, TimedFault
-        from drivers.simulated.mounted import Instruments
-        from drivers.simulated.world import World
+    _import_what_every_bench_needs()
+    from drivers.simulated.control import ControlServer
+    from drivers.simulated.fault_plan import FORCE_SENSOR, TimedFault
+    from drivers.simulated.mounted import Instruments
+    from drivers.simulated.world import World
 
+    with importing():
         settings = world_settings(options)
         faults = fault_plan(options)
         log = Path(options.world_log) if options.world_log else None
@@ -128,8 +131,17 @@ class _OwnersPipe(asyncio.Protocol):
         self._gone()
 
 
+def _import_what_every_bench_needs() -> None:
+    with importing():
+        for name in ("control", "fault_plan", "mounted", "world"):
+            import_module(f"drivers.simulated.{name}")
+
+
 def main() -> None:
-    """The process behind `start`: options as JSON in, one line of JSON out when it listens."""
+    """The process behind `start`: a line of JSON in, the options, and one out when it listens.
+
+    Where the options never come, its owner has no need of it any more.
+    """
     for number in (signal.SIGHUP, signal.SIGINT):
         signal.signal(number, signal.SIG_IGN)
 
@@ -137,8 +149,12 @@ def main() -> None:
         with contextlib.suppress(BrokenPipeError):  # the owner died first: its pipe will tell
             os.write(sys.stdout.fileno(), json.dumps(what).encode() + b"\n")
 
+    _import_what_every_bench_needs()
+    options = sys.stdin.readline()
+    if not options:
+        return
     try:
-        asyncio.run(serve(Options(**json.loads(sys.argv[1])), say))
+        asyncio.run(serve(Options(**json.loads(options)), say))
     except RigError as error:
         say({"error": error.message, "hint": error.hint})
 

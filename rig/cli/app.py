@@ -14,12 +14,16 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from rig.cli.outcome import report
 from rig.errors import ConfigurationError
 from rig.imports import importing
+
+if TYPE_CHECKING:
+    from rig.bench import RunningBench
 
 COMMANDS: dict[str, tuple[str, str, str]] = {
     "resume": (
@@ -106,23 +110,24 @@ says so.
 """
 
 
-def perform(arguments: Sequence[str]) -> None:
-    """Perform a command line and end the process with its exit code.
+def perform(arguments: Sequence[str], begun: RunningBench | None = None) -> None:
+    """Perform a command line and end the process with its exit code; `begun` is the simulated bench
+    of a procedure.
 
     With ``--json`` stdout carries an object for one that cannot be understood, too.
     """
     if "--json" not in arguments:
-        build(arguments)(arguments)
+        build(arguments, begun)(arguments)
         return
     try:
-        code = build(arguments)(arguments, standalone_mode=False)
+        code = build(arguments, begun)(arguments, standalone_mode=False)
     except typer.TyperException as error:
         hint = "see rig --help"
         code = report(ConfigurationError(error.format_message(), hint), as_json=True)
     sys.exit(code)
 
 
-def build(arguments: Sequence[str]) -> typer.Typer:
+def build(arguments: Sequence[str], begun: RunningBench | None = None) -> typer.Typer:
     """The application for this command line."""
     app = typer.Typer(
         name="rig",
@@ -139,7 +144,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
             with importing():
                 from rig.cli.procedures import command
 
-                function = command(procedure)
+                function = command(procedure, begun)
         _add(app, procedure.name, summary(procedure), function)
     for name, (module, function_name, text) in COMMANDS.items():
         own = getattr(import_module(module), function_name) if name == asked else _not_asked

@@ -18,6 +18,7 @@ from rig.cli.outcome import reported, say, start_log
 from rig.runner.bench_choice import BenchRequest, Choosing, Stages, bench_file
 
 if TYPE_CHECKING:
+    from rig.bench import RunningBench
     from rig.recording.contents import JournalContents
     from rig.runner.procedure import Procedure
     from rig.settings import Settings
@@ -72,15 +73,16 @@ def _common(
     """Signature of the common options."""
 
 
-def command(entry: EntryPoint) -> Callable[..., None]:
-    """The command function of a procedure, with an option for each of its settings."""
+def command(entry: EntryPoint, begun: RunningBench | None = None) -> Callable[..., None]:
+    """The command function of a procedure, with an option for each of its settings; `begun` is its
+    simulated bench, if it needs one."""
     procedure: Procedure = entry.load()
 
     def run(**given: Any) -> None:
         options = {name: given.pop(name) for name in Request.__dataclass_fields__}
         request = Request(**options | {"bench": bench_file(options["bench"])})
         with reported(request.debug, request.as_json):
-            perform(procedure, settings_from(procedure.Settings, given), request)
+            perform(procedure, settings_from(procedure.Settings, given), request, begun=begun)
 
     common = list(inspect.signature(_common, eval_str=True).parameters.values())
     own = parameters(procedure.Settings)
@@ -95,6 +97,7 @@ def perform(
     settings: Settings,
     request: Request,
     resume: JournalContents | None = None,
+    begun: RunningBench | None = None,
 ) -> None:
     """Run a procedure on the bench that was asked for and end the process with its exit code."""
     from rig.cli.report import ConsoleReporter, finish, finish_dry_run
@@ -111,7 +114,7 @@ def perform(
             start_log(results)
         import_ahead = getattr(procedure, "import_ahead", _nothing)
         with stop.nothing_connected():
-            choosing = Choosing(say, import_ahead)
+            choosing = Choosing(say, import_ahead, begun=begun)
             bench = choosing.bench_for(request, stack, procedure.FIXTURES[0])
         from rig.runner.execution import execute
         from rig.runner.jobs import Job

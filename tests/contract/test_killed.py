@@ -169,12 +169,11 @@ def test_a_run_killed_while_it_starts_leaves_no_bench_behind(rig):
 def test_a_bench_whose_owner_died_before_it_listened_ends_by_itself(rig):
     options = Options(slaved=True, world_log=str(rig.world_log), linger_s=0.1)
     bench = subprocess.Popen(
-        [sys.executable, "-m", "drivers.simulated.process", json.dumps(asdict(options))],
+        [sys.executable, "-m", "drivers.simulated.process"],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
     )
-    assert bench.stdin is not None
-    bench.stdin.close()
+    bench.communicate(json.dumps(asdict(options)).encode() + b"\n", PATIENCE_S)
 
-    assert bench.wait(PATIENCE_S) == 0
+    assert bench.returncode == 0
     assert [entry["what"] for entry in rig.log()][-2:] == ["owner-gone", "end"]
