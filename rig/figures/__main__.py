@@ -27,11 +27,15 @@ def main() -> None:
     os.nice(NICENESS)
     parts = sys.argv[1:]
     with importing():
-        from rig.figures.style import import_matplotlib
+        from rig.figures.style import get_ready
 
-        import_matplotlib()
-        for part in parts:
-            import_module(part.partition(":")[0])
+        for module in (
+            "h5py",
+            "rig.recording.runfile",
+            *(part.partition(":")[0] for part in parts),
+        ):
+            import_module(module)
+        get_ready()
     run_file = sys.stdin.readline().rstrip("\n")
     if not run_file:
         return
