@@ -98,8 +98,19 @@ class Stretch:
         if self.velocity_mm_s == 0 and self.acceleration_mm_s2 == 0:
             return np.full(times_s.shape, self.position_mm)
         dt = np.maximum(times_s, self.start_s) - self.start_s
+        if self.acceleration_mm_s2 == 0:
+            return self.position_mm + self.velocity_mm_s * dt
         velocity = self.velocity_mm_s + self.acceleration_mm_s2 * dt
         return self.position_mm + (self.velocity_mm_s + velocity) / 2 * dt
+
+    def highest_mm(self, begin_s: float, end_s: float) -> float:
+        """Its largest position between two times, the first not before `start_s`."""
+        highest = max(self.at(begin_s)[0], self.at(end_s)[0])
+        if self.acceleration_mm_s2 < 0:
+            turns_s = self.start_s - self.velocity_mm_s / self.acceleration_mm_s2
+            if begin_s < turns_s < end_s:
+                highest = max(highest, self.at(turns_s)[0])
+        return highest
 
 
 def stopping_distance(velocity_mm_s: float, deceleration_mm_s2: float) -> float:
@@ -179,6 +190,17 @@ class Path:
             own = slice(bounds[k], bounds[k + 1])
             result[own] = stretch.positions(times_s[own])
         return result
+
+    def highest_mm(self, begin_s: float, end_s: float) -> float:
+        """The largest position between two times."""
+        first = max(bisect_right(self._starts, begin_s) - 1, 0)
+        last = max(bisect_right(self._starts, end_s), first + 1)
+        highest = -math.inf
+        for k in range(first, last):
+            stretch = self._stretches[k]
+            until_s = end_s if k + 1 == last else self._starts[k + 1]
+            highest = max(highest, stretch.highest_mm(max(begin_s, stretch.start_s), until_s))
+        return highest
 
     def acceleration(self, t_s: float) -> float:
         """Acceleration in mm/s^2."""
@@ -305,6 +327,11 @@ class Axis:
         if times_us.size:
             self.settle(int(times_us[-1]))
         return self._carriage.positions(np.asarray(times_us * 1e-6, np.float64))
+
+    def highest_mm(self, begin_us: int, end_us: int) -> float:
+        """The largest of its positions between two instants."""
+        self.settle(end_us)
+        return self._carriage.highest_mm(begin_us * 1e-6, end_us * 1e-6)
 
     def velocity(self, t_us: int) -> float:
         """The carriage's velocity in mm/s."""

@@ -177,6 +177,11 @@ class CmmtDrive:
             self.settle(int(times_us[-1]))
         return self.axis.positions(times_us)
 
+    def highest_mm(self, begin_us: int, end_us: int) -> float:
+        """The largest of them between two instants."""
+        self.settle(end_us)
+        return self.axis.highest_mm(begin_us, end_us)
+
     def velocity_mm_s(self, t_us: int) -> float:
         """How fast it moves or moved."""
         self.settle(t_us)

@@ -547,10 +547,12 @@ class Gsv8:
         full = np.array([_input_range(kind) for kind in self.memory.input_type])
         converted = bridges.reshape(*times.shape, 3) / full[:3]
         saturated = np.zeros((len(ends_s), CHANNELS), bool)
-        saturated[:, :3] = (np.abs(converted) >= OVERRANGE).any(axis=1)
+        if max(converted.max(), -converted.min()) >= OVERRANGE:
+            saturated[:, :3] = (np.abs(converted) >= OVERRANGE).any(axis=1)
+            converted = np.clip(converted, -OVERRANGE, OVERRANGE)
         ranges = self._noise_of(len(ends_s)) / full
-        ranges[:, :3] += np.clip(converted, -OVERRANGE, OVERRANGE).mean(axis=1)
-        ranges = np.clip(ranges, -OVERRANGE, OVERRANGE)
+        ranges[:, :3] += converted.mean(axis=1)
+        np.clip(ranges, -OVERRANGE, OVERRANGE, out=ranges)
         for kind, begin_s, end_s in self._disturbed:
             befallen = (ends_s >= begin_s) & (ends_s < end_s)
             if kind == "saturated":

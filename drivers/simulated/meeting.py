@@ -24,6 +24,20 @@ Reals = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 Where = Callable[[Times], Reals]
 """Where a carriage is or was in mm, or a rotary stage in deg, at ascending World times in us."""
+SURELY_mm = 1e-6
+"""So far apart is apart, however positions are rounded."""
+
+
+class Carriage(Protocol):
+    """What carries the skin along one axis."""
+
+    def positions_mm(self, times_us: Times) -> Reals:
+        """Where it is or was at ascending World times."""
+        ...
+
+    def highest_mm(self, begin_us: int, end_us: int) -> float:
+        """The largest of its positions between two World times."""
+        ...
 
 
 class HeadSettings(Settings):
@@ -63,6 +77,11 @@ class Below(Protocol):
         """Its shape."""
         ...
 
+    def apart(self, begin_us: int, end_us: int) -> bool:
+        """Whether it surely does not meet the undeformed skin between two World times: where that
+        is quickly known."""
+        ...
+
     def at(self, times_us: Times) -> Meeting:
         """How it meets the skin at ascending World times."""
         ...
@@ -74,18 +93,23 @@ class PlateBelow:
 
     contact_mm: float
     """Position of z at which the skin just touches it."""
-    z_mm: Where
-    x_mm: Where
+    z: Carriage
+    x: Carriage
 
     @property
     def body(self) -> Plate:
         """See `Below`."""
         return Plate()
 
+    def apart(self, begin_us: int, end_us: int) -> bool:
+        """See `Below`."""
+        return self.z.highest_mm(begin_us, end_us) < self.contact_mm - SURELY_mm
+
     def at(self, times_us: Times) -> Meeting:
         """See `Below`."""
-        z_mm = self.z_mm(times_us)
-        return Meeting(z_mm - self.contact_mm, self.x_mm(times_us), np.zeros(z_mm.size))
+        z_mm = self.z.positions_mm(times_us)
+        x_mm = self.x.positions_mm(times_us)
+        return Meeting(z_mm - self.contact_mm, x_mm, np.zeros(z_mm.size))
 
 
 @dataclass(frozen=True)
@@ -95,8 +119,8 @@ class HeadBelow:
     settings: HeadSettings
     contact_mm: float
     """Position of z at which the skin just touches it, while it stands upright."""
-    z_mm: Where
-    x_mm: Where
+    z: Carriage
+    x: Carriage
     angle_deg: Where
 
     @property
@@ -104,12 +128,16 @@ class HeadBelow:
         """See `Below`."""
         return self.settings.body
 
+    def apart(self, begin_us: int, end_us: int) -> bool:
+        """See `Below`: a head that turns is looked at."""
+        return False
+
     def at(self, times_us: Times) -> Meeting:
         """See `Below`."""
         body, head = self.settings.body, self.settings
         assert not isinstance(body, Plate), "a plate does not roll"
         arm_mm = body.radius_mm + head.axis_offset_mm
-        z_mm, x_mm = self.z_mm(times_us), self.x_mm(times_us)
+        z_mm, x_mm = self.z.positions_mm(times_us), self.x.positions_mm(times_us)
         turned = np.radians(self.angle_deg(times_us) - head.upright_deg)
         return Meeting(
             z_mm - self.contact_mm + arm_mm * (1 - np.cos(turned)),

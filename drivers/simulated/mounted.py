@@ -246,7 +246,7 @@ def _skin_drives(
     assert isinstance(settings, PlateWorldSettings)
     drives = [make_drive(name) for name in STAGES]
     z, x = drives
-    stiffness = hang_skin(world, settings, z.positions_mm, x.positions_mm, turned_deg)
+    stiffness = hang_skin(world, settings, z, x, turned_deg)
     for drive in drives:
         drive.axis.stiffest_load_N_mm = stiffness
     return drives

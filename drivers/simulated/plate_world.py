@@ -9,7 +9,7 @@ from typing import Literal, Self
 
 from pydantic import model_validator
 
-from drivers.simulated.meeting import Below, HeadBelow, HeadSettings, PlateBelow, Where
+from drivers.simulated.meeting import Below, Carriage, HeadBelow, HeadSettings, PlateBelow, Where
 from drivers.simulated.skin_contact import SkinContact, SkinMountSettings
 from drivers.simulated.world import World, WorldSettings
 from rig.cache import user_cache
@@ -57,8 +57,8 @@ class HeadWorldSettings(PlateWorldSettings):
 def hang_skin(
     world: World,
     settings: PlateWorldSettings,
-    stage_z_mm: Where,
-    stage_x_mm: Where,
+    stage_z: Carriage,
+    stage_x: Carriage,
     rotary_deg: Where | None = None,
 ) -> float:
     """The stages carry the skin above the plate, or above the head that the rotary stage turns:
@@ -66,10 +66,10 @@ def hang_skin(
     for settings that do not fit. Gives how steeply the force on a stage can rise at most, in N/mm.
     """
     touch_mm = settings.skin_mount.contact_mm
-    below: Below = PlateBelow(touch_mm, stage_z_mm, stage_x_mm)
+    below: Below = PlateBelow(touch_mm, stage_z, stage_x)
     if isinstance(settings, HeadWorldSettings):
         assert rotary_deg is not None
-        below = HeadBelow(settings.head, touch_mm, stage_z_mm, stage_x_mm, rotary_deg)
+        below = HeadBelow(settings.head, touch_mm, stage_z, stage_x, rotary_deg)
     try:
         condensed = build_skin(settings.skin, user_cache())
         skin = SkinContact(

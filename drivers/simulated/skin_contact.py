@@ -29,7 +29,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from drivers.simulated.slip_record import SlipRecord
-from rig.model.contact.settings import ContactSettings, Sphere
+from rig.model.contact.settings import ContactSettings, Plate, Sphere
 from rig.model.contact.slices import SlicedStepper
 from rig.model.contact.stepper import OPEN, ContactStepper, ConvergenceError
 from rig.model.transducer import TransducerChain, TransducerSettings
@@ -148,6 +148,9 @@ class SkinContact:
         if last < self._steps:
             return
         first = self._steps
+        if self._at_rest and self._below.apart(first * self.step_us, last * self.step_us):
+            self._stay_apart(last)
+            return
         times = np.arange(first, last + 1) * self.step_us
         meeting = self._below.at(times)
         done = self._steps - first  # stages that move have asked for their load meanwhile
@@ -156,24 +159,41 @@ class SkinContact:
 
     # --- one step after the other -------------------------------------------------------------
 
-    def _shaken_mm(self, x_mm: Reals) -> Reals:
-        """The object as the skin sees it in the next steps, x being where the stages mean it."""
+    @property
+    def _at_rest(self) -> bool:
+        return self._stepper is None and self.failure is None
+
+    def _stay_apart(self, last: int) -> None:
+        """The steps up to `last`, in which nothing is touched."""
+        end = self._below.at(np.array([last * self.step_us]))
+        idle = last + 1 - self._steps  # stages that move have asked for their load meanwhile
+        if idle > 0:
+            self._remember(end, last)
+            self._keep(np.zeros((4, idle)))
+
+    def _remember(self, passed: Meeting, last: int) -> None:
+        """Where the object was when nothing touched it, `last` being the step of its newest."""
+        shaken_mm = self._shaken_mm(passed.x_mm[-1:], last)
+        self._object_at_mm = float(shaken_mm[0])
+        self._turned_rad = float(passed.turned_rad[-1])
+
+    def _shaken_mm(self, x_mm: Reals, first: int) -> Reals:
+        """The object as the skin sees it in the steps from `first` on, x being where the stages
+        mean it."""
         if not self._mount.jitter_um:
             return x_mm
-        turns = self._mount.jitter_Hz * 1e-6 * self.step_us * (self._steps + np.arange(x_mm.size))
+        turns = self._mount.jitter_Hz * 1e-6 * self.step_us * (first + np.arange(x_mm.size))
         shaken: Reals = x_mm + 1e-3 * self._mount.jitter_um * np.sin(2 * math.pi * turns)
         return shaken
 
     def _advance(self, meeting: Meeting) -> None:
         approach, begin = meeting.approach_mm, 0
         while begin < approach.size:
-            if self._stepper is None and self.failure is None:
+            if self._at_rest:
                 pressed = np.flatnonzero(approach[begin:] > 0)
                 idle = int(pressed[0]) if pressed.size else approach.size - begin
                 if idle:
-                    passed = meeting[begin : begin + idle]
-                    self._object_at_mm = float(self._shaken_mm(passed.x_mm)[-1])
-                    self._turned_rad = float(passed.turned_rad[-1])
+                    self._remember(meeting[begin : begin + idle], self._steps + idle - 1)
                 self._keep(np.zeros((4, idle)))
                 begin += idle
                 if not pressed.size:
@@ -189,8 +209,9 @@ class SkinContact:
         if self._stepper is None:
             self._keep(np.repeat(self._newest(), approach.size, axis=1))
             return
-        place = self._shaken_mm(x_mm)
-        turns = np.diff(turned, prepend=self._turned_rad)
+        place = self._shaken_mm(x_mm, self._steps)
+        rolls = not isinstance(self._below.body, Plate)
+        turns = np.diff(turned, prepend=self._turned_rad) if rolls else None
         try:
             block = self._stepper.advance(
                 approach, place, rotation_rad=turns, normal_control="position"

@@ -257,9 +257,9 @@ class ContactStepper:
 
 def _paired(normal: ArrayLike, tangential: ArrayLike) -> tuple[Floats, Floats]:
     """Both inputs as contiguous arrays of the same length, finite."""
-    a, b = np.broadcast_arrays(
-        np.atleast_1d(np.asarray(normal, float)), np.atleast_1d(np.asarray(tangential, float))
-    )
+    a, b = np.asarray(normal, float), np.asarray(tangential, float)
+    if a.shape != b.shape or not a.ndim:
+        a, b = np.broadcast_arrays(np.atleast_1d(a), np.atleast_1d(b))
     if a.ndim != 1 or not (np.isfinite(a).all() and np.isfinite(b).all()):
         raise ValueError("normal and tangential must be finite numbers of shape (k,) or ()")
     return np.ascontiguousarray(a), np.ascontiguousarray(b)
