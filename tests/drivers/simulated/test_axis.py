@@ -131,6 +131,21 @@ def test_many_positions_at_once_are_those_asked_for_one_by_one() -> None:
     assert moved.positions(times[:0]).size == 0
 
 
+def test_the_highest_position_of_any_stretch_of_time_is_known_without_looking_at_all() -> None:
+    """Of a motion that comes back and one that is called back before it has come to rest."""
+    moved = axis()
+    for at_ms, target_mm in ((0, 12.0), (300, 10.0), (500, 11.5), (520, 9.0)):
+        moved.settle(1000 * at_ms)
+        moved.move(1000 * at_ms, Command(target_mm, 10.0, 200.0, 200.0))
+    times = np.arange(0, 1_200_001, 100)
+    positions = moved.positions(times)
+    rng = np.random.default_rng(6)
+    for first, last in np.sort(rng.integers(0, times.size, (200, 2)), axis=1):
+        highest = moved.highest_mm(int(times[first]), int(times[last]))
+        seen = positions[first : last + 1].max()
+        assert seen - 1e-12 <= highest <= seen + 1e-6
+
+
 def test_a_trapezoid_takes_its_time() -> None:
     moved = axis()
     moved.move(0, go(60.0))  # 50 mm: 0.1 s up, 0.9 s at 50 mm/s, 0.1 s down

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.simulated.meeting import Where
 from drivers.simulated.plate_world import HeadWorldSettings, hang_skin
 from drivers.simulated.world import World
 from rig.cache import DiskCache
@@ -25,6 +26,16 @@ def cached(monkeypatch: pytest.MonkeyPatch, skin_cache: DiskCache, skin6: Conden
     monkeypatch.setenv("RIG_CACHE", str(skin_cache.folder))
 
 
+class Curve:
+    """A stage that follows a function of World times in us."""
+
+    def __init__(self, positions_mm: Where):
+        self.positions_mm = positions_mm
+
+    def highest_mm(self, begin_us: int, end_us: int) -> float:
+        return float(self.positions_mm(np.arange(begin_us, end_us + 1, 100)).max())
+
+
 class Rolled:
     """A skin above a head; the stages follow given curves of World time in s."""
 
@@ -35,8 +46,8 @@ class Rolled:
         hang_skin(
             self.world,
             settings,
-            lambda t: CONTACT_mm + approach(t * 1e-6),
-            lambda t: CENTRE_mm + x_mm(t * 1e-6),
+            Curve(lambda t: CONTACT_mm + approach(t * 1e-6)),
+            Curve(lambda t: CENTRE_mm + x_mm(t * 1e-6)),
             lambda t: UPRIGHT_deg + angle_deg(t * 1e-6),
         )
 

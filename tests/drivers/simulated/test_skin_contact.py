@@ -51,7 +51,7 @@ class Hung:
         self.world = World(chosen, 0, slaved=True, log=log)
         self.z = CmmtDrive(DriveSettings(name=STAGE_Z), self.world)
         self.x = CmmtDrive(DriveSettings(name=STAGE_X), self.world)
-        hang_skin(self.world, chosen, self.z.positions_mm, self.x.positions_mm)
+        hang_skin(self.world, chosen, self.z, self.x)
 
     @property
     def now_us(self) -> int:
