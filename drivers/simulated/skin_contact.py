@@ -29,6 +29,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from drivers.simulated.slip_record import SlipRecord
+from rig.imports import as_if_missing
 from rig.model.contact.settings import ContactSettings, Plate, Sphere
 from rig.model.contact.slices import SlicedStepper
 from rig.model.contact.stepper import OPEN, ContactStepper, ConvergenceError
@@ -106,7 +107,10 @@ class SkinContact:
         begin = below.at(np.zeros(1, np.int64))
         self._object_at_mm, self._turned_rad = float(begin.x_mm[0]), float(begin.turned_rad[0])
         """Where the skin sees the object and how it is turned, at the newest step."""
-        self._fresh_stepper().advance(-1.0, self._object_at_mm, normal_control="position")
+        with as_if_missing(
+            "scipy.linalg"
+        ):  # where numba looks for a BLAS, of which no step is made
+            self._fresh_stepper().advance(-1.0, self._object_at_mm, normal_control="position")
 
     # --- what the World asks ------------------------------------------------------------------
 
