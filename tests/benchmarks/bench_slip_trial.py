@@ -115,7 +115,7 @@ def test_the_force_is_held_in_the_corners(rig):
 def test_a_trial_from_command_to_figure(rig):
     heading("rig slip-trial --distance 1mm --speed 0.5mm/s, whole process with its figure")
     walls, benches = [], []
-    for _ in range(4):
+    for _ in range(12):
         ended, wall = take(rig, "--distance", "1mm", "--speed", "0.5mm/s")
         assert ended.code == 0, ended.stderr
         walls.append(wall)
