@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -24,7 +25,12 @@ import numpy.typing as npt
 
 CYCLE_us = 1000
 FASTEST_BESIDE_mm_s = 20.0
-"""At which another axis may move what one pushes against."""
+"""At which something may move what an axis pushes against, where it is not known how fast."""
+COMMANDS_KEPT = 64
+LONGEST_LIGHT_s = 0.1
+"""After which a load is asked for again, however light it was."""
+LEAST_SPEED_mm_s = 2.0
+"""A load that is left alone may rise as if it were moved so fast: rubber recovers."""
 HISTORY_KEPT = 20_000
 """Stretches of motion kept: minutes of servo motion at 100 retargets a second."""
 
@@ -264,6 +270,8 @@ class Axis:
         self.stiffest_load_N_mm = math.inf
         """No load in its way rises faster, where that is known: then a force far below the limit is
         not asked for in vain."""
+        self.beside: Axis | None = None
+        """What else moves the load, where that is one other axis alone."""
         self.jammed = False
         """A fault: the carriage cannot be moved by any force."""
         self._load = load
@@ -274,8 +282,13 @@ class Axis:
         """Which way the setpoint went on when the carriage was held back; 0 while it follows."""
         self._settled_us = 0
         self._settling = False
+        self._asked: tuple[int, float] | None = None
+        """When the load was asked for last, in us, and how large it was, N."""
         self._light_until_us = 0
-        """Until when the load cannot have come to the force limit."""
+        """Until when it cannot have come to the force limit."""
+        self._commanded: deque[tuple[int, float]] = deque([(0, 0.0)], maxlen=COMMANDS_KEPT)
+        """When a speed was asked for, in us, and which: until the next, the setpoint goes no faster
+        than that or than it went then."""
         self._happenings: list[Happening] = []
 
     # --- what it does -------------------------------------------------------------------------
@@ -287,7 +300,7 @@ class Axis:
 
     @force_limit_N.setter
     def force_limit_N(self, limit_N: float) -> None:  # noqa: N802
-        self._force_limit_N, self._light_until_us = limit_N, 0
+        self._force_limit_N, self._asked, self._light_until_us = limit_N, None, 0
 
     def move(self, now_us: int, command: Command) -> None:
         """Go to a position, also out of a motion under way; ValueError for a speed of nothing."""
@@ -295,10 +308,14 @@ class Axis:
             raise ValueError(f"cannot move at {command.speed_mm_s} mm/s")
         self.settle(now_us)
         position, velocity = self._setpoint.at(now_us * 1e-6)
-        self._command, self._light_until_us = command, 0
+        self._command = command
+        self._commanded.append((now_us, command.speed_mm_s))
         self._become(
             now_us, position, velocity, command.profile(position, velocity), command.target_mm
         )
+        self.look_ahead()
+        if self.beside is not None:
+            self.beside.look_ahead()
 
     def stop(self, now_us: int, deceleration_mm_s2: float) -> None:
         """A controlled stop."""
@@ -397,12 +414,31 @@ class Axis:
         if t_us < self._light_until_us:
             return False
         load_N = self._load(position, t_us)
-        missing_N = self._force_limit_N - abs(load_N)
-        commanded_mm_s = 0.0 if self._command is None else self._command.speed_mm_s
-        speed_mm_s = max(abs(going), commanded_mm_s) + FASTEST_BESIDE_mm_s
-        rising_N_s = self.stiffest_load_N_mm * speed_mm_s
-        self._light_until_us = t_us + math.floor(1e6 * missing_N / rising_N_s)
+        self._asked = t_us, abs(load_N)
+        self.look_ahead()
         return -load_N * math.copysign(1.0, going) > self._force_limit_N
+
+    def look_ahead(self) -> None:
+        """Find out until when the load cannot come to the force limit, as fast as it may rise by
+        what has been commanded so far; whoever moves it otherwise asks for this again."""
+        if self._asked is None:
+            return
+        t_us, load_N = self._asked
+        beside_mm_s = FASTEST_BESIDE_mm_s
+        if self.beside is not None:
+            beside_mm_s = self.beside.fastest_since_mm_s(t_us)
+        speed_mm_s = max(self.fastest_since_mm_s(t_us) + beside_mm_s, LEAST_SPEED_mm_s)
+        light_s = (self._force_limit_N - load_N) / (self.stiffest_load_N_mm * speed_mm_s)
+        self._light_until_us = t_us + math.floor(1e6 * min(light_s, LONGEST_LIGHT_s))
+
+    def fastest_since_mm_s(self, t_us: int) -> float:
+        """What its speed cannot have exceeded since then, and does not until the next command."""
+        fastest = abs(self._setpoint.at(t_us * 1e-6)[1])
+        for at_us, speed_mm_s in reversed(self._commanded):
+            fastest = max(fastest, speed_mm_s)
+            if at_us <= t_us:
+                return fastest
+        return math.inf  # more commands than are kept
 
     def _stay(self, t_us: int, position: float, wanted: float, going: float) -> None:
         """The carriage stands; it goes again when the setpoint has come back to it.

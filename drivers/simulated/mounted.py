@@ -249,6 +249,8 @@ def _skin_drives(
     stiffness = hang_skin(world, settings, z, x, turned_deg)
     for drive in drives:
         drive.axis.stiffest_load_N_mm = stiffness
+    if turned_deg is None and not settings.skin_mount.jitter_um:  # nothing else moves the load
+        z.axis.beside, x.axis.beside = x.axis, z.axis
     return drives
 
 

@@ -253,6 +253,35 @@ def test_a_jammed_axis_does_not_move_at_all() -> None:
     assert moved.position(SOON_us) == pytest.approx(10.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("surge_mm_s", [0.5, 10.0, 80.0])
+def test_what_another_axis_does_to_the_load_is_never_felt_too_late(surge_mm_s: float) -> None:
+    """Both press on one spring: as if it were asked for in every cycle, also where the other axis,
+    slow so far, comes fast."""
+
+    def pair(known: bool) -> tuple[Axis, Axis]:
+        def pressed_N(_: float, t_us: int) -> float:
+            return -150.0 * max(0.0, z.position(t_us) + x.position(t_us) - 20.05)
+
+        z, x = axis(pressed_N), axis(pressed_N)
+        if known:
+            z.stiffest_load_N_mm = x.stiffest_load_N_mm = 150.0
+            z.beside, x.beside = x, z
+        z.force_limit_N, x.force_limit_N = 40.0, 90.0
+        z.move(0, go(10.2, 0.5))
+        x.move(0, go(10.1, 1.0))
+        for now in range(0, 300_001, 10_000):
+            if now == 200_000:
+                x.move(now, go(11.0, surge_mm_s))
+            for moved in (z, x):
+                moved.settle(now)
+        return z, x
+
+    for seldom, always in zip(pair(True), pair(False), strict=True):
+        instants = range(0, 300_001, 7_000)
+        assert [seldom.position(t) for t in instants] == [always.position(t) for t in instants]
+        assert seldom.happenings(300_000) == always.happenings(300_000)
+
+
 def test_a_load_may_ask_where_the_axis_is() -> None:
     """Two axes that move the same thing ask for each other's positions."""
     moved: Axis
