@@ -91,6 +91,7 @@ class SkinContact:
         self._skin, self._mount = skin, mount
         self._contact, self._transducer = contact, transducer
         self._below = below
+        self._rolls = not isinstance(below.body, Plate)
         self._tell = tell
         self.record = SlipRecord(skin.ridge, mount.ridge - 1, self.step_us, tell)
         self._kept = round(KEPT_s * 1e6) // self.step_us
@@ -214,8 +215,7 @@ class SkinContact:
             self._keep(np.repeat(self._newest(), approach.size, axis=1))
             return
         place = self._shaken_mm(x_mm, self._steps)
-        rolls = not isinstance(self._below.body, Plate)
-        turns = np.diff(turned, prepend=self._turned_rad) if rolls else None
+        turns = np.diff(turned, prepend=self._turned_rad) if self._rolls else None
         try:
             block = self._stepper.advance(
                 approach, place, rotation_rad=turns, normal_control="position"

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -54,6 +55,8 @@ STRIP_TERMINALS = {101: 1, 102: 2}
 VIBRATOR_CHANNEL = 1
 AMPLIFIER_CLIP_V = 10.0
 NOISE_CHUNK = 4096
+TERMINALS_SAMPLED = 4
+"""At most at once."""
 FORCE_NOISE = 900
 """Stream number that keys the force sensor's noise; terminals are the DAQ's streams."""
 FORCE_SENSOR_FOLLOWS_Hz = 1000.0
@@ -350,9 +353,15 @@ class World:
         """White noise by sample index, made in whole chunks so that blocks do not matter."""
         key = (self._seed, *self._acquisition_keys[acquisition], terminal)
         chunks = range(first // NOISE_CHUNK, (first + count - 1) // NOISE_CHUNK + 1)
-        drawn = [
-            np.random.default_rng([*key, chunk]).standard_normal(NOISE_CHUNK) for chunk in chunks
-        ]
+        drawn = [_noise_chunk((*key, chunk)) for chunk in chunks]
         begin = first - chunks[0] * NOISE_CHUNK
         rms = front_end.noise_rms(self._front_end(terminal), rate_S_s)
         return rms * np.concatenate(drawn)[begin : begin + count]
+
+
+@lru_cache(maxsize=2 * TERMINALS_SAMPLED)
+def _noise_chunk(key: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    """Standard normal, (NOISE_CHUNK,): a block often wants the same as the one before."""
+    drawn = np.random.default_rng(key).standard_normal(NOISE_CHUNK)
+    drawn.flags.writeable = False
+    return drawn

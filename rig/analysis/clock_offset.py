@@ -49,7 +49,7 @@ KNOTS = (
 far the others' lie from it is part of the error."""
 STEP_s = 0.004
 """Between the offsets that are tried before the nearest is looked for finely."""
-THINNED = 4
+THINNED = round(STEP_s * GRID_Hz)
 """Of the grid, for that: the Gaussian leaves nothing in between."""
 FINE_s = 1e-7
 """To which the offset is looked for then."""
@@ -132,9 +132,13 @@ class _Fit:
         self._still = still_columns(time)
 
     def nearest(self, within_s: float) -> float:
-        """Offset of the least residual, to half of `STEP_s`."""
-        coarse = np.arange(-within_s, within_s + 1e-9, STEP_s)
-        return float(coarse[int(np.argmin([self._cost(float(offset)) for offset in coarse]))])
+        """Offset of the least residual, to half of `STEP_s`. That is also from one of its times to
+        the next: the force of one offset is that of the next one, a row further."""
+        count, offsets = self._time.size, math.floor(2 * within_s / STEP_s + 1e-6) + 1
+        times = self._time[0] - within_s + STEP_s * np.arange(count + offsets - 1)
+        moving = self._touch.columns(times, self._knots)
+        costs = [self._cost(moving[k : k + count]) for k in range(offsets)]
+        return STEP_s * int(np.argmin(costs)) - within_s
 
     def best(self, near_s: float, within_s: float) -> float:
         """Offset of the least residual next to `near_s`: Gauss-Newton with P and the rest projected
@@ -160,14 +164,14 @@ class _Fit:
 
     def _residual(self, offset_s: float) -> tuple[Reals, Reals]:
         """Residuals, and how the fit changes with the offset beyond what P and v_0 can imitate."""
-        model, orthonormal = self._model(offset_s)
+        model, orthonormal = self._model(self._columns(offset_s))
         step = 2e-4
         later, earlier = self._shifted(offset_s, step), self._shifted(offset_s, -step)
         slope = (later - earlier) / (2 * step)
         return self._seen - model, slope - orthonormal @ (orthonormal.T @ slope)
 
-    def _cost(self, offset_s: float) -> float:
-        model, _ = self._model(offset_s)
+    def _cost(self, moving: Reals) -> float:
+        model, _ = self._model(np.column_stack([moving, self._still]))
         residual = self._seen - model
         return float(residual @ residual)
 
@@ -175,8 +179,8 @@ class _Fit:
         moving = self._touch.columns(self._time + offset_s, self._knots)
         return np.column_stack([moving, self._still])
 
-    def _model(self, offset_s: float) -> tuple[Reals, Reals]:
-        left, kept, _ = np.linalg.svd(self._columns(offset_s), full_matrices=False)
+    def _model(self, columns: Reals) -> tuple[Reals, Reals]:
+        left, kept, _ = np.linalg.svd(columns, full_matrices=False)
         orthonormal: Reals = left[:, kept > 1e-9 * kept[0]]
         return orthonormal @ (orthonormal.T @ self._seen), orthonormal
 

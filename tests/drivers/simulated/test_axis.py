@@ -259,10 +259,10 @@ def test_what_another_axis_does_to_the_load_is_never_felt_too_late(surge_mm_s: f
     slow so far, comes fast."""
 
     def pair(known: bool) -> tuple[Axis, Axis]:
-        def pressed_N(_: float, t_us: int) -> float:
+        def load(_: float, t_us: int) -> float:
             return -150.0 * max(0.0, z.position(t_us) + x.position(t_us) - 20.05)
 
-        z, x = axis(pressed_N), axis(pressed_N)
+        z, x = axis(load), axis(load)
         if known:
             z.stiffest_load_N_mm = x.stiffest_load_N_mm = 150.0
             z.beside, x.beside = x, z
