@@ -27,10 +27,11 @@ CYCLE_us = 1000
 FASTEST_BESIDE_mm_s = 20.0
 """At which something may move what an axis pushes against, where it is not known how fast."""
 COMMANDS_KEPT = 64
+"""More than come within `LONGEST_LIGHT_s` from the fastest loop, 500 a second."""
 LONGEST_LIGHT_s = 0.1
 """After which a load is asked for again, however light it was."""
 LEAST_SPEED_mm_s = 2.0
-"""A load that is left alone may rise as if it were moved so fast: rubber recovers."""
+"""A load that is left alone may rise as if it were moved so fast: rubber recovers (assumed)."""
 HISTORY_KEPT = 20_000
 """Stretches of motion kept: minutes of servo motion at 100 retargets a second."""
 

@@ -100,7 +100,7 @@ def _state_space(numerator: Floats, denominator: Floats) -> tuple[Floats, Floats
 def _ramp_invariant(A: Floats, b: Floats, step_s: float) -> tuple[Floats, Floats, Floats]:
     """Exact step for an input that is linear between the steps: x' = A x + b0 f_k + b1 f_k+1."""
     order = b.size
-    if order == 1:  # as Table 1 is; scipy.linalg takes longer to import than a bench to start
+    if order == 1:  # as Table 1 is: in closed form, without scipy.linalg's import
         decay, held, rising = _exponentials(float(A[0, 0]) * step_s)
         driven = step_s * b
         return np.array([[decay]]), driven * (held - rising), driven * rising

@@ -102,9 +102,8 @@ class Choosing:
             return self._of_file(request, at_the_end, request.bench)
         if started is None:
             self.say(f"starting the simulated bench ({STARTING[fixture]}) ...")
-            started = start_simulated(
-                request, fixture, self.begun
-            )  # it boots while this process imports
+            # It boots while this process imports.
+            started = start_simulated(request, fixture, self.begun)
         try:
             real = read_bench(request.bench) if request.bench is not None else None
             return self._simulated(request, started, real)
