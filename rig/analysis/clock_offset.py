@@ -54,7 +54,7 @@ THINNED = round(STEP_s * GRID_Hz)
 FINE_s = 1e-7
 """To which the offset is looked for then."""
 LONGEST = 30
-"""Steps of that at most: some five are taken."""
+"""Steps of that at most: three or four are taken."""
 LEAST_s = 6e-5
 """Frame shape, transducer and P are not known better: what was left on simulated touch-downs."""
 REVERSAL = 0.05
