@@ -80,6 +80,16 @@ def test_a_stage_that_fails_in_the_slide_is_told_and_the_skin_lifted(rig, what):
     assert_kept_until_sliding(rig)
 
 
+def test_a_stage_that_is_held_before_contact_is_told_with_where_it_stands(rig):
+    """Small targets ahead of it never make it lag: that it does not come there has to be noticed."""
+    ended = take(
+        rig, "", '[[fault]]\ndevice = "stage_z"\nkind = "stuck"\nmove = 4\nafter_s = 0.1\n'
+    )
+    assert_told(ended, 3, "stage_z: approach: it stands at 11.")
+    assert "has not come to 13 mm" in ended.errors[0]
+    last_of(rig, "stage_z")
+
+
 def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
     ended = take(rig, "", f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\n{SLIDING}')
     assert_told(ended, 3, f"stage_z: {rig.bench.z.fault}")
