@@ -81,7 +81,7 @@ def test_a_stage_that_fails_in_the_slide_is_told_and_the_skin_lifted(rig, what):
 
 
 def test_a_stage_that_is_held_before_contact_is_told_with_where_it_stands(rig):
-    """Small targets ahead of it never make it lag: that it does not come there has to be noticed."""
+    """Small targets ahead of it never make it lag: that it does not come there must be noticed."""
     ended = take(
         rig, "", '[[fault]]\ndevice = "stage_z"\nkind = "stuck"\nmove = 4\nafter_s = 0.1\n'
     )
