@@ -8,6 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from rig.model.contact import kernel
 from rig.model.contact.settings import ContactSettings, Cylinder, FrictionSettings, Plate, Sphere
 from rig.model.contact.slices import SlicedStepper, hertz_radius
 from rig.model.contact.stepper import (
@@ -359,6 +360,45 @@ def test_blocks_and_restored_states_give_the_same_bytes(skin6: CondensedSkin):
     fresh.state = kept
     again = fresh.advance(force[1100:], x[1100:])
     assert np.array_equal(again.stress_MPa, whole.stress_MPa[1100:])
+
+
+@settings(
+    max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(seed=st.integers(0, 2**32 - 1), kinetic=st.floats(0.5, 1.0), rolls=st.booleans())
+def test_what_is_not_looked_at_does_not_matter(
+    small: CondensedSkin, seed: int, kinetic: float, rolls: bool
+):
+    """Steps whose open nodes are left alone do what steps do that look at everything."""
+    rng = np.random.default_rng(seed)
+    corners = np.array([-0.01, 0.05, *rng.uniform(0.0, 0.06, 4), -0.02])
+    approach = np.interp(np.arange(900) / 150, np.arange(7), corners)
+    x = np.interp(np.arange(900) / 150, np.arange(7), rng.uniform(-0.1, 0.1, 7))
+    body = Cylinder(radius_mm=100.0) if rolls else Plate()
+    turn = np.diff(x, prepend=x[0]) / 100.0 if rolls else np.zeros(900)
+    contact = friction(0.8, 0.8 * kinetic)
+    one = ContactStepper(small, contact, body, position_mm=x[0], watched_ridge=1)
+    other = ContactStepper(small, contact, body, position_mm=x[0], watched_ridge=1)
+    quick = one.advance(approach, x, rotation_rad=turn, normal_control="position")
+    steps = []
+    for k in range(900):
+        state = other.state
+        state.integers[kernel.AGAIN] = kernel.LOOKED_AT_EVERY
+        other.state = state
+        here = slice(k, k + 1)
+        steps.append(
+            other.advance(
+                approach[here], x[here], rotation_rad=turn[here], normal_control="position"
+            )
+        )
+    whole = concatenate(steps)
+    assert whole.normal_force_N.max() > 0.5
+    assert np.array_equal(quick.status, whole.status)
+    assert np.abs(quick.normal_force_N - whole.normal_force_N).max() < 1e-8
+    assert np.abs(quick.tangential_force_N - whole.tangential_force_N).max() < 1e-8
+    assert np.abs(quick.stress_MPa - whole.stress_MPa).max() < 1e-9
+    for mine, theirs in zip(one.displacement_mm(), other.displacement_mm(), strict=True):
+        assert np.abs(mine - theirs).max() < 1e-9
 
 
 def test_a_step_without_an_answer_is_raised_and_undone(skin6: CondensedSkin):

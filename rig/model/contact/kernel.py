@@ -10,6 +10,12 @@ n³. A step whose active set does not settle is reported, never accepted.
 The time rule is backward Euler: u' = α W f + β u, with α = 1/(1 + τ/Δt) and β = 1 - α. Friction
 uses each node's coefficient at the start of the step, so that a step is a Coulomb problem with
 constant coefficients.
+
+Most steps end with the active set they began with. `_again` tries that first and looks only at the
+nodes in contact: where these are follows from their rows. The displacement is W g, g being the
+force behind the same rule, so that what an open node has moved since it was last looked at is
+bounded by what g has changed; while that is less than its gap it stays open and need not be known.
+Every other step is a whole one (`_step`): all displacements, all rows' residuals.
 """
 
 from __future__ import annotations
@@ -22,11 +28,14 @@ from numba import njit
 OPEN, STICK, SLIP_PLUS, SLIP_MINUS = 0, 1, 2, 3
 
 # integers of a state
-N, VALID, NORMAL_BY_FORCE, TANGENT_BY_FORCE, UPDATES, REBUILDS, RESCUES = range(7)
-INTEGERS = 7
+N, VALID, NORMAL_BY_FORCE, TANGENT_BY_FORCE, UPDATES, REBUILDS, RESCUES, AGAIN = range(8)
+INTEGERS = 8
 # scalars of a state
-D, X, V = range(3)
-SCALARS = 3
+D, X, V, DRIFT = range(4)
+SCALARS = 4
+# what is listed of the present active set
+LISTED, PACKED, TOUCHING, STICKING = range(4)
+LISTING = 4
 # columns of a step's summary
 (
     OUT_D,
@@ -50,7 +59,15 @@ PATIENCE = 12
 ITERATIONS = 60
 RESCUES_A_STEP = 30
 FRICTION_REFRESH = 0.004
+FRICTION_SETTLES = 0.1
+FRICTION_SETTLED = 1e-9
+EAGER = 4.0
+WEAKENED = 40.0
+"""Weakening distances after which no digit of the coefficient changes any more."""
 REFRESH_UPDATES = 4000
+FORGOTTEN_N = 1e-18
+LOOKED_AT_EVERY = 50
+"""Steps with the same active set after which all residuals are looked at again."""
 
 _FAST = {"reassoc", "contract", "nsz"}
 
@@ -87,6 +104,28 @@ def _multiply(A: Any, b: Any, n: int, out: Any) -> None:
             total += A[r, c] * b[c]
         out[r] = total
         r += 1
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _products(A: Any, rows: Any, count: int, b: Any, n: int, out: Any) -> None:
+    """out[q] = A[rows[q], :n] b[:n] for q < count, as `_multiply`."""
+    q = 0
+    while q + 4 <= count:
+        r0, r1, r2, r3 = rows[q], rows[q + 1], rows[q + 2], rows[q + 3]
+        t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0
+        for c in range(n):
+            t0 += A[r0, c] * b[c]
+            t1 += A[r1, c] * b[c]
+            t2 += A[r2, c] * b[c]
+            t3 += A[r3, c] * b[c]
+        out[q], out[q + 1], out[q + 2], out[q + 3] = t0, t1, t2, t3
+        q += 4
+    while q < count:
+        r0, t0 = rows[q], 0.0
+        for c in range(n):
+            t0 += A[r0, c] * b[c]
+        out[q] = t0
+        q += 1
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
@@ -256,6 +295,19 @@ def _slope(status: int, mu: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+def _outdated(status: int, mu: float, slope: float, kinetic: float, eager: float) -> bool:
+    """Whether the slope kept for a slipping node is to be that of its friction again: it has moved
+    far, or is about to stay where it is. Until then every solution has to be corrected for it. One
+    that brings a whole step about takes the others along that are `eager` times as near to it."""
+    if status < SLIP_PLUS:
+        return False
+    moved = eager * abs(_slope(status, mu) - slope)
+    if moved > FRICTION_REFRESH or (mu == kinetic and moved > 0.0):
+        return True
+    return moved > FRICTION_SETTLED and abs(mu - kinetic) < FRICTION_SETTLES * moved
+
+
+@njit(cache=True, error_model="numpy")
 def _friction_row(
     i: int, C: Any, inv_alpha: float, status: Any, slopes: Any, mu: Any, slots: Any, ints: Any,
     inverse: Any, work: Any,
@@ -402,27 +454,42 @@ def _right_side(
 
 
 @njit(cache=True, error_model="numpy")
+def _needed(status: Any, owner: Any, n: int, rows: Any) -> int:
+    """The rows of the inverse that a solution is made of; of a slipping node t follows from p."""
+    rows[0], rows[1] = 0, 1
+    count = 2
+    for k in range(2, n):
+        if owner[k, 0] == 0 or status[owner[k, 1]] == STICK:
+            rows[count] = k
+            count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
 def _solve(
     status: Any, slopes: Any, mu: Any, slots: Any, owner: Any, ints: Any, inverse: Any,
-    force: Any, b: Any, solution: Any,
+    force: Any, b: Any, solution: Any, rows: Any, needed: int,
 ) -> bool:  # fmt: skip
-    """Solve with the kept inverse; coefficients that moved since are corrected by iteration."""
+    """Solve with the kept inverse; coefficients that moved since are corrected by iteration.
+    `solution` holds d, Δx and what the further `rows` give."""
     n, m = ints[N], status.size
     for _ in range(60):
         worst = 0.0
         for i in range(m):
             if status[i] >= SLIP_PLUS:
                 b[slots[1][i]] = (_slope(status[i], mu[i]) - slopes[i]) * force[i]
-        _multiply(inverse, b, n, solution)
-        for k in range(2, n):
+        _products(inverse, rows, needed, b, n, solution)
+        for q in range(2, needed):
+            k = rows[q]
             i = owner[k, 1]
-            if owner[k, 0] == 0:
-                if status[i] >= SLIP_PLUS:
-                    moved = (_slope(status[i], mu[i]) - slopes[i]) * (solution[k] - force[i])
-                    worst = max(worst, abs(moved))
-                force[i] = solution[k]
-            else:
-                force[m + i] = solution[k]
+            if owner[k, 0] == 1:
+                force[m + i] = solution[q]
+                continue
+            if status[i] >= SLIP_PLUS:
+                moved = (_slope(status[i], mu[i]) - slopes[i]) * (solution[q] - force[i])
+                worst = max(worst, abs(moved))
+                force[m + i] = slopes[i] * solution[q] + b[slots[1][i]]
+            force[i] = solution[q]
         if worst < 1e-14:
             return True
     return False
@@ -468,10 +535,12 @@ def _follow(
 ) -> None:  # fmt: skip
     """Make the inverse that of `status`: update where little changed, else build it anew."""
     inv_alpha = 1.0 / constants[ALPHA]
-    changed = 0
+    changed, eager = 0, 1.0
     for i in range(status.size):
         if status[i] != held[i]:
             changed += 1
+        if _outdated(status[i], mu[i], slopes[i], constants[MU_K], 1.0):
+            eager = EAGER
     valid = ints[VALID] == 1 and ints[UPDATES] < REFRESH_UPDATES and 3 * changed <= ints[N]
     for i in range(status.size):
         if not valid:
@@ -483,9 +552,7 @@ def _follow(
             valid = _close(
                 i, C, inv_alpha, status, held, slopes, mu, slots, owner, ints, inverse, work
             )
-        elif now != old or (
-            now >= SLIP_PLUS and abs(_slope(now, mu[i]) - slopes[i]) > FRICTION_REFRESH
-        ):
+        elif now != old or _outdated(now, mu[i], slopes[i], constants[MU_K], eager):
             valid = _friction_row(i, C, inv_alpha, status, slopes, mu, slots, ints, inverse, work)
         else:
             continue
@@ -562,6 +629,168 @@ def _set_modes(ints: Any, normal_by_force: int, tangent_by_force: int) -> None:
 
 
 @njit(cache=True, error_model="numpy")
+def _look_at_all(
+    C: Any, filtered: Any, status: Any, w: Any, u: Any, seen: Any, scalars: Any, ints: Any,
+    trial: Any, loaded: Any,
+) -> None:  # fmt: skip
+    """Make the displacements of open nodes those of now."""
+    scalars[DRIFT] = 0.0
+    _fill(seen, 0.0)
+    if ints[AGAIN] == 0:
+        return
+    m, count = status.size, 0
+    for j in range(2 * m):
+        if filtered[j] != 0.0:
+            loaded[count] = j
+            count += 1
+    _displacements(C, filtered, loaded, count, trial)
+    for i in range(m):
+        if status[i] == OPEN:
+            w[i] = trial[i]
+            u[i] = trial[m + i]
+    ints[AGAIN] = 0
+
+
+@njit(cache=True, error_model="numpy")
+def _list(C: Any, status: Any, listed: Any, nodes: Any, compact: Any, bound: Any) -> None:
+    """What `_again` needs of the present active set, close together: the nodes in contact, those
+    that stick first; the compliance by which their forces make the slipping ones slide; and how far
+    a unit of each force moves an open node down at most."""
+    m = status.size
+    count = 0
+    for sticking in (True, False):
+        for i in range(m):
+            if status[i] != OPEN and (status[i] == STICK) == sticking:
+                nodes[count] = i
+                count += 1
+        if sticking:
+            listed[STICKING] = count
+    listed[TOUCHING] = count
+    for j in range(listed[STICKING], count):
+        source, target = C[m + nodes[j]], compact[j - listed[STICKING]]
+        target[0], target[1] = 0.0, 0.0
+        for k in range(count):
+            target[2 + k] = source[nodes[k]]
+            target[2 + count + k] = source[m + nodes[k]]
+    _fill(bound, 0.0)
+    for i in range(m):
+        if status[i] == OPEN:
+            _raise(bound, C[i])
+    listed[LISTED] = 1
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _raise(bound: Any, row: Any) -> None:
+    """bound = max(bound, |row|)"""
+    for j in range(bound.size):
+        bound[j] = max(bound[j], abs(row[j]))
+
+
+@njit(cache=True, error_model="numpy")
+def _pack(slots: Any, inverse: Any, listed: Any, nodes: Any, packed: Any, order: Any) -> None:
+    """The inverse in the order d, Δx, p of the nodes listed, t of those that stick, t of those that
+    slip, as far as a solution is made of it."""
+    count = listed[TOUCHING]
+    order[0], order[1] = 0, 1
+    for j in range(count):
+        order[2 + j] = slots[0][nodes[j]]
+        order[2 + count + j] = slots[1][nodes[j]]
+    for q in range(2 + count + listed[STICKING]):
+        source, target = inverse[order[q]], packed[q]
+        for r in range(2 + 2 * count):
+            target[r] = source[order[r]]
+    listed[PACKED] = 1
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _drift(bound: Any, force: Any, filtered: Any, alpha: float) -> float:
+    """How far an open node may move in a step at most."""
+    total = 0.0
+    for j in range(force.size):
+        total += bound[j] * abs(force[j] - filtered[j])
+    return alpha * total
+
+
+@njit(cache=True, error_model="numpy")
+def _again(
+    C: Any, constants: Any, height: Any, spin: Any, normal: float, tangent: float, w: Any, u: Any,
+    mu: Any, slopes: Any, status: Any, force: Any, slots: Any, ints: Any, scalars: Any,
+    inverse: Any, work: Any, filtered: Any, seen: Any, new_w: Any, new_u: Any, motion: Any,
+    listed: Any, nodes: Any, packed: Any, compact: Any, bound: Any,
+) -> bool:  # fmt: skip
+    """Try the step with the active set of the one before; False where it does not hold, or where
+    all displacements are due to be looked at: then only `force` has changed."""
+    n, m = ints[N], status.size
+    if n == 2 or ints[VALID] == 0 or ints[AGAIN] >= LOOKED_AT_EVERY:
+        return False
+    if listed[LISTED] == 0:
+        _list(C, status, listed, nodes[0], compact, bound)
+    if listed[PACKED] == 0:
+        _pack(slots, inverse, listed, nodes[0], packed, nodes[2])
+    count, sticking = listed[TOUCHING], listed[STICKING]
+    needed, sliding = 2 + count + sticking, count - sticking
+    alpha = constants[ALPHA]
+    beta = 1.0 - alpha
+    b, x, moved, lack = work[4], work[5], work[11], work[6]
+    b[0], b[1] = normal, tangent
+    columns = needed
+    for j in range(count):
+        i = nodes[0, j]
+        b[2 + j] = (-height[i] - beta * w[i]) / alpha
+        if j < sticking:
+            b[2 + count + j] = (spin[i] + alpha * u[i]) / alpha
+            continue
+        if _outdated(status[i], mu[i], slopes[i], constants[MU_K], 1.0):
+            return False
+        lack[j] = _slope(status[i], mu[i]) - slopes[i]
+        if lack[j] != 0.0:
+            columns = n
+    settled = False
+    for _ in range(60):
+        for j in range(sticking, count):
+            b[2 + count + j] = lack[j] * force[nodes[0, j]]
+        _products(packed, nodes[1], needed, b, columns, x)
+        worst = 0.0
+        for j in range(sticking, count):
+            i = nodes[0, j]
+            worst = max(worst, abs(lack[j] * (x[2 + j] - force[i])))
+            force[i] = x[2 + j]
+            x[2 + count + j] = slopes[i] * x[2 + j] + b[2 + count + j]
+        if worst < 1e-14:
+            settled = True
+            break
+    if not settled:
+        return False
+    motion[0], motion[1] = x[0], x[1]
+    _products(compact, nodes[1], sliding, x, n, moved)
+    _copy(w, new_w)
+    _copy(u, new_u)
+    for j in range(count):
+        i = nodes[0, j]
+        p, t, slide = x[2 + j], x[2 + count + j], 0.0
+        if j < sticking:
+            new_u[i] = u[i] + spin[i] + motion[1]
+        else:
+            new_u[i] = alpha * moved[j - sticking] + beta * u[i]
+            slide = new_u[i] - u[i] - spin[i] - motion[1]
+        if _wanted(i, status[i], C, alpha, mu[i], 0.0, slide, p, t) != status[i]:
+            return False
+        new_w[i] = motion[0] - height[i]
+        force[i], force[m + i] = p, t
+    drift = scalars[DRIFT] + _drift(bound, force, filtered, alpha)
+    for i in range(m):
+        if status[i] != OPEN or height[i] + w[i] - motion[0] > drift - seen[i]:
+            continue
+        new_w[i] = alpha * _dot(C[i], force) + beta * _dot(C[i], filtered)
+        seen[i] = drift
+        if height[i] + new_w[i] - motion[0] < -SET_TOLERANCE_MM:
+            return False
+    scalars[DRIFT] = drift
+    ints[AGAIN] += 1
+    return True
+
+
+@njit(cache=True, error_model="numpy")
 def _separated(
     constants: Any, height: Any, w: Any, u: Any, status: Any, force: Any, scalars: Any,
     ints: Any, tangent: float,
@@ -585,6 +814,7 @@ def _step(
     C: Any, constants: Any, height: Any, spin: Any, normal: float, tangent: float, w: Any, u: Any,
     mu: Any, slopes: Any, status: Any, held: Any, force: Any, slots: Any, owner: Any, ints: Any,
     inverse: Any, work: Any, new_w: Any, new_u: Any, motion: Any, loaded: Any, wanted: Any,
+    rows: Any,
 ) -> int:  # fmt: skip
     """Solve one step; the number of active sets tried, or -1 where none is consistent."""
     m = status.size
@@ -608,9 +838,10 @@ def _step(
             _right_side(
                 constants, w, u, height, spin, status, slots, ints, normal, tangent, b
             )  # fmt: skip
+            needed = _needed(status, owner, ints[N], rows)
             settled = _solve(
-                status, slopes, mu, slots, owner, ints, inverse, force, b, solution
-            )  # fmt: skip
+                status, slopes, mu, slots, owner, ints, inverse, force, b, solution, rows, needed
+            )
             count = ints[N] - 2
             for k in range(count):
                 loaded[k] = owner[k + 2, 1] + m * owner[k + 2, 0]
@@ -667,7 +898,8 @@ def advance(
     C: Any, x: Any, gap: Any, tributary: Any, ridge: Any, constants: Any, modes: Any,
     normal: Any, tangent: Any, rotation: Any,
     w: Any, u: Any, slip: Any, mu: Any, slopes: Any, status: Any, held: Any, force: Any,
-    slots: Any, owner: Any, ints: Any, scalars: Any, inverse: Any, work: Any,
+    filtered: Any, seen: Any, slots: Any, owner: Any, ints: Any, scalars: Any, inverse: Any,
+    work: Any, listed: Any, nodes: Any, packed: Any, compact: Any,
     rows: Any, summary: Any, ridge_forces: Any, statuses: Any, stresses: Any, forces: Any,
 ) -> int:  # fmt: skip
     """Advance the state by ``normal.size`` steps; the number done (fewer: the next one failed).
@@ -677,6 +909,10 @@ def advance(
     """
     m = status.size
     new_w, new_u, height, spin = work[7][:m], work[8][:m], work[9][:m], work[10][:m]
+    trial, bound = work[6][: 2 * m], work[12][: 2 * m]
+    alpha = constants[ALPHA]
+    for k in range(nodes.shape[1]):
+        nodes[1, k] = k
     motion = np.zeros(2)
     loaded = np.empty(2 * m, np.int64)
     wanted = np.empty(m, np.int8)
@@ -701,6 +937,7 @@ def advance(
         if modes[0] == 0:
             motion[0] = normal[step]
         if modes[0] == 1 and normal[step] <= 0.0:
+            _look_at_all(C, filtered, status, w, u, seen, scalars, ints, trial, loaded)
             new_x = _separated(
                 constants, height, w, u, status, force, scalars, ints, drive
             )  # fmt: skip
@@ -709,14 +946,29 @@ def advance(
             _fill(slip, 0.0)
             _fill(mu, constants[MU_S])
         else:
-            iterations = _step(
-                C, constants, height, spin, normal[step], drive, w, u, mu, slopes, status, held,
-                force, slots, owner, ints, inverse, work, new_w, new_u, motion, loaded, wanted,
-            )  # fmt: skip
+            iterations = 1
+            if not _again(
+                C, constants, height, spin, normal[step], drive, w, u, mu, slopes, status, force,
+                slots, ints, scalars, inverse, work, filtered, seen, new_w, new_u, motion, listed,
+                nodes, packed, compact, bound,
+            ):  # fmt: skip
+                _look_at_all(C, filtered, before_status, w, u, seen, scalars, ints, trial, loaded)
+                updates, rebuilds = ints[UPDATES], ints[REBUILDS]
+                iterations = _step(
+                    C, constants, height, spin, normal[step], drive, w, u, mu, slopes, status, held,
+                    force, slots, owner, ints, inverse, work, new_w, new_u, motion, loaded, wanted,
+                    nodes[2],
+                )  # fmt: skip
+                if ints[UPDATES] != updates or ints[REBUILDS] != rebuilds:
+                    listed[PACKED] = 0
+                for i in range(m):
+                    if status[i] != before_status[i]:
+                        listed[LISTED], listed[PACKED] = 0, 0
             if iterations < 0:
                 _copy(before_status, status)
                 _copy(before_force, force)
                 ints[VALID] = 0
+                listed[LISTED], listed[PACKED] = 0, 0
                 return step
             dissipated, area = 0.0, 0.0
             for i in range(m):
@@ -733,6 +985,8 @@ def advance(
                 if slip[i] < 1e-9 * constants[D_C]:
                     slip[i] = 0.0
                     mu[i] = constants[MU_S]
+                elif slip[i] > WEAKENED * constants[D_C]:
+                    mu[i] = constants[MU_K]
                 else:
                     fresh = np.exp(-slip[i] / constants[D_C])
                     mu[i] = constants[MU_K] + (constants[MU_S] - constants[MU_K]) * fresh
@@ -747,11 +1001,13 @@ def advance(
             ridge_forces[step, 0, r] = 0.0
             ridge_forces[step, 1, r] = 0.0
         for i in range(m):
-            ridge_forces[step, 0, ridge[i]] += force[i]
-            ridge_forces[step, 1, ridge[i]] += force[m + i]
-            total_n += force[i]
-            total_t += force[m + i]
             statuses[step, i] = status[i]
+            if status[i] != OPEN:
+                ridge_forces[step, 0, ridge[i]] += force[i]
+                ridge_forces[step, 1, ridge[i]] += force[m + i]
+        for r in range(count):
+            total_n += ridge_forces[step, 0, r]
+            total_t += ridge_forces[step, 1, r]
         summary[step, OUT_D] = scalars[D]
         summary[step, OUT_FN] = total_n
         summary[step, OUT_X] = scalars[X]
@@ -759,8 +1015,11 @@ def advance(
         summary[step, OUT_DISSIPATED] = dissipated
         summary[step, OUT_AREA] = area
         summary[step, OUT_ITERATIONS] = iterations
-        for r in range(rows.shape[0]):
-            stresses[step, r] = _dot(rows[r], force)
+        for j in range(2 * m):
+            filtered[j] += alpha * (force[j] - filtered[j])
+            if abs(filtered[j]) < FORGOTTEN_N:
+                filtered[j] = 0.0
+        _products(rows, nodes[1], rows.shape[0], force, 2 * m, stresses[step])
         if forces.shape[0] > 0:
             _copy(force, forces[step])
     return int(normal.size)

@@ -81,6 +81,8 @@ class ContactState:
     status: Statuses
     held_status: Statuses
     force_N: Floats
+    filtered_N: Floats
+    drift_mm: Floats
     slots: NDArray[np.int64]
     owner: NDArray[np.int64]
     integers: NDArray[np.int64]
@@ -124,7 +126,12 @@ class ContactStepper:
         )
         self._tributary = skin.tributary_mm() * skin.settings.width_mm
         self._constants = self._make_constants()
-        self._work = np.zeros((11, 2 * skin.nodes + 2))
+        size = 2 * skin.nodes + 2
+        self._work = np.zeros((13, size))
+        self._listed = np.zeros(4, np.int64)
+        self._nodes = np.zeros((3, size), np.int64)
+        self._packed = np.zeros((size, size))
+        self._compact = np.zeros((skin.nodes, size))
         self._state = self._initial_state(position_mm)
 
     @property
@@ -140,6 +147,7 @@ class ContactStepper:
     @state.setter
     def state(self, state: ContactState) -> None:
         self._state = state.copy()
+        self._listed[:] = 0  # they were another state's
 
     @property
     def position_mm(self) -> float:
@@ -148,7 +156,8 @@ class ContactStepper:
 
     def displacement_mm(self) -> tuple[Floats, Floats]:
         """Downward and tangential displacement of the contact nodes, two arrays (m,)."""
-        return self._state.downward_mm.copy(), self._state.sideways_mm.copy()
+        moved = self.skin.compliance_mm_N @ self._state.filtered_N
+        return moved[: self.skin.nodes], moved[self.skin.nodes :]
 
     def advance(
         self,
@@ -187,8 +196,9 @@ class ContactStepper:
             self.skin.compliance_mm_N, self.skin.contact_x_mm, self.skin.gap_mm, self._tributary,
             self.skin.ridge, self._constants, modes, normals, tangents, rotations,
             s.downward_mm, s.sideways_mm, s.slip_mm, s.friction, s.slopes, s.status, s.held_status,
-            s.force_N, s.slots, s.owner, s.integers, s.scalars, s.inverse, self._work,
-            self._rows, summary, ridge_forces, statuses, stresses, forces,
+            s.force_N, s.filtered_N, s.drift_mm, s.slots, s.owner, s.integers, s.scalars, s.inverse,
+            self._work, self._listed, self._nodes, self._packed, self._compact, self._rows,
+            summary, ridge_forces, statuses, stresses, forces,
         )  # fmt: skip
         if done < k:
             raise ConvergenceError(
@@ -247,10 +257,12 @@ class ContactStepper:
             status=np.zeros(m, np.int8),
             held_status=np.zeros(m, np.int8),
             force_N=np.zeros(2 * m),
+            filtered_N=np.zeros(2 * m),
+            drift_mm=np.zeros(m),
             slots=np.full((2, m), -1, np.int64),
             owner=np.zeros((n, 2), np.int64),
-            integers=np.zeros(7, np.int64),
-            scalars=np.array([0.0, position_mm, 0.0]),
+            integers=np.zeros(8, np.int64),
+            scalars=np.array([0.0, position_mm, 0.0, 0.0]),
             inverse=np.zeros((n, n)),
         )
 
