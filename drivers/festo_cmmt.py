@@ -72,9 +72,10 @@ LOW_LIMIT, HIGH_LIMIT = 11584, 11585  # LINT, position units
 
 TELEGRAM = 111
 POLL_S = 0.002
-JUST_SEEN_S = 0.002
-"""As short as the way of an answer: who asks where the axis is and at once sends it on has the
-drive's state before him."""
+JUST_SEEN_S = 0.01
+"""A tick of 100 Hz: who sends the axis on as often as that has asked where it is before, and who
+does so more often need not ask more often. What another client has the drive do may be undone by a
+new target for so long; a drive with a fault takes none."""
 ARRIVAL_POLL_S = 0.02
 KEEP_ALIVES_PER_TIMEOUT = 20
 """How often the communication time-out is fed within its length."""

@@ -222,7 +222,7 @@ class PressedTrial:
         self._move_z(near_mm, speed_mm_s)
 
         def look(tick: Tick) -> bool:
-            felt = self._collect() > CONTACT_N
+            felt = self._collect(tick, look=True) > CONTACT_N
             if felt:
                 self._move_z(self._z_mm, speed_mm_s)
             return not felt and self._z_mm < near_mm - BOTTOM_mm
@@ -237,7 +237,7 @@ class PressedTrial:
 
         def look(tick: Tick) -> bool:
             nonlocal touched, arrived
-            force_N = self._collect()
+            force_N = self._collect(tick, look=True)
             here_mm = self._z_mm
             step = down.step(tick.began_s, here_mm, force_N)
             if step.touched and not touched:
@@ -289,27 +289,32 @@ class PressedTrial:
 
     def _hold(self, tick: Tick, look: bool = False) -> bool:
         """Move z by what the force asks for; `look`: ask the stages where they are in any case."""
-        step = self._servo.step(self._collect(look or tick.number % self._look_every == 0))
+        step = self._servo.step(self._collect(tick, look))
         self._move_z(self._z_commanded + step.increment_mm, step.speed_mm_s)
         return True
 
     def _look_on(self, tick: Tick) -> bool:
         """Leave z to itself."""
-        self._collect(tick.number % self._look_every == 0)
+        self._collect(tick)
         return True
 
-    def _collect(self, look: bool = True) -> float:
-        """The latest force along z. A `look` asks the stages where they are, x while it may move,
-        and records what they, force sensor and DAQ have said since the last, if there is a record.
+    def _collect(self, tick: Tick, look: bool = False) -> float:
+        """The latest force along z. Every so many ticks, and for a `look`, the stages are asked
+        where they are, x while it may move. If there is a record, it goes on with that and with
+        what DAQ and force sensor have said since, each in a tick of its own where ticks are many.
         """
-        if look:
+        since_look, longest = tick.number % self._look_every, self._look_every - 1
+        if look or since_look == 0:
             self._z_mm = self.z.position_mm()
             if self._in_motion:
                 self._x_mm = self.x.position_mm()
-        if look and self._recording:
-            self._collect_blocks()
-            self._collect_frames()
-            self._record_position()
+        if self._recording:
+            if since_look == 0:
+                self._record_position()
+            if since_look == min(1, longest):
+                self._collect_blocks()
+            if since_look == min(2, longest):
+                self._collect_frames()
         force_N = self.run.force.mean_N(LOOK_S)
         self._tangential_N = float(force_N[0])
         return float(force_N[2])

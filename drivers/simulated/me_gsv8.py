@@ -96,6 +96,11 @@ class Sensor:
         inverse, zero = _inverse(self.matrix, self.zero_mV_V)
         return np.asarray(force_N @ inverse.T + zero)
 
+    def largest_bridge(self, force_N: npt.NDArray[np.float64]) -> float:
+        """What no bridge exceeds in mV/V while no component exceeds these, (3,) in N."""
+        inverse, zero = _inverse(self.matrix, self.zero_mV_V)
+        return float((np.abs(inverse) @ force_N + np.abs(zero)).max())
+
 
 @cache
 def _inverse(
@@ -542,16 +547,19 @@ class Gsv8:
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
         """Each channel's mean over the frame period that ends at each instant, in input ranges,
         and whether the converter stood at its end within it: both (n, 8)."""
+        count, per_frame = len(ends_s), len(self._back_s)
         times = np.maximum(ends_s[:, None] - self._back_s, 0.0)
-        bridges = self.sensor.bridges(self._port.force_N(times.ravel()))
+        force = self._port.force_N(times.ravel()).reshape(count, per_frame, 3)
         full = np.array([_input_range(kind) for kind in self.memory.input_type])
-        converted = bridges.reshape(*times.shape, 3) / full[:3]
-        saturated = np.zeros((len(ends_s), CHANNELS), bool)
-        if max(converted.max(), -converted.min()) >= OVERRANGE:
+        saturated = np.zeros((count, CHANNELS), bool)
+        ranges = self._noise_of(count) / full
+        if self.sensor.largest_bridge(np.abs(force).max(axis=(0, 1))) < OVERRANGE * full[:3].min():
+            mean = np.add.reduce(force, axis=1) / per_frame  # as the converter's: it is linear
+            ranges[:, :3] += self.sensor.bridges(mean) / full[:3]
+        else:
+            converted = self.sensor.bridges(force.reshape(-1, 3)).reshape(force.shape) / full[:3]
             saturated[:, :3] = (np.abs(converted) >= OVERRANGE).any(axis=1)
-            converted = np.clip(converted, -OVERRANGE, OVERRANGE)
-        ranges = self._noise_of(len(ends_s)) / full
-        ranges[:, :3] += converted.mean(axis=1)
+            ranges[:, :3] += np.clip(converted, -OVERRANGE, OVERRANGE).mean(axis=1)
         np.clip(ranges, -OVERRANGE, OVERRANGE, out=ranges)
         for kind, begin_s, end_s in self._disturbed:
             befallen = (ends_s >= begin_s) & (ends_s < end_s)
@@ -574,7 +582,8 @@ class Gsv8:
         drawn = [self._noise_chunk(chunk) for chunk in chunks]
         begin = first - chunks[0] * NOISE_CHUNK
         rms = NOISE_MV_V * math.sqrt(self.rate / 1000)
-        return rms * np.concatenate(drawn)[begin : begin + count]
+        noise = drawn[0] if len(drawn) == 1 else np.concatenate(drawn)
+        return rms * noise[begin : begin + count]
 
     def _noise_chunk(self, chunk: int) -> npt.NDArray[np.float64]:
         if chunk not in self._noise:

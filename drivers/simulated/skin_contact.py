@@ -21,7 +21,7 @@ it (see `SkinContact.failure`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -119,8 +119,7 @@ class SkinContact:
         """Force on the plate along x, y, z at ascending World times, none in the future: (n,) to
         (n, 3)."""
         force = np.zeros((len(times_s), 3))
-        force[:, 0] = self._at(TANGENTIAL_N, times_s)
-        force[:, 2] = self._at(NORMAL_N, times_s)
+        force[:, 0], force[:, 2] = self._at((TANGENTIAL_N, NORMAL_N), times_s)
         return force
 
     def strip_V(self, strip: int, times_s: Reals) -> Reals:  # noqa: N802
@@ -128,7 +127,8 @@ class SkinContact:
         if times_s.size:
             self.catch_up(math.floor(float(times_s[-1]) * 1e6))
             self._make_volts()
-        return self._at(STRIP_1_V if strip == 1 else STRIP_2_V, times_s)
+        (volts,) = self._at((STRIP_1_V if strip == 1 else STRIP_2_V,), times_s)
+        return volts
 
     def push_N(self, t_us: int) -> tuple[float, float]:  # noqa: N802
         """F_t and F_n that the stages' positions at a World time lead to."""
@@ -293,13 +293,13 @@ class SkinContact:
             self._results[:, end : end + fresh.shape[1]] = fresh
             self._steps += fresh.shape[1]
 
-    def _at(self, row: int, times_s: Reals) -> Reals:
+    def _at(self, rows: Sequence[int], times_s: Reals) -> list[Reals]:
+        """Results between the steps."""
         if not times_s.size:
-            return np.zeros_like(times_s)
+            return [np.zeros_like(times_s) for _ in rows]
         step_s = self.step_us * 1e-6
         self.catch_up(math.floor(float(times_s[-1]) * 1e6))
         first = max(math.floor(float(times_s[0]) / step_s) - 1, self._oldest)
         grid = np.arange(first, self._steps + 1) * step_s
-        values = self._results[row, first - self._oldest : self._steps + 1 - self._oldest]
-        between: Reals = np.interp(times_s, grid, values)
-        return between
+        kept = self._results[:, first - self._oldest : self._steps + 1 - self._oldest]
+        return [np.interp(times_s, grid, kept[row]) for row in rows]

@@ -130,14 +130,20 @@ def _products(A: Any, rows: Any, count: int, b: Any, n: int, out: Any) -> None:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _multiply_left(b: Any, A: Any, n: int, out: Any) -> None:
-    """out[:n] = b[:n] A[:n, :n]"""
+    """out[:n] = b[:n] A[:n, :n]; four rows at once."""
     for c in range(n):
         out[c] = 0.0
-    for r in range(n):
-        s = b[r]
-        if s != 0.0:
-            for c in range(n):
-                out[c] += s * A[r, c]
+    r = 0
+    while r + 4 <= n:
+        s0, s1, s2, s3 = b[r], b[r + 1], b[r + 2], b[r + 3]
+        for c in range(n):
+            out[c] += s0 * A[r, c] + s1 * A[r + 1, c] + s2 * A[r + 2, c] + s3 * A[r + 3, c]
+        r += 4
+    while r < n:
+        s0 = b[r]
+        for c in range(n):
+            out[c] += s0 * A[r, c]
+        r += 1
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
