@@ -11,11 +11,17 @@ The time rule is backward Euler: u' = α W f + β u, with α = 1/(1 + τ/Δt) an
 uses each node's coefficient at the start of the step, so that a step is a Coulomb problem with
 constant coefficients.
 
-Most steps end with the active set they began with. `_again` tries that first and looks only at the
-nodes in contact: where these are follows from their rows. The displacement is W g, g being the
-force behind the same rule, so that what an open node has moved since it was last looked at is
-bounded by what g has changed; while that is less than its gap it stays open and need not be known.
+Most steps end with the active set they began with, or with slipping nodes that stick for a moment.
+`_again` tries that first, with the inverse as it is: a node that sticks bears a tangential force
+beside its friction, and a small system gives the forces that keep such nodes from sliding
+(`_hold_back`). It looks only at the nodes in contact: where these are follows from their rows. The
+displacement is W g, g being the force behind the same rule, so that what an open node has moved
+since it was last looked at is bounded by what g has changed; while that is less than its gap it
+stays open and need not be known.
 Every other step is a whole one (`_step`): all displacements, all rows' residuals.
+
+All of it is one module because numba's cache looks at the file of the function that is called, not
+at those it calls.
 """
 
 from __future__ import annotations
@@ -35,7 +41,9 @@ D, X, V, DRIFT = range(4)
 SCALARS = 4
 # what is listed of the present active set
 LISTED, PACKED, TOUCHING, STICKING = range(4)
-LISTING = 4
+# rows of integers by node: in contact, in order; counting; slots of the inverse; whether a slipping
+# one sticks; which do; whose answer to a force is known; the set that is listed
+NODES, COUNTING, ORDER, MARKED, WHICH, ANSWERED, HELD = range(7)
 # columns of a step's summary
 (
     OUT_D,
@@ -658,15 +666,15 @@ def _look_at_all(
 
 
 @njit(cache=True, error_model="numpy")
-def _list(C: Any, status: Any, listed: Any, nodes: Any, compact: Any, bound: Any) -> None:
-    """What `_again` needs of the present active set, close together: the nodes in contact, those
-    that stick first; the compliance by which their forces make the slipping ones slide; and how far
-    a unit of each force moves an open node down at most."""
-    m = status.size
+def _list(C: Any, held: Any, listed: Any, nodes: Any, was: Any, compact: Any, bound: Any) -> None:
+    """What `_again` needs of the active set of the inverse, close together: the nodes in contact,
+    those that stick first; the compliance by which their forces make the slipping ones slide; and
+    how far a unit of each force moves an open node down at most."""
+    m = held.size
     count = 0
     for sticking in (True, False):
         for i in range(m):
-            if status[i] != OPEN and (status[i] == STICK) == sticking:
+            if held[i] != OPEN and (held[i] == STICK) == sticking:
                 nodes[count] = i
                 count += 1
         if sticking:
@@ -680,7 +688,8 @@ def _list(C: Any, status: Any, listed: Any, nodes: Any, compact: Any, bound: Any
             target[2 + count + k] = source[m + nodes[k]]
     _fill(bound, 0.0)
     for i in range(m):
-        if status[i] == OPEN:
+        was[i] = held[i]
+        if held[i] == OPEN:
             _raise(bound, C[i])
     listed[LISTED] = 1
 
@@ -693,7 +702,9 @@ def _raise(bound: Any, row: Any) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _pack(slots: Any, inverse: Any, listed: Any, nodes: Any, packed: Any, order: Any) -> None:
+def _pack(
+    slots: Any, inverse: Any, listed: Any, nodes: Any, packed: Any, order: Any, answered: Any
+) -> None:
     """The inverse in the order d, Δx, p of the nodes listed, t of those that stick, t of those that
     slip, as far as a solution is made of it."""
     count = listed[TOUCHING]
@@ -705,6 +716,8 @@ def _pack(slots: Any, inverse: Any, listed: Any, nodes: Any, packed: Any, order:
         source, target = inverse[order[q]], packed[q]
         for r in range(2 + 2 * count):
             target[r] = source[order[r]]
+    for j in range(count):
+        answered[j] = 0
     listed[PACKED] = 1
 
 
@@ -718,69 +731,219 @@ def _drift(bound: Any, force: Any, filtered: Any, alpha: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+def _answer(
+    k: int, count: int, sticking: int, slopes: Any, nodes: Any, packed: Any, compact: Any,
+    answers: Any, slides: Any,
+) -> None:  # fmt: skip
+    """What a unit of tangential force beside its friction does at slipping node `k`: to all
+    unknowns, in the order of `_pack`, and to the slide of all slipping nodes."""
+    needed, answer = 2 + count + sticking, answers[k]
+    for q in range(needed):
+        answer[q] = packed[q, needed + k]
+    for j in range(sticking, count):
+        answer[2 + count + j] = slopes[nodes[NODES, j]] * answer[2 + j]
+    answer[needed + k] += 1.0
+    _products(compact, nodes[COUNTING], count - sticking, answer, 2 + 2 * count, slides[k])
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _eliminate(A: Any, b: Any, n: int) -> bool:
+    """Solve A[:n, :n] x = b[:n] in place, b becoming x; False where A is singular."""
+    for k in range(n):
+        best = k
+        for r in range(k + 1, n):
+            if abs(A[r, k]) > abs(A[best, k]):
+                best = r
+        if not abs(A[best, k]) > 1e-300:
+            return False
+        if best != k:
+            for c in range(k, n):
+                A[k, c], A[best, c] = A[best, c], A[k, c]
+            b[k], b[best] = b[best], b[k]
+        for r in range(k + 1, n):
+            factor = A[r, k] / A[k, k]
+            if factor != 0.0:
+                for c in range(k + 1, n):
+                    A[r, c] -= factor * A[k, c]
+                b[r] -= factor * b[k]
+    for k in range(n - 1, -1, -1):
+        total = b[k]
+        for c in range(k + 1, n):
+            total -= A[k, c] * b[c]
+        b[k] = total / A[k, k]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _hold_back(
+    alpha: float, spin: Any, u: Any, mu: Any, held: Any, slopes: Any, count: int, sticking: int,
+    nodes: Any, packed: Any, compact: Any, x: Any, moved: Any, answers: Any, slides: Any,
+    small: Any, work: Any,
+) -> int:  # fmt: skip
+    """Find those of the slipping nodes that stick in this step: each bears a tangential force
+    beside its friction that keeps it from sliding. `x` and `moved` are the solution with all of
+    them slipping and become that with those sticking which nodes[MARKED] marks. The sets tried; 0
+    where this way does not lead to one that holds."""
+    sliding, n = count - sticking, 2 + 2 * count
+    x0, moved0, extra = work[13], work[14], work[15]
+    _copy(x[:n], x0)
+    _copy(moved[:sliding], moved0)
+    marked, which, answered = nodes[MARKED], nodes[WHICH], nodes[ANSWERED]
+    for tried in range(1, PATIENCE):
+        k = 0
+        for s in range(sliding):
+            if marked[s] == 1:
+                which[k] = s
+                k += 1
+        _copy(x0[:n], x)
+        _copy(moved0[:sliding], moved)
+        for a in range(k):
+            if answered[which[a]] == 0:
+                _answer(
+                    which[a], count, sticking, slopes, nodes, packed, compact, answers, slides
+                )  # fmt: skip
+                answered[which[a]] = 1
+        for a in range(k):
+            i = nodes[NODES, sticking + which[a]]
+            extra[a] = -(alpha * (moved0[which[a]] - u[i]) - spin[i] - x0[1])
+            for c in range(k):
+                small[a, c] = alpha * slides[which[c], which[a]] - answers[which[c], 1]
+        if not _eliminate(small, extra, k):
+            return 0
+        for a in range(k):
+            s = which[a]
+            for q in range(n):
+                x[q] += extra[a] * answers[s, q]
+            for q in range(sliding):
+                moved[q] += extra[a] * slides[s, q]
+        changes = 0
+        for s in range(sliding):
+            j = sticking + s
+            i = nodes[NODES, j]
+            p, t = x[2 + j], x[2 + count + j]
+            slide = alpha * (moved[s] - u[i]) - spin[i] - x[1]
+            if p < -SET_TOLERANCE_N:
+                return 0
+            if marked[s] == 1:
+                if abs(slide) > RESIDUAL_MM:
+                    return 0
+                if abs(t) > mu[i] * p + SET_TOLERANCE_N:
+                    if (t > 0.0) != (held[i] == SLIP_PLUS):
+                        return 0
+                    marked[s] = 0
+                    changes += 1
+                continue
+            backwards = slide if held[i] == SLIP_PLUS else -slide
+            if backwards > SLIP_TOLERANCE_MM and mu[i] > 0.0:
+                marked[s] = 1
+                changes += 1
+        if changes == 0:
+            return tried
+    return 0
+
+
+@njit(cache=True, error_model="numpy")
+def _slides_back(
+    alpha: float, spin: Any, u: Any, mu: Any, held: Any, sticking: int, count: int, nodes: Any,
+    dx: float, moved: Any,
+) -> bool:  # fmt: skip
+    """Whether a slipping node slides against its friction."""
+    for j in range(sticking, count):
+        i = nodes[NODES, j]
+        slide = alpha * (moved[j - sticking] - u[i]) - spin[i] - dx
+        if (slide if held[i] == SLIP_PLUS else -slide) > SLIP_TOLERANCE_MM and mu[i] > 0.0:
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
 def _again(
     C: Any, constants: Any, height: Any, spin: Any, normal: float, tangent: float, w: Any, u: Any,
-    mu: Any, slopes: Any, status: Any, force: Any, slots: Any, ints: Any, scalars: Any,
+    mu: Any, slopes: Any, status: Any, held: Any, force: Any, slots: Any, ints: Any, scalars: Any,
     inverse: Any, work: Any, filtered: Any, seen: Any, new_w: Any, new_u: Any, motion: Any,
-    listed: Any, nodes: Any, packed: Any, compact: Any, bound: Any,
-) -> bool:  # fmt: skip
-    """Try the step with the active set of the one before; False where it does not hold, or where
-    all displacements are due to be looked at: then only `force` has changed."""
+    listed: Any, nodes: Any, packed: Any, compact: Any, bound: Any, answers: Any, slides: Any,
+    small: Any,
+) -> int:  # fmt: skip
+    """Try the step with the inverse as it is; the number of active sets tried, 0 where none of
+    them holds, or where all displacements are due to be looked at: then only `force` has
+    changed."""
     n, m = ints[N], status.size
     if n == 2 or ints[VALID] == 0 or ints[AGAIN] >= LOOKED_AT_EVERY:
-        return False
+        return 0
     if listed[LISTED] == 0:
-        _list(C, status, listed, nodes[0], compact, bound)
+        _list(C, held, listed, nodes[NODES], nodes[HELD], compact, bound)
     if listed[PACKED] == 0:
-        _pack(slots, inverse, listed, nodes[0], packed, nodes[2])
+        _pack(slots, inverse, listed, nodes[NODES], packed, nodes[ORDER], nodes[ANSWERED])
     count, sticking = listed[TOUCHING], listed[STICKING]
     needed, sliding = 2 + count + sticking, count - sticking
     alpha = constants[ALPHA]
     beta = 1.0 - alpha
     b, x, moved, lack = work[4], work[5], work[11], work[6]
+    marked = nodes[MARKED]
     b[0], b[1] = normal, tangent
-    columns = needed
+    columns, holding = needed, False
     for j in range(count):
-        i = nodes[0, j]
+        i = nodes[NODES, j]
         b[2 + j] = (-height[i] - beta * w[i]) / alpha
         if j < sticking:
             b[2 + count + j] = (spin[i] + alpha * u[i]) / alpha
             continue
         if _outdated(status[i], mu[i], slopes[i], constants[MU_K], 1.0):
-            return False
-        lack[j] = _slope(status[i], mu[i]) - slopes[i]
+            return 0
+        marked[j - sticking] = 1 if status[i] == STICK else 0
+        holding = holding or status[i] == STICK
+        lack[j] = _slope(held[i], mu[i]) - slopes[i]
         if lack[j] != 0.0:
             columns = n
-    settled = False
+    tried, settled = 1, False
     for _ in range(60):
         for j in range(sticking, count):
-            b[2 + count + j] = lack[j] * force[nodes[0, j]]
-        _products(packed, nodes[1], needed, b, columns, x)
+            lacks = marked[j - sticking] == 0
+            b[2 + count + j] = lack[j] * force[nodes[NODES, j]] if lacks else 0.0
+        _products(packed, nodes[COUNTING], needed, b, columns, x)
+        for j in range(sticking, count):
+            x[2 + count + j] = slopes[nodes[NODES, j]] * x[2 + j] + b[2 + count + j]
+        if holding:
+            _products(compact, nodes[COUNTING], sliding, x, n, moved)
+            sets = _hold_back(
+                alpha, spin, u, mu, held, slopes, count, sticking, nodes, packed, compact, x, moved,
+                answers, slides, small, work,
+            )  # fmt: skip
+            if sets == 0:
+                return 0
+            tried += sets - 1
         worst = 0.0
         for j in range(sticking, count):
-            i = nodes[0, j]
-            worst = max(worst, abs(lack[j] * (x[2 + j] - force[i])))
-            force[i] = x[2 + j]
-            x[2 + count + j] = slopes[i] * x[2 + j] + b[2 + count + j]
-        if worst < 1e-14:
-            settled = True
+            if marked[j - sticking] == 0:
+                worst = max(worst, abs(lack[j] * x[2 + j] - b[2 + count + j]))
+            force[nodes[NODES, j]] = x[2 + j]
+        if worst >= 1e-14:
+            continue
+        settled = True
+        if not holding:
+            _products(compact, nodes[COUNTING], sliding, x, n, moved)
+            holding = _slides_back(alpha, spin, u, mu, held, sticking, count, nodes, x[1], moved)
+            settled = not holding
+        if settled:
             break
     if not settled:
-        return False
+        return 0
     motion[0], motion[1] = x[0], x[1]
-    _products(compact, nodes[1], sliding, x, n, moved)
     _copy(w, new_w)
     _copy(u, new_u)
     for j in range(count):
-        i = nodes[0, j]
+        i = nodes[NODES, j]
         p, t, slide = x[2 + j], x[2 + count + j], 0.0
-        if j < sticking:
+        now = held[i]
+        if j >= sticking and marked[j - sticking] == 1:
+            now = STICK
+        if now == STICK:
             new_u[i] = u[i] + spin[i] + motion[1]
         else:
             new_u[i] = alpha * moved[j - sticking] + beta * u[i]
             slide = new_u[i] - u[i] - spin[i] - motion[1]
-        if _wanted(i, status[i], C, alpha, mu[i], 0.0, slide, p, t) != status[i]:
-            return False
+        if _wanted(i, now, C, alpha, mu[i], 0.0, slide, p, t) != now:
+            return 0
         new_w[i] = motion[0] - height[i]
         force[i], force[m + i] = p, t
     drift = scalars[DRIFT] + _drift(bound, force, filtered, alpha)
@@ -790,10 +953,13 @@ def _again(
         new_w[i] = alpha * _dot(C[i], force) + beta * _dot(C[i], filtered)
         seen[i] = drift
         if height[i] + new_w[i] - motion[0] < -SET_TOLERANCE_MM:
-            return False
+            return 0
+    for j in range(sticking, count):
+        i = nodes[NODES, j]
+        status[i] = STICK if marked[j - sticking] == 1 else held[i]
     scalars[DRIFT] = drift
     ints[AGAIN] += 1
-    return True
+    return tried
 
 
 @njit(cache=True, error_model="numpy")
@@ -905,7 +1071,8 @@ def advance(
     normal: Any, tangent: Any, rotation: Any,
     w: Any, u: Any, slip: Any, mu: Any, slopes: Any, status: Any, held: Any, force: Any,
     filtered: Any, seen: Any, slots: Any, owner: Any, ints: Any, scalars: Any, inverse: Any,
-    work: Any, listed: Any, nodes: Any, packed: Any, compact: Any,
+    work: Any, listed: Any, nodes: Any, packed: Any, compact: Any, answers: Any, slides: Any,
+    small: Any,
     rows: Any, summary: Any, ridge_forces: Any, statuses: Any, stresses: Any, forces: Any,
 ) -> int:  # fmt: skip
     """Advance the state by ``normal.size`` steps; the number done (fewer: the next one failed).
@@ -918,7 +1085,7 @@ def advance(
     trial, bound = work[6][: 2 * m], work[12][: 2 * m]
     alpha = constants[ALPHA]
     for k in range(nodes.shape[1]):
-        nodes[1, k] = k
+        nodes[COUNTING, k] = k
     motion = np.zeros(2)
     loaded = np.empty(2 * m, np.int64)
     wanted = np.empty(m, np.int8)
@@ -952,23 +1119,25 @@ def advance(
             _fill(slip, 0.0)
             _fill(mu, constants[MU_S])
         else:
-            iterations = 1
-            if not _again(
-                C, constants, height, spin, normal[step], drive, w, u, mu, slopes, status, force,
-                slots, ints, scalars, inverse, work, filtered, seen, new_w, new_u, motion, listed,
-                nodes, packed, compact, bound,
-            ):  # fmt: skip
-                _look_at_all(C, filtered, before_status, w, u, seen, scalars, ints, trial, loaded)
+            iterations = _again(
+                C, constants, height, spin, normal[step], drive, w, u, mu, slopes, status, held,
+                force, slots, ints, scalars, inverse, work, filtered, seen, new_w, new_u, motion,
+                listed, nodes, packed, compact, bound, answers, slides, small,
+            )  # fmt: skip
+            if iterations == 0:
+                _look_at_all(
+                    C, filtered, before_status, w, u, seen, scalars, ints, trial, loaded
+                )  # fmt: skip
                 updates, rebuilds = ints[UPDATES], ints[REBUILDS]
                 iterations = _step(
                     C, constants, height, spin, normal[step], drive, w, u, mu, slopes, status, held,
                     force, slots, owner, ints, inverse, work, new_w, new_u, motion, loaded, wanted,
-                    nodes[2],
+                    nodes[ORDER],
                 )  # fmt: skip
                 if ints[UPDATES] != updates or ints[REBUILDS] != rebuilds:
                     listed[PACKED] = 0
                 for i in range(m):
-                    if status[i] != before_status[i]:
+                    if held[i] != nodes[HELD, i]:
                         listed[LISTED], listed[PACKED] = 0, 0
             if iterations < 0:
                 _copy(before_status, status)
@@ -1025,7 +1194,7 @@ def advance(
             filtered[j] += alpha * (force[j] - filtered[j])
             if abs(filtered[j]) < FORGOTTEN_N:
                 filtered[j] = 0.0
-        _products(rows, nodes[1], rows.shape[0], force, 2 * m, stresses[step])
+        _products(rows, nodes[COUNTING], rows.shape[0], force, 2 * m, stresses[step])
         if forces.shape[0] > 0:
             _copy(force, forces[step])
     return int(normal.size)

@@ -127,11 +127,14 @@ class ContactStepper:
         self._tributary = skin.tributary_mm() * skin.settings.width_mm
         self._constants = self._make_constants()
         size = 2 * skin.nodes + 2
-        self._work = np.zeros((13, size))
+        self._work = np.zeros((16, size))
         self._listed = np.zeros(4, np.int64)
-        self._nodes = np.zeros((3, size), np.int64)
+        self._nodes = np.zeros((7, size), np.int64)
         self._packed = np.zeros((size, size))
         self._compact = np.zeros((skin.nodes, size))
+        self._answers = np.zeros((skin.nodes, size))
+        self._slides = np.zeros((skin.nodes, skin.nodes))
+        self._small = np.zeros((skin.nodes, skin.nodes))
         self._state = self._initial_state(position_mm)
 
     @property
@@ -197,8 +200,9 @@ class ContactStepper:
             self.skin.ridge, self._constants, modes, normals, tangents, rotations,
             s.downward_mm, s.sideways_mm, s.slip_mm, s.friction, s.slopes, s.status, s.held_status,
             s.force_N, s.filtered_N, s.drift_mm, s.slots, s.owner, s.integers, s.scalars, s.inverse,
-            self._work, self._listed, self._nodes, self._packed, self._compact, self._rows,
-            summary, ridge_forces, statuses, stresses, forces,
+            self._work, self._listed, self._nodes, self._packed, self._compact, self._answers,
+            self._slides, self._small,
+            self._rows, summary, ridge_forces, statuses, stresses, forces,
         )  # fmt: skip
         if done < k:
             raise ConvergenceError(
