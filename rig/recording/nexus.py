@@ -116,6 +116,7 @@ def array_field(
     if values.size:
         field[...] = values
     label(field, units, long_name)
+    field.flush()  # else its place in the file is found when the last reference to it goes
     return field
 
 

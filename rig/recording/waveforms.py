@@ -235,8 +235,11 @@ class WaveformWriter:
         stream = self._contents.segments[number].stream
         if first == 0:
             self._fields[stream] = self._make_group(number)
+        end = first + len(rows)
         for k, field in enumerate(self._fields[stream]):
-            field[first : first + len(rows)] = rows[:, k]
+            field[first:end] = rows[:, k]
+            if end == self._contents.segments[number].rows:
+                field.flush()  # its place in the file is found now, not when it is let go
 
     def _make_group(self, number: int) -> list[h5py.Dataset]:
         """The group of a segment; gives its channels' fields, to be filled."""
@@ -282,6 +285,7 @@ class WaveformWriter:
         for first in range(0, segment.rows, CHUNK_ROWS):
             index = np.arange(first, min(first + CHUNK_ROWS, segment.rows))
             axis[first : first + len(index)] = index / rate if rate else index
+        axis.flush()
         label(axis, "s" if rate else "1", "Time (s)" if rate else "Sample")
         self._axes[key] = axis
         return name

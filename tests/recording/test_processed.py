@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -20,6 +21,7 @@ from rig.errors import ExitCode
 from rig.recording.compiled import compile_run, sha256_of
 from rig.recording.definitions import definition_path
 from rig.recording.detection import Failure, Found, Job, detect_file, detect_trials
+from rig.recording.nexus import array_field
 from rig.recording.processed_file import ProcessedFile, is_processed
 from rig.recording.runfile import RunFile
 from rig.recording.verify import verdict, verify
@@ -129,6 +131,22 @@ def test_the_same_run_gives_the_same_bytes_and_stays_as_it_was(
     assert verify(run_file) == []
     after = run_file.stat()
     assert (after.st_mtime_ns, after.st_mode) == (before.st_mtime_ns, before.st_mode)
+
+
+def test_who_holds_on_to_a_field_does_not_change_the_bytes(
+    found: Found, run_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A profiler looks at the frames of a cluster's worker and so keeps what they hold alive."""
+    held = []
+
+    def holding(*given: Any) -> Any:
+        held.append(array_field(*given))
+        return held[-1]
+
+    monkeypatch.setattr("rig.recording.processed.array_field", holding)
+    again = detected(run_file, tmp_path / "elsewhere")
+    assert held
+    assert again.file.read_bytes() == found.file.read_bytes()
 
 
 def as_written(file: Path) -> tuple[int, int, int]:
