@@ -271,6 +271,19 @@ def test_a_retarget_right_after_a_look_is_one_write() -> None:
         ]
 
 
+def test_targets_at_500_hz_are_read_before_at_100_hz() -> None:
+    with service() as it:
+        axis = it.homed()
+        axis.start_move(20.0, 25.0)
+        it.clock.sleep(0.01)
+        it.wire.heard()
+        for tick in range(11):
+            axis.start_move(21.0 + 0.1 * tick, 25.0)
+            it.clock.sleep(0.002)
+        said = [line.split(" ")[0] for line in it.wire.heard()]
+        assert said == 2 * ["read", *5 * ["write"]] + ["read", "write"]
+
+
 def test_an_old_fault_is_acknowledged_once_on_taking_charge() -> None:
     with service() as it:
         axis = it.connect()

@@ -67,13 +67,18 @@ PATIENCE = 12
 ITERATIONS = 60
 RESCUES_A_STEP = 30
 FRICTION_REFRESH = 0.004
+"""Change of a coefficient after which the inverse takes it up."""
 FRICTION_SETTLES = 0.1
+"""It does so, too, where what is still to come is less than this share of the change."""
 FRICTION_SETTLED = 1e-9
+"""Smaller changes wait until the coefficient stays where it is."""
 EAGER = 4.0
+"""See `_outdated`; fewer whole steps for more changes of the inverse (measured)."""
 WEAKENED = 40.0
 """Weakening distances after which no digit of the coefficient changes any more."""
 REFRESH_UPDATES = 4000
 FORGOTTEN_N = 1e-18
+"""A force behind the rule of the time step that is none any more."""
 LOOKED_AT_EVERY = 50
 """Steps with the same active set after which all residuals are looked at again."""
 
@@ -377,6 +382,16 @@ def _open(i: int, slots: Any, owner: Any, ints: Any, inverse: Any, work: Any) ->
     return True
 
 
+@njit(cache=True, error_model="numpy")
+def _pivot(A: Any, k: int, n: int) -> int:
+    """The row from `k` on with the largest entry in column `k`."""
+    best = k
+    for r in range(k + 1, n):
+        if abs(A[r, k]) > abs(A[best, k]):
+            best = r
+    return best
+
+
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _invert(A: Any, inverse: Any) -> bool:
     """Gauss-Jordan with row pivots; destroys A; False where it is singular or not finite."""
@@ -385,10 +400,7 @@ def _invert(A: Any, inverse: Any) -> bool:
         for c in range(n):
             inverse[r, c] = 1.0 if r == c else 0.0
     for k in range(n):
-        best = k
-        for r in range(k + 1, n):
-            if abs(A[r, k]) > abs(A[best, k]):
-                best = r
+        best = _pivot(A, k, n)
         if not abs(A[best, k]) > 1e-14:
             return False
         if best != k:
@@ -521,6 +533,13 @@ def _closing_status(gap: float, slide: float, c_n: float, c_t: float, mu: float)
 
 
 @njit(cache=True, error_model="numpy")
+def _against(slide: float, held: int, mu: float) -> bool:
+    """Whether a slipping node slides against its friction."""
+    backwards = slide if held == SLIP_PLUS else -slide
+    return backwards > SLIP_TOLERANCE_MM and mu > 0.0
+
+
+@njit(cache=True, error_model="numpy")
 def _wanted(
     i: int, now: int, C: Any, alpha: float, mu: float, gap: float, slide: float, p: float, t: float
 ) -> int:
@@ -538,8 +557,7 @@ def _wanted(
         if t < -mu * p - SET_TOLERANCE_N:
             return SLIP_MINUS
         return STICK
-    backwards = slide > SLIP_TOLERANCE_MM if now == SLIP_PLUS else slide < -SLIP_TOLERANCE_MM
-    return STICK if backwards and mu > 0.0 else now
+    return STICK if _against(slide, now, mu) else now
 
 
 @njit(cache=True, error_model="numpy")
@@ -750,10 +768,7 @@ def _answer(
 def _eliminate(A: Any, b: Any, n: int) -> bool:
     """Solve A[:n, :n] x = b[:n] in place, b becoming x; False where A is singular."""
     for k in range(n):
-        best = k
-        for r in range(k + 1, n):
-            if abs(A[r, k]) > abs(A[best, k]):
-                best = r
+        best = _pivot(A, k, n)
         if not abs(A[best, k]) > 1e-300:
             return False
         if best != k:
@@ -833,8 +848,7 @@ def _hold_back(
                     marked[s] = 0
                     changes += 1
                 continue
-            backwards = slide if held[i] == SLIP_PLUS else -slide
-            if backwards > SLIP_TOLERANCE_MM and mu[i] > 0.0:
+            if _against(slide, held[i], mu[i]):
                 marked[s] = 1
                 changes += 1
         if changes == 0:
@@ -847,11 +861,10 @@ def _slides_back(
     alpha: float, spin: Any, u: Any, mu: Any, held: Any, sticking: int, count: int, nodes: Any,
     dx: float, moved: Any,
 ) -> bool:  # fmt: skip
-    """Whether a slipping node slides against its friction."""
+    """Whether any slipping node does so."""
     for j in range(sticking, count):
         i = nodes[NODES, j]
-        slide = alpha * (moved[j - sticking] - u[i]) - spin[i] - dx
-        if (slide if held[i] == SLIP_PLUS else -slide) > SLIP_TOLERANCE_MM and mu[i] > 0.0:
+        if _against(alpha * (moved[j - sticking] - u[i]) - spin[i] - dx, held[i], mu[i]):
             return True
     return False
 
@@ -947,6 +960,8 @@ def _again(
         new_w[i] = motion[0] - height[i]
         force[i], force[m + i] = p, t
     drift = scalars[DRIFT] + _drift(bound, force, filtered, alpha)
+    if not np.isfinite(drift):
+        return 0  # a whole step refuses what is no number
     for i in range(m):
         if status[i] != OPEN or height[i] + w[i] - motion[0] > drift - seen[i]:
             continue

@@ -71,7 +71,12 @@ _FIELDS = fields(ContactBlock)
 
 @dataclass
 class ContactState:
-    """Everything a contact remembers between two steps."""
+    """Everything a contact remembers between two steps.
+
+    Displacements of nodes that are open may be those of an earlier step; those of now are the
+    compliance times ``filtered_N``, the force behind the rule of the time step. ``drift_mm`` is by
+    how much open nodes could have moved when each was last looked at.
+    """
 
     downward_mm: Floats
     sideways_mm: Floats
