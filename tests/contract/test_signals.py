@@ -12,7 +12,10 @@ import pytest
 from rig.recording.runfile import RunFile
 from rig.recording.verify import verify
 
-SIXTY_POINTS = ("--frequencies", ",".join(str(f) for f in range(300, 6300, 100)))
+SIXTY_POINTS = (
+    "--frequencies", ",".join(str(f) for f in range(300, 6300, 100)), "--settling", "0.3s"
+)  # fmt: skip
+"""They take seconds: what is done to a run in the middle finds it there on a busy machine too."""
 PATIENCE_S = 120.0
 STOPS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 
@@ -20,7 +23,7 @@ STOPS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 @pytest.mark.parametrize("number", STOPS, ids=lambda number: number.name)
 def test_a_signal_in_the_middle_ends_the_run_in_order(rig, number):
     running = rig.start_sweep(*SIXTY_POINTS)
-    running.wait_for(r"^20/60 ")
+    running.wait_for(r"^5/60 ")
     running.send(number)
     ended = running.finish()
 
@@ -28,7 +31,7 @@ def test_a_signal_in_the_middle_ends_the_run_in_order(rig, number):
     assert rig.outputs() == [True, False]
     told = ended.object
     assert told["outcome"] == "stopped"
-    assert 20 <= told["points_done"] < 60
+    assert 5 <= told["points_done"] < 60
     (line,) = [line for line in ended.stderr.splitlines() if number.name in line]
     assert "switched off: force stream, preload, generator output" in line
     assert f"resume with: rig resume {told['journal']}" in line
@@ -52,7 +55,7 @@ def test_a_signal_before_the_bench_is_connected_switches_nothing_on(rig):
 
 def test_further_signals_do_not_disturb_the_clean_up(rig):
     running = rig.start_sweep(*SIXTY_POINTS)
-    running.wait_for(r"^20/60 ")
+    running.wait_for(r"^5/60 ")
     for _ in range(30):
         if running.process.poll() is not None:
             break
@@ -158,7 +161,7 @@ def test_a_run_outlasts_the_terminal_that_it_speaks_to(rig):
 
 def test_a_stop_is_acknowledged_and_the_last_line_says_how_to_resume(rig):
     running = rig.start_sweep(*SIXTY_POINTS)
-    running.wait_for(r"^20/60 ")
+    running.wait_for(r"^5/60 ")
     running.send(signal.SIGINT)
     ended = running.finish()
     lines = ended.stderr.splitlines()
