@@ -44,6 +44,9 @@ LINK_S = 0.001
 comes between look and command (decision 0042)."""
 TICK_Hz = 100.0
 """Of the servo, where stages can be told so often."""
+LOOKS_Hz = 100.0
+"""How often stages and DAQ are asked and the record goes on, also where ticks are more frequent; an
+approach, which needs the place of z in every tick, has no more of them."""
 NEAR_mm = 0.06
 """Where the slow search begins, before the place at which contact has been felt already."""
 TAP_S = 0.04
@@ -174,7 +177,7 @@ def pressed_overhead_s(
     """
     from rig.runner.approach import TOUCH, search_speed_mm_s
 
-    late_s, force_N = DELAY_S + settings.tick_s, settings.normal_force_N
+    late_s, force_N = DELAY_S + max(settings.tick_s, 1 / LOOKS_Hz), settings.normal_force_N
     slow, quick = (
         search_speed_mm_s(share * force_N, late_s, settings.acceleration_mm_s2)
         for share in (TOUCH, 1.0)

@@ -109,6 +109,7 @@ def reading_of(run: Run, taken: Taken) -> Reading:
     error = 100 * (_smoothed(force[:, 0]) / settings.normal_force_N - 1)
     ticks = sum(loop.ticks for loop in taken.loops)
     late = sum(loop.late for loop in taken.loops)
+    missed = sum(loop.missed for loop in taken.loops)
     reading: Reading = {
         "trial": taken.number,
         "normal_force_set_N": settings.normal_force_N,
@@ -124,6 +125,7 @@ def reading_of(run: Run, taken: Taken) -> Reading:
         "tick_Hz": taken.tick_Hz,
         "ticks": ticks,
         "late_ticks": late,
+        "missed_ticks": missed,
         "largest_lateness_s": max(loop.largest_lateness_s for loop in taken.loops),
         "filter_delay_s": taken.filter_delay_s,
     }

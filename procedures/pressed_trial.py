@@ -26,6 +26,7 @@ from procedures.pressed import (
     FORCE_RATE_S_S,
     LINK_S,
     TAP_S,
+    LOOKS_Hz,
     NEAR_mm,
     PressedSettings,
     TICK_Hz,
@@ -61,8 +62,6 @@ BLOCKS_A_LOOK = 4
 """Of the DAQ at most, one being due: a loop that is late has the force to look at as well."""
 CATCHING_UP = 2.0
 """Where blocks are shorter: of those that come from one look to the next, so many times as many."""
-LOOKS_Hz = 100.0
-"""How often stages and DAQ are asked and the record goes on, also where ticks are more frequent."""
 PATIENCE_S = 10.0
 """From contact to a held force, at most."""
 
@@ -72,7 +71,7 @@ class Pace:
     """How often the servo acts and the stages are asked: as their links allow."""
 
     tick_Hz: float
-    """Of the servo."""
+    """Of the servo; of an approach where it is not more often than `LOOKS_Hz`."""
     delay_s: float
     """From a command to the first force that shows it."""
     looks_Hz: float
@@ -80,8 +79,13 @@ class Pace:
 
     @property
     def tick_s(self) -> float:
-        """From one tick to the next."""
+        """From one tick of the servo to the next."""
         return 1 / self.tick_Hz
+
+    @property
+    def approach_s(self) -> float:
+        """From one tick of an approach to the next, each of which asks z where it is."""
+        return max(self.tick_s, 1 / LOOKS_Hz)
 
 
 @dataclass
@@ -150,8 +154,15 @@ class PressedTrial:
         self._samples = SampleStream(run.bench.daq, run.clock)
         self._recording = self._in_motion = False
         self._pace = series.pace
-        self._look_every = max(1, round(self._pace.tick_Hz / self._pace.looks_Hz))
-        """Ticks from one look at the stages to the next, where only the force is needed."""
+        self._looks_Hz = self._pace.looks_Hz
+        """How often the stages are looked at, at most, where only the force is needed."""
+        self._look_every = 1
+        """Ticks of the loop under way from one look to the next, and how long that is."""
+        self._look_s = self._pace.tick_s
+        self._looks = -1
+        """Number of the look before, in the loop under way."""
+        self._left: list[Callable[[], None]] = []
+        """What is still to be collected of it, the next at the end."""
         self._z_mm = self._z_commanded = self._x_mm = self._x_commanded = 0.0
         self._tangential_N = self._next_tick_s = 0.0
         self._first_frame = 0
@@ -166,7 +177,7 @@ class PressedTrial:
         self._z_commanded = self.fixture.parked_mm
         self._x_commanded = start_mm
         self._x_mm = self.x.position_mm()
-        come_close(self.run, CONTACT_N, LOOK_S, self._pace.tick_s)
+        come_close(self.run, CONTACT_N, LOOK_S, self._pace.approach_s)
 
     def record(self) -> None:
         """Begin to record: strips, forces and positions."""
@@ -190,7 +201,11 @@ class PressedTrial:
         contact's stiffness is learnt on the way. A tap, then rest under the servo."""
         settings, tick_s, delay_s = self.settings, self._pace.tick_s, self._pace.delay_s
         down = Approach(
-            settings.normal_force_N, tick_s, delay_s, FORCE_AGE_S, settings.acceleration_mm_s2
+            settings.normal_force_N,
+            self._pace.approach_s,
+            delay_s,
+            FORCE_AGE_S,
+            settings.acceleration_mm_s2,
         )
         self._go_near()
         self._go_down(down)
@@ -216,7 +231,7 @@ class PressedTrial:
         near_mm, settings = self.series.contact_mm - NEAR_mm, self.settings
         speed_mm_s = search_speed_mm_s(
             settings.normal_force_N,
-            self._pace.delay_s + self._pace.tick_s,
+            self._pace.delay_s + self._pace.approach_s,
             settings.acceleration_mm_s2,
         )
         self._move_z(near_mm, speed_mm_s)
@@ -228,7 +243,7 @@ class PressedTrial:
             return not felt and self._z_mm < near_mm - BOTTOM_mm
 
         way_mm = near_mm - contact_range_mm(self.bench)[0] + CLEAR_mm
-        self._loop(way_mm / speed_mm_s + PATIENCE_S, look)
+        self._loop(way_mm / speed_mm_s + PATIENCE_S, look, self._pace.approach_s)
 
     def _go_down(self, down: Approach) -> None:
         """Slowly until the object is felt, and on until the force is there."""
@@ -250,7 +265,7 @@ class PressedTrial:
             return not arrived and (touched or here_mm < last_mm - BOTTOM_mm)
 
         search_s = (last_mm - first_mm + CLEAR_mm) / down.search_mm_s
-        self._loop(search_s + PATIENCE_S, look)
+        self._loop(search_s + PATIENCE_S, look, self._pace.approach_s)
         if not arrived:
             self.z.stop()
             self._refuse_no_force(touched, search_s + PATIENCE_S)
@@ -272,9 +287,14 @@ class PressedTrial:
 
     # --- a tick ---------------------------------------------------------------------------------
 
-    def _loop(self, longest_s: float, on_tick: Callable[[Tick], bool]) -> None:
+    def _loop(
+        self, longest_s: float, on_tick: Callable[[Tick], bool], tick_s: float | None = None
+    ) -> None:
+        """Ticks of the servo, or every `tick_s`."""
         self._await_tick()
-        begin_s, tick_Hz = self.run.clock.now(), self._pace.tick_Hz
+        begin_s, tick_Hz = self.run.clock.now(), 1 / (tick_s or self._pace.tick_s)
+        self._look_every = max(1, round(tick_Hz / self._looks_Hz))
+        self._look_s, self._looks = self._look_every / tick_Hz, -1
         done = tick_loop(self.run, tick_Hz, longest_s, on_tick)
         self._next_tick_s = begin_s + done.ticks / tick_Hz
         self.taken.loops.append(done)
@@ -289,7 +309,7 @@ class PressedTrial:
 
     def _hold(self, tick: Tick, look: bool = False) -> bool:
         """Move z by what the force asks for; `look`: ask the stages where they are in any case."""
-        step = self._servo.step(self._collect(tick, look))
+        step = self._servo.step(self._collect(tick, look), 1 + tick.missed)
         self._move_z(self._z_commanded + step.increment_mm, step.speed_mm_s)
         return True
 
@@ -303,21 +323,33 @@ class PressedTrial:
         where they are, x while it may move. If there is a record, it goes on with that and with
         what DAQ and force sensor have said since, each in a tick of its own where ticks are many.
         """
-        since_look, longest = tick.number % self._look_every, self._look_every - 1
-        if look or since_look == 0:
+        looks = tick.number // self._look_every
+        due, self._looks = looks != self._looks, looks
+        if look or due:
             self._z_mm = self.z.position_mm()
             if self._in_motion:
                 self._x_mm = self.x.position_mm()
         if self._recording:
-            if since_look == 0:
+            if due:
                 self._record_position()
-            if since_look == min(1, longest):
-                self._collect_blocks()
-            if since_look == min(2, longest):
-                self._collect_frames()
+            self._collect_in_turn(due, last=(tick.number + 1) % self._look_every == 0)
         force_N = self.run.force.mean_N(LOOK_S)
         self._tangential_N = float(force_N[0])
         return float(force_N[2])
+
+    def _collect_in_turn(self, due: bool, last: bool) -> None:
+        """What is left of the look before, one of it in a tick; all of it by the next look."""
+        if due:
+            self._collect_left()
+            self._left = [self._collect_frames, self._collect_blocks]
+        elif self._left:
+            self._left.pop()()
+        if last:
+            self._collect_left()
+
+    def _collect_left(self) -> None:
+        while self._left:
+            self._left.pop()()
 
     def _record_position(self) -> None:
         here = (self._z_mm, self._x_mm, self._z_commanded, self._x_commanded)
@@ -343,7 +375,7 @@ class PressedTrial:
 
     def _collect_blocks(self) -> None:
         """Those that may be there, of many a few."""
-        coming = self._look_every * self._pace.tick_s / self.settings.block_s
+        coming = self._look_s / self.settings.block_s
         for _ in range(max(BLOCKS_A_LOOK, math.ceil(CATCHING_UP * coming))):
             due = self.taken.rows + self.settings.block_samples <= self._rows_by_now()
             if not due or not self._take_block():

@@ -65,8 +65,7 @@ class _OnHead(PressedTrial):
         self._upright_deg = fixture.upright_deg
         self._start_mm = fixture.centre_mm + self.settings.start_mm
         self._commanded_deg = self._angle_deg = 0.0
-        ticks = max(1, round(self._pace.tick_Hz / LOOKS_Hz))
-        self._look_every = max(self._look_every, ticks)
+        self._looks_Hz = min(self._looks_Hz, LOOKS_Hz)
 
     def make_ready(self, start_mm: float | None = None) -> None:
         """Up, the object upright, x to where the roll begins; zero the force in free air."""

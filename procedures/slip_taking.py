@@ -41,6 +41,8 @@ class Trial(PressedTrial):
     def __init__(self, run: Run, number: int, series: Series):
         super().__init__(run, number, series, SlipTaken(number, series.pace.tick_Hz))
         self._moving_every = max(1, round(self._pace.tick_Hz * MOVING_EVERY_S))
+        self._moving_looks = 0
+        """Looks before in the slide under way."""
 
     def rehearse(self) -> None:
         """The same without a record: the servo learns what the slide does to the normal force."""
@@ -57,6 +59,7 @@ class Trial(PressedTrial):
         self._await_tick()
         taken.motion_from_s = self._since_s()
         self._servo.slide_begins(self.series.shift)
+        self._moving_looks = 0
         self._loop(settings.longest_slide_s, pull)
         taken.motion_to_s = self._since_s()
         if self.series.shift is None:
@@ -102,7 +105,9 @@ class Trial(PressedTrial):
 
     def _still_moving(self, tick: Tick) -> bool:
         """Whether x has not arrived; looked at now and then."""
-        return (tick.number + 1) % self._moving_every != 0 or self.x.moving()
+        looks = (tick.number + 1) // self._moving_every
+        due, self._moving_looks = looks != self._moving_looks, looks
+        return not due or self.x.moving()
 
     def reading(self) -> Reading:
         """Figures of the trial, and why it does not count if it does not."""

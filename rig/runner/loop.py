@@ -1,10 +1,11 @@
 """The tick loop: what a trial does a hundred times a second, on time, without drifting.
 
-Tick k is due at start + k / rate on the run's clock, whatever the ticks before it took; a tick that
-overran its period is followed by the next at once, and none is left out. Waiting is the clock's:
+Tick k is due at start + k / rate on the run's clock, whatever the ticks before it took. A tick that
+overran its period is followed by the latest that is due, at once; those before it are left out,
+which it is told: they would do again, with what is known now, what it does. Waiting is the clock's:
 stop requests, keep-alives and watchers are looked at in every slice, and once before every tick,
-also where there is nothing to wait for: a late loop is a sign of life. One that stays behind for
-longer than a stall of the computer explains controls nothing any more and ends.
+also where there is nothing to wait for: a late loop is a sign of life. One that leaves out ticks
+for longer than a stall of the computer explains controls nothing any more and ends.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from rig.errors import ExitCode, RigError
 
 LATE = 0.5
 """Share of a period from which a tick counts as late."""
-BEHIND_S = 0.1
-"""Lateness that a loop works off again after a stall."""
 BEHIND_FOR_S = 1.0
-"""How long it may be behind by more than that before it is said not to keep up."""
+"""How long it may leave out one tick or more before each that it takes."""
+ROUNDING = 1e-6
+"""Of a period, by which a clock may differ from a sum."""
 HIGHEST_RATE_Hz = 500.0
 """Faster than this, the clock's wake-ups and a link of a millisecond are most of a period."""
 
@@ -37,6 +38,8 @@ class Tick:
     """When it was due, on the run's clock."""
     began_s: float
     """When it began."""
+    missed: int = 0
+    """How many were left out just before it."""
 
     @property
     def late_s(self) -> float:
@@ -49,11 +52,14 @@ class LoopStatistics:
     """How well a loop kept its time."""
 
     ticks: int
-    """That ran."""
+    """That were due until its end."""
     planned: int
-    """That would have run, had none of them ended the loop."""
+    """That would have been due, had none of them ended the loop."""
+    missed: int
+    """That were left out."""
     late: int
-    """That began later than half a period after they were due."""
+    """That began later than half a period after they were due; a tick that was left out is late
+    until the one that took its place."""
     largest_lateness_s: float
     mean_lateness_s: float
     duration_s: float
@@ -70,8 +76,8 @@ class TooSlowError(RigError):
     def __init__(self, rate_Hz: float, largest_s: float, behind_s: float):
         super().__init__(
             f"the computer or a link to an instrument cannot keep {rate_Hz:g} Hz: for "
-            f"{behind_s:.1f} s every tick was late by more than {BEHIND_S * 1e3:.0f} ms, the worst "
-            f"by {largest_s * 1e3:.0f} ms",
+            f"{behind_s:.1f} s at least every second tick had to be left out, the latest came "
+            f"{largest_s * 1e3:.0f} ms late",
             "end other programs, or ask for fewer ticks and samples a second",
         )
 
@@ -98,10 +104,10 @@ def tick_loop(
 ) -> LoopStatistics:
     """Call `on_tick` at `rate_Hz` for `duration_s`, or until it returns False.
 
-    There are ``duration_s * rate_Hz`` ticks (rounded), the first at once. Whatever a tick, a
-    watcher or a stop request raises ends the loop. TooSlowError where every tick of more than
-    `BEHIND_FOR_S` was late by more than `BEHIND_S`. ValueError for a rate of nothing, above
-    `HIGHEST_RATE_Hz` or a duration that is no number.
+    There are ``duration_s * rate_Hz`` ticks (rounded), the first at once; first and last are never
+    left out. Whatever a tick, a watcher or a stop request raises ends the loop. TooSlowError where
+    for more than `BEHIND_FOR_S` no tick came without another being left out. ValueError for a rate
+    of nothing, above `HIGHEST_RATE_Hz` or a duration that is no number.
     """
     if not 0 < rate_Hz <= HIGHEST_RATE_Hz:
         raise ValueError(f"rate_Hz {rate_Hz:g} Hz must be above 0 and at most {HIGHEST_RATE_Hz:g}")
@@ -110,30 +116,37 @@ def tick_loop(
     clock = run.clock
     planned = round(duration_s * rate_Hz)
     start_s = clock.now()
-    ticks = late = 0
+    ticks = missed = late = 0
     largest_s = total_s = 0.0
     behind_since_s: float | None = None
     going_on = True
     while going_on and ticks < planned:
-        due_s = start_s + ticks / rate_Hz
-        remaining_s = due_s - clock.now()
+        remaining_s = start_s + ticks / rate_Hz - clock.now()
         if remaining_s > 0:
             clock.sleep(remaining_s)
         else:
             run.check_stop()
         run.check_watchers()
-        tick = Tick(ticks, due_s, clock.now())
-        late += tick.late_s > LATE / rate_Hz
-        largest_s = max(largest_s, tick.late_s)
-        total_s += tick.late_s
-        if tick.late_s <= BEHIND_S:
+        now_s = clock.now()
+        number = ticks
+        if ticks:
+            latest_due = math.floor((now_s - start_s) * rate_Hz + ROUNDING)
+            number = max(ticks, min(latest_due, planned - 1))
+        tick = Tick(number, start_s + number / rate_Hz, now_s, number - ticks)
+        for due in range(ticks, number + 1):
+            late_s = max(0.0, now_s - (start_s + due / rate_Hz))
+            late += late_s > LATE / rate_Hz
+            largest_s = max(largest_s, late_s)
+            total_s += late_s
+        missed += tick.missed
+        if not tick.missed:
             behind_since_s = None
         elif behind_since_s is None:
-            behind_since_s = tick.began_s
-        elif tick.began_s - behind_since_s > BEHIND_FOR_S:
-            raise TooSlowError(rate_Hz, largest_s, tick.began_s - behind_since_s)
+            behind_since_s = now_s
+        elif now_s - behind_since_s > BEHIND_FOR_S:
+            raise TooSlowError(rate_Hz, largest_s, now_s - behind_since_s)
         going_on = on_tick(tick)
-        ticks += 1
+        ticks = number + 1
     mean_s = total_s / ticks if ticks else 0.0
     duration = clock.now() - start_s
-    return LoopStatistics(ticks, planned, late, largest_s, mean_s, duration, not going_on)
+    return LoopStatistics(ticks, planned, missed, late, largest_s, mean_s, duration, not going_on)

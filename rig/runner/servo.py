@@ -138,8 +138,8 @@ class ForceServo:
 
     def __init__(self, settings: ServoSettings):
         self.settings = settings
-        fading = math.exp(-settings.tick_s / settings.memory_s)
-        self._level_gain, self._slope_gain = 1 - fading**2, (1 - fading) ** 2
+        self._fading = math.exp(-settings.tick_s / settings.memory_s)
+        """From tick to tick."""
         self._axis = _AxisAccount(settings)
         self._level_N: float | None = None
         self._slope_N_s = 0.0
@@ -159,14 +159,17 @@ class ForceServo:
         """Sum of the increments so far."""
         return self._axis.target_mm
 
-    def step(self, force_N: float) -> ServoStep:
-        """What to do, given the mean force of the latest milliseconds."""
+    def step(self, force_N: float, ticks: int = 1) -> ServoStep:
+        """What to do, given the mean force of the latest milliseconds, so many ticks after the step
+        before: more than one where some were left out."""
         own, axis = self.settings, self._axis
-        seen_mm, seen_s = axis.seen_mm(), self._since_s - own.delay_s
+        self._since_s += (ticks - 1) * own.tick_s
+        seen_mm, seen_s = axis.seen_mm(ticks), self._since_s - own.delay_s
         if seen_s >= 0:
             missing_N = own.target_N - force_N
             self.shift.add(seen_s, seen_mm + missing_N / own.stiffness_N_mm)
-        self._follow(force_N - own.stiffness_N_mm * (seen_mm - self._expected.at_mm(seen_s)))
+        disturbance_N = force_N - own.stiffness_N_mm * (seen_mm - self._expected.at_mm(seen_s))
+        self._follow(disturbance_N, ticks)
         ahead_s = ARRIVAL_OF_TICK * own.tick_s
         expected_N = (self._level_N or 0.0) + self._slope_N_s * (own.delay_s + ahead_s)
         wanted_mm = (own.target_N - expected_N) / own.stiffness_N_mm
@@ -186,14 +189,15 @@ class ForceServo:
         coarser, or a limit stood in the way."""
         self._axis.correct(difference_mm)
 
-    def _follow(self, disturbance_N: float) -> None:
+    def _follow(self, disturbance_N: float, ticks: int) -> None:
         if self._level_N is None:
             self._level_N = disturbance_N
             return
-        expected = self._level_N + self._slope_N_s * self.settings.tick_s
+        fading, passed_s = self._fading**ticks, ticks * self.settings.tick_s
+        expected = self._level_N + self._slope_N_s * passed_s
         surprise = disturbance_N - expected
-        self._level_N = expected + self._level_gain * surprise
-        self._slope_N_s += self._slope_gain * surprise / self.settings.tick_s
+        self._level_N = expected + (1 - fading**2) * surprise
+        self._slope_N_s += (1 - fading) ** 2 * surprise / passed_s
 
 
 class _AxisAccount:
@@ -209,10 +213,11 @@ class _AxisAccount:
         self._told = False
         self._speed = settings.speed_mm_s
 
-    def seen_mm(self) -> float:
-        """The position that the force given to the present step belongs to."""
+    def seen_mm(self, ticks: int) -> float:
+        """The position that the force given to the present step, so many ticks after the one
+        before, belongs to."""
         if self._told:
-            for _ in range(self._cycles):
+            for _ in range(ticks * self._cycles):
                 self._cycle()
         return self._past[0]
 

@@ -36,7 +36,7 @@ STATED = {
 }
 """Figures by which an interrupted run is compared, with their standard errors."""
 SIGMAS = 5.0
-OF_THE_COMPUTER = ("largest_lateness_s", "late_ticks", "simulated_truth")
+OF_THE_COMPUTER = ("largest_lateness_s", "late_ticks", "missed_ticks", "simulated_truth")
 """Figures that depend on how fast it is, or say when."""
 WHO = ("worker", "supervisor", "both")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 
 import numpy as np
 import pytest
@@ -27,17 +27,25 @@ def on_a_spring(
     ticks: int = 400,
     tick_s: float = 0.01,
     truth: float = 1.0,
+    left_out: Container[int] = (),
+    told_of_it: bool = True,
 ) -> np.ndarray:
     """Force at each tick on a spring `truth` times as stiff as the servo thinks; the axis is there
-    at once and is seen a whole number of ticks later: a delay of half a tick less."""
+    at once and is seen a whole number of ticks later: a delay of half a tick less. The servo steps
+    at no tick that is `left_out`, which it is told with the next."""
     late = 1 if tick_s > 0.005 else 3
     servo = ForceServo(settings_from(TARGET_N, STIFFNESS_N_mm, tick_s, (late - 0.5) * tick_s, 1e6))
     told = [0.0] * late
     forces = []
+    missed = 0
     for k in range(ticks):
         force = TARGET_N + disturbance_N(k * tick_s) + truth * STIFFNESS_N_mm * told[-late]
         forces.append(force)
-        servo.step(force)
+        if k in left_out:
+            missed += told_of_it
+        else:
+            servo.step(force, 1 + missed)
+            missed = 0
         told.append(servo.told_mm)
     return np.array(forces)
 
@@ -51,6 +59,33 @@ def test_a_step_and_a_ramp_leave_no_error(tick_s: float, truth: float) -> None:
     after_ramp = on_a_spring(lambda t: 5.0 * t, tick_s=tick_s, truth=truth)
     # what half a tick of the ramp is, for the command is right in its middle
     assert np.abs(after_ramp[-100:] - TARGET_N).max() < 0.51 * 5.0 * tick_s
+
+
+@pytest.mark.parametrize("tick_s", [0.01, 0.002])
+@pytest.mark.parametrize("truth", [0.5, 1.0, 1.3])
+def test_a_servo_that_was_left_alone_takes_a_ramp_up_where_it_is(
+    tick_s: float, truth: float
+) -> None:
+    """Over 20 ticks, in which nobody holds the force; one that is not told of them takes what has
+    come meanwhile for a steeper ramp, and overshoots."""
+    alone = range(200, 220)
+
+    def after(told_of_it: bool) -> np.ndarray:
+        forces = on_a_spring(
+            lambda t: 5.0 * t, tick_s=tick_s, truth=truth, left_out=alone, told_of_it=told_of_it
+        )
+        assert forces[219] - TARGET_N > 0.8 * 5.0 * 20 * tick_s
+        return forces[225:] - TARGET_N
+
+    overshoot = [-after(told).min() / (5.0 * 20 * tick_s) for told in (True, False)]
+    assert overshoot[0] < 0.7 * overshoot[1]
+    assert np.abs(after(True)[-100:]).max() < 0.51 * 5.0 * tick_s
+
+
+@pytest.mark.parametrize("tick_s", [0.01, 0.002])
+def test_every_second_tick_is_enough_for_a_ramp(tick_s: float) -> None:
+    forces = on_a_spring(lambda t: 5.0 * t, tick_s=tick_s, left_out=range(1, 400, 2))
+    assert np.abs(forces[-100:] - TARGET_N).max() < 2.02 * 5.0 * tick_s
 
 
 def test_one_step_never_asks_for_more_than_the_axis_may_do() -> None:
