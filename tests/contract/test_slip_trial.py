@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -276,3 +277,41 @@ def test_the_film_clamp_is_the_wrong_fixture(rig):
     assert "the bench has the film-clamp mounted, this procedure needs plate" in ended.stderr
     simulator.send(signal.SIGINT)
     simulator.finish()
+
+
+def test_what_a_stalled_computer_keeps_from_its_ticks_is_left_out_and_nothing_is_lost(rig):
+    """In real time, the bench standing still for three ticks in the slide."""
+    simulator = rig.start(
+        "simulate", "--fixture", "plate", "--write", "sim.toml", "--world-log", str(rig.world_log)
+    )
+    simulator.wait_for("sim.toml")
+    slow = (
+        "--distance",
+        "0.6mm",
+        "--speed",
+        "0.5mm/s",
+        "--tick",
+        "20",
+        "--late-ticks",
+        "100percent",
+    )
+    running = rig.start("slip-trial", "--json", "--no-figures", "--bench", "sim.toml", *slow)
+    rig.await_world("slip")
+    simulator.send(signal.SIGSTOP)
+    time.sleep(0.15)
+    simulator.send(signal.SIGCONT)
+    ended = running.finish()
+    assert ended.code in (0, 5), ended.stderr  # the force is held by 20 ticks a second
+    simulator.send(signal.SIGINT)
+    simulator.finish()
+
+    assert_off_the_plate(rig)
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        (reading,) = run.readings()
+        series = {w.stream: w for w in run.waveforms("trial-001")}
+    assert 1 <= reading["missed_ticks"] <= reading["late_ticks"] < reading["ticks"] / 2
+    lasted_s = 1e-4 * len(series["strips"].counts["strip_1"])
+    assert 1e-3 * len(series["force"].counts["F_n"]) == pytest.approx(lasted_s, abs=0.05)
+    assert next(iter(series["ticks"].counts.values()))[-1] == pytest.approx(lasted_s, abs=0.2)
