@@ -225,7 +225,9 @@ def test_ticks_in_real_time(rig):
     with RunFile.open(rig.only("*.h5")) as file:
         for reading in file.readings():
             late = reading["late_ticks"] / reading["ticks"]
-            print(f"trial {reading['trial']}: {reading['ticks']} ticks; {reading['invalid']}")
+            missed = reading["missed_ticks"]
+            told = f"{reading['ticks']} ticks, {missed} left out; {reading['invalid']}"
+            print(f"trial {reading['trial']}: {told}")
             target("share of late ticks", late, bare_share, "")
 
 
