@@ -111,6 +111,18 @@ def test_frames_that_are_late_are_a_hold_until_they_come(sensor: Sensor) -> None
     assert holds.count == 1
 
 
+def test_frames_that_are_ahead_of_a_clock_for_once_are_no_gap_afterwards(sensor: Sensor) -> None:
+    """A slaved clock hears that its time has jumped after the frames of that time are there."""
+    clock, holds = Clock(), Holds()
+    monitor = ForceMonitor(sensor, clock, holds, lambda: [])  # type: ignore[arg-type]
+    follow(monitor, sensor, clock, 1.0)
+    sensor.frames_behind = -110.0
+    follow(monitor, sensor, clock, 0.01)
+    sensor.frames_behind = 0.0
+    follow(monitor, sensor, clock, 10.0)
+    assert holds.count == 0
+
+
 def test_frames_that_do_not_come_are_a_gap_over_which_the_bench_is_made_safe(
     sensor: Sensor,
 ) -> None:
