@@ -71,7 +71,7 @@ class Pace:
     """How often the servo acts and the stages are asked: as their links allow."""
 
     tick_Hz: float
-    """Of the servo; of an approach where it is not more often than `LOOKS_Hz`."""
+    """Of the servo."""
     delay_s: float
     """From a command to the first force that shows it."""
     looks_Hz: float

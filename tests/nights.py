@@ -17,17 +17,21 @@ from rig.recording.errors import JournalError
 from rig.recording.runfile import RunFile
 
 PATIENCE_S = 120.0
-SWEEPS = """
+NIGHT = """
 [batch]
 name = "night"
 figures = false
 detect = false
-
+"""
+SWEEPS = (
+    NIGHT
+    + """
 [[experiment]]
 procedure = "sweep"
 settings = { frequencies_Hz = [180, 200, 220] }
 matrix = { load_N = [0.5, 1.0] }
 """
+)
 TRIALS = """
 [[experiment]]
 procedure = "slip-trial"

@@ -277,9 +277,8 @@ class ForceMonitor:
         drift = DRIFT * self._rate * (now - self._looked_s)
         self._looked_s = now
         if missing < MISSING_FRAMES:
-            self._usual += max(
-                -drift, min(missing, drift)
-            )  # a batch may be ahead of a slaved clock
+            # Down no faster than up: one batch may be ahead of a slaved clock.
+            self._usual += max(-drift, min(missing, drift))
             self._missing_since_s = None
             self._holds.end(_LATE)
             return

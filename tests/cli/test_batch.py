@@ -11,6 +11,7 @@ from contextlib import closing
 
 import pytest
 from nights import (
+    NIGHT,
     SWEEPS,
     Taken,
     ask,
@@ -23,12 +24,9 @@ from nights import (
     worker_of,
 )
 
-SIX_POINTS = """
-[batch]
-name = "night"
-figures = false
-detect = false
-
+SIX_POINTS = (
+    NIGHT
+    + """
 [[experiment]]
 procedure = "sweep"
 settings = { frequencies_Hz = [160, 180, 200, 220, 240, 260], load_N = 0.5, settling_s = 4 }
@@ -37,6 +35,7 @@ settings = { frequencies_Hz = [160, 180, 200, 220, 240, 260], load_N = 0.5, sett
 procedure = "sweep"
 settings = { frequencies_Hz = [160, 180, 200, 220, 240, 260], load_N = 1.0 }
 """
+)
 """A point of the first run takes most of a second: what befalls the run after its first point finds
 it under way, on a busy machine too."""
 
