@@ -140,7 +140,8 @@ class RtuLine:
 
     def __init__(self, path: str, baudrate: int, parity: str, clock: Clock):
         self.path = path
-        self._waiting_since_s: float | None = None
+        self._waits: dict[object, float] = {}
+        """Who waits for the line, and since when."""
         self._baudrate, self._parity = baudrate, parity
         self._clock = clock
         self._gap_s = GAP_S if baudrate >= 19_200 else SLOW_GAP_S
@@ -229,17 +230,18 @@ class RtuLine:
     @property
     def waiting(self) -> bool:
         """Whether somebody waits for the line to be free, and is not held up."""
-        since_s = self._waiting_since_s
-        return since_s is not None and self._clock.now() - since_s <= HELD_UP_S
+        now_s = self._clock.now()
+        return any(now_s - since_s <= HELD_UP_S for since_s in tuple(self._waits.values()))
 
     def wait_until_free(self) -> None:
         """Wait on the bench's clock until the line's silence is over."""
-        before, self._waiting_since_s = self._waiting_since_s, self._clock.now()
+        wait = object()
+        self._waits[wait] = self._clock.now()
         try:
             while (left_s := self._free_at_s - self._clock.now()) > 1e-6:
                 self._clock.sleep(left_s)
         finally:
-            self._waiting_since_s = before
+            del self._waits[wait]
 
     def exchange(self, request: Request, timeout_s: float, trusting: bool = False) -> bytes:
         """The answer's PDU; what is left of the line's silence passes in wall time.

@@ -196,18 +196,21 @@ class CmmtLink:
         """One transaction, sent once; every failure closes the link and names its cause."""
         from pymodbus.exceptions import ModbusException
 
-        begun = time.monotonic()
-        try:
-            with self._lock:
+        failed: Exception | None = None
+        with self._lock:
+            begun = time.monotonic()
+            try:
                 reply = request(self._opened(what))
-        except InstrumentError:
-            self.close()
-            raise
-        except (ModbusException, *_BROKEN) as error:
-            self.close()
-            if time.monotonic() - begun >= 0.9 * self._timeout_s:
-                raise self._timed_out(what, charge) from error
-            raise self._broken(what, f"{type(error).__name__}: {error}") from error
+            except InstrumentError:
+                self.close()
+                raise
+            except (ModbusException, *_BROKEN) as error:
+                self.close()  # before another thread opens a new connection
+                failed, took_s = error, time.monotonic() - begun
+        if failed is not None:
+            if took_s >= 0.9 * self._timeout_s:
+                raise self._timed_out(what, charge) from failed
+            raise self._broken(what, f"{type(failed).__name__}: {failed}") from failed
         if reply.isError():
             raise InstrumentError(
                 self.device,

@@ -11,6 +11,7 @@ What keeps a lost, doubled or late line from becoming a motion:
 * at rest the reject bit stands: the image that a repetition would repeat is a stop;
 * after `make_safe` no image that could move the axis is sent until `stop` was called: a procedure
   that is a few lines behind its watcher cannot set the axis going again;
+* a target that another thread was about to send when `stop` was called is not sent afterwards;
 * keep-alives only read. A stop that somebody else commanded is not overwritten by them.
 
 Source of registers, words and sequences: the vendor's client festo-edcon 0.14.12. Not confirmed on
@@ -109,7 +110,7 @@ _LIMITS = PosStw2.SOFTWARE_LIMITS | PosStw2.HARDWARE_LIMITS
 class Axis:
     """One drive and its axis. `connect` has identified it and set its limits.
 
-    One thread commands motions; any thread may call `make_safe` at any time.
+    One thread at a time commands motions; any thread may call `stop` or `make_safe` at any time.
     """
 
     def __init__(self, settings: Settings, clock: Clock):
@@ -129,6 +130,8 @@ class Axis:
         self._made_safe = 0
         """How often the axis was made safe, and how many of these a stop has answered."""
         self._rearmed = 0
+        self._halts = 0
+        """How often it was told to stop and wait for rest."""
         self._in_charge = False
         """Whether this connection has taken the drive over: from then on, faults are ours."""
         self._told_fault = 0
@@ -199,9 +202,10 @@ class Axis:
 
         A running task is changed by one read, which ends a motion that met a fault, the torque
         limit or somebody else's stop, and one write; what was read within `JUST_SEEN_S` before is
-        not read again. LimitError outside `reach`.
+        not read again. LimitError outside `reach`; InstrumentError, and nothing sent, where another
+        thread stops the axis meanwhile.
         """
-        own = self._settings
+        own, halts = self._settings, self._halts
         reach = self.reach()
         reach["position"].require(self._device, "position", position_mm)
         reach["speed"].require(self._device, "speed", speed_mm_s)
@@ -227,7 +231,7 @@ class Axis:
         self._way = (way > 0) - (way < 0)
         braking_mm = 0.0 if fresh else own.max_speed_mm_s**2 / (2 * own.deceleration_mm_s2)
         self._past_mm = PAST_mm + braking_mm  # what moves already may have to come back
-        self._tell(wish)
+        self._tell(wish, halts=halts)
         self._arrive_by_s = self._clock.now() + distance / speed_mm_s + ramps + SETTLING_S
         if fresh:
             self._await("move", _taken, ACKNOWLEDGE_TIMEOUT_S, "did not take the task")
@@ -237,9 +241,10 @@ class Axis:
         """Whether a motion is under way; a fault, or a motion that ended elsewhere, raises."""
         seen = self._look()
         self._refuse_if_made_safe("move")
-        if self._target is None:
+        target = self._target  # another thread may stop the axis
+        if target is None:
             return Zsw1.STOPPED not in seen.zsw1
-        if self._arrived(seen):
+        if self._arrived(seen, target):
             return False
         if self._acknowledged:
             self._require_task(seen)
@@ -247,7 +252,7 @@ class Axis:
             raise self._error(
                 "move",
                 f"stands at {self._mm(seen.position):g} mm and has not arrived at "
-                f"{self._mm(self._target):g} mm",
+                f"{self._mm(target):g} mm",
                 "look for what holds the axis; the motion may still be under way",
             )
         return True
@@ -444,7 +449,9 @@ class Axis:
 
     def _halt(self) -> None:
         """Stop and wait for rest; faults are not news meanwhile."""
-        self._target = None
+        with self._sending:
+            self._target = None
+            self._halts += 1
         self._halting = True
         try:
             self._tell(self._stopping(), stopping=True)
@@ -469,11 +476,16 @@ class Axis:
 
     # --- one exchange -------------------------------------------------------------------------
 
-    def _tell(self, wish: Outputs, stopping: bool = False, charge: bool = True) -> None:
-        """Send an image, unless it could move an axis that has been made safe."""
+    def _tell(
+        self, wish: Outputs, stopping: bool = False, charge: bool = True, halts: int | None = None
+    ) -> None:
+        """Send an image, unless it could move an axis that has been made safe, or that was stopped
+        after so many `halts`."""
         with self._sending:
             if not stopping:
                 self._refuse_if_made_safe("move")
+            if halts is not None:
+                self._refuse_if_stopped(halts)
             self._link.write(OUTPUT_IMAGE, wish.registers(), charge)
 
     def _read(self, charge: bool = True) -> Inputs:
@@ -513,7 +525,8 @@ class Axis:
         if Zsw1.FAULT in seen.zsw1:
             self._told_fault = seen.fault
             raise self._fault(seen)
-        if self._target is None:
+        target = self._target  # another thread may stop the axis
+        if target is None:
             return
         if Zsw1.OPERATION_ENABLED not in seen.zsw1:
             self._target = None
@@ -522,9 +535,9 @@ class Axis:
             self._target = None
             raise self._error("move", "the axis has lost its reference", "home it again")
         if _taken(seen) and PosZsw2.FIXED_STOP_REACHED in seen.pos_zsw2:
-            self._end_at_fixed_stop(seen)
-        if self._mm(seen.position - self._target) * self._way > self._past_mm:
-            self._end_past_target(seen)
+            self._end_at_fixed_stop(seen, target)
+        if self._mm(seen.position - target) * self._way > self._past_mm:
+            self._end_past_target(seen, target)
 
     def _require_task(self, seen: Inputs) -> None:
         """The task under way is still in force: an update must not set another's stop aside."""
@@ -532,18 +545,16 @@ class Axis:
             self._target = None
             raise self._error("move", "the motion was ended by somebody else", _LOOK)
 
-    def _arrived(self, seen: Inputs) -> bool:
+    def _arrived(self, seen: Inputs, target: int) -> bool:
         """Target reached, and truly there: the bit alone may still be the last target's."""
-        assert self._target is not None
         tolerance = self._settings.position_tolerance_mm / self._settings.position_unit_mm
-        return Zsw1.TARGET_REACHED in seen.zsw1 and abs(seen.position - self._target) <= tolerance
+        return Zsw1.TARGET_REACHED in seen.zsw1 and abs(seen.position - target) <= tolerance
 
-    def _end_at_fixed_stop(self, seen: Inputs) -> None:
+    def _end_at_fixed_stop(self, seen: Inputs, target: int) -> None:
         """The barrier behind the force limit has held: let the torque go, then say so."""
         with contextlib.suppress(InstrumentError):  # the barrier is the news
             self._tell(self._stopping(), stopping=True)
-        target, self._target = self._target, None
-        assert target is not None
+        self._target = None
         raise self._error(
             "move",
             f"stopped by its torque limit at {self._mm(seen.position):g} mm on the way to "
@@ -551,12 +562,11 @@ class Axis:
             "something is in the way; if it belongs there, raise torque_limit_percent",
         )
 
-    def _end_past_target(self, seen: Inputs) -> None:
+    def _end_past_target(self, seen: Inputs, target: int) -> None:
         """The axis goes on where it should have stopped: stop it, then say so."""
         with contextlib.suppress(InstrumentError):  # that it runs away is the news
             self._tell(self._stopping(), stopping=True)
-        target, self._target = self._target, None
-        assert target is not None
+        self._target = None
         raise self._error(
             "move",
             f"ran past its target: it is at {self._mm(seen.position):g} mm on the way to "
@@ -569,6 +579,11 @@ class Axis:
             raise self._error(
                 command, "the axis was made safe meanwhile", "stop it before the next motion"
             )
+
+    def _refuse_if_stopped(self, halts: int) -> None:
+        if self._halts != halts:
+            self._target = None
+            raise self._error("move", "the axis was stopped meanwhile", "begin it again")
 
     def _mm(self, counts: int) -> float:
         return counts * self._settings.position_unit_mm

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -84,7 +85,7 @@ class Settings(BaseSettings):
 
 
 class Daq:
-    """A U2300A or U2500A series unit."""
+    """A U2300A or U2500A series unit. Any thread may call `stop`; otherwise one at a time."""
 
     def __init__(self, settings: Settings, clock: Clock):
         self._settings = settings
@@ -97,6 +98,7 @@ class Daq:
         self._rows_read = 0
         self._torn = False
         """A block of the running acquisition was lost in its transfer."""
+        self._talking = threading.RLock()
 
     @property
     def identity(self) -> Identity:
@@ -212,6 +214,10 @@ class Daq:
 
     def read(self) -> Record | None:
         """The next block, None where none is complete, InstrumentError where data were lost."""
+        with self._talking:
+            return self._read()
+
+    def _read(self) -> Record | None:
         if self._running is None:
             raise InstrumentError("daq", "WAV:DATA?", "no acquisition is running")
         if self._torn:
@@ -239,14 +245,16 @@ class Daq:
         return Record(counts, self._scaling_now(), first)
 
     def stop(self) -> None:
-        """End a running acquisition."""
-        self._running = None
-        self._link.command("STOP")
+        """End a running acquisition, once a `read` in another thread is over."""
+        with self._talking:
+            self._running = None
+            self._link.command("STOP")
 
     def make_safe(self) -> None:
         """A DAQ drives nothing; its acquisition is ended, whatever the error queue holds."""
-        self._running = None
-        self._ask("STOP;*OPC?", ("1",))
+        with self._talking:
+            self._running = None
+            self._ask("STOP;*OPC?", ("1",))
 
     def close(self) -> None:
         """Let go of the connection."""

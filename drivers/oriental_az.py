@@ -132,7 +132,8 @@ class Place:
 class Axis:
     """One drive and its axis. `connect` has identified it and set its limits.
 
-    One thread commands motions; any thread may call `make_safe` at any time.
+    One thread at a time commands motions; any thread may call `stop` or `make_safe` at any time: a
+    target that another thread was about to send is not sent afterwards.
     """
 
     def __init__(self, settings: Settings, clock: Clock, line: RtuLine):
@@ -146,6 +147,8 @@ class Axis:
         self._made_safe = 0
         """How often the axis was made safe, and how many of these a stop has answered."""
         self._rearmed = 0
+        self._halts = 0
+        """How often it was told to stop and wait for rest."""
         self._in_charge = False
         """Whether this connection has taken the drive over: from then on, alarms are ours."""
         self._told_alarm = 0
@@ -224,7 +227,8 @@ class Axis:
 
         A motion under way is changed by one write. What ended it meanwhile (an alarm, somebody
         else's stop) is read as often as keep-alives do; the drive itself refuses to start while it
-        stands. LimitError outside `reach`.
+        stands. LimitError outside `reach`; InstrumentError, and nothing sent, where another thread
+        stops the axis meanwhile.
         """
         reach = self.reach()
         reach["position"].require(self._device, "position", position_mm)
@@ -237,6 +241,7 @@ class Axis:
             if self._clock.now() - self._state_at_s >= OVERDUE * self._keep_alive_s():
                 self._require_own(self._look())
         target = round(position_mm * self._settings.steps_per_mm)
+        halts = self._halts
         way_mm = self._mm(target - self._place.feedback)
         unseen_mm = self._settings.max_speed_mm_s * (self._clock.now() - self._place_at_s)
         self._target = target
@@ -244,7 +249,7 @@ class Axis:
         self._past_mm = PAST_mm if fresh else PAST_mm + unseen_mm + self._braking_mm()
         self._arrive_by_s = self._longest_s(abs(way_mm) + unseen_mm, speed_mm_s)
         try:
-            self._put(*self._motion(target, speed_mm_s))
+            self._put(*self._motion(target, speed_mm_s), halts)
         except RefusedError as refused:
             self._target = None
             raise self._why_refused(refused) from refused
@@ -261,20 +266,21 @@ class Axis:
             return True
         state = self._look()
         moves = bool(state.outputs & Output.MOVE)
-        if self._target is None:
+        target = self._target  # another thread may stop the axis
+        if target is None:
             return moves
         self._require_own(state)
         here = self._where().feedback
         now_s = self._clock.now()
         if moves and now_s <= self._arrive_by_s:
             return True
-        if not moves and self._is_there(here):
+        if not moves and self._is_there(here, target):
             return False
         if not moves and now_s < self._begun_at_s + BEGIN_S:
             return True
         raise self._error(
             "move",
-            f"stands at {self._mm(here):g} mm and has not arrived at {self._mm(self._target):g} mm",
+            f"stands at {self._mm(here):g} mm and has not arrived at {self._mm(target):g} mm",
             "look for what holds the axis; the motion may still be under way",
         )
 
@@ -413,7 +419,9 @@ class Axis:
     def _halt(self, answered: int) -> None:
         """Stop, wait for rest, and lift the stop unless the axis is made safe meanwhile; alarms are
         not news meanwhile."""
-        self._target = None
+        with self._sending:
+            self._target = None
+            self._halts += 1
         self._halting = self._stop_stands = True
         try:
             self._line.wait_until_free()
@@ -449,11 +457,15 @@ class Axis:
 
     # --- one exchange -------------------------------------------------------------------------
 
-    def _put(self, address: int, words: tuple[int, ...]) -> None:
-        """Write what may set the axis going, unless it has been made safe."""
+    def _put(self, address: int, words: tuple[int, ...], halts: int | None = None) -> None:
+        """Write what may set the axis going, unless it has been made safe, or was stopped after so
+        many `halts`."""
         self._line.wait_until_free()
         with self._sending:
             self._refuse_if_made_safe("move")
+            if halts not in (None, self._halts):
+                self._target = None
+                raise self._error("move", "the axis was stopped meanwhile", "begin it again")
             self._link.write(address, words)
 
     def _motion(self, target: int, speed_mm_s: float) -> tuple[int, tuple[int, ...]]:
@@ -499,8 +511,9 @@ class Axis:
         words = self._link.read(COMMAND_POSITION, POSITION_REGISTERS[self._next_turn()])
         place = Place(signed(words[0] << 16 | words[1]), signed(words[6] << 16 | words[7]))
         self._place, self._place_at_s = place, self._clock.now()
-        if self._in_charge and self._target is not None:
-            self._require_way(place, self._target)
+        target = self._target  # another thread may stop the axis
+        if self._in_charge and target is not None:
+            self._require_way(place, target)
         return place
 
     def _await(
@@ -576,18 +589,17 @@ class Axis:
             )
 
     def _just_seen_on_its_way(self) -> bool:
-        now_s = self._clock.now()
+        now_s, target = self._clock.now(), self._target
         return (
-            self._target is not None
+            target is not None
             and now_s - self._place_at_s <= JUST_SEEN_S
             and now_s - self._state_at_s <= OVERDUE * self._keep_alive_s()
             and now_s <= self._arrive_by_s
-            and not self._is_there(self._place.feedback)
+            and not self._is_there(self._place.feedback, target)
         )
 
-    def _is_there(self, feedback: int) -> bool:
-        assert self._target is not None
-        return abs(self._mm(feedback - self._target)) <= self._settings.position_tolerance_mm
+    def _is_there(self, feedback: int, target: int) -> bool:
+        return abs(self._mm(feedback - target)) <= self._settings.position_tolerance_mm
 
     def _refuse_if_made_safe(self, command: str) -> None:
         if self._made_safe != self._rearmed:

@@ -69,7 +69,8 @@ _LOOK = "look at the stage and at what is mounted on it"
 class RotaryAxis:
     """One axis. `connect` has identified it and set its limits.
 
-    One thread commands motions; any thread may call `make_safe` at any time.
+    One thread at a time commands motions; any thread may call `stop` or `make_safe` at any time: a
+    turn that another thread was about to send is not sent afterwards.
     """
 
     def __init__(self, settings: Settings, clock: Clock):
@@ -93,6 +94,8 @@ class RotaryAxis:
         self._disturbed = ""
         """The flag that keeps it from turning until it is homed."""
         self._halting = False
+        self._halts = 0
+        """How often it was told to stop and wait for rest."""
         self._let_go = False
         self._seen_deg = 0.0
         self._seen_busy = False
@@ -166,6 +169,7 @@ class RotaryAxis:
         answer tells the flags as well: one that it brings stops the stage. What came and went since
         the last keep-alive is not seen, and a hand at the knob is overruled by the next set point.
         """
+        halts = self._halts
         self._require_reach(angle_deg, speed_deg_s, acceleration_deg_s2)
         self._require_undisturbed("turn")
         fresh = self._target_deg is None
@@ -180,7 +184,7 @@ class RotaryAxis:
         )
         self._refuse_if_made_safe("turn")
         self._expect(angle_deg, speed_deg_s, acceleration_deg_s2, fresh)
-        reply = self._move(words, "turn")
+        reply = self._move(words, "turn", halts)
         if self._note(reply.flag):
             with contextlib.suppress(InstrumentError):  # the flag is the news
                 self._command("stop")
@@ -191,19 +195,20 @@ class RotaryAxis:
         busy = self._look()
         self._refuse_if_made_safe("turn")
         self._require_undisturbed("turn")
-        if self._target_deg is None:
+        target_deg = self._target_deg  # another thread may stop the stage
+        if target_deg is None:
             return busy
-        missing_deg = abs(self._seen_deg - self._target_deg)
+        missing_deg = abs(self._seen_deg - target_deg)
         if not busy and missing_deg <= self._settings.angle_tolerance_deg:
             self._target_deg = None
             return False
         now = self._clock.now()
         if now > self._arrive_by_s or now - self._idle_from_s > SETTLED_S:
             stands = "is still turning, at" if busy else "stands at"
-            target, self._target_deg = self._target_deg, None
+            self._target_deg = None
             raise self._error(
                 "turn",
-                f"{stands} {self._seen_deg:.4f} deg and has not arrived at {target:.4f} deg",
+                f"{stands} {self._seen_deg:.4f} deg and has not arrived at {target_deg:.4f} deg",
                 "look for what holds or slows the stage, then stop it",
             )
         return True
@@ -372,6 +377,7 @@ class RotaryAxis:
 
     def _halt(self) -> None:
         """Stop and wait for rest; flags are not news meanwhile."""
+        self._halts += 1
         self._target_deg = None
         self._halting = True
         try:
@@ -392,16 +398,17 @@ class RotaryAxis:
         busy = self._read()
         if self._disturbed and not known:
             raise self._flagged("status", self._disturbed)
-        if self._target_deg is None:
+        target_deg = self._target_deg  # another thread may stop the stage
+        if target_deg is None:
             return busy
-        if (self._seen_deg - self._target_deg) * self._way > self._past_deg:
+        if (self._seen_deg - target_deg) * self._way > self._past_deg:
             with contextlib.suppress(InstrumentError):  # that it runs away is the news
                 self._command("stop")
-            target, self._target_deg = self._target_deg, None
+            self._target_deg = None
             raise self._error(
                 "turn",
                 f"ran past its target: it is at {self._seen_deg:.4f} deg on the way to "
-                f"{target:.4f} deg",
+                f"{target_deg:.4f} deg",
                 "look at the encoder and at the stage's settings before it turns again",
             )
         return busy
@@ -459,10 +466,18 @@ class RotaryAxis:
 
     # --- one exchange -------------------------------------------------------------------------
 
-    def _move(self, words: str, command: str) -> Reply:
-        """Send what could turn the stage, unless it has been made safe."""
+    def _move(self, words: str, command: str, halts: int | None = None) -> Reply:
+        """Send what could turn the stage, unless it has been made safe, or was stopped after so
+        many `halts`."""
+
+        def permit() -> None:
+            self._refuse_if_made_safe(command)
+            if halts not in (None, self._halts):
+                self._target_deg = None
+                raise self._error(command, "the stage was stopped meanwhile", "begin it again")
+
         try:
-            return self._command(words, permit=lambda: self._refuse_if_made_safe(command))
+            return self._command(words, permit=permit)
         except RejectedError:
             self._target_deg = None
             raise

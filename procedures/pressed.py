@@ -80,6 +80,9 @@ class PressedSettings(BaseSettings):
     """Error of the normal force during the motion, rms, beyond which a trial does not count."""
     force_error_peak_percent: float = Field(default=5.0, gt=0)
     """Its largest error beyond which a trial does not count."""
+    overshoot_percent: float = Field(default=10.0, gt=0)
+    """By how much the force may have gone beyond the normal force before the motion; beyond, a
+    trial does not count."""
     late_ticks_percent: float = Field(default=1.0, ge=0, le=100)
     """Share of late ticks beyond which a trial does not count."""
     largest_force_N: float = Field(default=15.0, gt=0)

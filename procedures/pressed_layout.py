@@ -96,6 +96,7 @@ RECORDED = (
     Column("ticks", "ticks", "", "Ticks"),
     Column("late_ticks", "late_ticks", "", "Ticks that began late or were left out"),
     Column("missed_ticks", "missed_ticks", "", "Ticks that were left out"),
+    Column("held_back_ticks", "held_back_ticks", "", "Ticks that told z nothing: it was busy"),
     Column("largest_lateness", "largest_lateness_s", "s", "Largest lateness of a tick (s)"),
     Column("invalid", "invalid", "", "Why the trial does not count", "text"),
     Column("filter_delay", "filter_delay_s", "s", "Delay of the anti-alias filter (s)"),

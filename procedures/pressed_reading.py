@@ -33,6 +33,8 @@ MISSING_S = 0.05
 """Samples or frames of so long may be under way when a record ends."""
 SERVO_SEEN = 5
 """Frames over which the error of the force is averaged."""
+HELD_BACK = 0.5
+"""Of the ticks: if more told z nothing, it is told."""
 AT_REST_S = 0.2
 """Beginning of a record, before contact: the strips' zero is its mean."""
 CLOCKS_SEEN_S, CLOCKS_SEARCHED_S = 0.1, 0.2
@@ -68,6 +70,8 @@ class Taken:
     """Of the strips."""
     signal_rows: int = 0
     frames: int = 0
+    held_back: int = 0
+    """Ticks of the servo without a new target: the drive had not answered to what came before."""
     loops: list[LoopStatistics] = field(default_factory=list)
 
     def load_rates(self, scales: Mapping[str, LoadScale]) -> npt.NDArray[np.float64]:
@@ -126,9 +130,17 @@ def reading_of(run: Run, taken: Taken) -> Reading:
         "ticks": ticks,
         "late_ticks": late,
         "missed_ticks": missed,
+        "held_back_ticks": taken.held_back,
         "largest_lateness_s": max(loop.largest_lateness_s for loop in taken.loops),
         "filter_delay_s": taken.filter_delay_s,
     }
+    if taken.held_back > HELD_BACK * ticks:
+        run.event(
+            "warning",
+            "servo",
+            f"trial {taken.number}: z was busy in {taken.held_back} of {ticks} ticks: the servo "
+            f"held the force with fewer targets than its {taken.tick_Hz:g} a second",
+        )
     run.check_stop()  # computing takes a while: still alive
     reading |= _touch_down(run, taken, force)
     run.check_stop()
@@ -172,6 +184,7 @@ def _touch_down(run: Run, taken: Taken, force: npt.NDArray[np.float64]) -> Readi
 def _doubts(settings: PressedSettings, taken: Taken, reading: Reading, late: float) -> list[str]:
     doubts = []
     for name, limit in (
+        ("overshoot_percent", settings.overshoot_percent),
         ("force_error_rms_percent", settings.force_error_rms_percent),
         ("force_error_peak_percent", settings.force_error_peak_percent),
     ):

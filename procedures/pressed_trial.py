@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -37,6 +39,7 @@ from rig.analysis.load_rate import LoadScale, amplifier_dB, load_scale, load_sca
 from rig.bench import STRIPS, require
 from rig.errors import InstrumentError
 from rig.runner.approach import Approach, search_speed_mm_s
+from rig.runner.aside import Aside
 from rig.runner.loop import tick_loop
 from rig.runner.samples import SampleStream
 from rig.runner.servo import ForceServo, settings_from
@@ -44,6 +47,7 @@ from rig.runner.servo import ForceServo, settings_from
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    from rig.instruments import LinearStage, Record
     from rig.runner.loop import Tick
     from rig.runner.points import Reading
     from rig.runner.run import Run
@@ -55,7 +59,7 @@ TAP = 0.15
 """Of the normal force: what the tap lets go. The clocks need a twentieth (`clock_offset`)."""
 TAP_mm_s = 1.0
 FORCE_AGE_S = 0.003
-"""How much older the force of a look is than the position read with it."""
+"""How old the force of a look is: half of its stretch, half a frame, and the rubber."""
 CLOCKS_DIFFER = 1e-3
 """Far more than the clocks of DAQ and computer do: a block is asked for when it may be there."""
 BLOCKS_A_LOOK = 4
@@ -76,6 +80,8 @@ class Pace:
     """From a command to the first force that shows it."""
     looks_Hz: float
     """How often both stages are asked where they are, at most."""
+    link_s: float = LINK_S
+    """A look and a new target of z take so long at most, usually."""
 
     @property
     def tick_s(self) -> float:
@@ -86,6 +92,16 @@ class Pace:
     def approach_s(self) -> float:
         """From one tick of an approach to the next, each of which asks z where it is."""
         return max(self.tick_s, 1 / LOOKS_Hz)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A look at a stage."""
+
+    at_s: float = 0.0
+    """When it was, on the run's clock."""
+    is_mm: float = 0.0
+    commanded_mm: float = 0.0
 
 
 @dataclass
@@ -116,7 +132,7 @@ def pace_on(run: Run) -> Pace:
             f"time for, not at {TICK_Hz:g} Hz: the force errors show what it costs",
         )
     delay_s = DELAY_S + max(0.0, 1 / z_Hz - LINK_S) / 2
-    return Pace(tick_Hz, delay_s, min(LOOKS_Hz, both_Hz))
+    return Pace(tick_Hz, delay_s, min(LOOKS_Hz, both_Hz), max(LINK_S, 1 / z_Hz))
 
 
 def scales_on(run: Run) -> dict[str, LoadScale]:
@@ -152,6 +168,13 @@ class PressedTrial:
         self.z, self.x = run.bench.stage_z, run.bench.stage_x
         self.fixture = run.bench.settings.fixture
         self._samples = SampleStream(run.bench.daq, run.clock)
+        self._blocks: deque[Record] = deque()
+        """Of the strips' samples: read, and not recorded yet."""
+        self._rows_read = 0
+        """Of the strips."""
+        self._aside_z, self._aside_x, self._aside_daq = self._links = [
+            Aside(name, run.clock) for name in ("stage z", "stage x", "DAQ")
+        ]
         self._recording = self._in_motion = False
         self._pace = series.pace
         self._looks_Hz = self._pace.looks_Hz
@@ -159,11 +182,23 @@ class PressedTrial:
         self._look_every = 1
         """Ticks of the loop under way from one look to the next, and how long that is."""
         self._look_s = self._pace.tick_s
+        self._look_due = False
+        self._ticks_since_step = 0
+        """Of the servo."""
+        self._target_late_s = 0.0
+        """By how much later than usual z was told its latest target."""
         self._looks = -1
         """Number of the look before, in the loop under way."""
         self._left: list[Callable[[], None]] = []
         """What is still to be collected of it, the next at the end."""
-        self._z_mm = self._z_commanded = self._x_mm = self._x_commanded = 0.0
+        self._z_seen = self._x_seen = Seen()
+        self._recorded_s = -math.inf
+        """When the stages were seen where the record has them last."""
+        self._z_commanded = self._x_commanded = 0.0
+        self._felt_s = self._older_s = 0.0
+        """When the latest force was, and by how much older than usual that is."""
+        self._at_rest_s = 0.0
+        """From when on z stands where the servo begins."""
         self._tangential_N = self._next_tick_s = 0.0
         self._first_frame = 0
 
@@ -176,7 +211,7 @@ class PressedTrial:
         self.taken.zero = tare_in_free_air(self.run)
         self._z_commanded = self.fixture.parked_mm
         self._x_commanded = start_mm
-        self._x_mm = self.x.position_mm()
+        self._look_at_x()
         come_close(self.run, CONTACT_N, LOOK_S, self._pace.approach_s)
 
     def record(self) -> None:
@@ -184,6 +219,7 @@ class PressedTrial:
         settings = self.settings
         self._decimator = Decimator(settings.rate_S_s, len(STRIPS))
         self._samples.start(settings.acquisition)
+        self._rows_read = 0
         self.taken.begun_s = self.run.clock.now()
         self.taken.filter_delay_s = self._decimator.delay_s
         self._first_frame = self.run.force.frames_seen
@@ -191,6 +227,7 @@ class PressedTrial:
 
     def end_record(self) -> None:
         """Take what has still come, and end the acquisition."""
+        self._record_position()
         self._collect_rest()
         self._collect_frames()
         self._recording = False
@@ -204,7 +241,6 @@ class PressedTrial:
             settings.normal_force_N,
             self._pace.approach_s,
             delay_s,
-            FORCE_AGE_S,
             settings.acceleration_mm_s2,
         )
         self._go_near()
@@ -221,6 +257,7 @@ class PressedTrial:
             )
         )
         self._tap()
+        self._ticks_since_step = 0
         self._loop(settings.rest_s, self._hold)
 
     def _go_near(self) -> None:
@@ -238,9 +275,10 @@ class PressedTrial:
 
         def look(tick: Tick) -> bool:
             felt = self._collect(tick, look=True) > CONTACT_N
+            here_mm = self._z_seen.is_mm
             if felt:
-                self._move_z(self._z_mm, speed_mm_s)
-            return not felt and self._z_mm < near_mm - BOTTOM_mm
+                self._move_z(here_mm, speed_mm_s)
+            return not felt and here_mm < near_mm - BOTTOM_mm
 
         way_mm = near_mm - contact_range_mm(self.bench)[0] + CLEAR_mm
         self._loop(way_mm / speed_mm_s + PATIENCE_S, look, self._pace.approach_s)
@@ -253,8 +291,9 @@ class PressedTrial:
         def look(tick: Tick) -> bool:
             nonlocal touched, arrived
             force_N = self._collect(tick, look=True)
-            here_mm = self._z_mm
-            step = down.step(tick.began_s, here_mm, force_N)
+            seen, behind_s = self._z_seen, self._older_s + self._target_late_s
+            here_mm = seen.is_mm
+            step = down.step(seen.at_s, here_mm, self._felt_s, force_N, behind_s)
             if step.touched and not touched:
                 touched = True
                 self.taken.contact_mm = self.series.contact_mm = here_mm
@@ -277,6 +316,7 @@ class PressedTrial:
         back_mm = TAP * self.settings.normal_force_N / self.taken.stiffness_N_mm
         for position_mm in (here_mm - back_mm, here_mm):
             self._move_z(position_mm, TAP_mm_s)
+            self._at_rest_s = self.run.clock.now() + TAP_S / 2
             self._loop(TAP_S, self._look_on)
         self.taken.tapped_s = self._since_s()
 
@@ -291,11 +331,21 @@ class PressedTrial:
         self, longest_s: float, on_tick: Callable[[Tick], bool], tick_s: float | None = None
     ) -> None:
         """Ticks of the servo, or every `tick_s`."""
+
+        def whole(tick: Tick) -> bool:
+            self._ticks_since_step += 1 + tick.missed
+            going_on = on_tick(tick)
+            self._ask_what_is_due()
+            return going_on
+
         self._await_tick()
         begin_s, tick_Hz = self.run.clock.now(), 1 / (tick_s or self._pace.tick_s)
         self._look_every = max(1, round(tick_Hz / self._looks_Hz))
         self._look_s, self._looks = self._look_every / tick_Hz, -1
-        done = tick_loop(self.run, tick_Hz, longest_s, on_tick)
+        with contextlib.ExitStack() as links:
+            for link in self._links:
+                links.enter_context(link)
+            done = tick_loop(self.run, tick_Hz, longest_s, whole)
         self._next_tick_s = begin_s + done.ticks / tick_Hz
         self.taken.loops.append(done)
 
@@ -308,8 +358,18 @@ class PressedTrial:
         return self.run.clock.now() - self.taken.begun_s
 
     def _hold(self, tick: Tick, look: bool = False) -> bool:
-        """Move z by what the force asks for; `look`: ask the stages where they are in any case."""
-        step = self._servo.step(self._collect(tick, look), 1 + tick.missed)
+        """Move z by what the force asks for; `look`: ask the stages where they are in any case.
+
+        Nothing is asked of a link that is not done with what it was asked before: a target that
+        waits there would come later than the servo takes for granted, and ring. And a force that is
+        older than the end of the tap is not what the servo begins with.
+        """
+        force_N = self._collect(tick, look)
+        if not self._aside_z.idle or self._felt_s < self._at_rest_s:
+            self.taken.held_back += 1
+            return True
+        step = self._servo.step(force_N, self._ticks_since_step, self._target_late_s, self._older_s)
+        self._ticks_since_step = 0
         self._move_z(self._z_commanded + step.increment_mm, step.speed_mm_s)
         return True
 
@@ -319,23 +379,53 @@ class PressedTrial:
         return True
 
     def _collect(self, tick: Tick, look: bool = False) -> float:
-        """The latest force along z. Every so many ticks, and for a `look`, the stages are asked
-        where they are, x while it may move. If there is a record, it goes on with that and with
-        what DAQ and force sensor have said since, each in a tick of its own where ticks are many.
+        """The latest force along z. Every so many ticks the stages are asked where they are, x
+        while it may move; a `look` waits for the answers. If there is a record, it goes on with
+        that and with what DAQ and force sensor have said since, each in a tick of its own where
+        ticks are many.
         """
         looks = tick.number // self._look_every
         due, self._looks = looks != self._looks, looks
-        if look or due:
-            self._z_mm = self.z.position_mm()
-            if self._in_motion:
-                self._x_mm = self.x.position_mm()
+        for link in self._links:
+            link.check()
+        self._look_due = look or due
+        if look or self.run.clock.stands:
+            self._ask_what_is_due()
+        if look:
+            self._aside_z.settle()
+            self._aside_x.settle()
         if self._recording:
             if due:
                 self._record_position()
             self._collect_in_turn(due, last=(tick.number + 1) % self._look_every == 0)
+        self._older_s = self.run.force.older_s
+        self._felt_s = self.run.clock.now() - FORCE_AGE_S - self._older_s
         force_N = self.run.force.mean_N(LOOK_S)
         self._tangential_N = float(force_N[0])
         return float(force_N[2])
+
+    def _ask_what_is_due(self) -> None:
+        """A look at the stages, where the tick has not had it: behind its new target."""
+        due, self._look_due = self._look_due, False
+        if due:
+            self._ask_where()
+
+    def _ask_where(self) -> None:
+        """Ask the stages where they are, x while it may move."""
+        self._aside_z.ask("look", self._look_at_z)
+        if self._in_motion:
+            self._aside_x.ask("look", self._look_at_x)
+
+    def _look_at_z(self) -> None:
+        self._z_seen = self._seen(self.z, self._z_commanded)
+
+    def _look_at_x(self) -> None:
+        self._x_seen = self._seen(self.x, self._x_commanded)
+
+    def _seen(self, stage: LinearStage, commanded_mm: float) -> Seen:
+        asked_s = self.run.clock.now()
+        is_mm = stage.position_mm()
+        return Seen((asked_s + self.run.clock.now()) / 2, is_mm, commanded_mm)
 
     def _collect_in_turn(self, due: bool, last: bool) -> None:
         """What is left of the look before, one of it in a tick; all of it by the next look."""
@@ -352,40 +442,74 @@ class PressedTrial:
             self._left.pop()()
 
     def _record_position(self) -> None:
-        here = (self._z_mm, self._x_mm, self._z_commanded, self._x_commanded)
-        taken, now_s = self.taken, self._since_s()
-        self.run.put("ticks", len(taken.position), np.array([[now_s]]), None, units="s")
+        """Where the stages were seen last, unless it is recorded already."""
+        seen_s = self._seen_last_s()
+        if seen_s > self._recorded_s:
+            self._recorded_s = seen_s
+            self._record_seen(seen_s - self.taken.begun_s)
+
+    def _seen_last_s(self) -> float:
+        """When the latest look at a stage was."""
+        return max(self._z_seen.at_s, self._x_seen.at_s)
+
+    def _record_seen(self, since_s: float) -> None:
+        """A row of the stages' places."""
+        z, x, taken = self._z_seen, self._x_seen, self.taken
+        here = (z.is_mm, x.is_mm, z.commanded_mm, x.commanded_mm)
+        self.run.put("ticks", len(taken.position), np.array([[since_s]]), None, units="s")
         self.run.put("position", len(taken.position), np.array([here]), None, units="mm")
-        taken.position.append((now_s, *here))
+        taken.position.append((since_s, *here))
+
+    # --- the strips' samples --------------------------------------------------------------------
 
     def _rows_by_now(self) -> float:
         """How many rows the DAQ may have sampled, its clock running ahead of ours perhaps."""
         return self._since_s() * self.settings.rate_S_s * (1 + CLOCKS_DIFFER)
 
-    def _take_block(self) -> bool:
-        """A block of the DAQ; whether it had one."""
-        record = self._samples.read()
-        if record is None:
+    def _block_due(self) -> bool:
+        """Whether the DAQ may have a block."""
+        return self._rows_read + self.settings.block_samples <= self._rows_by_now()
+
+    def _read_block(self) -> bool:
+        """Read one; whether the DAQ had it."""
+        block = self._samples.read()
+        if block is None:
             return False
-        self.run.emit("strips", record)
-        self.taken.rows += len(record.counts)
-        volts = np.stack([record.volts(name) for name in STRIPS], axis=1)
-        self._signals(self._decimator.add(volts))
+        self._rows_read += len(block.counts)
+        self._blocks.append(block)
         return True
 
-    def _collect_blocks(self) -> None:
-        """Those that may be there, of many a few."""
+    def _read_blocks(self) -> None:
+        """Read those that may be there, of many a few."""
         coming = self._look_s / self.settings.block_s
         for _ in range(max(BLOCKS_A_LOOK, math.ceil(CATCHING_UP * coming))):
-            due = self.taken.rows + self.settings.block_samples <= self._rows_by_now()
-            if not due or not self._take_block():
+            if not (self._block_due() and self._read_block()):
                 return
+
+    def _keep_blocks(self) -> None:
+        """Record the blocks that were read."""
+        while self._blocks:
+            block = self._blocks.popleft()
+            self.run.emit("strips", block)
+            self.taken.rows += len(block.counts)
+            volts = np.stack([block.volts(name) for name in STRIPS], axis=1)
+            self._signals(self._decimator.add(volts))
+
+    def _collect_blocks(self) -> None:
+        """Ask for what may be there, and record what has come."""
+        if self._block_due():
+            self._aside_daq.ask("blocks", self._read_blocks)
+        self._keep_blocks()
 
     def _collect_rest(self) -> None:
         """Every block of what has been sampled until now, each a sign of life."""
         sampled = self._rows_by_now()
-        while self.taken.rows < sampled and self._take_block():
+        self._keep_blocks()
+        while self._rows_read < sampled and self._read_block():
+            self._keep_blocks()
             self.run.check_stop()
+
+    # --- forces and signals ---------------------------------------------------------------------
 
     def _collect_frames(self) -> None:
         """What the force sensor has sent."""
@@ -414,7 +538,17 @@ class PressedTrial:
         reach = self.z.reach()
         require("position under the force", position_mm, reach["position"])
         self._z_commanded = position_mm
-        self.z.start_move(position_mm, min(max(speed_mm_s, SLOWEST_mm_s), reach["speed"].high))
+        speed_mm_s = min(max(speed_mm_s, SLOWEST_mm_s), reach["speed"].high)
+        asked_s = self.run.clock.now()
+
+        def tell() -> None:
+            begun_s = self.run.clock.now()
+            self.z.start_move(position_mm, speed_mm_s)
+            # It came in the middle of what is beyond the usual; the usual is in the delay.
+            beyond_s = max(0.0, self.run.clock.now() - begun_s - self._pace.link_s)
+            self._target_late_s = begun_s - asked_s + beyond_s / 2
+
+        self._aside_z.ask("target", tell)
 
     # --- what can be wrong ----------------------------------------------------------------------
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,8 +17,10 @@ from procedures.roll_reading import RollTaken, reading_of
 from procedures.roll_trial import NUDGED_S, NUDGES, SETTLED_S
 from rig.analysis.axis_offset import Look, axis_offset
 from rig.errors import LimitError
+from rig.runner.aside import Aside
 
 if TYPE_CHECKING:
+    from procedures.roll_profile import Turn
     from procedures.roll_trial import Settings
     from rig.analysis.estimate import Estimate
     from rig.runner.loop import Tick
@@ -38,6 +41,16 @@ LARGEST_COMPENSATED_mm = 8.0
 SLOWEST_mm_s = 0.02
 CATCH_UP = 1.02
 """How much faster than the turn wants it x goes: it fills its ticks, and is there in time."""
+
+
+@dataclass(frozen=True)
+class Turned:
+    """A look at the rotary stage; angles from upright."""
+
+    at_s: float = 0.0
+    """When it was, on the run's clock."""
+    angle_deg: float = 0.0
+    commanded_deg: float = 0.0
 
 
 @dataclass
@@ -64,15 +77,24 @@ class _OnHead(PressedTrial):
         assert fixture.upright_deg is not None, "arm() has seen to both"
         self._upright_deg = fixture.upright_deg
         self._start_mm = fixture.centre_mm + self.settings.start_mm
-        self._commanded_deg = self._angle_deg = 0.0
+        self._commanded_deg = 0.0
+        self._rotary_seen = Turned()
+        self._aside_rotary = Aside("rotary stage", run.clock)
+        self._links.append(self._aside_rotary)
         self._looks_Hz = min(self._looks_Hz, LOOKS_Hz)
 
     def make_ready(self, start_mm: float | None = None) -> None:
         """Up, the object upright, x to where the roll begins; zero the force in free air."""
         self.z.move_to(self.fixture.parked_mm, TRAVEL_mm_s)
         self._rotary.turn_to(self._upright_deg, UPRIGHT_deg_s, UPRIGHT_deg_s2)
-        self._angle_deg = self._rotary.angle_deg() - self._upright_deg
+        self._look_at_rotary()
         super().make_ready(self._start_mm if start_mm is None else start_mm)
+
+    def _look_at_rotary(self) -> None:
+        commanded_deg, asked_s = self._commanded_deg, self.run.clock.now()
+        angle_deg = self._rotary.angle_deg() - self._upright_deg
+        at_s = (asked_s + self.run.clock.now()) / 2
+        self._rotary_seen = Turned(at_s, angle_deg, commanded_deg)
 
 
 class AlignTrial(_OnHead):
@@ -157,9 +179,7 @@ class Trial(_OnHead):
         since_s = tick.began_s - self.taken.begun_s - self.taken.motion_from_s
         while self._turns and self._turns[0].at_s <= since_s + self._pace.tick_s / 2:
             turn = self._turns.pop(0)
-            self._rotary.start_turn(
-                self._upright_deg + turn.to_deg, turn.speed_deg_s, turn.acceleration_deg_s2
-            )
+            self._aside_rotary.ask("turn", partial(self._turn, turn))
         self._commanded_deg = self._profile.at_deg(since_s)
         self._hold(tick)
         if self._offset_mm:
@@ -173,16 +193,27 @@ class Trial(_OnHead):
         target_mm = self._start_mm + shift_mm
         speed_mm_s = CATCH_UP * abs(target_mm - self._x_commanded) / self._pace.tick_s
         self._x_commanded = target_mm
-        self.x.start_move(target_mm, max(speed_mm_s, SLOWEST_mm_s))
+        speed_mm_s = max(speed_mm_s, SLOWEST_mm_s)
+        self._aside_x.ask("target", lambda: self.x.start_move(target_mm, speed_mm_s))
 
-    def _record_position(self) -> None:
-        super()._record_position()
-        taken, now_s = self.taken, self._since_s()
+    def _turn(self, turn: Turn) -> None:
+        to_deg = self._upright_deg + turn.to_deg
+        self._rotary.start_turn(to_deg, turn.speed_deg_s, turn.acceleration_deg_s2)
+
+    def _ask_where(self) -> None:
+        super()._ask_where()
         if self._in_motion:  # else it stands where it was brought
-            self._angle_deg = self._rotary.angle_deg() - self._upright_deg
-        row = np.array([[self._angle_deg, self._commanded_deg]])
+            self._aside_rotary.ask("look", self._look_at_rotary)
+
+    def _seen_last_s(self) -> float:
+        return max(super()._seen_last_s(), self._rotary_seen.at_s)
+
+    def _record_seen(self, since_s: float) -> None:
+        super()._record_seen(since_s)
+        seen, taken = self._rotary_seen, self.taken
+        row = np.array([[seen.angle_deg, seen.commanded_deg]])
         self.run.put("rotation", len(taken.rotation), row, None, units="deg")
-        taken.rotation.append((now_s, self._angle_deg, self._commanded_deg))
+        taken.rotation.append((since_s, seen.angle_deg, seen.commanded_deg))
 
     def reading(self) -> Reading:
         """Figures of the trial, and why it does not count if it does not."""

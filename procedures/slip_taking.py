@@ -43,6 +43,8 @@ class Trial(PressedTrial):
         self._moving_every = max(1, round(self._pace.tick_Hz * MOVING_EVERY_S))
         self._moving_looks = 0
         """Looks before in the slide under way."""
+        self._arrived = False
+        """Whether x has."""
 
     def rehearse(self) -> None:
         """The same without a record: the servo learns what the slide does to the normal force."""
@@ -59,7 +61,7 @@ class Trial(PressedTrial):
         self._await_tick()
         taken.motion_from_s = self._since_s()
         self._servo.slide_begins(self.series.shift)
-        self._moving_looks = 0
+        self._moving_looks, self._arrived = 0, False
         self._loop(settings.longest_slide_s, pull)
         taken.motion_to_s = self._since_s()
         if self.series.shift is None:
@@ -72,7 +74,7 @@ class Trial(PressedTrial):
         """Have x slide to its end; hold F_n."""
         self._hold(tick)
         if tick.number == 0:
-            self.x.start_move(self.settings.end_mm, self.settings.speed_mm_s)
+            self._move_x(self.settings.speed_mm_s)
         return self._still_moving(tick)
 
     def _ramp(self) -> Callable[[Tick], bool]:
@@ -81,7 +83,7 @@ class Trial(PressedTrial):
         settings, along = self.settings, self.settings.along
         tick_s, delay_s = self._pace.tick_s, self._pace.delay_s
         ramp = ForceRamp(settings.ramp_N_s, settings.speed_mm_s, tick_s, delay_s, FORCE_AGE_S)
-        first_mm, first_N, begin_s = self._x_mm, self._tangential_N, 0.0
+        first_mm, first_N, begin_s = self._x_seen.is_mm, self._tangential_N, 0.0
         slipped_mm = speed_mm_s = 0.0
 
         def pull(tick: Tick) -> bool:
@@ -89,11 +91,11 @@ class Trial(PressedTrial):
             self._hold(tick, look=True)
             if tick.number == 0:
                 begin_s = tick.began_s
-            since_s, travel_mm = tick.began_s - begin_s, along * (self._x_mm - first_mm)
+            since_s, travel_mm = tick.began_s - begin_s, along * (self._x_seen.is_mm - first_mm)
             asked_mm_s = ramp.step(since_s, travel_mm, along * (self._tangential_N - first_N))
             if asked_mm_s != speed_mm_s:
                 speed_mm_s = asked_mm_s
-                self.x.start_move(settings.end_mm, speed_mm_s)
+                self._move_x(speed_mm_s)
             if ramp.follows:
                 self.taken.ramp_to_s = self._since_s()
             if ramp.slipped:
@@ -107,7 +109,16 @@ class Trial(PressedTrial):
         """Whether x has not arrived; looked at now and then."""
         looks = (tick.number + 1) // self._moving_every
         due, self._moving_looks = looks != self._moving_looks, looks
-        return not due or self.x.moving()
+        if due:
+            self._aside_x.ask("arrived", self._look_whether_arrived)
+        return not self._arrived
+
+    def _look_whether_arrived(self) -> None:
+        self._arrived = not self.x.moving()
+
+    def _move_x(self, speed_mm_s: float) -> None:
+        """On to the end of the slide."""
+        self._aside_x.ask("target", lambda: self.x.start_move(self.settings.end_mm, speed_mm_s))
 
     def reading(self) -> Reading:
         """Figures of the trial, and why it does not count if it does not."""

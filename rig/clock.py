@@ -8,16 +8,18 @@ allows.
 A wait is cut into slices of at most 20 ms. Before each slice the registered callbacks run: the
 keep-alives of drives with a communication time-out, the check for a stop request, the heartbeat.
 They run from here and from nowhere else, so a procedure that hangs starves them, and the drives
-stop by themselves.
+stop by themselves. What works aside of the procedure waits without them.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
+import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
 from rig.errors import InstrumentError
@@ -57,8 +59,12 @@ class StreamConsumer(Protocol):
 class Clock(ABC):
     """Seconds since the clock was made, and waiting that stays responsive."""
 
+    stands = False
+    """Whether it stands while an instrument answers."""
+
     def __init__(self) -> None:
         self._callbacks: list[Callable[[], None]] = []
+        self._aside = threading.local()
 
     @abstractmethod
     def now(self) -> float:
@@ -78,12 +84,23 @@ class Clock(ABC):
 
         return unregister
 
+    @contextlib.contextmanager
+    def aside(self) -> Iterator[None]:
+        """This thread works aside of the procedure: nobody is called from its waits, which are no
+        sign that the procedure is alive."""
+        self._aside.here = True
+        try:
+            yield
+        finally:
+            self._aside.here = False
+
     def sleep(self, seconds: float) -> None:
         """Wait `seconds` of bench time; whatever a callback raises ends the wait."""
         deadline = self.now() + seconds
         while True:
-            for callback in tuple(self._callbacks):
-                callback()
+            if not getattr(self._aside, "here", False):
+                for callback in tuple(self._callbacks):
+                    callback()
             remaining = deadline - self.now()
             if remaining <= 0:
                 return
@@ -148,6 +165,8 @@ class SlavedClock(Clock):
     reader has consumed the bytes that the bench says it has sent, so what a reader has seen at a
     given bench time never depends on the host's scheduling.
     """
+
+    stands = True
 
     def __init__(self, control: ControlLink):
         super().__init__()

@@ -185,7 +185,8 @@ class DataAcquisition(Instrument, Protocol):
         ...
 
     def stop(self) -> None:
-        """End a running acquisition; nothing happens where none runs."""
+        """End a running acquisition, after a `read` that another thread is in; nothing happens
+        where none runs."""
         ...
 
 
@@ -210,7 +211,10 @@ class LinearStage(Instrument, Protocol):
         ...
 
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
-        """Begin to move there, or change the target of the motion under way."""
+        """Begin to move there, or change the target of the motion under way.
+
+        Where another thread calls `stop` meanwhile, nothing is sent afterwards: InstrumentError.
+        """
         ...
 
     def moving(self) -> bool:
@@ -258,7 +262,8 @@ class RotaryStage(Instrument, Protocol):
         stage passes it, stops and comes back. So a profile that is given as data can be streamed as
         set points, up to 100 a second; one or two steps ahead and at the profile's own speed, they
         keep the stage from braking between. Should they cease, it stands at the last one. Saying
-        the same twice asks for nothing new.
+        the same twice asks for nothing new. Where another thread calls `stop` meanwhile, nothing is
+        sent afterwards: InstrumentError.
         """
         ...
 

@@ -62,19 +62,21 @@ def closing_speed_mm_s(missing_N: float, stiffness_N_mm: float, delay_s: float) 
 class ContactStiffness:
     """dF/dz of a contact that is being pressed, from positions and forces as they come.
 
-    `force_age_s`: how much older the force of a pair is than its position.
+    Each has its own time: a link that takes ten milliseconds to say where the axis is would else
+    make the contact seem half as stiff.
     """
 
-    def __init__(self, force_age_s: float):
-        self._age_s = force_age_s
-        self._times: deque[float] = deque(maxlen=KEPT)
+    def __init__(self) -> None:
+        self._seen_s: deque[float] = deque(maxlen=KEPT)
         self._positions: deque[float] = deque(maxlen=KEPT)
+        self._felt_s: deque[float] = deque(maxlen=KEPT)
         self._forces: deque[float] = deque(maxlen=KEPT)
 
-    def add(self, time_s: float, position_mm: float, force_N: float) -> None:
-        """One look at both."""
-        self._times.append(time_s)
+    def add(self, seen_s: float, position_mm: float, felt_s: float, force_N: float) -> None:
+        """One look at both: where the axis was at `seen_s`, and the force at `felt_s`."""
+        self._seen_s.append(seen_s)
         self._positions.append(position_mm)
+        self._felt_s.append(felt_s)
         self._forces.append(force_N)
 
     def at_N_mm(  # noqa: N802 - the unit keeps its capital, here and below
@@ -82,17 +84,28 @@ class ContactStiffness:
     ) -> float | None:
         """Stiffness at about this force, N/mm, from the forces between `LOCAL` of it and it; None
         where too little was seen of them."""
-        if len(self._times) < LEAST_POINTS:
-            return None
-        times = np.array(self._times)
-        positions = np.interp(times - self._age_s, times, np.array(self._positions))
-        forces = np.array(self._forces)
+        positions, forces = self._pairs()
         near = (forces >= LOCAL * force_N) & (forces <= force_N / LOCAL)
-        near &= times - self._age_s >= times[0]
         if near.sum() < LEAST_POINTS:
             return None
         slope = _slope(positions[near], forces[near])
         return slope if slope is not None and slope > 0 else None
+
+    def secant_N_mm(self) -> float:  # noqa: N802
+        """Force by way from the first look to the latest, N/mm; 0 where there is no way."""
+        positions, forces = self._pairs()
+        if len(forces) < LEAST_POINTS or positions[-1] <= positions[0]:
+            return 0.0
+        return max(0.0, float((forces[-1] - forces[0]) / (positions[-1] - positions[0])))
+
+    def _pairs(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Forces, and where the axis was when they were felt, as far as it had been seen."""
+        if not self._seen_s:
+            return np.empty(0), np.empty(0)
+        seen_s, felt_s = np.array(self._seen_s), np.array(self._felt_s)
+        positions = np.interp(felt_s, seen_s, np.array(self._positions))
+        known = (felt_s >= seen_s[0]) & (felt_s <= seen_s[-1])
+        return positions[known], np.array(self._forces)[known]
 
 
 @dataclass(frozen=True)
@@ -115,8 +128,7 @@ class Approach:
     """Finds contact and brings the force up to `target_N`; one `step` a tick.
 
     `delay_s` is the servo's (`ServoSettings.delay_s`); a tick is added to it, for which a speed
-    stands whatever happens. `force_age_s`: how much older the force given to `step` is than the
-    position; an error of it shows in the stiffness that comes out.
+    stands whatever happens.
     """
 
     def __init__(
@@ -124,7 +136,6 @@ class Approach:
         target_N: float,
         tick_s: float,
         delay_s: float,
-        force_age_s: float,
         acceleration_mm_s2: float = 200.0,
     ):
         self.target_N = target_N
@@ -133,27 +144,43 @@ class Approach:
         self._delay_s = delay_s + tick_s
         self.search_mm_s = search_speed_mm_s(TOUCH * target_N, self._delay_s, acceleration_mm_s2)
         """Speed of the search for contact."""
-        self._stiffness = ContactStiffness(force_age_s)
+        self._stiffness = ContactStiffness()
         self._touched = False
         self._latest_N = 0.0
 
     @property
     def stiffness_N_mm(self) -> float:  # noqa: N802
-        """At the force reached so far, as far as is known: the servo's k once it has arrived."""
-        known = self._stiffness.at_N_mm(self._latest_N) if self._touched else None
-        return STIFFEST_N_mm if known is None else known
+        """At the force reached so far, as far as is known: the servo's k once it has arrived.
 
-    def step(self, time_s: float, position_mm: float, force_N: float) -> ApproachStep:
-        """What to do, given where the axis is and the mean force of the latest milliseconds."""
+        No less than the force by the way since touch: a contact stiffens as it is pressed, and the
+        few points that a starved computer has seen may lie on any slope.
+        """
+        known = self._stiffness.at_N_mm(self._latest_N) if self._touched else None
+        if known is None:
+            return STIFFEST_N_mm
+        return max(known, min(self._stiffness.secant_N_mm(), STIFFEST_N_mm))
+
+    def step(
+        self,
+        seen_s: float,
+        position_mm: float,
+        felt_s: float,
+        force_N: float,
+        behind_s: float = 0.0,
+    ) -> ApproachStep:
+        """What to do, given where the axis was at `seen_s` and the mean force of some milliseconds
+        about `felt_s`: an error of these times shows in the stiffness that comes out. `behind_s`:
+        by how much longer than `delay_s` things take just now."""
         self._latest_N = force_N
         if not self._touched and force_N < FELT * self.target_N:
             return self._go(self.search_mm_s)
         self._touched = True
-        self._stiffness.add(time_s, position_mm, force_N)
+        self._stiffness.add(seen_s, position_mm, felt_s, force_N)
         missing_N = self.target_N - force_N
         if missing_N <= ARRIVED * self.target_N:
             return ApproachStep(0.0, 0.0, True)
-        return self._go(closing_speed_mm_s(missing_N, self.stiffness_N_mm, self._delay_s))
+        delay_s = self._delay_s + behind_s
+        return self._go(closing_speed_mm_s(missing_N, self.stiffness_N_mm, delay_s))
 
     def _go(self, speed_mm_s: float) -> ApproachStep:
         braking_mm = speed_mm_s**2 / (2 * self._acceleration)

@@ -132,6 +132,14 @@ class ForceMonitor:
         )
 
     @property
+    def older_s(self) -> float:
+        """By how much older than usual the newest frame is; nothing where bench time stands while
+        frames come."""
+        if self._clock.stands or not self._rate:
+            return 0.0
+        return max(0.0, (self._sensor.frames_behind - self._usual) / self._rate)
+
+    @property
     def frames_seen(self) -> int:
         """Number of the next frame that has not come yet."""
         with self._lock:

@@ -43,7 +43,7 @@ class ForceRamp:
     ):
         self.rate_N_s, self.largest_mm_s = rate_N_s, largest_mm_s
         self._closing_s = CLOSING * (delay_s + tick_s)
-        self._contact = ContactStiffness(force_age_s)
+        self._contact, self._force_age_s = ContactStiffness(), force_age_s
         self._stiffness_N_mm = STIFFEST_N_mm
         self._late_s = 0.0
         self.slipped = False
@@ -61,7 +61,7 @@ class ForceRamp:
     def step(self, since_s: float, travel_mm: float, force_N: float) -> float:
         """Speed along the ramp, mm/s, given the travel and the mean force of the latest
         milliseconds, both positive along the ramp."""
-        self._contact.add(since_s, travel_mm, force_N)
+        self._contact.add(since_s, travel_mm, since_s - self._force_age_s, force_N)
         missing_N = self.wanted_N(since_s) - force_N
         self._late_s = missing_N / self.rate_N_s
         known = self._contact.at_N_mm(force_N)

@@ -16,6 +16,10 @@ One number sets how quickly it believes what it sees, `memory_s`. It follows fro
 that k may be 1.3 times or half the one assumed: the skin's rises with the force, and changes when
 ridges slip. `rig.runner.approach` comes before and measures k. How well it holds: decision 0035.
 
+Both may take longer now and then: a target that a busy link has carried late, a force that was
+heard late. The servo is told of each (`ForceServo.step`), and puts the force seen to where the axis
+was then.
+
 A slide that is repeated disturbs the force again in the same way: what one slide has shown,
 `ContactShift`, may be given to the servo for the next ones, which then have only the difference to
 follow. What a slide shows that was helped itself is no better: noise adds up from one to the next.
@@ -39,6 +43,10 @@ axis that follows a slow change goes on instead of jumping from tick to tick."""
 SLOWEST_mm_s = 0.01
 FASTEST_N_s = 200.0
 """How fast the servo may change the force: many times what a slide needs, and no knock."""
+LATENESS_FADES = 0.8
+"""From step to step: how late targets usually are is their latest mean."""
+OLDEST_s = 0.2
+"""Beyond, a force is too old to be put to a place."""
 GRID_s = 0.00025
 """Of the account of where the axis is: fine against its shortest move."""
 
@@ -138,12 +146,14 @@ class ForceServo:
 
     def __init__(self, settings: ServoSettings):
         self.settings = settings
-        self._fading = math.exp(-settings.tick_s / settings.memory_s)
-        """From tick to tick."""
         self._axis = _AxisAccount(settings)
         self._level_N: float | None = None
         self._slope_N_s = 0.0
-        self._since_s = -math.inf
+        self._older_s = 0.0
+        """Of the force at the step before."""
+        self._usually_late_s = 0.0
+        self._since_s: float | None = -math.inf
+        """Since the slide under way has begun; None where it begins with the next step."""
         self._expected = ContactShift()
         self.shift = ContactShift()
         """What the slide under way has shown so far."""
@@ -151,7 +161,7 @@ class ForceServo:
     def slide_begins(self, expected: ContactShift | None = None) -> None:
         """The next step is the first of a slide; `expected` is the `shift` of one like it, on the
         same tick and delay, from the same force."""
-        self._since_s = 0.0
+        self._since_s = None
         self._expected, self.shift = expected or ContactShift(), ContactShift()
 
     @property
@@ -159,22 +169,36 @@ class ForceServo:
         """Sum of the increments so far."""
         return self._axis.target_mm
 
-    def step(self, force_N: float, ticks: int = 1) -> ServoStep:
+    def step(
+        self, force_N: float, ticks: int = 1, late_s: float = 0.0, older_s: float = 0.0
+    ) -> ServoStep:
         """What to do, given the mean force of the latest milliseconds, so many ticks after the step
-        before: more than one where some were left out."""
+        before: more than one where some were left out.
+
+        `late_s`: by how much later than `delay_s` takes for granted the target of the step before
+        has come to the axis; `older_s`: by how much older than that the force is.
+        """
         own, axis = self.settings, self._axis
-        self._since_s += (ticks - 1) * own.tick_s
-        seen_mm, seen_s = axis.seen_mm(ticks), self._since_s - own.delay_s
-        if seen_s >= 0:
+        older_s = min(max(older_s, 0.0), OLDEST_s)
+        since_s = 0.0 if self._since_s is None else self._since_s + ticks * own.tick_s
+        seen_mm = axis.seen_mm(ticks, max(late_s, 0.0), older_s)
+        seen_s, passed_s = since_s - own.delay_s - older_s, ticks * own.tick_s
+        passed_s -= older_s - self._older_s
+        self._older_s = older_s
+        self._usually_late_s *= LATENESS_FADES
+        self._usually_late_s += (1 - LATENESS_FADES) * max(late_s, 0.0)
+        if seen_s >= 0 and passed_s > 0:
             missing_N = own.target_N - force_N
             self.shift.add(seen_s, seen_mm + missing_N / own.stiffness_N_mm)
         disturbance_N = force_N - own.stiffness_N_mm * (seen_mm - self._expected.at_mm(seen_s))
-        self._follow(disturbance_N, ticks)
-        ahead_s = ARRIVAL_OF_TICK * own.tick_s
-        expected_N = (self._level_N or 0.0) + self._slope_N_s * (own.delay_s + ahead_s)
+        if passed_s > 0:  # else nothing new has been heard
+            self._follow(disturbance_N, passed_s)
+        ahead_s = ARRIVAL_OF_TICK * own.tick_s + self._usually_late_s
+        until_s = own.delay_s + older_s + ahead_s
+        expected_N = (self._level_N or 0.0) + self._slope_N_s * until_s
         wanted_mm = (own.target_N - expected_N) / own.stiffness_N_mm
-        wanted_mm += self._expected.at_mm(self._since_s + ahead_s)
-        self._since_s += own.tick_s
+        wanted_mm += self._expected.at_mm(since_s + ahead_s)
+        self._since_s = since_s
         reach_mm = own.speed_mm_s * own.tick_s
         increment = wanted_mm - axis.target_mm
         increment = max(-reach_mm, min(increment, reach_mm))
@@ -189,11 +213,11 @@ class ForceServo:
         coarser, or a limit stood in the way."""
         self._axis.correct(difference_mm)
 
-    def _follow(self, disturbance_N: float, ticks: int) -> None:
+    def _follow(self, disturbance_N: float, passed_s: float) -> None:
         if self._level_N is None:
             self._level_N = disturbance_N
             return
-        fading, passed_s = self._fading**ticks, ticks * self.settings.tick_s
+        fading = math.exp(-passed_s / self.settings.memory_s)
         expected = self._level_N + self._slope_N_s * passed_s
         surprise = disturbance_N - expected
         self._level_N = expected + (1 - fading**2) * surprise
@@ -208,21 +232,27 @@ class _AxisAccount:
         self._position = self._velocity = self.target_mm = 0.0
         self._cycles = max(1, round(settings.tick_s / GRID_s))
         self._dt = settings.tick_s / self._cycles
-        past = max(1, round(settings.delay_s / self._dt))
+        self._delay = max(1, round(settings.delay_s / self._dt))
+        """In cycles."""
+        past = self._delay + round(OLDEST_s / self._dt)
         self._past: deque[float] = deque([0.0] * (past + 1), maxlen=past + 1)
         self._told = False
         self._speed = settings.speed_mm_s
+        self._before = 0.0, self._speed
+        """Target and speed that the latest replaced."""
 
-    def seen_mm(self, ticks: int) -> float:
+    def seen_mm(self, ticks: int, late_s: float, older_s: float) -> float:
         """The position that the force given to the present step, so many ticks after the one
-        before, belongs to."""
+        before, belongs to; the latest target was late, the force is older than it should be."""
         if self._told:
-            for _ in range(ticks * self._cycles):
-                self._cycle()
-        return self._past[0]
+            late = round(late_s / self._dt)
+            for cycle in range(ticks * self._cycles):
+                self._cycle(*(self._before if cycle < late else (self.target_mm, self._speed)))
+        return self._past[-1 - self._delay - round(older_s / self._dt)]
 
     def tell(self, increment_mm: float, speed_mm_s: float) -> None:
         """A new target, from now on, and how fast to go there."""
+        self._before = self.target_mm, self._speed
         self.target_mm += increment_mm
         self._speed = speed_mm_s
         self._told = True
@@ -231,12 +261,12 @@ class _AxisAccount:
         """It is another one."""
         self.target_mm += difference_mm
 
-    def _cycle(self) -> None:
+    def _cycle(self, target_mm: float, speed_mm_s: float) -> None:
         dt, acceleration = self._dt, self._settings.acceleration_mm_s2
-        rest = self.target_mm - self._position
+        rest = target_mm - self._position
         change = acceleration * dt
         allowed = change * (math.sqrt(0.25 + 2 * abs(rest) / (change * dt)) - 0.5)
-        wanted = math.copysign(min(allowed, self._speed, abs(rest) / dt), rest)
+        wanted = math.copysign(min(allowed, speed_mm_s, abs(rest) / dt), rest)
         before = self._velocity
         self._velocity += max(-change, min(wanted - before, change))
         self._position += (self._velocity + before) / 2 * dt

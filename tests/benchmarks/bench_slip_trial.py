@@ -34,6 +34,7 @@ pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(7200)]
 SEEDS = range(1, 6)
 TRIALS = 200
 RATE_Hz = 500.0
+ERRORS = ("force_error_rms", "force_error_peak", "overshoot")
 BESIDE_S = 20.0
 """How long the bare loop runs beside the trials."""
 
@@ -99,10 +100,7 @@ def test_the_force_is_held_in_the_corners(rig):
         assert ended.code in (0, 5), ended.stderr
         with RunFile.open(file_of(rig, ended)) as run:
             (reading,) = run.readings()
-        errors = [
-            reading[f"{name}_percent"]
-            for name in ("force_error_rms", "force_error_peak", "overshoot")
-        ]
+        errors = [reading[f"{name}_percent"] for name in ERRORS]
         condition = f"{static:4g} {ratio:5g} {force_N:4g} {speed_mm_s:6g} {tick_Hz:4g}"
         told = "   ".join(f"{error:7.2f}" for error in errors)
         print(f"{condition}  {told}   {reading['invalid']}", flush=True)
@@ -226,8 +224,12 @@ def test_ticks_in_real_time(rig):
         for reading in file.readings():
             late = reading["late_ticks"] / reading["ticks"]
             missed = reading["missed_ticks"]
-            told = f"{reading['ticks']} ticks, {missed} left out; {reading['invalid']}"
-            print(f"trial {reading['trial']}: {told}")
+            busy = reading["held_back_ticks"]
+            told = f"{reading['ticks']} ticks, {missed} left out, z busy in {busy}"
+            force = "F_n {:.2f} % rms, {:.2f} % peak, {:.2f} % overshoot".format(
+                *(reading[f"{name}_percent"] for name in ERRORS)
+            )
+            print(f"trial {reading['trial']}: {told}; {force}; {reading['invalid']}")
             target("share of late ticks", late, bare_share, "")
 
 

@@ -239,7 +239,8 @@ def test_a_force_over_the_limit_lifts_off_and_ends_the_run_after_one_retake(rig)
 
 
 def test_trials_that_do_not_count_are_made_again_kept_and_told(rig):
-    hard = ("--force-error-rms", "0.001percent", "--retry-invalid", "1")
+    hard = ("--force-error-rms", "0.001percent", "--overshoot", "0.002percent")
+    hard += ("--retry-invalid", "1")
     ended = rig.run(*arguments(rig, *SHORT, *hard))
     assert ended.code == 5, ended.stderr
     assert "taken again" in ended.stderr
@@ -247,7 +248,11 @@ def test_trials_that_do_not_count_are_made_again_kept_and_told(rig):
     with RunFile.open(rig.only("*.h5")) as run:
         attempts = [status.decode() for status in run.entry["attempts/status"][()]]
         assert attempts == ["discarded", "kept"]
-        assert "is above 0.001 %" in run.column("invalid")[0]
+        overshoot, rms = run.column("invalid")[0].split("; ")
+        assert overshoot.startswith("overshoot ")
+        assert overshoot.endswith(" % is above 0.002 %")
+        assert rms.startswith("force error rms ")
+        assert rms.endswith(" % is above 0.001 %")
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import struct
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -662,6 +663,57 @@ def test_a_procedure_behind_its_watcher_cannot_set_the_axis_going_again() -> Non
         axis.stop()
         axis.move_to(10.0, 10.0)
         assert it.truth_mm == 10.0
+
+
+@pytest.mark.parametrize("under_way", [False, True])
+def test_a_target_on_its_way_is_not_sent_after_another_thread_has_stopped_the_axis(
+    under_way: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between the look and the new target."""
+    with service() as it:
+        axis = it.homed()
+        if under_way:
+            axis.start_move(60.0, 10.0)
+            it.bench.now_us += 100_000
+        last = "_require_task" if under_way else "_prepare_task"
+        usual = getattr(axis, last)
+
+        def stop_after(*given: Any) -> None:
+            usual(*given)
+            thread = threading.Thread(target=axis.stop)
+            thread.start()
+            thread.join()
+
+        with monkeypatch.context() as patched:
+            patched.setattr(axis, last, stop_after)
+            with pytest.raises(InstrumentError, match="stopped meanwhile"):
+                axis.start_move(61.0, 10.0)
+        there = it.truth_mm
+        it.bench.now_us += 500_000
+        assert it.truth_mm == there
+        axis.move_to(there + 1, 10.0)
+        assert it.truth_mm == pytest.approx(there + 1, abs=1e-3)
+
+
+def test_what_fails_in_one_thread_leaves_another_its_new_connection() -> None:
+    """A link that broke is closed before the next request opens it anew, not after."""
+    with service({"kind": "close", "command": "read 100", "at": 20}) as it:
+        axis = it.homed()
+        ended: list[object] = []
+
+        def look() -> None:
+            for _ in range(40):
+                try:
+                    ended.append(axis.position_mm())
+                except InstrumentError as error:
+                    ended.append(error)
+
+        threads = [threading.Thread(target=look) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert sum(isinstance(result, InstrumentError) for result in ended) <= 1
 
 
 def test_a_wait_for_arrival_ends_when_another_thread_makes_the_axis_safe() -> None:

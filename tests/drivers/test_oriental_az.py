@@ -531,6 +531,34 @@ def test_a_refusal_tells_the_exception_and_what_it_means() -> None:
     assert "exception 4: slave error" in str(caught.value.__cause__)
 
 
+@pytest.mark.parametrize("under_way", [False, True])
+def test_a_target_on_its_way_is_not_sent_after_another_thread_has_stopped_the_axis(
+    under_way: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with service() as bench:
+        axis = bench.homed()
+        if under_way:
+            axis.start_move(60.0, 10.0)
+            bench.run_dry(0.1)
+        usual = axis._motion
+
+        def stop_before(target: int, speed_mm_s: float) -> tuple[int, tuple[int, ...]]:
+            thread = threading.Thread(target=axis.stop)
+            thread.start()
+            thread.join()
+            return usual(target, speed_mm_s)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(axis, "_motion", stop_before)
+            with pytest.raises(InstrumentError, match="stopped meanwhile"):
+                axis.start_move(61.0, 10.0)
+        bench.run_dry(0.1)
+        assert bench.speed(bench.z) == 0
+        there_mm = axis.position_mm()
+        axis.move_to(there_mm + 1, 10.0)
+        assert axis.position_mm() == pytest.approx(there_mm + 1, abs=0.01)
+
+
 def test_make_safe_of_the_module_leaves_the_stop_standing() -> None:
     with service() as bench:
         axis = bench.homed()

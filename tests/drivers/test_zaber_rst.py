@@ -4,6 +4,7 @@ can go wrong; angles are judged by the World."""
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -580,6 +581,32 @@ class Dead:
 
     def frames_until(self, now_us: int) -> bytes:
         return b""
+
+
+@pytest.mark.parametrize("under_way", [False, True])
+def test_a_turn_on_its_way_is_not_sent_after_another_thread_has_stopped_the_stage(
+    under_way: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with service() as it:
+        axis = it.homed()
+        if under_way:
+            axis.start_turn(40.0, 10.0, 100.0)
+            it.clock._pass(0.3)
+        usual = axis._expect
+
+        def stop_after(*given: Any) -> None:
+            usual(*given)
+            thread = threading.Thread(target=axis.stop)
+            thread.start()
+            thread.join()
+
+        with monkeypatch.context() as patched:
+            patched.setattr(axis, "_expect", stop_after)
+            with pytest.raises(InstrumentError, match="stopped meanwhile"):
+                axis.start_turn(41.0, 10.0, 100.0)
+        it.clock._pass(0.5)
+        assert it.speed == 0
+        axis.turn_to(axis.angle_deg() + 1.0, 10.0, 100.0)
 
 
 def test_make_safe_over_a_link_that_broke_is_tried_on_a_new_one() -> None:

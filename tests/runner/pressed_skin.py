@@ -127,10 +127,11 @@ def press_and_slide(
 ) -> Held:
     """Approach, press, rest, slide through gross slip under the servo."""
     bench, period = PressedSkin(skin, friction, unit_mm, seed), 1000 // rate_Hz
-    approach = Approach(target_N, 1 / rate_Hz, DELAY_s, FORCE_AGE_s, ACCELERATION_mm_s2)
+    approach = Approach(target_N, 1 / rate_Hz, DELAY_s, ACCELERATION_mm_s2)
     while True:
         here = bench.position_mm()
-        step = approach.step(1e-3 * bench.now_ms, here, bench.force_N())
+        now_s = 1e-3 * bench.now_ms
+        step = approach.step(now_s, here, now_s - FORCE_AGE_s, bench.force_N())
         if step.arrived:
             break
         bench.go(here + step.ahead_mm, step.speed_mm_s)

@@ -31,6 +31,7 @@ class Sensor:
 
 class Clock:
     now_s = 0.0
+    stands = False
 
     def now(self) -> float:
         return self.now_s
@@ -186,3 +187,16 @@ def test_a_few_frames_alike_are_chance(monitor: ForceMonitor, sensor: Sensor) ->
     batches = [frames(0, 10), alike(10, 19), frames(29, 1), alike(30, 19)]
     feed(monitor, sensor, *batches)
     assert monitor.frames_seen == 49
+
+
+def test_the_newest_frame_is_as_old_as_frames_are_missing(
+    monitor: ForceMonitor, sensor: Sensor
+) -> None:
+    """Against what is usual; nothing where bench time stands while they come."""
+    assert monitor.older_s == 0.0
+    monitor._rate, monitor._usual = 1000.0, 2.0
+    for behind, older_s in ((2.0, 0.0), (0.5, 0.0), (8.5, 0.0065)):
+        sensor.frames_behind = behind
+        assert monitor.older_s == pytest.approx(older_s)
+    monitor._clock.stands = True
+    assert monitor.older_s == 0.0
