@@ -58,6 +58,8 @@ class ForceMonitor:
         self._last_frame_s: float | None = None
         """None until the stream has begun."""
         self._usual = 0.0
+        self._newest_s = 0.0
+        """When the newest frame that is kept would have come, had it not been late."""
         self._missing_since_s: float | None = None
         self._looked_s = 0.0
         self._last_raw = np.full((1, len(AXES)), np.nan)
@@ -137,7 +139,7 @@ class ForceMonitor:
         frames come."""
         if self._clock.stands or not self._rate:
             return 0.0
-        return max(0.0, (self._sensor.frames_behind - self._usual) / self._rate)
+        return max(0.0, self._clock.now() - self._newest_s)
 
     @property
     def frames_seen(self) -> int:
@@ -213,8 +215,10 @@ class ForceMonitor:
             self._usual = self._sensor.frames_behind  # the silence has been a hold: no gap besides
             self._holds.end(_STALE)
         self._watch_gap(now)
+        late = max(0.0, self._sensor.frames_behind - self._usual)
         with self._lock:
             self._recent.append(frames)
+            self._newest_s = now - (late / self._rate if self._rate else 0.0)
         self._watch_force(frames)
         self._watch_standstill(frames)
         return [frames]

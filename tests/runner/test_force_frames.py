@@ -192,11 +192,19 @@ def test_a_few_frames_alike_are_chance(monitor: ForceMonitor, sensor: Sensor) ->
 def test_the_newest_frame_is_as_old_as_frames_are_missing(
     monitor: ForceMonitor, sensor: Sensor
 ) -> None:
-    """Against what is usual; nothing where bench time stands while they come."""
+    """Against what is usual, and as it has been there; frames that have been read and are not yet
+    handed on make it no younger. Nothing where bench time stands while they come."""
+    clock: Clock = monitor._clock  # type: ignore[assignment]
     assert monitor.older_s == 0.0
     monitor._rate, monitor._usual = 1000.0, 2.0
+    first = 0
     for behind, older_s in ((2.0, 0.0), (0.5, 0.0), (8.5, 0.0065)):
         sensor.frames_behind = behind
-        assert monitor.older_s == pytest.approx(older_s)
-    monitor._clock.stands = True
+        feed(monitor, sensor, frames(first, 5))
+        first += 5
+        assert monitor.older_s == pytest.approx(older_s, abs=1e-5)
+        clock.now_s += 0.004
+        sensor.frames_behind = 0.0
+        assert monitor.older_s == pytest.approx(older_s + 0.004, abs=1e-5)
+    clock.stands = True
     assert monitor.older_s == 0.0
