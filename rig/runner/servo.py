@@ -191,11 +191,13 @@ class ForceServo:
             missing_N = own.target_N - force_N
             self.shift.add(seen_s, seen_mm + missing_N / own.stiffness_N_mm)
         disturbance_N = force_N - own.stiffness_N_mm * (seen_mm - self._expected.at_mm(seen_s))
-        if passed_s > 0:  # else nothing new has been heard
-            self._follow(disturbance_N, passed_s)
+        if self._level_N is None:
+            self._level_N = disturbance_N
+        elif passed_s > 0:  # else nothing new has been heard
+            self._follow(self._level_N, disturbance_N, passed_s)
         ahead_s = ARRIVAL_OF_TICK * own.tick_s + self._usually_late_s
         until_s = own.delay_s + older_s + ahead_s
-        expected_N = (self._level_N or 0.0) + self._slope_N_s * until_s
+        expected_N = self._level_N + self._slope_N_s * until_s
         wanted_mm = (own.target_N - expected_N) / own.stiffness_N_mm
         wanted_mm += self._expected.at_mm(since_s + ahead_s)
         self._since_s = since_s
@@ -213,12 +215,9 @@ class ForceServo:
         coarser, or a limit stood in the way."""
         self._axis.correct(difference_mm)
 
-    def _follow(self, disturbance_N: float, passed_s: float) -> None:
-        if self._level_N is None:
-            self._level_N = disturbance_N
-            return
+    def _follow(self, level_N: float, disturbance_N: float, passed_s: float) -> None:
         fading = math.exp(-passed_s / self.settings.memory_s)
-        expected = self._level_N + self._slope_N_s * passed_s
+        expected = level_N + self._slope_N_s * passed_s
         surprise = disturbance_N - expected
         self._level_N = expected + (1 - fading**2) * surprise
         self._slope_N_s += (1 - fading) ** 2 * surprise / passed_s

@@ -131,6 +131,13 @@ def test_a_servo_that_is_told_how_late_its_links_are_holds_the_force() -> None:
     assert untold > 3 * told
 
 
+def test_a_servo_whose_first_force_is_old_begins_with_it() -> None:
+    servo = ForceServo(settings_from(TARGET_N, STIFFNESS_N_mm, 0.002, 0.004, 1e6))
+    first = servo.step(TARGET_N - 0.05, older_s=0.02)
+    assert first.increment_mm == pytest.approx(0.05 / STIFFNESS_N_mm)
+    assert servo.step(TARGET_N - 0.05, older_s=0.022).increment_mm == 0.0
+
+
 def test_one_step_never_asks_for_more_than_the_axis_may_do() -> None:
     settings = settings_from(TARGET_N, STIFFNESS_N_mm, 0.01, 0.005)
     step = ForceServo(settings).step(0.0)
