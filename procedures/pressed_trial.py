@@ -66,6 +66,9 @@ BLOCKS_A_LOOK = 4
 """Of the DAQ at most, one being due: a loop that is late has the force to look at as well."""
 CATCHING_UP = 2.0
 """Where blocks are shorter: of those that come from one look to the next, so many times as many."""
+SILENT_S = 0.5
+"""Where z does not answer for longer, nothing holds the force: what moves has to stop. A stalled
+computer is silent for less."""
 PATIENCE_S = 10.0
 """From contact to a held force, at most."""
 
@@ -365,6 +368,8 @@ class PressedTrial:
         older than the end of the tap is not what the servo begins with.
         """
         force_N = self._collect(tick, look)
+        if (silent_s := self._aside_z.silent_s) > SILENT_S:
+            raise self._not_held(silent_s)
         if not self._aside_z.idle or self._felt_s < self._at_rest_s:
             self.taken.held_back += 1
             return True
@@ -551,6 +556,14 @@ class PressedTrial:
         self._aside_z.ask("target", tell)
 
     # --- what can be wrong ----------------------------------------------------------------------
+
+    def _not_held(self, silent_s: float) -> InstrumentError:
+        return InstrumentError(
+            "stage_z",
+            "hold the force",
+            f"no answer for {silent_s:.2g} s: nothing holds {self.settings.normal_force_N:g} N",
+            "check the connection to the stage, and what else the computer is busy with",
+        )
 
     def _refuse_no_force(self, touched: bool, within_s: float) -> None:
         here_mm, force_N = self.z.position_mm(), self._force_N()

@@ -31,6 +31,8 @@ class Aside:
         self._executor: ThreadPoolExecutor | None = None
         self._asked: dict[str, Future[None]] = {}
         self._failure: BaseException | None = None
+        self._begun_s: float | None = None
+        """When what is under way began."""
         self.replaced: Counter[str] = Counter()
         """How often something newer took the place of what had not begun, by what it was."""
 
@@ -71,6 +73,12 @@ class Aside:
         """Whether everything asked for is done."""
         return all(asked.done() for asked in self._asked.values())
 
+    @property
+    def silent_s(self) -> float:
+        """How long what is under way has been."""
+        begun_s = self._begun_s
+        return 0.0 if begun_s is None else self._clock.now() - begun_s
+
     def check(self) -> None:
         """Raise what a work has met. Nothing is done any more after that."""
         if self._failure is not None:
@@ -84,8 +92,11 @@ class Aside:
     def _do(self, work: Callable[[], None]) -> None:
         if self._failure is not None:
             return
+        self._begun_s = self._clock.now()
         try:
             with self._clock.aside():
                 work()
         except BaseException as failure:  # noqa: BLE001 - raised by check()
             self._failure = failure
+        finally:
+            self._begun_s = None

@@ -70,7 +70,12 @@ def test_in_real_time_nobody_waits_and_the_end_of_the_loop_does() -> None:
         link.await_question()
         assert link.heard == []
         assert not aside.idle
+        before_s = aside.silent_s
+        time.sleep(0.01)
+        assert aside.silent_s >= before_s + 0.01
         link.let(2)
+        aside.settle()
+        assert aside.silent_s == 0
     assert link.heard == ["target", "look"]
     assert threading.current_thread() not in link.by
     assert len(set(link.by)) == 1

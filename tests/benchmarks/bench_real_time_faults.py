@@ -1,0 +1,78 @@
+"""What goes wrong in the slide of a trial in real time at 500 Hz, its links aside of the tick: x at
+rest, the skin off the plate or said to be on it, one clear line, a file that can be read.
+
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_real_time_faults.py``. CI has the same
+faults in slaved time, where they befall the same instant each time; here they fall where they fall.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+
+import pytest
+from measured import heading
+
+from rig.recording.verify import verify
+
+pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(600)]
+
+SLIDING = 'move = 2\nof = "stage_x"\nafter_s = 0.5\n'
+FAULTS = {
+    "nothing": ("", {0, 5}),
+    "z silent": (f'device = "stage_z"\nkind = "silence"\ncount = 0\n{SLIDING}', {3}),
+    "z silent for 1.5 s": (f'device = "stage_z"\nkind = "silence"\nfor_s = 1.5\n{SLIDING}', {3}),
+    "z closes": (f'device = "stage_z"\nkind = "close"\n{SLIDING}', {3}),
+    "z reset": (f'device = "stage_z"\nkind = "reset"\n{SLIDING}', {3}),
+    "z garbage": (f'device = "stage_z"\nkind = "garbage"\n{SLIDING}', {3}),
+    "z stale": (f'device = "stage_z"\nkind = "stale"\n{SLIDING}', {0, 3, 5}),
+    "z fault": (f'device = "stage_z"\nkind = "drive-fault"\n{SLIDING}', {3}),
+    "z runs away": (f'device = "stage_z"\nkind = "runaway"\n{SLIDING}', {0, 3, 4, 5}),
+    "x silent": (f'device = "stage_x"\nkind = "silence"\ncount = 0\n{SLIDING}', {3}),
+    "x half open": (f'device = "stage_x"\nkind = "half-open"\n{SLIDING}', {3}),
+    "x stuck": (f'device = "stage_x"\nkind = "stuck"\n{SLIDING}', {3}),
+    "DAQ silent": ('device = "daq"\nkind = "silence"\ncommand = "WAV:DATA"\nat = 150\n', {3}),
+    "DAQ closes": ('device = "daq"\nkind = "close"\ncommand = "WAV:DATA"\nat = 150\n', {3}),
+    "DAQ overruns": ('device = "daq"\nkind = "overrun"\nacquisition = 1\nafter_s = 2.5\n', {3}),
+    "force, retaken": (f'device = "force_sensor"\nkind = "spike"\nforce_N = 30\n{SLIDING}', {0, 5}),
+    "SIGINT": ("", {130}),
+    "SIGTERM": ("", {143}),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_slide_that_goes_wrong_in_real_time_ends_in_order(rig, name):
+    fault, codes = FAULTS[name]
+    bench = rig.folder / "bench.toml"
+    disturbed = ("--fault", rig.fault("[[fault]]\n" + fault)) if fault else ()
+    serving = rig.start(
+        "simulate", "--fixture", "plate", "--write", str(bench), "--world-log",
+        str(rig.world_log), *disturbed,
+    )  # fmt: skip
+    serving.wait_for("Ctrl-C ends it")
+    try:
+        running = rig.start(
+            "slip-trial", "--bench", str(bench), "--tick", "500", "--distance", "1mm",
+            "--speed", "0.5mm/s", "--json", "--no-figures",
+        )  # fmt: skip
+        if name.startswith("SIG"):
+            while "stage_x" not in str([e for e in rig.log() if e["what"] == "move"][-1:]):
+                time.sleep(0.05)
+            time.sleep(0.5)
+            running.send(getattr(signal, name))
+        ended = running.finish()
+        time.sleep(1.5)  # a drive that was left to itself stops by its own time-out
+    finally:
+        serving.send(signal.SIGINT)
+        serving.finish()
+    heading(f"{name}: exit code {ended.code}; {'; '.join(ended.errors)}")
+    assert ended.code in codes | {7}, ended.stderr
+    rest = {}
+    for stage in ("stage_z", "stage_x"):
+        seen = [e for e in rig.log() if e["device"] == stage and e["what"] in ("move", "at-rest")]
+        assert seen[-1]["what"] == "at-rest", f"{stage} still moves"
+        rest[stage] = seen[-1]["value"]
+    told = "NOT SAFE" in ended.stderr or "may still be pressed" in ended.stderr
+    print(f"z at {rest['stage_z']:.3f} mm, x at {rest['stage_x']:.3f} mm, told as not safe: {told}")
+    assert told or rest["stage_z"] == pytest.approx(5.0, abs=0.01)
+    assert verify(rig.only("*.h5")) == []
