@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -34,20 +33,17 @@ from procedures.pressed import (
     TICK_Hz,
 )
 from procedures.pressed_reading import CONTACT_N, DECIMATED_Hz, Taken
-from rig.analysis.decimation import Decimator
+from procedures.strip_record import StripRecord
 from rig.analysis.load_rate import LoadScale, amplifier_dB, load_scale, load_scale_of_record
 from rig.bench import STRIPS, require
 from rig.errors import InstrumentError
 from rig.runner.approach import Approach, search_speed_mm_s
 from rig.runner.aside import Aside
 from rig.runner.loop import tick_loop
-from rig.runner.samples import SampleStream
 from rig.runner.servo import ForceServo, settings_from
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from rig.instruments import LinearStage, Record
+    from rig.instruments import LinearStage
     from rig.runner.loop import Tick
     from rig.runner.points import Reading
     from rig.runner.run import Run
@@ -60,12 +56,6 @@ TAP = 0.15
 TAP_mm_s = 1.0
 FORCE_AGE_S = 0.003
 """How old the force of a look is: half of its stretch, half a frame, and the rubber."""
-CLOCKS_DIFFER = 1e-3
-"""Far more than the clocks of DAQ and computer do: a block is asked for when it may be there."""
-BLOCKS_A_LOOK = 4
-"""Of the DAQ at most, one being due: a loop that is late has the force to look at as well."""
-CATCHING_UP = 2.0
-"""Where blocks are shorter: of those that come from one look to the next, so many times as many."""
 SILENT_S = 0.5
 """Where z does not answer for longer, nothing holds the force: what moves has to stop. A stalled
 computer is silent for less."""
@@ -170,14 +160,9 @@ class PressedTrial:
         self.bench = run.bench
         self.z, self.x = run.bench.stage_z, run.bench.stage_x
         self.fixture = run.bench.settings.fixture
-        self._samples = SampleStream(run.bench.daq, run.clock)
-        self._blocks: deque[Record] = deque()
-        """Of the strips' samples: read, and not recorded yet."""
-        self._rows_read = 0
-        """Of the strips."""
-        self._aside_z, self._aside_x, self._aside_daq = self._links = [
-            Aside(name, run.clock) for name in ("stage z", "stage x", "DAQ")
-        ]
+        self._strips = StripRecord(run, taken)
+        self._aside_z, self._aside_x = Aside("stage z", run.clock), Aside("stage x", run.clock)
+        self._links = [self._aside_z, self._aside_x, self._strips.link]
         self._recording = self._in_motion = False
         self._pace = series.pace
         self._looks_Hz = self._pace.looks_Hz
@@ -219,22 +204,17 @@ class PressedTrial:
 
     def record(self) -> None:
         """Begin to record: strips, forces and positions."""
-        settings = self.settings
-        self._decimator = Decimator(settings.rate_S_s, len(STRIPS))
-        self._samples.start(settings.acquisition)
-        self._rows_read = 0
-        self.taken.begun_s = self.run.clock.now()
-        self.taken.filter_delay_s = self._decimator.delay_s
+        self._strips.start()
         self._first_frame = self.run.force.frames_seen
         self._recording = True
 
     def end_record(self) -> None:
         """Take what has still come, and end the acquisition."""
         self._record_position()
-        self._collect_rest()
+        self._strips.collect_rest()
         self._collect_frames()
         self._recording = False
-        self._samples.stop()
+        self._strips.stop()
 
     def press(self) -> None:
         """Down until the object is felt, on until the force is there, no faster than it allows; the
@@ -436,7 +416,7 @@ class PressedTrial:
         """What is left of the look before, one of it in a tick; all of it by the next look."""
         if due:
             self._collect_left()
-            self._left = [self._collect_frames, self._collect_blocks]
+            self._left = [self._collect_frames, lambda: self._strips.collect(self._look_s)]
         elif self._left:
             self._left.pop()()
         if last:
@@ -465,57 +445,6 @@ class PressedTrial:
         self.run.put("position", len(taken.position), np.array([here]), None, units="mm")
         taken.position.append((since_s, *here))
 
-    # --- the strips' samples --------------------------------------------------------------------
-
-    def _rows_by_now(self) -> float:
-        """How many rows the DAQ may have sampled, its clock running ahead of ours perhaps."""
-        return self._since_s() * self.settings.rate_S_s * (1 + CLOCKS_DIFFER)
-
-    def _block_due(self) -> bool:
-        """Whether the DAQ may have a block."""
-        return self._rows_read + self.settings.block_samples <= self._rows_by_now()
-
-    def _read_block(self) -> bool:
-        """Read one; whether the DAQ had it."""
-        block = self._samples.read()
-        if block is None:
-            return False
-        self._rows_read += len(block.counts)
-        self._blocks.append(block)
-        return True
-
-    def _read_blocks(self) -> None:
-        """Read those that may be there, of many a few."""
-        coming = self._look_s / self.settings.block_s
-        for _ in range(max(BLOCKS_A_LOOK, math.ceil(CATCHING_UP * coming))):
-            if not (self._block_due() and self._read_block()):
-                return
-
-    def _keep_blocks(self) -> None:
-        """Record the blocks that were read."""
-        while self._blocks:
-            block = self._blocks.popleft()
-            self.run.emit("strips", block)
-            self.taken.rows += len(block.counts)
-            volts = np.stack([block.volts(name) for name in STRIPS], axis=1)
-            self._signals(self._decimator.add(volts))
-
-    def _collect_blocks(self) -> None:
-        """Ask for what may be there, and record what has come."""
-        if self._block_due():
-            self._aside_daq.ask("blocks", self._read_blocks)
-        self._keep_blocks()
-
-    def _collect_rest(self) -> None:
-        """Every block of what has been sampled until now, each a sign of life."""
-        sampled = self._rows_by_now()
-        self._keep_blocks()
-        while self._rows_read < sampled and self._read_block():
-            self._keep_blocks()
-            self.run.check_stop()
-
-    # --- forces and signals ---------------------------------------------------------------------
-
     def _collect_frames(self) -> None:
         """What the force sensor has sent."""
         run, taken = self.run, self.taken
@@ -527,14 +456,6 @@ class PressedTrial:
             newton = np.ascontiguousarray(frames.force_N[:, [2, 0, 1]])
             run.put("force", first, newton, FORCE_RATE_S_S, units="N")
             taken.force.append(newton)
-
-    def _signals(self, volts: npt.NDArray[np.float64]) -> None:
-        if not len(volts):
-            return
-        rows = np.column_stack([volts[:, 0] - volts[:, 1], volts])
-        self.run.put("signals", self.taken.signal_rows, rows, DECIMATED_Hz, units="V")
-        self.taken.signal_rows += len(rows)
-        self.taken.volts.append(volts)
 
     def _force_N(self) -> float:  # noqa: N802 - the unit keeps its capital
         return felt_N(self.run, LOOK_S)
