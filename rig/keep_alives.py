@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections.abc import Callable, Iterator
 
+from rig.clock import Clock
 from rig.errors import InstrumentError
+
+FEED_EVERY_S = 0.05
+"""Wall time between two looks of a thread whether its drive has to be fed."""
 
 
 class KeepAlives:
@@ -13,7 +18,8 @@ class KeepAlives:
 
     What a drive says then ends the wait. While the bench is made safe it does not: a drive that
     does not answer is fed no more, so that it stops by itself and keeps no other from being brought
-    to rest; its own off tells.
+    to rest; its own off tells. And in real time a thread for each drive feeds it then: an off that
+    waits for a silent drive would else let the others meet their time-outs, the skin still pressed.
     """
 
     def __init__(self) -> None:
@@ -27,22 +33,38 @@ class KeepAlives:
 
     def feed(self) -> None:
         """Talk to every drive."""
-        for role, feed in tuple(self._feeds.items()):
-            if role in self._given_up:
-                continue
-            try:
-                feed()
-            except InstrumentError:
-                if not self._making_safe:
-                    raise
-                self._given_up.add(role)
+        for role in tuple(self._feeds):
+            self._feed(role)
+
+    def _feed(self, role: str) -> None:
+        given_up = self._given_up  # of this clean-up: one that ends meanwhile leaves it behind
+        if role in given_up:
+            return
+        try:
+            self._feeds[role]()
+        except InstrumentError:
+            if not self._making_safe:
+                raise
+            given_up.add(role)
 
     @contextlib.contextmanager
-    def while_making_safe(self) -> Iterator[None]:
-        """Within it no drive ends another one's wait."""
-        self._making_safe = True
+    def while_making_safe(self, clock: Clock) -> Iterator[None]:
+        """Within it no drive ends another one's wait; in real time threads feed them, which end by
+        themselves, at the latest with a drive's time-out."""
+        self._making_safe, over = True, threading.Event()
+        for role in () if clock.stands else self._feeds:
+            given = (role, clock, over)
+            threading.Thread(
+                target=self._feed_until, args=given, name=f"feed {role}", daemon=True
+            ).start()
         try:
             yield
         finally:
+            over.set()
             self._making_safe = False
-            self._given_up.clear()
+            self._given_up = set()
+
+    def _feed_until(self, role: str, clock: Clock, over: threading.Event) -> None:
+        with clock.aside(), contextlib.suppress(Exception):  # its own off tells
+            while not over.wait(FEED_EVERY_S):
+                self._feed(role)

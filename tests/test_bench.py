@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
+import threading
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -316,10 +317,47 @@ def test_a_drive_that_is_not_heard_ends_a_wait_but_no_clean_up() -> None:
     with pytest.raises(InstrumentError, match="no answer"):
         alive.feed()
     assert fed == ["x"]
-    with alive.while_making_safe():
+    with alive.while_making_safe(StandingClock()):
         alive.feed()
         alive.feed()
     assert fed == ["x", "x", "z", "z"], "asked once more, then left to its own time-out"
+    with pytest.raises(InstrumentError, match="no answer"):
+        alive.feed()
+
+
+class StandingClock(WallClock):
+    """As a slaved one."""
+
+    stands = True
+
+
+def test_a_clean_up_in_real_time_feeds_each_drive_whoever_else_waits() -> None:
+    """x hangs, y is broken; z is fed until it is over, and nobody is called from its waits."""
+    clock, fed, calls = WallClock(), list[str](), list[str]()
+    hangs, fed_z = threading.Event(), threading.Semaphore(0)
+    clock.each_slice(lambda: calls.append("slice"))
+
+    def hang() -> None:
+        fed.append("x")
+        assert hangs.wait(5)
+
+    def broken() -> None:
+        fed.append("y")
+        raise InstrumentError("stage_y", "read register 100", "no answer", "switch it on")
+
+    def feed_z() -> None:
+        clock.sleep(0)
+        fed_z.release()
+
+    alive = KeepAlives()
+    for role, feed in (("stage_x", hang), ("stage_y", broken), ("stage_z", feed_z)):
+        alive.add(role, feed)
+    with alive.while_making_safe(clock):
+        for _ in range(3):
+            assert fed_z.acquire(timeout=5)
+    hangs.set()
+    assert sorted(fed) == ["x", "y"]
+    assert calls == []
     with pytest.raises(InstrumentError, match="no answer"):
         alive.feed()
 

@@ -273,7 +273,7 @@ class _Loop:
         """Run the offs, undisturbed by stop requests, drives and threads that fail meanwhile."""
         self._making_safe = True
         try:
-            with self.bench.keep_alives.while_making_safe():
+            with self.bench.keep_alives.while_making_safe(self.bench.clock):
                 return self.run.arming.make_safe(self.guard.beat, watch_on)
         finally:
             self._making_safe = False

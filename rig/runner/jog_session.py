@@ -266,7 +266,7 @@ class JogSession:
 
     def _make_safe(self, ended: Ended) -> None:
         self._undisturbed = True
-        with self._bench.keep_alives.while_making_safe():
+        with self._bench.keep_alives.while_making_safe(self._bench.clock):
             failures = self._arming.make_safe(self._guard.beat)
         if (moved := self._jog.moving) is not None:
             with contextlib.suppress(RigError):
