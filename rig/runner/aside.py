@@ -9,7 +9,6 @@ where it is asked for, and a run stays the same to the byte.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from types import TracebackType
@@ -33,8 +32,6 @@ class Aside:
         self._failure: BaseException | None = None
         self._begun_s: float | None = None
         """When what is under way began."""
-        self.replaced: Counter[str] = Counter()
-        """How often something newer took the place of what had not begun, by what it was."""
 
     def __enter__(self) -> Aside:
         if not self._clock.stands:
@@ -64,8 +61,8 @@ class Aside:
             work()
             return
         earlier = self._asked.get(what)
-        if earlier is not None and earlier.cancel():
-            self.replaced[what] += 1
+        if earlier is not None:
+            earlier.cancel()
         self._asked[what] = self._executor.submit(self._do, work)
 
     @property

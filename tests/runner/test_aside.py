@@ -93,7 +93,6 @@ def test_the_newest_takes_the_place_of_what_has_not_begun() -> None:
         aside.settle()
         assert aside.idle
         assert link.heard == ["1", "4", "look"]
-        assert aside.replaced == {"target": 2}
 
 
 def test_what_fails_is_raised_at_the_next_look_and_nothing_is_done_any_more() -> None:
