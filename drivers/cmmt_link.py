@@ -65,14 +65,6 @@ class CmmtLink:
         self._watchdog_ms = 0
         """The communication time-out that every new connection sets; 0 leaves the drive's."""
 
-    @property
-    def busy(self) -> bool:
-        """Whether another thread is in a transaction."""
-        free = self._lock.acquire(blocking=False)
-        if free:
-            self._lock.release()
-        return not free
-
     def identification(self) -> dict[int, str]:
         """Device identification objects 0 to 5: vendor, product code, revision, URL, product
         name, model (function 43/14, read codes 1 and 2, as the vendor's client asks)."""

@@ -274,12 +274,10 @@ class Axis:
         self._rearmed = answered
 
     def keep_alive(self) -> None:
-        """Read the drive's state, unless that has just been done, or another thread is talking to
-        it: it feeds the communication time-out. What ended a motion raises, and so does a fault,
-        once when it appears."""
+        """Read the drive's state, unless that has just been done: it feeds the communication
+        time-out. What ended a motion raises, and so does a fault, once when it appears."""
         every_s = self._settings.communication_timeout_ms * 1e-3 / KEEP_ALIVES_PER_TIMEOUT
-        just_seen = self._clock.now() - self._seen_at_s < every_s
-        if self._link.charging or just_seen or self._link.busy:
+        if self._link.charging or self._clock.now() - self._seen_at_s < every_s:
             return
         seen = self._read()
         if not self._in_charge or Zsw1.FAULT not in seen.zsw1:

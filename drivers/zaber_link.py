@@ -119,14 +119,6 @@ class ZaberLink:
         self._input = bytearray()
         self._last_id = 0
 
-    @property
-    def busy(self) -> bool:
-        """Whether another thread is in a transaction."""
-        free = self._lock.acquire(blocking=False)
-        if free:
-            self._lock.release()
-        return not free
-
     def ask(
         self,
         axis: int,

@@ -229,14 +229,12 @@ class RotaryAxis:
         self._rearmed = answered
 
     def keep_alive(self) -> None:
-        """Ask for angle, status and flag, unless that has just been done or another thread is
-        talking to it; a flag raises, once when it appears, and so does a stage that runs past its
-        target. Nobody is asked after `close`."""
+        """Ask for angle, status and flag, unless that has just been done; a flag raises, once when
+        it appears, and so does a stage that runs past its target. Nobody is asked after `close`."""
         if (
             self._let_go
             or self._link.charging
             or self._clock.now() - self._seen_at_s < KEEP_ALIVE_S
-            or self._link.busy
         ):
             return
         if self._halting:

@@ -162,7 +162,8 @@ class PressedTrial:
         self.fixture = run.bench.settings.fixture
         self._strips = StripRecord(run, taken)
         self._aside_z, self._aside_x = Aside("stage z", run.clock), Aside("stage x", run.clock)
-        self._links = [self._aside_z, self._aside_x, self._strips.link]
+        self._links = {"stage_z": self._aside_z, "stage_x": self._aside_x, "daq": self._strips.link}
+        """By role."""
         self._recording = self._in_motion = False
         self._pace = series.pace
         self._looks_Hz = self._pace.looks_Hz
@@ -326,8 +327,10 @@ class PressedTrial:
         self._look_every = max(1, round(tick_Hz / self._looks_Hz))
         self._look_s, self._looks = self._look_every / tick_Hz, -1
         with contextlib.ExitStack() as links:
-            for link in self._links:
+            for link in self._links.values():
                 links.enter_context(link)
+            talking = {role: link.talking for role, link in self._links.items()}
+            links.enter_context(self.bench.keep_alives.left_to(talking))
             done = tick_loop(self.run, tick_Hz, longest_s, whole)
         self._next_tick_s = begin_s + done.ticks / tick_Hz
         self.taken.loops.append(done)
@@ -371,7 +374,7 @@ class PressedTrial:
         """
         looks = tick.number // self._look_every
         due, self._looks = looks != self._looks, looks
-        for link in self._links:
+        for link in self._links.values():
             link.check()
         self._look_due = look or due
         if look or self.run.clock.stands:

@@ -80,7 +80,7 @@ class _OnHead(PressedTrial):
         self._commanded_deg = 0.0
         self._rotary_seen = Turned()
         self._aside_rotary = Aside("rotary stage", run.clock)
-        self._links.append(self._aside_rotary)
+        self._links["rotary"] = self._aside_rotary
         self._looks_Hz = min(self._looks_Hz, LOOKS_Hz)
 
     def make_ready(self, start_mm: float | None = None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 from rig.clock import Clock
 from rig.errors import InstrumentError
@@ -25,16 +25,30 @@ class KeepAlives:
     def __init__(self) -> None:
         self._feeds: dict[str, Callable[[], None]] = {}
         self._making_safe = False
+        self._by_threads = False
         self._given_up: set[str] = set()
+        self._left: dict[str, Callable[[], bool]] = {}
+        """By role, whether somebody else talks to the drive just now."""
 
     def add(self, role: str, feed: Callable[[], None]) -> None:
         """Talk to this drive, too."""
         self._feeds[role] = feed
 
     def feed(self) -> None:
-        """Talk to every drive."""
-        for role in tuple(self._feeds):
-            self._feed(role)
+        """Talk to every drive that nobody else talks to."""
+        for role in () if self._by_threads else tuple(self._feeds):
+            if role not in self._left or not self._left[role]():
+                self._feed(role)
+
+    @contextlib.contextmanager
+    def left_to(self, others: Mapping[str, Callable[[], bool]]) -> Iterator[None]:
+        """Within it the drives of these roles are not talked to while somebody else does: a silent
+        one would be waited for here as well, and the others starve meanwhile."""
+        self._left = dict(others)
+        try:
+            yield
+        finally:
+            self._left = {}
 
     def _feed(self, role: str) -> None:
         given_up = self._given_up  # of this clean-up: one that ends meanwhile leaves it behind
@@ -52,7 +66,8 @@ class KeepAlives:
         """Within it no drive ends another one's wait; in real time threads feed them, which end by
         themselves, at the latest with a drive's time-out."""
         self._making_safe, over = True, threading.Event()
-        for role in () if clock.stands else self._feeds:
+        self._by_threads = not clock.stands
+        for role in self._feeds if self._by_threads else ():
             given = (role, clock, over)
             threading.Thread(
                 target=self._feed_until, args=given, name=f"feed {role}", daemon=True
@@ -61,7 +76,7 @@ class KeepAlives:
             yield
         finally:
             over.set()
-            self._making_safe = False
+            self._making_safe = self._by_threads = False
             self._given_up = set()
 
     def _feed_until(self, role: str, clock: Clock, over: threading.Event) -> None:

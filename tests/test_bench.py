@@ -7,6 +7,7 @@ import textwrap
 import threading
 import tomllib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -323,6 +324,19 @@ def test_a_drive_that_is_not_heard_ends_a_wait_but_no_clean_up() -> None:
     assert fed == ["x", "x", "z", "z"], "asked once more, then left to its own time-out"
     with pytest.raises(InstrumentError, match="no answer"):
         alive.feed()
+
+
+def test_a_drive_that_somebody_else_talks_to_is_left_to_them() -> None:
+    fed, talking = list[str](), True
+    alive = KeepAlives()
+    for role in ("stage_x", "stage_z"):
+        alive.add(role, partial(fed.append, role))
+    with alive.left_to({"stage_x": lambda: talking}):
+        alive.feed()
+        talking = False
+        alive.feed()
+    alive.feed()
+    assert fed == ["stage_z", *2 * ["stage_x", "stage_z"]]
 
 
 class StandingClock(WallClock):

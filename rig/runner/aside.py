@@ -70,6 +70,10 @@ class Aside:
         """Whether everything asked for is done."""
         return all(asked.done() for asked in self._asked.values())
 
+    def talking(self) -> bool:
+        """Whether the link is at work, or has failed and nobody has been told yet."""
+        return not self.idle or self._failure is not None
+
     @property
     def silent_s(self) -> float:
         """How long what is under way has been."""

@@ -74,5 +74,5 @@ def test_a_slide_that_goes_wrong_in_real_time_ends_in_order(rig, name):
         rest[stage] = seen[-1]["value"]
     told = "NOT SAFE" in ended.stderr or "may still be pressed" in ended.stderr
     print(f"z at {rest['stage_z']:.3f} mm, x at {rest['stage_x']:.3f} mm, told as not safe: {told}")
-    assert told or rest["stage_z"] == pytest.approx(5.0, abs=0.01)
+    assert (told and name.startswith("z ")) or rest["stage_z"] == pytest.approx(5.0, abs=0.01)
     assert verify(rig.only("*.h5")) == []

@@ -695,28 +695,6 @@ def test_a_target_on_its_way_is_not_sent_after_another_thread_has_stopped_the_ax
         assert it.truth_mm == pytest.approx(there + 1, abs=1e-3)
 
 
-def test_a_keep_alive_does_not_wait_for_what_another_thread_has_asked() -> None:
-    with service() as it:
-        axis = it.homed()
-        it.bench.now_us += 60_000
-        asked, go_on = threading.Event(), threading.Event()
-        usual = it.wire.read
-
-        def slow(*given: Any) -> Sequence[int]:
-            asked.set()
-            assert go_on.wait(5)
-            return usual(*given)
-
-        it.wire.read = slow  # type: ignore[method-assign]
-        looking = threading.Thread(target=axis.position_mm)
-        looking.start()
-        assert asked.wait(5)
-        axis.keep_alive()
-        assert looking.is_alive(), "the keep-alive has waited for the answer or its time-out"
-        go_on.set()
-        looking.join()
-
-
 def test_what_fails_in_one_thread_leaves_another_its_new_connection() -> None:
     """A link that broke is closed before the next request opens it anew, not after."""
     with service({"kind": "close", "command": "read 100", "at": 20}) as it:
