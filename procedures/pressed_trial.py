@@ -343,14 +343,14 @@ class PressedTrial:
         """Since the record began."""
         return self.run.clock.now() - self.taken.begun_s
 
-    def _hold(self, tick: Tick, look: bool = False) -> bool:
-        """Move z by what the force asks for; `look`: ask the stages where they are in any case.
+    def _hold(self, tick: Tick) -> bool:
+        """Move z by what the force asks for.
 
         Nothing is asked of a link that is not done with what it was asked before: a target that
         waits there would come later than the servo takes for granted, and ring. And a force that is
         older than the end of the tap is not what the servo begins with.
         """
-        force_N = self._collect(tick, look)
+        force_N = self._collect(tick)
         if (silent_s := self._aside_z.silent_s) > SILENT_S:
             raise self._not_held(silent_s)
         if not self._aside_z.idle or self._felt_s < self._at_rest_s:

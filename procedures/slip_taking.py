@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from procedures.pressed import AFTER_S
-from procedures.pressed_trial import FORCE_AGE_S, PressedSeries, PressedTrial
+from procedures.pressed_trial import PressedSeries, PressedTrial
 from procedures.slip_reading import SlipTaken, reading_of
 from procedures.slip_trial import SLID_ON_mm
 from rig.runner.ramp import ForceRamp
@@ -82,17 +82,20 @@ class Trial(PressedTrial):
         to where the ramp is to end; hold F_n."""
         settings, along = self.settings, self.settings.along
         tick_s, delay_s = self._pace.tick_s, self._pace.delay_s
-        ramp = ForceRamp(settings.ramp_N_s, settings.speed_mm_s, tick_s, delay_s, FORCE_AGE_S)
+        ramp = ForceRamp(settings.ramp_N_s, settings.speed_mm_s, tick_s, delay_s)
         first_mm, first_N, begin_s = self._x_seen.is_mm, self._tangential_N, 0.0
         slipped_mm = speed_mm_s = 0.0
 
         def pull(tick: Tick) -> bool:
             nonlocal begin_s, slipped_mm, speed_mm_s
-            self._hold(tick, look=True)
+            self._hold(tick)
             if tick.number == 0:
                 begin_s = tick.began_s
-            since_s, travel_mm = tick.began_s - begin_s, along * (self._x_seen.is_mm - first_mm)
-            asked_mm_s = ramp.step(since_s, travel_mm, along * (self._tangential_N - first_N))
+            seen, since_s = self._x_seen, tick.began_s - begin_s
+            travel_mm = along * (seen.is_mm - first_mm)
+            force_N = along * (self._tangential_N - first_N)
+            seen_s, felt_s = seen.at_s - begin_s, self._felt_s - begin_s
+            asked_mm_s = ramp.step(since_s, seen_s, travel_mm, felt_s, force_N)
             if asked_mm_s != speed_mm_s:
                 speed_mm_s = asked_mm_s
                 self._move_x(speed_mm_s)

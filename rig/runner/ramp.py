@@ -13,6 +13,8 @@ ramp has become a slide.
 
 from __future__ import annotations
 
+import math
+
 from rig.runner.approach import CLOSING, ContactStiffness
 
 STIFFEST_N_mm = 60.0
@@ -30,20 +32,14 @@ class ForceRamp:
     """Brings a force up at `rate_N_s`; one `step` a tick.
 
     `delay_s` is from a command to the first force that shows it; a tick is added to it.
-    `force_age_s`: how much older the force given to `step` is than the travel.
     """
 
-    def __init__(
-        self,
-        rate_N_s: float,
-        largest_mm_s: float,
-        tick_s: float,
-        delay_s: float,
-        force_age_s: float,
-    ):
+    def __init__(self, rate_N_s: float, largest_mm_s: float, tick_s: float, delay_s: float):
         self.rate_N_s, self.largest_mm_s = rate_N_s, largest_mm_s
         self._closing_s = CLOSING * (delay_s + tick_s)
-        self._contact, self._force_age_s = ContactStiffness(), force_age_s
+        self._contact = ContactStiffness()
+        self._looked_s = -math.inf
+        """When the latest look at the travel was."""
         self._stiffness_N_mm = STIFFEST_N_mm
         self._late_s = 0.0
         self.slipped = False
@@ -58,10 +54,15 @@ class ForceRamp:
         """The force that the ramp asks for, so long after its beginning."""
         return self.rate_N_s * since_s
 
-    def step(self, since_s: float, travel_mm: float, force_N: float) -> float:
-        """Speed along the ramp, mm/s, given the travel and the mean force of the latest
-        milliseconds, both positive along the ramp."""
-        self._contact.add(since_s, travel_mm, since_s - self._force_age_s, force_N)
+    def step(
+        self, since_s: float, seen_s: float, travel_mm: float, felt_s: float, force_N: float
+    ) -> float:
+        """Speed along the ramp, mm/s, `since_s` after its beginning, given the travel as it was
+        seen last, at `seen_s`, and the mean force of some milliseconds about `felt_s`, both
+        positive along the ramp. A look that was given before tells nothing new."""
+        if seen_s > self._looked_s:
+            self._looked_s = seen_s
+            self._contact.add(seen_s, travel_mm, felt_s, force_N)
         missing_N = self.wanted_N(since_s) - force_N
         self._late_s = missing_N / self.rate_N_s
         known = self._contact.at_N_mm(force_N)

@@ -15,32 +15,37 @@ GROSS_N, STEEPNESS_mm = 2.7, 0.08
 DELAY_s = 0.005
 
 
-def dragged(rate_N_s, tick_s, largest_mm_s=0.5, gross_N=GROSS_N, seconds=4.0):
+def dragged(rate_N_s, tick_s, largest_mm_s=0.5, gross_N=GROSS_N, seconds=4.0, look_every=1):
     """Times, forces (n,) and the ramp, with the stage at its speed at once and the force seen a
-    delay after it."""
-    ramp = ForceRamp(rate_N_s, largest_mm_s, tick_s, DELAY_s, DELAY_s)
+    delay after it; the stage is looked at in every so many ticks."""
+    ramp = ForceRamp(rate_N_s, largest_mm_s, tick_s, DELAY_s)
     fine_s = 5e-4
     late, every = round(DELAY_s / fine_s), round(tick_s / fine_s)
     travel, speed = [0.0] * (late + 1), 0.0
     force_at = lambda x: gross_N * (1 - math.exp(-x * GROSS_N / gross_N / STEEPNESS_mm))  # noqa: E731
-    times, forces = [], []
+    times, forces, seen = [], [], (0.0, 0.0)
     for k in range(round(seconds / fine_s)):
         if k % every == 0:
             seen_N = force_at(travel[-1 - late])
             times.append(k * fine_s)
             forces.append(seen_N)
-            speed = ramp.step(times[-1], travel[-1], seen_N)
+            if k % (every * look_every) == 0:
+                seen = times[-1], travel[-1]
+            speed = ramp.step(times[-1], *seen, times[-1] - DELAY_s, seen_N)
             if ramp.slipped:
                 break
         travel.append(travel[-1] + speed * fine_s)
     return np.array(times), np.array(forces), ramp, travel[-1]
 
 
-@pytest.mark.parametrize("tick_s", [0.01, 0.002])
+@pytest.mark.parametrize(("tick_s", "look_every"), [(0.01, 1), (0.002, 1), (0.002, 5)])
 @pytest.mark.parametrize("rate_N_s", [0.5, 2.0, 8.0])
-def test_the_force_rises_at_the_rate_until_the_contact_slips(rate_N_s, tick_s) -> None:
-    """Late by no more than the closing time on the whole way to 80 % of gross slip."""
-    times, forces, ramp, _ = dragged(rate_N_s, tick_s, largest_mm_s=rate_N_s / 2, seconds=8.0)
+def test_the_force_rises_at_the_rate_until_the_contact_slips(rate_N_s, tick_s, look_every) -> None:
+    """Late by no more than the closing time on the whole way to 80 % of gross slip, also where the
+    stage says where it is a hundred times a second only."""
+    times, forces, ramp, _ = dragged(
+        rate_N_s, tick_s, largest_mm_s=rate_N_s / 2, seconds=8.0, look_every=look_every
+    )
     closing_s = CLOSING * (DELAY_s + tick_s)
     rising = (times > 3 * closing_s) & (rate_N_s * times < 0.8 * GROSS_N)
     late_s = times[rising] - forces[rising] / rate_N_s
@@ -65,6 +70,6 @@ def test_a_contact_that_holds_is_never_said_to_slip() -> None:
 
 
 def test_the_speed_stays_within_its_limit_and_never_is_nothing() -> None:
-    ramp = ForceRamp(2.0, 0.5, 0.01, DELAY_s, DELAY_s)
-    assert 0 < ramp.step(0.0, 0.0, 5.0) < 0.01
-    assert ramp.step(10.0, 0.0, 0.0) == 0.5
+    ramp = ForceRamp(2.0, 0.5, 0.01, DELAY_s)
+    assert 0 < ramp.step(0.0, 0.0, 0.0, -DELAY_s, 5.0) < 0.01
+    assert ramp.step(10.0, 10.0, 0.0, 10.0 - DELAY_s, 0.0) == 0.5
