@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
+from elsewhere import elsewhere
 from pydantic import ValidationError
 from simulated.axis_bench import AxisBench
 from simulated.ideal import serving
@@ -680,9 +681,7 @@ def test_a_target_on_its_way_is_not_sent_after_another_thread_has_stopped_the_ax
 
         def stop_after(*given: Any) -> None:
             usual(*given)
-            thread = threading.Thread(target=axis.stop)
-            thread.start()
-            thread.join()
+            elsewhere(axis.stop)
 
         with monkeypatch.context() as patched:
             patched.setattr(axis, last, stop_after)

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import serial
+from elsewhere import elsewhere
 from pydantic import ValidationError
 from simulated.axis_bench import AxisBench
 from simulated.ideal import serving
@@ -543,9 +544,7 @@ def test_a_target_on_its_way_is_not_sent_after_another_thread_has_stopped_the_ax
         usual = axis._motion
 
         def stop_before(target: int, speed_mm_s: float) -> tuple[int, tuple[int, ...]]:
-            thread = threading.Thread(target=axis.stop)
-            thread.start()
-            thread.join()
+            elsewhere(axis.stop)
             return usual(target, speed_mm_s)
 
         with monkeypatch.context() as patched:

@@ -4,13 +4,13 @@ can go wrong; angles are judged by the World."""
 from __future__ import annotations
 
 import re
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import pytest
+from elsewhere import elsewhere
 from pydantic import ValidationError
 from simulated.ideal import IdealBench, serving
 
@@ -596,9 +596,7 @@ def test_a_turn_on_its_way_is_not_sent_after_another_thread_has_stopped_the_stag
 
         def stop_after(*given: Any) -> None:
             usual(*given)
-            thread = threading.Thread(target=axis.stop)
-            thread.start()
-            thread.join()
+            elsewhere(axis.stop)
 
         with monkeypatch.context() as patched:
             patched.setattr(axis, "_expect", stop_after)

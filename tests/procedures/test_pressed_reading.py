@@ -1,0 +1,60 @@
+"""What a trial tells of how its servo went, from what it has taken."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from procedures.pressed_reading import Taken, reading_of
+from procedures.slip_trial import Settings
+from rig.runner.loop import LoopStatistics
+
+TICKS = 200
+
+
+def taken(held_back: int) -> Taken:
+    """Two seconds of 4 N, the motion in the second of them; no touch-down is seen."""
+    found = Taken(3, 100.0)
+    found.force = [np.tile([4.0, 0.5, 0.0], (2000, 1))]
+    found.volts = [np.zeros((2000, 2))]
+    found.rows, found.frames = 20_000, 2000
+    found.motion_from_s, found.motion_to_s = 1.0, 1.9
+    found.held_back = held_back
+    found.loops = [LoopStatistics(TICKS, TICKS, 0, 0, 0.0, 0.0, 2.0, False)]
+    return found
+
+
+def told(held_back: int) -> tuple[dict[str, object], list[str]]:
+    """The reading, and what was said of the servo."""
+    said: list[str] = []
+
+    def event(level: str, code: str, message: str) -> None:
+        if (level, code) == ("warning", "servo"):
+            said.append(message)
+
+    run = SimpleNamespace(
+        settings=Settings(),
+        event=event,
+        check_stop=lambda: None,
+        clock=SimpleNamespace(truth=dict),
+    )
+    return dict(reading_of(run, taken(held_back))), said
+
+
+@pytest.mark.parametrize("held_back", [0, TICKS // 2])
+def test_a_drive_that_is_busy_now_and_then_is_counted(held_back: int) -> None:
+    reading, said = told(held_back)
+    assert reading["held_back_ticks"] == held_back
+    assert said == []
+    assert reading["invalid"] == ""
+
+
+def test_a_servo_that_could_tell_its_drive_too_seldom_says_so() -> None:
+    reading, said = told(TICKS // 2 + 1)
+    assert reading["held_back_ticks"] == 101
+    assert said == [
+        "trial 3: z was busy in 101 of 200 ticks: the servo held the force with fewer targets than "
+        "its 100 a second"
+    ]
