@@ -201,7 +201,8 @@ def import_ahead() -> None:
 def arm(run: Run) -> None:
     """Watch the force; have the end of everything known before it begins; park, then find the
     object's reference, the skin being clear of it."""
-    from procedures.pressed_trial import pace_on, scales_on
+    from procedures.pressed_pace import pace_on
+    from procedures.pressed_trial import scales_on
     from procedures.roll_taking import Series
 
     run.state = run.state or Series(pace_on(run), scales_on(run))

@@ -184,7 +184,8 @@ def import_ahead() -> None:
 
 def arm(run: Run) -> None:
     """Watch the force; have the end of everything known before it begins; park."""
-    from procedures.pressed_trial import pace_on, scales_on
+    from procedures.pressed_pace import pace_on
+    from procedures.pressed_trial import scales_on
     from procedures.slip_taking import Series
 
     run.state = run.state or Series(pace_on(run), scales_on(run))
