@@ -130,7 +130,7 @@ class Decoder:
         """The frames that are complete with these bytes."""
         buffer = self._rest + data
         at, found = 0, list[Frame]()
-        while True:
+        while at < len(buffer):
             at = self._seek(buffer, at)
             size = self._size(buffer, at)
             if size == _MORE or (size != _NO_FRAME and at + size > len(buffer)):

@@ -499,8 +499,10 @@ class ForceAmplifier:
             raise
         if not runs:
             return None
-        raw = np.concatenate([run.values for run in runs])
-        status = np.concatenate([run.status for run in runs])
+        raw, status = runs[0].values, runs[0].status
+        if len(runs) > 1:
+            raw = np.concatenate([run.values for run in runs])
+            status = np.concatenate([run.status for run in runs])
         first, self._next = self._next, self._next + len(raw)
         force = (raw.astype(np.float64) - self._zero) @ self._matrix.T
         return ForceFrames(first, raw, force, status & gsv_frames.SATURATED != 0)

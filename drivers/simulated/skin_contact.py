@@ -47,7 +47,9 @@ Tell = Callable[[str, object], None]
 KEPT_s = 30.0
 """History kept: longer than any acquisition's way to its reader."""
 BLOCK_STEPS = 100
-"""Steps between the instants at which the skin may come to rest and slips are told."""
+"""Steps between the instants at which the skin may come to rest."""
+TOLD_STEPS = 5 * BLOCK_STEPS
+"""Steps between those at which slips are looked for and told, for whoever has not asked."""
 AT_REST_mm = 1e-12
 """A skin that nothing touches and that is displaced by less everywhere is at rest."""
 TANGENTIAL_N, NORMAL_N, STRIP_1_V, STRIP_2_V = range(4)
@@ -230,11 +232,12 @@ class SkinContact:
         results[TANGENTIAL_N], results[NORMAL_N] = block.tangential_force_N, block.normal_force_N
         self._keep(results)
         self._object_at_mm, self._turned_rad = float(place[-1]), float(turned[-1])
-        if self._steps % BLOCK_STEPS == 0:
+        rests = self._steps % BLOCK_STEPS == 0 and self._rests(block.status[-1])
+        if rests or self._steps % TOLD_STEPS == 0:
             self._make_volts()
             self.record.judge()
-            if self._rests(block.status[-1]):
-                self._stepper, self._chain = None, self._fresh_chain()
+        if rests:
+            self._stepper, self._chain = None, self._fresh_chain()
 
     def _make_volts(self) -> None:
         """Bring the strips' volts up to the newest step."""
@@ -243,7 +246,8 @@ class SkinContact:
         volts = self._chain.advance(np.concatenate(self._stresses))
         self._stresses = []
         end = self._steps + 1 - self._oldest
-        self._results[STRIP_1_V:, end - len(volts) : end] = volts.T
+        begin = max(end - len(volts), 0)  # what comes before it has been forgotten
+        self._results[STRIP_1_V:, begin:end] = volts[begin - end :].T
 
     def _rests(self, status: npt.NDArray[np.int8]) -> bool:
         assert self._stepper is not None

@@ -62,7 +62,7 @@ class ForceMonitor:
         """When the newest frame that is kept would have come, had it not been late."""
         self._missing_since_s: float | None = None
         self._looked_s = 0.0
-        self._last_raw = np.full((1, len(AXES)), np.nan)
+        self._last_raw: list[float] = []
         self._still = 0
         """Frames up to the last one that have repeated the one before them."""
         self.largest_N = 0.0
@@ -246,14 +246,9 @@ class ForceMonitor:
 
     def _watch_standstill(self, frames: ForceFrames) -> None:
         """A sensor that goes on sending what it sent last feels nothing any more."""
-        raw = np.concatenate([self._last_raw, frames.raw])
-        same = (raw[1:] == raw[:-1]).all(axis=1)
-        self._last_raw = frames.raw[-1:]
-        if not same.any():
-            self._still = 0
-            return
-        for repeated in same.tolist():
-            self._still = self._still + 1 if repeated else 0
+        for raw in frames.raw.tolist():
+            self._still = self._still + 1 if raw == self._last_raw else 0
+            self._last_raw = raw
             if self._still >= STILL_FRAMES:
                 failed = self._make_safe()
                 self._trip = InstrumentError(
