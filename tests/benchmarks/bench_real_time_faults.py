@@ -1,5 +1,6 @@
-"""What goes wrong in the slide of a trial in real time at 500 Hz, its links aside of the tick: x at
-rest, the skin off the plate or said to be on it, one clear line, a file that can be read.
+"""What goes wrong in the slide or ramp of a trial in real time at 500 Hz, its links aside of the
+tick: x at rest, the skin off the plate or said to be on it, one clear line, a file that can be
+read.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_real_time_faults.py``. CI has the same
 faults in slaved time, where they befall the same instant each time; here they fall where they fall.
@@ -17,7 +18,9 @@ from rig.recording.verify import verify
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(600)]
 
-SLIDING = 'move = 2\nof = "stage_x"\nafter_s = 0.5\n'
+SLIDES = 2
+"""Which move of x is the one under the force: the first goes to where it begins."""
+SLIDING = f'move = {SLIDES}\nof = "stage_x"\nafter_s = 0.5\n'
 FAULTS = {
     "nothing": ("", {0, 5}),
     "z silent": (f'device = "stage_z"\nkind = "silence"\ncount = 0\n{SLIDING}', {3}),
@@ -40,8 +43,14 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("name", FAULTS)
-def test_a_slide_that_goes_wrong_in_real_time_ends_in_order(rig, name):
+LOADINGS = {"slide": ("--speed", "0.5mm/s"), "ramp": ("--loading", "ramp", "--ramp", "1N/s")}
+CASES = [(name, "slide") for name in FAULTS] + [
+    (name, "ramp") for name in ("nothing", "z silent", "x silent", "x stuck", "SIGINT")
+]
+
+
+@pytest.mark.parametrize(("name", "loading"), CASES)
+def test_a_motion_that_goes_wrong_in_real_time_ends_in_order(rig, name, loading):
     fault, codes = FAULTS[name]
     bench = rig.folder / "bench.toml"
     disturbed = ("--fault", rig.fault("[[fault]]\n" + fault)) if fault else ()
@@ -53,10 +62,10 @@ def test_a_slide_that_goes_wrong_in_real_time_ends_in_order(rig, name):
     try:
         running = rig.start(
             "slip-trial", "--bench", str(bench), "--tick", "500", "--distance", "1mm",
-            "--speed", "0.5mm/s", "--json", "--no-figures",
+            *LOADINGS[loading], "--json", "--no-figures",
         )  # fmt: skip
         if name.startswith("SIG"):
-            while "stage_x" not in str([e for e in rig.log() if e["what"] == "move"][-1:]):
+            while sum((e["device"], e["what"]) == ("stage_x", "move") for e in rig.log()) < SLIDES:
                 time.sleep(0.05)
             time.sleep(0.5)
             running.send(getattr(signal, name))
@@ -65,7 +74,7 @@ def test_a_slide_that_goes_wrong_in_real_time_ends_in_order(rig, name):
     finally:
         serving.send(signal.SIGINT)
         serving.finish()
-    heading(f"{name}: exit code {ended.code}; {'; '.join(ended.errors)}")
+    heading(f"{loading}, {name}: exit code {ended.code}; {'; '.join(ended.errors)}")
     assert ended.code in codes | {7}, ended.stderr
     rest = {}
     for stage in ("stage_z", "stage_x"):
