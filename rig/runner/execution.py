@@ -74,7 +74,8 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
     try:
         plan = plan.require_fixture(*job.procedure.FIXTURES)
         points = job.procedure.points(job.settings)
-        outcome.points_planned = len(points)
+        outcome.points_done = len(job.kept)
+        outcome.points_planned = len({point.id for point in points} | job.kept.keys())
         require_roles(points, plan)
         bench = benches.connect(plan, clock, stop.check)
     except RigError as error:

@@ -99,6 +99,11 @@ class Job:
         """What has to be equal for a run to be resumed."""
         return fingerprint(self.procedure.NAME, self.settings, self.seed, bench_toml)
 
+    @property
+    def kept(self) -> dict[str, Reading]:
+        """Readings of the points that an earlier attempt kept, by point id."""
+        return {} if self.resume is None else {p.id: p.reading for p in self.resume.kept()}
+
     def guard_report(self, bench: Bench, journal: Journal) -> Path:
         """Where the guard reports: beside the run where the bench ends with it, else in the place
         at which the next run on that bench looks."""
@@ -127,7 +132,7 @@ class Job:
             self.resume.path,
             JournalWriter.reopen(self.resume.path),
             len(self.resume.ends) + 1,
-            {point.id: point.reading for point in self.resume.kept()},
+            self.kept,
             self._elapsed_s(),
         )
 

@@ -85,7 +85,7 @@ def test_a_complete_run_is_not_resumed(rig):
     assert "complete" in again.errors[0]
 
 
-def test_a_run_is_not_resumed_on_another_program_version(rig, monkeypatch):
+def test_a_journal_that_was_edited_is_not_resumed(rig):
     running = rig.start_sweep(*SIXTY_POINTS)
     running.wait_for(r"^5/60 ")
     running.send(signal.SIGINT)
@@ -112,3 +112,25 @@ def test_a_simulated_run_is_resumed_on_a_simulated_bench_whatever_lies_beside(ri
     resumed = rig.run("resume", stopped.object["journal"], "--no-figures", "--json")
     assert resumed.code == 0, resumed.stderr
     assert resumed.object["points_done"] == 6
+
+
+def test_a_run_whose_bench_is_gone_has_lost_nothing(rig):
+    """What an earlier attempt has kept is told, though nothing answers."""
+    path = rig.folder / "bench.toml"
+    serving = rig.start("simulate", "--write", str(path))
+    serving.wait_for("Ctrl-C ends it")
+    asked = ("--frequencies", "300,400,500", *SETTLING, "--json", "--no-figures")
+    running = rig.start("sweep", *asked, "--bench", str(path))
+    running.wait_for(r"^1/3 ")
+    running.send(signal.SIGINT)
+    stopped = running.finish()
+    serving.send(signal.SIGINT)
+    serving.finish()
+    kept = stopped.object["points_done"]
+    assert kept > 0, stopped.stderr
+    again = rig.run("resume", stopped.object["journal"], "--no-figures", "--json")
+
+    assert again.code == 3, again.stderr
+    assert f"failed; {kept} of 3 points kept" in again.stderr
+    assert again.object["points_done"] == kept
+    assert verify(rig.folder / stopped.object["journal"]) == []
