@@ -41,7 +41,7 @@ def draw_trials(run: RunFile) -> dict[str, Figure]:
 
 
 def draw_trial(run: RunFile, number: int, point: str) -> Figure:
-    """Signal, forces, ratio and force error over time; the slide is shaded."""
+    """Signal, forces, ratio and force error over time; the slide or the ramp is shaded."""
     series = {w.stream: w for w in run.waveforms(point)}
     signals, force = series["signals"], series["force"]
     begin, end = (float(run.column(name)[number]) for name in ("slide_from", "slide_to"))
@@ -67,7 +67,8 @@ def draw_trial(run: RunFile, number: int, point: str) -> Figure:
         show_allowed_error(error, run)
         error.set_ylabel("$F_n$ error (%)")
         error.set_xlabel("Time since the record's start (s)")
-        shade((volts, newtons, ratio, error), begin, end, "the slide")
+        loading = run.header.settings.get("loading", "slide")
+        shade((volts, newtons, ratio, error), begin, end, f"the {loading}")
         for axes in (volts, newtons, ratio, error):
             legend_above(axes)
         from_touch_on(error, t, pressing, wanted)
