@@ -43,14 +43,14 @@ class Turns:
                 claim.close()
                 continue
             self._claim = claim
-            _place(0, {processor})
-            _place(pid, {processor})
+            place(0, {processor})
+            place(pid, {processor})
             return
 
     def close(self) -> None:
         """This thread may run anywhere again; the other process is left where it is."""
         if self._claim is not None:
-            _place(0, GIVEN)
+            place(0, GIVEN)
             self._claim.close()
             self._claim = None
 
@@ -58,10 +58,20 @@ class Turns:
 def let_run_anywhere(pid: int) -> None:
     """Of a child that would otherwise stay where its parent takes turns."""
     if len(GIVEN) > 1:
-        _place(pid, GIVEN)
+        place(pid, GIVEN)
 
 
-def _place(pid: int, processors: set[int] | frozenset[int]) -> None:
+def two_places() -> tuple[frozenset[int], frozenset[int]] | None:
+    """The processors in two parts, for two threads that are not to share one; None where there is
+    but one, or where nobody can be placed."""
+    if len(GIVEN) < 2:
+        return None
+    last = max(GIVEN)
+    return GIVEN - {last}, frozenset({last})
+
+
+def place(pid: int, processors: set[int] | frozenset[int]) -> None:
+    """Have a process run on these alone; 0 is the calling thread."""
     if sys.platform == "linux":
         with contextlib.suppress(OSError):  # it has ended, or may not be placed
             os.sched_setaffinity(pid, processors)

@@ -6,17 +6,21 @@ which it is told: they would do again, with what is known now, what it does. Wai
 stop requests, keep-alives and watchers are looked at in every slice, and once before every tick,
 also where there is nothing to wait for: a late loop is a sign of life. One that leaves out ticks
 for longer than a stall of the computer explains controls nothing any more and ends.
+
+Where time passes by itself two threads wait for each tick, on two processors (`Relay`).
 """
 
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from rig.clock import Clock
+from rig.clock import WAIT_SLICE_S, Clock
 from rig.errors import ExitCode, RigError
+from rig.processor import place, two_places
 
 LATE = 0.5
 """Share of a period from which a tick counts as late."""
@@ -113,40 +117,150 @@ def tick_loop(
         raise ValueError(f"rate_Hz {rate_Hz:g} Hz must be above 0 and at most {HIGHEST_RATE_Hz:g}")
     if not (duration_s >= 0 and math.isfinite(duration_s)):
         raise ValueError(f"duration_s {duration_s:g} s must be a number of at least 0")
-    clock = run.clock
-    planned = round(duration_s * rate_Hz)
-    start_s = clock.now()
-    ticks = missed = late = 0
-    largest_s = total_s = 0.0
-    behind_since_s: float | None = None
-    going_on = True
-    while going_on and ticks < planned:
-        remaining_s = start_s + ticks / rate_Hz - clock.now()
-        if remaining_s > 0:
-            clock.sleep(remaining_s)
-        else:
-            run.check_stop()
-        run.check_watchers()
-        now_s = clock.now()
-        number = ticks
-        if ticks:
-            latest_due = math.floor((now_s - start_s) * rate_Hz + ROUNDING)
-            number = max(ticks, min(latest_due, planned - 1))
-        tick = Tick(number, start_s + number / rate_Hz, now_s, number - ticks)
-        for due in range(ticks, number + 1):
-            late_s = max(0.0, now_s - (start_s + due / rate_Hz))
-            late += late_s > LATE / rate_Hz
-            largest_s = max(largest_s, late_s)
-            total_s += late_s
-        missed += tick.missed
+    ticks = Ticks(run, rate_Hz, round(duration_s * rate_Hz), on_tick)
+    places = two_places() if run.clock.passes_by_itself else None
+    if places is None:
+        ticks.take_all()
+    else:
+        Relay(ticks, run, places).take_all()
+    return ticks.statistics()
+
+
+class Ticks:
+    """The ticks of one loop, taken one after the other."""
+
+    def __init__(self, run: LoopRun, rate_Hz: float, planned: int, on_tick: Callable[[Tick], bool]):
+        self._run, self._clock, self._on_tick = run, run.clock, on_tick
+        self._rate_Hz, self._planned = rate_Hz, planned
+        self._start_s = self._clock.now()
+        self._due = self._missed = self._late = 0
+        """Those that were due, left out and late up to now."""
+        self._largest_s = self._total_s = 0.0
+        self._behind_since_s: float | None = None
+        self._going_on = True
+
+    @property
+    def over(self) -> bool:
+        """Whether none follows."""
+        return not self._going_on or self._due >= self._planned
+
+    @property
+    def next_due_s(self) -> float:
+        """When the next is due, on the run's clock."""
+        return self._start_s + self._due / self._rate_Hz
+
+    def take_all(self) -> None:
+        """Wait for each and take it."""
+        while not self.over:
+            remaining_s = self.next_due_s - self._clock.now()
+            if remaining_s > 0:
+                self._clock.sleep(remaining_s)
+            else:
+                self._run.check_stop()
+            self.take()
+
+    def take(self) -> None:
+        """Take the latest that is due, or the next where none is."""
+        self._run.check_watchers()
+        now_s = self._clock.now()
+        number = self._due
+        if number:
+            latest_due = math.floor((now_s - self._start_s) * self._rate_Hz + ROUNDING)
+            number = max(number, min(latest_due, self._planned - 1))
+        tick = Tick(number, self._start_s + number / self._rate_Hz, now_s, number - self._due)
+        self._count(tick)
+        self._due = number + 1
+        self._going_on = self._on_tick(tick)
+
+    def statistics(self) -> LoopStatistics:
+        """How well they kept their time up to now."""
+        mean_s = self._total_s / self._due if self._due else 0.0
+        return LoopStatistics(
+            self._due,
+            self._planned,
+            self._missed,
+            self._late,
+            self._largest_s,
+            mean_s,
+            self._clock.now() - self._start_s,
+            not self._going_on,
+        )
+
+    def _count(self, tick: Tick) -> None:
+        """TooSlowError where it is one of too many that had others left out."""
+        rate_Hz, now_s = self._rate_Hz, tick.began_s
+        for due in range(self._due, tick.number + 1):
+            late_s = max(0.0, now_s - (self._start_s + due / rate_Hz))
+            self._late += late_s > LATE / rate_Hz
+            self._largest_s = max(self._largest_s, late_s)
+            self._total_s += late_s
+        self._missed += tick.missed
         if not tick.missed:
-            behind_since_s = None
-        elif behind_since_s is None:
-            behind_since_s = now_s
-        elif now_s - behind_since_s > BEHIND_FOR_S:
-            raise TooSlowError(rate_Hz, largest_s, now_s - behind_since_s)
-        going_on = on_tick(tick)
-        ticks = number + 1
-    mean_s = total_s / ticks if ticks else 0.0
-    duration = clock.now() - start_s
-    return LoopStatistics(ticks, planned, missed, late, largest_s, mean_s, duration, not going_on)
+            self._behind_since_s = None
+        elif self._behind_since_s is None:
+            self._behind_since_s = now_s
+        elif now_s - self._behind_since_s > BEHIND_FOR_S:
+            raise TooSlowError(rate_Hz, self._largest_s, now_s - self._behind_since_s)
+
+
+class Relay:
+    """Two threads on two processors that wait for the same ticks: who comes first takes one.
+
+    A processor that is busy, or on a virtual machine away, when a tick is due would make it late;
+    that both are is rare. One thread at a time is the procedure; between ticks it looks at stop
+    requests and keep-alives no less often than a wait of the clock does. What either meets ends
+    both, and is raised by `take_all`.
+    """
+
+    def __init__(self, ticks: Ticks, run: LoopRun, places: tuple[frozenset[int], frozenset[int]]):
+        self._ticks, self._run, self._clock = ticks, run, run.clock
+        self._turn = threading.Lock()
+        self._ended = threading.Event()
+        self._failure: BaseException | None = None
+        self._looked_s = -math.inf
+        """When stop requests and keep-alives were looked at last."""
+        self._threads = [
+            threading.Thread(target=self._take_part, args=(place,), name="ticks", daemon=True)
+            for place in places
+        ]
+
+    def take_all(self) -> None:
+        """Until the last; the calling thread waits."""
+        try:
+            for thread in self._threads:
+                thread.start()
+            for thread in self._threads:
+                thread.join()
+        finally:
+            self._ended.set()
+            for thread in self._threads:
+                if thread.ident is not None:
+                    thread.join()
+        if self._failure is not None:
+            raise self._failure
+
+    def _take_part(self, processors: frozenset[int]) -> None:
+        place(0, processors)
+        while not self._ended.is_set():
+            remaining_s = self._ticks.next_due_s - self._clock.now()
+            if remaining_s > 0:
+                self._ended.wait(min(remaining_s, WAIT_SLICE_S))
+            with self._turn:
+                if self._ended.is_set():
+                    return
+                try:
+                    self._take_what_is_due()
+                except BaseException as failure:  # noqa: BLE001 - raised by take_all()
+                    self._failure = failure
+                    self._ended.set()
+
+    def _take_what_is_due(self) -> None:
+        now_s = self._clock.now()
+        due = now_s >= self._ticks.next_due_s and not self._ticks.over
+        if due or now_s - self._looked_s >= WAIT_SLICE_S:
+            self._looked_s = now_s
+            self._clock.sleep(0.0)
+        if due:
+            self._ticks.take()
+        if self._ticks.over:
+            self._ended.set()
