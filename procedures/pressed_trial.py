@@ -27,7 +27,7 @@ from procedures.pressed_reading import CONTACT_N, DECIMATED_Hz, Taken
 from procedures.strip_record import StripRecord
 from rig.analysis.load_rate import LoadScale, amplifier_dB, load_scale, load_scale_of_record
 from rig.bench import STRIPS, require
-from rig.errors import InstrumentError
+from rig.errors import InstrumentError, RigError
 from rig.runner.approach import Approach, search_speed_mm_s
 from rig.runner.aside import Aside
 from rig.runner.loop import tick_loop
@@ -53,6 +53,10 @@ SILENT_S = 0.5
 computer is silent for less."""
 PATIENCE_S = 10.0
 """From contact to a held force, at most."""
+BLOCK_S = 0.05
+"""Forces and places are recorded in blocks of so long: each block has a checksum of its own, and
+its place in the run file."""
+BLOCK_FRAMES = round(BLOCK_S * FORCE_RATE_S_S)
 
 
 @dataclass(frozen=True)
@@ -129,6 +133,8 @@ class PressedTrial:
         self._left: list[Callable[[], None]] = []
         """What is still to be collected of it, the next at the end."""
         self._z_seen = self._x_seen = Seen()
+        self._recorded_rows = 0
+        """Of the stages' places."""
         self._recorded_s = -math.inf
         """When the stages were seen where the record has them last."""
         self._z_commanded = self._x_commanded = 0.0
@@ -137,7 +143,8 @@ class PressedTrial:
         self._at_rest_s = 0.0
         """From when on z stands where the servo begins."""
         self._tangential_N = self._next_tick_s = 0.0
-        self._first_frame = 0
+        self._first_frame = self._frames_sent = 0
+        """Number of the record's first frame, and how many have come since, in the tick."""
 
     # --- the phases -----------------------------------------------------------------------------
 
@@ -160,7 +167,9 @@ class PressedTrial:
     def end_record(self) -> None:
         """Take what has still come, and end the acquisition."""
         self._record_position()
+        self._record_places()
         self._strips.collect_rest()
+        self._count_frames()
         self._collect_frames()
         self._recording = False
         self._strips.stop()
@@ -279,9 +288,20 @@ class PressedTrial:
                 links.enter_context(link)
             talking = {role: link.talking for role, link in self._links.items()}
             links.enter_context(self.bench.keep_alives.left_to(talking))
+            links.push(self._end_blocks)
             done = tick_loop(self.run, tick_Hz, longest_s, whole)
         self._next_tick_s = begin_s + done.ticks / tick_Hz
         self.taken.loops.append(done)
+
+    def _end_blocks(self, kind: object, raised: BaseException | None, _: object) -> None:
+        """Record what had come when a loop's last tick began, whatever has ended it."""
+        if self._recording:
+            try:
+                self._record_places()
+                self._collect_frames()
+            except RigError:
+                if raised is None:  # else that is told
+                    raise
 
     def _await_tick(self) -> None:
         """Until the next tick is due: one loop follows another as one tick the other."""
@@ -331,6 +351,7 @@ class PressedTrial:
             self._aside_z.settle()
             self._aside_x.settle()
         if self._recording:
+            self._count_frames()
             if due:
                 self._record_position()
             self._collect_in_turn(due, last=(tick.number + 1) % self._look_every == 0)
@@ -367,7 +388,10 @@ class PressedTrial:
         """What is left of the look before, one of it in a tick; all of it by the next look."""
         if due:
             self._collect_left()
-            self._left = [self._collect_frames, lambda: self._strips.collect(self._look_s)]
+            self._left = [
+                lambda: self._collect_frames(BLOCK_FRAMES),
+                lambda: self._strips.collect(self._look_s),
+            ]
         elif self._left:
             self._left.pop()()
         if last:
@@ -391,22 +415,35 @@ class PressedTrial:
     def _record_seen(self, since_s: float) -> None:
         """A row of the stages' places."""
         z, x, taken = self._z_seen, self._x_seen, self.taken
-        here = (z.is_mm, x.is_mm, z.commanded_mm, x.commanded_mm)
-        self.run.put("ticks", len(taken.position), np.array([[since_s]]), None, units="s")
-        self.run.put("position", len(taken.position), np.array([here]), None, units="mm")
-        taken.position.append((since_s, *here))
+        taken.position.append((since_s, z.is_mm, x.is_mm, z.commanded_mm, x.commanded_mm))
+        if since_s - taken.position[self._recorded_rows][0] >= BLOCK_S:
+            self._record_places()
 
-    def _collect_frames(self) -> None:
-        """What the force sensor has sent."""
+    def _record_places(self) -> None:
+        """The rows that are not recorded yet."""
+        first, rows = self._recorded_rows, np.array(self.taken.position[self._recorded_rows :])
+        if len(rows):
+            self._recorded_rows += len(rows)
+            self.run.put("ticks", first, rows[:, :1], None, units="s")
+            self.run.put("position", first, rows[:, 1:], None, units="mm")
+
+    def _collect_frames(self, least: int = 1) -> None:
+        """What the force sensor had sent when the tick began, where that is `least` frames."""
         run, taken = self.run, self.taken
+        fresh = self._frames_sent - taken.frames
+        if fresh < least:
+            return
         frames = run.force.frames_since(self._first_frame + taken.frames)
-        if frames is not None:
-            first, taken.frames = taken.frames, taken.frames + len(frames)
-            run.put("bridges", first, frames.raw, FORCE_RATE_S_S, units="mV/V")
-            # The sensor's z points up out of the object: what presses on it is F_n.
-            newton = np.ascontiguousarray(frames.force_N[:, [2, 0, 1]])
-            run.put("force", first, newton, FORCE_RATE_S_S, units="N")
-            taken.force.append(newton)
+        assert frames is not None, "they have been seen"
+        first, taken.frames = taken.frames, taken.frames + fresh
+        run.put("bridges", first, frames.raw[:fresh], FORCE_RATE_S_S, units="mV/V")
+        # The sensor's z points up out of the object: what presses on it is F_n.
+        newton = np.ascontiguousarray(frames.force_N[:fresh, [2, 0, 1]])
+        run.put("force", first, newton, FORCE_RATE_S_S, units="N")
+        taken.force.append(newton)
+
+    def _count_frames(self) -> None:
+        self._frames_sent = self.run.force.frames_seen - self._first_frame
 
     def _force_N(self) -> float:  # noqa: N802 - the unit keeps its capital
         return felt_N(self.run, LOOK_S)

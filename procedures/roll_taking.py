@@ -209,11 +209,15 @@ class Trial(_OnHead):
         return max(super()._seen_last_s(), self._rotary_seen.at_s)
 
     def _record_seen(self, since_s: float) -> None:
+        seen = self._rotary_seen
+        self.taken.rotation.append((since_s, seen.angle_deg, seen.commanded_deg))
         super()._record_seen(since_s)
-        seen, taken = self._rotary_seen, self.taken
-        row = np.array([[seen.angle_deg, seen.commanded_deg]])
-        self.run.put("rotation", len(taken.rotation), row, None, units="deg")
-        taken.rotation.append((since_s, seen.angle_deg, seen.commanded_deg))
+
+    def _record_places(self) -> None:
+        first, rows = self._recorded_rows, np.array(self.taken.rotation[self._recorded_rows :])
+        super()._record_places()
+        if len(rows):
+            self.run.put("rotation", first, rows[:, 1:], None, units="deg")
 
     def reading(self) -> Reading:
         """Figures of the trial, and why it does not count if it does not."""

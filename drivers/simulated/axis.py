@@ -386,13 +386,25 @@ class Axis:
             return
         self._settling = True
         try:
-            cycle = (self._settled_us // CYCLE_us + 1) * CYCLE_us
+            begin_us = max(self._settled_us, self._uneventful_until_us(t_us))
+            cycle = (begin_us // CYCLE_us + 1) * CYCLE_us
             while cycle <= t_us and (cycle - CYCLE_us) * 1e-6 < self._setpoint.rests_from_s:
                 self._cycle(cycle)
                 cycle += CYCLE_us
             self._settled_us = t_us
         finally:
             self._settling = False
+
+    def _uneventful_until_us(self, t_us: int) -> int:
+        """Until when, up to `t_us`, no cycle would find anything: the load is light, and both
+        switches are farther than it can go."""
+        until_us = min(t_us, self._light_until_us - 1)
+        if until_us - self._settled_us < CYCLE_us or self._held_direction or self.jammed:
+            return 0
+        position = self._carriage.at(self._settled_us * 1e-6)[0]
+        way_mm = self.fastest_since_mm_s(self._settled_us) * (until_us - self._settled_us) * 1e-6
+        low_mm, high_mm = self.mechanics.low_switch_mm, self.mechanics.high_switch_mm
+        return until_us if low_mm < position - way_mm and position + way_mm < high_mm else 0
 
     def _cycle(self, t_us: int) -> None:
         position, velocity = self._carriage.at(t_us * 1e-6)

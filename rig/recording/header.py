@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from datetime import datetime
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -143,7 +144,7 @@ class Stream(Settings):
             raise ValueError("two channels of one name")
         return self
 
-    @property
+    @cached_property
     def row_bytes(self) -> int:
         """Bytes of one row."""
         return int(self.dtype[-1]) * len(self.channels)
