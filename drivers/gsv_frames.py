@@ -160,7 +160,8 @@ class Decoder:
         """The next place where a frame may begin."""
         begin = buffer.find(SYNC, at)
         begin = len(buffer) if begin < 0 else begin
-        self._drop(buffer[at:begin])
+        if begin > at:
+            self._drop(buffer[at:begin])
         return begin
 
     def _drop(self, data: bytes) -> None:
@@ -247,22 +248,33 @@ def _whole_alone(buffer: bytes, at: int, layout: Layout) -> bool:
 
 def _whole_rows(rows: npt.NDArray[np.uint8], layout: Layout) -> int:
     """How many of the rows, from the first, are whole frames of a layout."""
-    pattern, mask = _fixed_bytes(layout)
-    wrong = ((rows ^ pattern) & mask).any(axis=1)
-    if layout.crc:
-        wrong |= crc16_of_rows(rows[:, 1:-1]) != 0  # over a message and its own CRC it is 0
-    return int(wrong.argmax()) if wrong.any() else len(rows)
+    whole, places, tables = _checks_by_place(layout)
+    wrong = np.bitwise_xor.reduce(tables[places + rows], axis=1) != whole
+    first = wrong.tobytes().find(True)
+    return first if first >= 0 else len(rows)
 
 
 @cache
-def _fixed_bytes(layout: Layout) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
-    """A frame with only the bits that all frames of a layout share, and which bits those are."""
-    pattern, mask = np.zeros((2, layout.size), np.uint8)
-    pattern[:3] = SYNC, layout.header, 0x80 | layout.data_type << 4
-    pattern[-1] = END
-    mask[[0, 1, -1]] = 0xFF
-    mask[2] = 0xF0
-    return pattern, mask
+def _checks_by_place(
+    layout: Layout,
+) -> tuple[np.uint32, npt.NDArray[np.intp], npt.NDArray[np.uint32]]:
+    """What the bytes of a whole frame come to, combined by exclusive or; where each place's table
+    begins; the tables, one after the other.
+
+    The lower half is the CRC-16/Modbus, where the layout has one: a CRC is linear, so each byte
+    contributes by value and place alone. Above it each place whose bits all frames of a layout
+    share has a bit of its own, which is set where they differ.
+    """
+    whole, tables = np.uint32(0), np.zeros((layout.size, 256), np.uint32)
+    if layout.crc:
+        start, tables[1:-1] = crc16_by_place(layout.size - 2)
+        whole = np.uint32(start)  # over a message and its own CRC it is 0
+    control = 0x80 | layout.data_type << 4
+    shared = (0, SYNC, 0xFF), (1, layout.header, 0xFF), (2, control, 0xF0), (-1, END, 0xFF)
+    for bit, (place, pattern, mask) in enumerate(shared, 16):
+        differs = (np.arange(256) ^ pattern) & mask != 0
+        tables[place] |= differs.astype(np.uint32) << bit
+    return whole, np.arange(layout.size) * 256, tables.ravel()
 
 
 def _values(data: npt.NDArray[np.uint8], data_type: int) -> npt.NDArray[np.float32]:
@@ -316,22 +328,9 @@ def crc16(data: bytes) -> int:
     return crc
 
 
-def crc16_of_rows(rows: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint16]:
-    """CRC-16/Modbus of each row of bytes (n, length): (n,).
-
-    A CRC is linear, so each byte contributes by value and place alone: one table look-up a byte,
-    combined by exclusive or.
-    """
-    start, places, tables = _crc16_by_place(rows.shape[1])
-    return np.asarray(np.bitwise_xor.reduce(tables[places + rows], axis=1) ^ start)
-
-
-@cache
-def _crc16_by_place(
-    length: int,
-) -> tuple[np.uint16, npt.NDArray[np.intp], npt.NDArray[np.uint16]]:
-    """What the start value FFFF leaves after `length` bytes; where each place's table begins; the
-    tables, one after the other."""
+def crc16_by_place(length: int) -> tuple[np.uint16, npt.NDArray[np.uint16]]:
+    """What the start value FFFF leaves after `length` bytes, and what each value of a byte at each
+    place contributes, (length, 256)."""
     start = np.array([0xFFFF], np.uint16)
     for _ in range(length):
         start = _CRC16[start & 0xFF] ^ start >> 8
@@ -340,4 +339,4 @@ def _crc16_by_place(
     for place in range(length - 1, -1, -1):
         tables[place] = column
         column = _CRC16[column & 0xFF] ^ column >> 8
-    return start[0], np.arange(length) * 256, tables.ravel()
+    return start[0], tables

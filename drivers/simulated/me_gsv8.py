@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Literal, Protocol
@@ -93,20 +93,22 @@ class Sensor:
 
     def bridges(self, force_N: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """What the three bridges put out in mV/V under forces (n, 3)."""
-        inverse, zero = _inverse(self.matrix, self.zero_mV_V)
+        inverse, zero, *_ = _inverse(self.matrix, self.zero_mV_V)
         return np.asarray(force_N @ inverse.T + zero)
 
     def largest_bridge(self, force_N: npt.NDArray[np.float64]) -> float:
         """What no bridge exceeds in mV/V while no component exceeds these, (3,) in N."""
-        inverse, zero = _inverse(self.matrix, self.zero_mV_V)
-        return float((np.abs(inverse) @ force_N + np.abs(zero)).max())
+        *_, sizes, zero_sizes = _inverse(self.matrix, self.zero_mV_V)
+        return float((sizes @ force_N + zero_sizes).max())
 
 
 @cache
 def _inverse(
     matrix: tuple[tuple[float, ...], ...], zero: tuple[float, ...]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    return np.linalg.inv(np.array(matrix)), np.array(zero)
+) -> tuple[npt.NDArray[np.float64], ...]:
+    """The inverse and the zero, and the sizes of both."""
+    of, at = np.linalg.inv(np.array(matrix)), np.array(zero)
+    return of, at, np.abs(of), np.abs(at)
 
 
 @dataclass
@@ -523,24 +525,25 @@ class Gsv8:
         elif self.memory.data_type == FLOAT32:
             values *= np.array(self.memory.user_scale)
         kept = values[:, : self.memory.values]
-        ended = np.asarray(saturated[:, : self.memory.values].any(axis=1))
-        return b"".join(self._encoded(kept, ended))
+        return self._encoded(kept, np.asarray(saturated[:, : self.memory.values].any(axis=1)))
 
-    def _encoded(
-        self, values: npt.NDArray[np.float64], saturated: npt.NDArray[np.bool_]
-    ) -> Iterator[bytes]:
+    def _encoded(self, values: npt.NDArray[np.float64], saturated: npt.NDArray[np.bool_]) -> bytes:
         """Frames of values (n, k): floats in user units, integers in input ranges."""
-        count, kind = values.shape[1], self.memory.data_type
-        header = (0x30 if self._crc16 else 0x10) | count - 1
-        pack = struct.Struct(f">{count}f").pack
-        for row, ended in zip(values.tolist(), saturated.tolist(), strict=True):
-            if kind == FLOAT32:
-                data = pack(*row)
-            else:
-                data = b"".join(_offset_binary(value, kind + 1) for value in row)
-            body = bytes((header, 0x80 | kind << 4 | ended)) + data
-            check = struct.pack("<H", _crc16(body)) if self._crc16 else b""
-            yield b"\xaa" + body + check + b"\x85"
+        (count, width), kind = values.shape, self.memory.data_type
+        flat = values.ravel().tolist()
+        if kind == FLOAT32:
+            data = struct.pack(f">{len(flat)}f", *flat)
+        else:
+            data = b"".join(_offset_binary(value, kind + 1) for value in flat)
+        end = 3 + len(data) // count
+        frames = np.empty((count, end + 2 * self._crc16 + 1), np.uint8)
+        frames[:, 0], frames[:, -1] = 0xAA, 0x85
+        frames[:, 1] = (0x30 if self._crc16 else 0x10) | width - 1
+        frames[:, 2] = saturated | (0x80 | kind << 4)
+        frames[:, 3:end] = np.frombuffer(data, np.uint8).reshape(count, -1)
+        if self._crc16:
+            frames[:, end:-1] = _crc16(frames[:, 1:end])
+        return frames.tobytes()
 
     def _input_ranges(
         self, ends_s: npt.NDArray[np.float64]
@@ -550,17 +553,18 @@ class Gsv8:
         count, per_frame = len(ends_s), len(self._back_s)
         times = np.maximum(ends_s[:, None] - self._back_s, 0.0)
         force = self._port.force_N(times.ravel()).reshape(count, per_frame, 3)
-        full = np.array([_input_range(kind) for kind in self.memory.input_type])
+        full = _input_range_of_each(tuple(self.memory.input_type))
         saturated = np.zeros((count, CHANNELS), bool)
         ranges = self._noise_of(count) / full
-        if self.sensor.largest_bridge(np.abs(force).max(axis=(0, 1))) < OVERRANGE * full[:3].min():
-            mean = np.add.reduce(force, axis=1) / per_frame  # as the converter's: it is linear
-            ranges[:, :3] += self.sensor.bridges(mean) / full[:3]
+        if self._all_below(OVERRANGE * min(full[:3].tolist()), np.abs(force)):
+            by_conversion = force.swapaxes(0, 1).reshape(per_frame, -1)
+            mean = np.add.reduce(by_conversion).reshape(count, 3) / per_frame
+            ranges[:, :3] += self.sensor.bridges(mean) / full[:3]  # of the mean: it is linear
         else:
             converted = self.sensor.bridges(force.reshape(-1, 3)).reshape(force.shape) / full[:3]
             saturated[:, :3] = (np.abs(converted) >= OVERRANGE).any(axis=1)
             ranges[:, :3] += np.clip(converted, -OVERRANGE, OVERRANGE).mean(axis=1)
-        np.clip(ranges, -OVERRANGE, OVERRANGE, out=ranges)
+        np.minimum(np.maximum(ranges, -OVERRANGE, out=ranges), OVERRANGE, out=ranges)
         for kind, begin_s, end_s in self._disturbed:
             befallen = (ends_s >= begin_s) & (ends_s < end_s)
             if kind == "saturated":
@@ -571,11 +575,20 @@ class Gsv8:
         self._last = ranges[-1]
         return ranges, saturated
 
+    def _all_below(self, bridge_mV_V: float, sizes_N: npt.NDArray[np.float64]) -> bool:
+        """Whether no bridge can reach this under forces of these sizes (n, m, 3): mostly all three
+        components may be as large as the largest, which is found sooner than each one's."""
+        most = self.sensor.largest_bridge
+        return (
+            most(np.full(3, sizes_N.max())) < bridge_mV_V
+            or most(sizes_N.max(axis=(0, 1))) < bridge_mV_V
+        )
+
     def _noise_of(self, count: int) -> npt.NDArray[np.float64]:
         """Noise of the next frames in mV/V, (n, 8): by key and by number of frames since it came,
         made in whole chunks, so that neither batches nor earlier points matter."""
-        if self._noise_key != self._port.noise_key:
-            self._noise_key, self._noise_at = self._port.noise_key, 0
+        if self._noise_key != (key := self._port.noise_key):
+            self._noise_key, self._noise_at = key, 0
             self._noise.clear()
         first, self._noise_at = self._noise_at, self._noise_at + count
         chunks = range(first // NOISE_CHUNK, (self._noise_at - 1) // NOISE_CHUNK + 1)
@@ -602,6 +615,11 @@ BRIDGE_RANGES_MV_V = (INPUT_RANGE_MV_V, 7.0, 14.0)
 def _input_range(input_type: int) -> float:
     """In mV/V."""
     return BRIDGE_RANGES_MV_V[input_type]
+
+
+@cache
+def _input_range_of_each(input_types: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    return np.array([_input_range(kind) for kind in input_types])
 
 
 def _channel(request: Request) -> int:
@@ -650,12 +668,30 @@ def _crc8(data: bytes) -> int:
     return remainder
 
 
-def _crc16(data: bytes) -> int:
-    """CRC-16 as Modbus has it: x16 + x15 + x2 + 1 reflected, start FFFF."""
-    remainder = 0xFFFF
-    for byte in data:
-        remainder = remainder >> 8 ^ _BYTES[(remainder ^ byte) & 0xFF]
-    return remainder
+def _crc16(rows: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """CRC-16 of each row as Modbus has it, (n, 2) with the low byte first: x16 + x15 + x2 + 1
+    reflected, start FFFF. It is the exclusive or of what each byte brings in at its place."""
+    start, places, brought = _crc16_by_place(rows.shape[1])
+    remainders = np.bitwise_xor.reduce(brought[places + rows], axis=1) ^ start
+    return np.asarray(remainders, "<u2").view(np.uint8).reshape(-1, 2)
+
+
+@cache
+def _crc16_by_place(
+    length: int,
+) -> tuple[np.uint16, npt.NDArray[np.intp], npt.NDArray[np.uint16]]:
+    """What the start brings in, where each place's bytes begin, and what they bring in."""
+
+    def passed_on(remainders: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
+        return np.asarray(remainders >> 8 ^ one_byte[remainders & 0xFF])
+
+    one_byte = np.array(_BYTES, np.uint16)
+    start, brought = np.array([0xFFFF], np.uint16), [one_byte]
+    for _ in range(length - 1):
+        brought.append(passed_on(brought[-1]))
+    for _ in range(length):
+        start = passed_on(start)
+    return start[0], np.arange(length) * 256, np.concatenate(brought[::-1])
 
 
 _NIBBLES = (

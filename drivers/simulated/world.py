@@ -204,7 +204,8 @@ class World:
     ) -> npt.NDArray[np.float64]:
         """Force on the sensor under film or plate, (n,) to (n, 3): weights, pushes, contact."""
         self._befall()  # in real time frames come more often than `settle`
-        force = self.pressed_N(times_s) + self._weight_N
+        weight_N = self._weight_N if np.count_nonzero(self._weight_N) else 0.0
+        force = self.pressed_N(times_s) + weight_N
         for begin_s, end_s, push_N in self._pushes:
             force[:, 2] += push_N * ((times_s >= begin_s) & (times_s < end_s))
         return force

@@ -94,7 +94,8 @@ class ForceMonitor:
         self, seconds: float
     ) -> npt.NDArray[np.float64]:
         """Mean force (3,) over the latest `seconds`; InstrumentError where no frame has come."""
-        mean: npt.NDArray[np.float64] = self.latest_N(seconds).mean(axis=0)
+        latest = self.latest_N(seconds)
+        mean: npt.NDArray[np.float64] = np.add.reduce(latest) / len(latest)
         return mean
 
     def latest_N(  # noqa: N802 - the unit keeps its capital
@@ -224,7 +225,7 @@ class ForceMonitor:
         return [frames]
 
     def _watch_force(self, frames: ForceFrames) -> None:
-        if frames.saturated.any():
+        if np.count_nonzero(frames.saturated):
             failed = self._make_safe()
             self._trip = InstrumentError(
                 "force_sensor",
