@@ -23,6 +23,9 @@ Statuses = NDArray[np.int8]
 OPEN, STICK, SLIP_PLUS, SLIP_MINUS = 0, 1, 2, 3
 """Status of a node: apart; no relative motion; friction on the skin towards +x; towards -x."""
 
+_LINE = 8
+"""Numbers in a line of the processor's cache."""
+
 Control = Literal["force", "position"]
 
 
@@ -132,14 +135,14 @@ class ContactStepper:
         self._tributary = skin.tributary_mm() * skin.settings.width_mm
         self._constants = self._make_constants()
         size = 2 * skin.nodes + 2
-        self._work = np.zeros((16, size))
+        self._work = _aligned(16, size)
         self._listed = np.zeros(4, np.int64)
         self._nodes = np.zeros((7, size), np.int64)
-        self._packed = np.zeros((size, size))
-        self._compact = np.zeros((skin.nodes, size))
-        self._answers = np.zeros((skin.nodes, size))
-        self._slides = np.zeros((skin.nodes, skin.nodes))
-        self._small = np.zeros((skin.nodes, skin.nodes))
+        self._packed = _aligned(size, size)
+        self._compact = _aligned(skin.nodes, size)
+        self._answers = _aligned(skin.nodes, size)
+        self._slides = _aligned(skin.nodes, skin.nodes)
+        self._small = _aligned(skin.nodes, skin.nodes)
         self._state = self._initial_state(position_mm)
 
     @property
@@ -154,7 +157,8 @@ class ContactStepper:
 
     @state.setter
     def state(self, state: ContactState) -> None:
-        self._state = state.copy()
+        for field in fields(state):  # into the arrays that are there: they are aligned
+            getattr(self._state, field.name)[...] = getattr(state, field.name)
         self._listed[:] = 0  # they were another state's
 
     @property
@@ -272,8 +276,17 @@ class ContactStepper:
             owner=np.zeros((n, 2), np.int64),
             integers=np.zeros(8, np.int64),
             scalars=np.array([0.0, position_mm, 0.0, 0.0]),
-            inverse=np.zeros((n, n)),
+            inverse=_aligned(n, n),
         )
+
+
+def _aligned(rows: int, columns: int) -> Floats:
+    """Zeros whose rows begin where a line of the processor's cache does; wider where it takes
+    that."""
+    width = -(-columns // _LINE) * _LINE
+    room = np.zeros(rows * width + _LINE)
+    first = -(room.ctypes.data // room.itemsize) % _LINE
+    return room[first : first + rows * width].reshape(rows, width)
 
 
 def _paired(normal: ArrayLike, tangential: ArrayLike) -> tuple[Floats, Floats]:
