@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 
 import pytest
 
-from rig.clock import Clock, WallClock
+from rig.clock import WAIT_SLICE_S, Clock, WallClock
 from rig.errors import ExitCode
 from rig.processor import GIVEN
 from rig.runner import loop
@@ -313,6 +314,24 @@ def test_a_stop_request_is_seen_between_ticks_that_are_far_apart() -> None:
         both.take_all()
     assert done == [0]
     assert looks == [0, 1, 1, 1]
+
+
+def test_a_tick_that_hangs_holds_both_up_and_gives_no_sign_of_life() -> None:
+    done, lives, seen = list[int](), list[int](), list[tuple[int, int]]()
+
+    def on_tick(tick: Tick) -> bool:
+        done.append(tick.number)
+        if len(done) == 3:
+            for _ in range(2):
+                seen.append((len(done), len(lives)))
+                time.sleep(5 * WAIT_SLICE_S)
+        return len(done) < 5
+
+    both, ticks = relay(on_tick, 200.0, 1000)
+    ticks._run.clock.each_slice(lambda: lives.append(len(done)))
+    both.take_all()
+    assert seen[0] == seen[1]
+    assert len(done) == 5
 
 
 def test_a_caller_who_is_interrupted_leaves_no_tick_under_way(
