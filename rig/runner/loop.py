@@ -220,8 +220,8 @@ class Relay:
         self._looked_s = -math.inf
         """When stop requests and keep-alives were looked at last."""
         self._threads = [
-            threading.Thread(target=self._take_part, args=(place,), name="ticks", daemon=True)
-            for place in places
+            threading.Thread(target=self._take_part, args=(own,), name="ticks", daemon=True)
+            for own in places
         ]
 
     def take_all(self) -> None:
