@@ -61,8 +61,6 @@ class Clock(ABC):
 
     stands = False
     """Whether it stands while an instrument answers."""
-    passes_by_itself = False
-    """Whether several threads may wait on it at once."""
 
     def __init__(self) -> None:
         self._callbacks: list[Callable[[], None]] = []
@@ -143,8 +141,6 @@ class Clock(ABC):
 
 class WallClock(Clock):
     """Real time, from a monotonic source."""
-
-    passes_by_itself = True
 
     def __init__(self) -> None:
         super().__init__()

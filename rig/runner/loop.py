@@ -7,7 +7,7 @@ stop requests, keep-alives and watchers are looked at in every slice, and once b
 also where there is nothing to wait for: a late loop is a sign of life. One that leaves out ticks
 for longer than a stall of the computer explains controls nothing any more and ends.
 
-Where time passes by itself two threads wait for each tick, on two processors (`Relay`).
+In real time two threads wait for each tick, on two processors (`Relay`).
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def tick_loop(
     if not (duration_s >= 0 and math.isfinite(duration_s)):
         raise ValueError(f"duration_s {duration_s:g} s must be a number of at least 0")
     ticks = Ticks(run, rate_Hz, round(duration_s * rate_Hz), on_tick)
-    places = two_places() if run.clock.passes_by_itself else None
+    places = two_places() if not run.clock.stands else None
     if places is None:
         ticks.take_all()
     else:

@@ -18,6 +18,8 @@ from rig.runner.loop import BEHIND_FOR_S, Relay, Tick, Ticks, TooSlowError, tick
 class HandClock(Clock):
     """Time passes where it is waited for and where a test says so."""
 
+    stands = True
+
     def __init__(self) -> None:
         super().__init__()
         self._now = 0.0
