@@ -31,10 +31,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from rig.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
 
 if TYPE_CHECKING:
-    from rig.clock import Clock
+    from rig.core.clock import Clock
 
 READ, ECHO, WRITE = 3, 8, 16
 GAP_S = 0.003

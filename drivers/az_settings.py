@@ -12,7 +12,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from rig.settings import Settings as BaseSettings
+from rig.core.settings import Settings as BaseSettings
 
 LARGEST_STEP = 2**31 - 1
 """Positions travel as signed 32-bit integers."""

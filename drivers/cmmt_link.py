@@ -19,10 +19,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rig.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
 
 if TYPE_CHECKING:
-    from rig.clock import Clock
+    from rig.core.clock import Clock
 
 OUTPUT_IMAGE = 0
 INPUT_IMAGE = 100

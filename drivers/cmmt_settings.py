@@ -13,7 +13,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from drivers.telegram111 import FULL_SCALE
-from rig.settings import Settings as BaseSettings
+from rig.core.settings import Settings as BaseSettings
 
 LARGEST_COUNT = 2**31 - 1
 """Positions travel as signed 32-bit integers; speeds are held to the same."""

@@ -56,8 +56,8 @@ from drivers.telegram111 import (
     Stw2,
     Zsw1,
 )
-from rig.clock import Clock, WallClock
-from rig.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.clock import Clock, WallClock
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments import Identity, Reach
 
 ROLES = ("stage_z", "stage_x")

@@ -15,10 +15,10 @@ from typing import Literal
 from pydantic import Field
 
 from drivers.visa_link import VisaLink
-from rig.clock import Clock, WallClock
-from rig.errors import InstrumentError
+from rig.core.clock import Clock, WallClock
+from rig.core.errors import InstrumentError
+from rig.core.settings import Settings as BaseSettings
 from rig.instruments import Identity, Reach
-from rig.settings import Settings as BaseSettings
 
 ROLES = ("generator",)
 

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field, field_validator
 
 from drivers.visa_link import VisaLink
-from rig.clock import Clock, WallClock
-from rig.errors import InstrumentError, LimitError
+from rig.core.clock import Clock, WallClock
+from rig.core.errors import InstrumentError, LimitError
+from rig.core.settings import Settings as BaseSettings
 from rig.instruments import Acquisition, Identity, InputChannel, Reach, Record, Scaling
-from rig.settings import Settings as BaseSettings
 
 if TYPE_CHECKING:
     import numpy as np

@@ -34,10 +34,10 @@ from pydantic import Field, model_validator
 
 from drivers import gsv_frames
 from drivers.gsv_frames import Layout, Measurements, Response
-from rig.clock import Clock
-from rig.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.clock import Clock
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.settings import Settings as BaseSettings
 from rig.instruments import ForceFrames, Identity, Reach
-from rig.settings import Settings as BaseSettings
 
 ROLES = ("force_sensor",)
 

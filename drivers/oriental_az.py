@@ -44,8 +44,8 @@ from enum import IntFlag
 
 from drivers.az_link import AzLink, RefusedError, RtuLine, halves, reading, signed, writing
 from drivers.az_settings import ALARMS, Settings
-from rig.clock import Clock, WallClock
-from rig.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.clock import Clock, WallClock
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments import Identity, Reach
 
 ROLES = ("stage_z", "stage_x")

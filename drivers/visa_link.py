@@ -17,12 +17,12 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rig.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments import Identity
 from rig.visa_library import import_visa
 
 if TYPE_CHECKING:
-    from rig.clock import Clock
+    from rig.core.clock import Clock
 
 _ERROR_REPLY = re.compile(r'^([+-]?\d+),"(.*)"$')
 _SMALLEST_BLOCK_REPLY = len(b"#10")

@@ -20,10 +20,10 @@ from urllib.parse import urlsplit
 
 from drivers import zaber_frames
 from drivers.zaber_frames import FrameError, Reply
-from rig.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
 
 if TYPE_CHECKING:
-    from rig.clock import Clock
+    from rig.core.clock import Clock
 
 READ_WAIT_S = 0.005
 """Longest wait for bytes in one read: by so much a time-out may be late."""

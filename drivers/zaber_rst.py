@@ -41,8 +41,8 @@ from drivers.zaber_settings import (
     UNKNOWN_REASON,
     Settings,
 )
-from rig.clock import Clock, WallClock
-from rig.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.clock import Clock, WallClock
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments import Identity, Reach
 
 ROLES = ("rotary",)

@@ -26,7 +26,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from rig.settings import Settings as BaseSettings
+from rig.core.settings import Settings as BaseSettings
 
 SPEED_DATA = 1.6384
 """Speed in the stage's numbers, by microsteps/s (zaber.com/w, A and X series)."""

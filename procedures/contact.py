@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rig.errors import ConfigurationError, InstrumentError
+from rig.core.errors import ConfigurationError, InstrumentError
 from rig.recording.layout import Column
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ from procedures.contact import (
     unload,
 )
 from rig.bench import FixtureSettings, require
-from rig.errors import InstrumentError, LimitError
+from rig.core.errors import InstrumentError, LimitError
 from rig.runner.trip import TripError
 
 if TYPE_CHECKING:

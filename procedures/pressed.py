@@ -23,11 +23,11 @@ from procedures.contact import (
     unload,
 )
 from rig.bench import STRIPS, FixtureSettings
-from rig.errors import RigError
+from rig.core.errors import RigError
+from rig.core.settings import Settings as BaseSettings
 from rig.instruments import Acquisition, InputChannel
 from rig.runner.points import Move, Point, Reading
 from rig.runner.procedure import DriftFigure
-from rig.settings import Settings as BaseSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -27,7 +27,7 @@ from procedures.pressed_reading import CONTACT_N, DECIMATED_Hz, Taken
 from procedures.strip_record import StripRecord
 from rig.analysis.load_rate import LoadScale, amplifier_dB, load_scale, load_scale_of_record
 from rig.bench import STRIPS, require
-from rig.errors import InstrumentError, RigError
+from rig.core.errors import InstrumentError, RigError
 from rig.runner.approach import Approach, search_speed_mm_s
 from rig.runner.aside import Aside
 from rig.runner.loop import tick_loop

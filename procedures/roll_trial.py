@@ -31,7 +31,7 @@ from procedures.pressed import (
 )
 from procedures.roll_profile import Curve, Profile, ThereAndBack
 from rig.bench import Fixture, FixtureSettings
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 from rig.runner.points import Move, Point, Reading
 
 if TYPE_CHECKING:

@@ -22,10 +22,10 @@ from pydantic import Field, field_validator, model_validator
 from procedures import contact, preload, sweep_layout
 from procedures.contact import contact_range_mm
 from rig.bench import Fixture, FixtureSettings
+from rig.core.settings import Settings as BaseSettings
 from rig.instruments import Acquisition, InputChannel
 from rig.runner.points import Move, Point, Reading
 from rig.runner.procedure import DriftFigure, StreamPlan
-from rig.settings import Settings as BaseSettings
 
 if TYPE_CHECKING:
     from procedures.sweep_memory import Memory

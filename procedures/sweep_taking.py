@@ -16,7 +16,7 @@ from procedures.sweep import LONG_RECORD_S
 from procedures.sweep_layout import reading_of
 from procedures.sweep_sampling import Sampled, Sampling, refuse_silence, warn_of_mains
 from rig.analysis.levelling import AGREEMENT_SIGMAS, RecordNeeds, agreement, combined
-from rig.errors import InstrumentError
+from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
     from procedures.sweep import Condition, Settings

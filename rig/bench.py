@@ -27,15 +27,16 @@ from rig.calibration import (
     read_calibration,
     require_valid,
 )
-from rig.clock import Clock
-from rig.documents import MAX_TOML_BYTES, parse_toml, read_text
-from rig.errors import (
+from rig.core.clock import Clock
+from rig.core.errors import (
     ConfigurationError,
     LimitError,
     RigError,
     SeveralFailuresError,
     shortened,
 )
+from rig.core.settings import Settings
+from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
 from rig.instruments import (
     DataAcquisition,
     DriverModule,
@@ -48,7 +49,6 @@ from rig.instruments import (
     SignalGenerator,
 )
 from rig.keep_alives import KeepAlives
-from rig.settings import Settings
 
 ROLES = ("generator", "daq", "stage_z", "stage_x", "rotary", "force_sensor")
 

@@ -22,9 +22,9 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AwareDatetime, Field, ValidationError, model_validator
 
-from rig.documents import MAX_JSON_BYTES, check_nesting, read_text
-from rig.errors import ConfigurationError
-from rig.settings import Settings
+from rig.core.errors import ConfigurationError
+from rig.core.settings import Settings
+from rig.core.toml_files import MAX_JSON_BYTES, check_nesting, read_text
 
 Kind = Literal["pvdf", "force", "load-cell"]
 

@@ -12,14 +12,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from rig.errors import LimitError
+from rig.core.errors import LimitError
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from rig.clock import Clock
-    from rig.settings import Settings
+    from rig.core.clock import Clock
+    from rig.core.settings import Settings
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ import contextlib
 import threading
 from collections.abc import Callable, Iterator, Mapping
 
-from rig.clock import Clock
-from rig.errors import InstrumentError
+from rig.core.clock import Clock
+from rig.core.errors import InstrumentError
 
 FEED_EVERY_S = 0.05
 """Wall time between two looks of a thread whether its drive has to be fed."""

@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 
 @dataclass(frozen=True)

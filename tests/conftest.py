@@ -20,7 +20,7 @@ import pytest
 from benches import Bench
 from hypothesis import settings
 
-from rig.cache import DiskCache
+from rig.core.cache import DiskCache
 from rig.model.skin.condensed import CondensedSkin, build_skin
 from rig.model.skin.settings import SkinSettings
 from rig.model.trials import SlideSettings, Trial, slide

@@ -25,8 +25,8 @@ from rig.bench import (
     rehearsal,
     require,
 )
-from rig.clock import WallClock
-from rig.errors import ConfigurationError, ExitCode, InstrumentError, LimitError, RigError
+from rig.core.clock import WallClock
+from rig.core.errors import ConfigurationError, ExitCode, InstrumentError, LimitError, RigError
 from rig.instruments import Identity, Reach
 from rig.keep_alives import KeepAlives
 from rig.runner.points import Move, Point, require_roles

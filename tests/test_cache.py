@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rig.cache import DiskCache, NoCache, user_cache
+from rig.core.cache import DiskCache, NoCache, user_cache
 
 KEY, CONTENT = "contact of a hemisphere, mesh 3", bytes(range(256)) * 2
 

@@ -22,7 +22,7 @@ from rig.calibration import (
     require_valid,
     write_calibration,
 )
-from rig.errors import ConfigurationError, ExitCode
+from rig.core.errors import ConfigurationError, ExitCode
 
 MEASURED = datetime(2026, 11, 21, 22, 0, tzinfo=timezone(timedelta(hours=1)))
 NOW = MEASURED + timedelta(days=1)

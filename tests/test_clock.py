@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 
 import pytest
 
-import rig.clock
+import rig.core.clock
 from drivers.simulated.control import ControlServer
 from drivers.simulated.world import World, WorldSettings
-from rig.clock import Clock, ControlLink, SlavedClock, WallClock
-from rig.errors import InstrumentError
+from rig.core.clock import Clock, ControlLink, SlavedClock, WallClock
+from rig.core.errors import InstrumentError
 from rig.runner.reader import StreamReader
 
 
@@ -314,7 +314,7 @@ def test_watchers_have_acted_before_sleep_returns() -> None:
 def test_a_stuck_reader_is_an_error_that_counts_the_missing_bytes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(rig.clock, "STREAM_PATIENCE_S", 0.2)
+    monkeypatch.setattr(rig.core.clock, "STREAM_PATIENCE_S", 0.2)
     with streaming() as (clock, _, force, reader):
         force.stuck = True
         reader.settle()  # a read that has begun may still take what comes

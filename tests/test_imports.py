@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from rig.imports import importing
+from rig.core.imports import importing
 
 
 @pytest.fixture(autouse=True)

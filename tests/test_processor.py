@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from rig import processor
-from rig.processor import GIVEN, Turns, let_run_anywhere
+from rig.core import processor
+from rig.core.processor import GIVEN, Turns, let_run_anywhere
 
 pytestmark = pytest.mark.skipif(len(GIVEN) < 2, reason="one processor is shared in any case")
 

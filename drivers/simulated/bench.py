@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivers.simulated.options import Options, fault_plan
-from rig.errors import ConfigurationError, InstrumentError
-from rig.processor import Turns, let_run_anywhere
+from rig.core.errors import ConfigurationError, InstrumentError
+from rig.core.processor import Turns, let_run_anywhere
 
 if TYPE_CHECKING:
     from drivers.simulated.disk_faults import FaultyDisk

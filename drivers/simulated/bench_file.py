@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.simulated.options import HEAD, Options, drive_kind
-from rig.documents import toml_value
+from rig.core.toml_files import toml_value
 
 LINK_TIMEOUT_S = 1.5
 """Wall time the bench file gives every link: a loaded machine may let a process wait for long."""

@@ -35,9 +35,9 @@ from typing import Annotated, Literal, TypeVar, get_args
 from pydantic import Field, ValidationError
 
 from drivers.simulated.beginnings import Beginning
-from rig.documents import read_toml
-from rig.errors import ConfigurationError, shortened
-from rig.settings import Settings
+from rig.core.errors import ConfigurationError, shortened
+from rig.core.settings import Settings
+from rig.core.toml_files import read_toml
 
 GENERATOR, DAQ, STAGE_Z, STAGE_X = "generator", "daq", "stage_z", "stage_x"
 ROTARY = "rotary"

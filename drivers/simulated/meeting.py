@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from rig.core.settings import Settings
 from rig.model.contact.settings import Cylinder, Object, Plate, Sphere
-from rig.settings import Settings
 
 Reals = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]

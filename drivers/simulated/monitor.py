@@ -21,7 +21,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from drivers.simulated.serial_server import Exchange, SerialInstrument
-from rig.settings import Settings
+from rig.core.settings import Settings
 
 STEP_us = 1000
 """Of the instants at which the force is looked at."""

@@ -12,8 +12,8 @@ from pydantic import model_validator
 from drivers.simulated.meeting import Below, Carriage, HeadBelow, HeadSettings, PlateBelow, Where
 from drivers.simulated.skin_contact import SkinContact, SkinMountSettings
 from drivers.simulated.world import World, WorldSettings
-from rig.cache import user_cache
-from rig.errors import ConfigurationError
+from rig.core.cache import user_cache
+from rig.core.errors import ConfigurationError
 from rig.model.contact.settings import ContactSettings, Plate
 from rig.model.front_end import FrontEndSettings
 from rig.model.skin.condensed import build_skin

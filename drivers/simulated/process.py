@@ -20,8 +20,8 @@ from typing import Any, get_args
 
 from drivers.simulated.bench_file import bench_toml
 from drivers.simulated.options import Fixture, Options, Stages, fault_plan, world_settings
-from rig.errors import ConfigurationError, InstrumentError, RigError
-from rig.imports import importing
+from rig.core.errors import ConfigurationError, InstrumentError, RigError
+from rig.core.imports import importing
 
 SETTLE_EVERY_S = 0.02
 """How often drives in real time look at what has befallen them."""

@@ -29,12 +29,12 @@ import numpy.typing as npt
 from pydantic import Field
 
 from drivers.simulated.slip_record import SlipRecord
-from rig.imports import as_if_missing
+from rig.core.imports import as_if_missing
+from rig.core.settings import Settings
 from rig.model.contact.settings import ContactSettings, Plate, Sphere
 from rig.model.contact.slices import SlicedStepper
 from rig.model.contact.stepper import OPEN, ContactStepper, ConvergenceError
 from rig.model.transducer import TransducerChain, TransducerSettings
-from rig.settings import Settings
 
 if TYPE_CHECKING:
     from drivers.simulated.meeting import Below, Meeting

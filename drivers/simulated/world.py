@@ -37,12 +37,12 @@ from drivers.simulated.ports import Excitation
 from drivers.simulated.schedule import Schedule
 from drivers.simulated.timeline import Timeline
 from drivers.simulated.world_log import WorldLog
-from rig.documents import read_toml
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
+from rig.core.settings import Settings
+from rig.core.toml_files import read_toml
 from rig.model import film_clamp, front_end, pvdf, vibrator
 from rig.model.film_clamp import FilmClampSettings
 from rig.model.front_end import FrontEndSettings
-from rig.settings import Settings
 
 if TYPE_CHECKING:
     from drivers.simulated.meeting import Where

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.analysis.estimate import Estimate
-from rig.errors import ExitCode, RigError
+from rig.core.errors import ExitCode, RigError
 
 Reals = NDArray[np.float64]
 

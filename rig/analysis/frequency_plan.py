@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from rig.analysis.drops import fit_with_drops
 from rig.analysis.response import Reals
 from rig.analysis.response_curve import ResponseCurve
-from rig.settings import Settings
+from rig.core.settings import Settings
 
 MAINS_LINES = 5
 """Harmonics of the mains that the scan keeps away from."""

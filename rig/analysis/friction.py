@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.analysis.estimate import COVERAGE_95, Estimate
-from rig.errors import ExitCode, RigError
+from rig.core.errors import ExitCode, RigError
 
 Reals = NDArray[np.float64]
 

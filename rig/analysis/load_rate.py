@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from rig.analysis.estimate import Estimate
 from rig.analysis.response import DB_PER_RELATIVE
 from rig.calibration import FilmCalibration
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 Reals = NDArray[np.float64]
 

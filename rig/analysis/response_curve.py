@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.analysis.response import DB_PER_RELATIVE, Complexes, Reals
-from rig.errors import ExitCode, RigError
+from rig.core.errors import ExitCode, RigError
 
 SAME_PRELOAD_N = 1e-6
 """Preloads so near to each other tell nothing of their effect."""

@@ -29,7 +29,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.errors import ExitCode, RigError
+from rig.core.errors import ExitCode, RigError
 
 Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

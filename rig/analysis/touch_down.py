@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import ExitCode, RigError
+from rig.core.errors import ExitCode, RigError
 
 Reals = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rig.batch.afterwards import Answer, Job, job_of
-from rig.errors import RigError
+from rig.core.errors import RigError
 
 
 def work_on(job: Job) -> Answer:

@@ -13,9 +13,9 @@ from rig.batch.folder import BatchFolder, new_folder
 from rig.batch.preparation import Prepared
 from rig.batch.queue import Queue
 from rig.batch.settings import BatchFile, Simulation
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
+from rig.core.settings import fingerprint
 from rig.runner.source_state import source_state
-from rig.settings import fingerprint
 
 
 def begin(batch_file: Path, prepared: Prepared, now: datetime) -> BatchFolder:

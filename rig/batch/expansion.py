@@ -20,9 +20,9 @@ from rig.batch.findings import Finding, RefusedBatchError, Where
 from rig.batch.plan import Condition, Plan, PlannedRun
 from rig.batch.procedures import installed
 from rig.batch.settings import MOST_RUNS, BatchFile, Experiment, Sample
-from rig.errors import MOST_FINDINGS, ConfigurationError, finding, shortened
-from rig.quantities import parse
-from rig.settings import Settings, name_without_unit, unit_of
+from rig.core.errors import MOST_FINDINGS, ConfigurationError, finding, shortened
+from rig.core.settings import Settings, name_without_unit, unit_of
+from rig.core.units import parse
 
 MOST_CONDITIONS = 100_000
 """Each has settings of its own; a night has time for fewer."""

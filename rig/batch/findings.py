@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from rig.errors import MOST_FINDINGS, ConfigurationError, ExitCode, RigError
+from rig.core.errors import MOST_FINDINGS, ConfigurationError, ExitCode, RigError
 
 Where = tuple[str | int, ...]
 """Keys and places in lists that lead to a part of the batch file: ("experiment", 1, "matrix")."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 from rig.recording.naming import JOURNAL_SUFFIX, RUN_SUFFIX
 
 QUEUE = "queue.sqlite"

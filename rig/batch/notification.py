@@ -25,7 +25,7 @@ from datetime import datetime
 from typing import Any
 
 from rig.batch.settings import Notify, Occasion
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 PATIENCE_S = 10.0
 """How long a command, or all addresses together, may take for one notification."""

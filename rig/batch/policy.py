@@ -12,7 +12,7 @@ from datetime import datetime, timedelta
 from typing import Literal
 
 from rig.batch.settings import BatchSettings
-from rig.errors import ExitCode, InstrumentTimeoutError, RigError
+from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
 from rig.recording.errors import RecordingError
 
 Kind = Literal["timeout", "instrument", "died", "limit", "usage", "storage", "unsafe", "internal"]

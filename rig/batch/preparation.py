@@ -25,7 +25,7 @@ from rig.batch.settings import BatchFile
 from rig.batch.validation import Checked, Connected, validate
 from rig.bench import Bench, BenchPlan, Fixture, read_bench
 from rig.calibration import require_valid
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 from rig.runner.bench_choice import BenchRequest, Choosing, Stages, bench_file
 
 STAGES: dict[tuple[str, str], Stages] = {

@@ -6,7 +6,7 @@ from functools import cache
 from importlib.metadata import entry_points
 
 from rig.bench import entry
-from rig.errors import ConfigurationError, shortened
+from rig.core.errors import ConfigurationError, shortened
 from rig.runner.procedure import Procedure
 
 GROUP = "rig.procedures"

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
 from rig.batch.plan import Condition, Plan
-from rig.errors import ConfigurationError, RigError
+from rig.core.errors import ConfigurationError, RigError
 
 RunState = Literal["queued", "running", "done", "failed", "set-aside"]
 Ending = Literal["complete", "stopped", "failed", "died"]

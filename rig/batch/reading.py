@@ -17,8 +17,8 @@ from rig.batch.findings import Finding, RefusedBatchError, Source, Where
 from rig.batch.plan import Plan
 from rig.batch.positions import lines_of
 from rig.batch.settings import BatchFile, Experiment
-from rig.documents import MAX_TOML_BYTES, parse_toml, read_text
-from rig.errors import finding
+from rig.core.errors import finding
+from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
 
 WHAT = "batch file"
 

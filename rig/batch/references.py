@@ -15,8 +15,8 @@ from typing import Any, Literal
 
 from rig.bench import STRIPS, BenchSettings
 from rig.calibration import COMMANDS, Record
+from rig.core.settings import name_without_unit, unit_of
 from rig.runner.procedure import DriftFigure
-from rig.settings import name_without_unit, unit_of
 
 LARGE_LOSS_dB = 20.0
 """A film that has lost so much gives next to nothing: no wear does that."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from rig.batch.procedures import installed, known
 from rig.batch.settings import BatchFile
-from rig.settings import unit_of
+from rig.core.settings import unit_of
 
 TEXT_WITH_UNIT = {"type": "string", "description": "text as on the command line, with its unit"}
 

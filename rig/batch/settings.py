@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from rig.settings import Settings
+from rig.core.settings import Settings
 
 Order = Literal["as-written", "shuffled", "blocked"]
 Occasion = Literal["start", "failure", "hold", "end"]

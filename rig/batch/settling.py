@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from rig.batch.procedures import installed
 from rig.batch.queue import Ended
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.recording.contents import JournalContents, read_journal
 from rig.recording.errors import JournalError
 from rig.recording.naming import RUN_SUFFIX

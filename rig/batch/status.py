@@ -8,7 +8,7 @@ from typing import Any
 
 from rig.batch.folder import BatchFolder
 from rig.batch.queue import Left, Queue, RunRow, RunState
-from rig.quantities import duration
+from rig.core.units import duration
 
 LATEST = 5
 """Failures and events that are shown."""

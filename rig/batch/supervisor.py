@@ -27,7 +27,7 @@ from rig.batch.heartbeat import Beat, Heartbeat, State
 from rig.batch.notification import Notifier
 from rig.batch.queue import Queue
 from rig.batch.settings import BatchFile, Occasion
-from rig.errors import ExitCode
+from rig.core.errors import ExitCode
 from rig.runner.stopping import StopFlag
 
 LOOK_S = 0.1

@@ -16,7 +16,7 @@ from rig.batch.findings import Finding, Where
 from rig.batch.plan import Condition, Plan
 from rig.batch.procedures import installed
 from rig.bench import Bench, BenchPlan, Fixture, FixtureSettings
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.runner.points import refusals, require_roles
 
 Connected = Callable[[Fixture], AbstractContextManager[Bench]]

@@ -34,7 +34,7 @@ from rig.batch.queue import Claim, Ended, Queue
 from rig.batch.settings import BatchFile
 from rig.batch.settling import put_away, to_continue, what_became_of
 from rig.batch.watching import Watch
-from rig.errors import ExitCode, RigError
+from rig.core.errors import ExitCode, RigError
 from rig.runner.bench_choice import BenchRequest, Choosing, ChosenBench, start_simulated
 from rig.runner.holds import PAUSE
 from rig.runner.stopping import StopFlag, StopRequestedError
@@ -441,7 +441,7 @@ class Worker:
         if self._bench is None:
             request = BenchRequest(bench=self._terms.bench, results=self._terms.results)
             self._bench = choosing.bench_for(request, at_the_end, fixture)
-        from rig.clock import WallClock
+        from rig.core.clock import WallClock
 
         return replace(self._bench, clock=WallClock())
 

@@ -8,7 +8,7 @@ import signal
 import sys
 from types import FrameType
 
-from rig.imports import importing
+from rig.core.imports import importing
 
 SIGINT_CODE, SIGTERM_CODE, SIGHUP_CODE = 130, 143, 129
 

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from rig.cli.outcome import report
-from rig.errors import ConfigurationError
-from rig.imports import importing
+from rig.core.errors import ConfigurationError
+from rig.core.imports import importing
 
 if TYPE_CHECKING:
     from rig.bench import RunningBench

@@ -12,7 +12,7 @@ import typer
 
 from rig.cli import batch_plan
 from rig.cli.outcome import reported, say, start_log
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.batch.folder import BatchFolder
@@ -59,7 +59,7 @@ def run(
 
         from rig.batch.beginning import begin
         from rig.batch.preparation import prepare
-        from rig.quantities import duration
+        from rig.core.units import duration
 
         now = datetime.now().astimezone()
         prepared = prepare(file, bench, now, say)

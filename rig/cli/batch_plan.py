@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rig.cli.outcome import reported, say
-from rig.quantities import duration
+from rig.core.units import duration
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

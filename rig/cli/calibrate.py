@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rig.cli.outcome import reported, say
-from rig.errors import ConfigurationError, ExitCode, FoundWrongError, LimitError, RigError
+from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError, LimitError, RigError
 
 if TYPE_CHECKING:
     from rig.analysis.weighing import CellFit, ForceFit
@@ -571,7 +571,7 @@ def _timing(options: WeighingOptions) -> Timing:
 
 def _number(text: str, unit: str, option: str) -> float:
     """A finite number from an option's text, with or without its unit."""
-    from rig.quantities import quantity
+    from rig.core.units import quantity
 
     try:
         value = quantity(text, unit)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import typer
 
 from rig.cli.outcome import printable, reported, say, tell_failure
-from rig.errors import ExitCode, RigError
+from rig.core.errors import ExitCode, RigError
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID

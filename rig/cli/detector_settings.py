@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.documents import read_toml
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
+from rig.core.toml_files import read_toml
 
 if TYPE_CHECKING:
     from rig.detector.low_pass import LowPassSettings

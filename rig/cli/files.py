@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rig.cli.outcome import printable, reported, say
-from rig.errors import ConfigurationError, ExitCode, FoundWrongError
+from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError
 
 if TYPE_CHECKING:
     from rig.recording.header import RunHeader
@@ -137,7 +137,7 @@ def verify(files: Files, debug: Debug = False) -> None:
 def recover(files: Files, debug: Debug = False) -> None:
     """Compile what a killed run left behind into its run file."""
     with reported(debug):
-        from rig.errors import RigError
+        from rig.core.errors import RigError
         from rig.recording.recover import recover as compile_left_over
 
         failed: RigError | None = None
@@ -232,7 +232,7 @@ def _world_of(bench_toml: str, source: str) -> Iterator[tuple[Path | None, Stage
     None for any other bench: that one's file is read from where it was.
     """
     from rig.bench import parse_bench
-    from rig.documents import toml_value
+    from rig.core.toml_files import toml_value
 
     plan = parse_bench(bench_toml, f"{source}: its bench file")
     simulation = dict(plan.settings.simulation or {})

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from rig.documents import parse_toml
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
+from rig.core.toml_files import parse_toml
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from rig.cli.outcome import reported, say, start_log
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 CHANNELS = ("v_1", "v_2", "F_n", "F_t")
 SCALED = {"v_1": "V", "v_2": "V", "F_n": "N", "F_t": "N", "time": "s"}
@@ -198,7 +198,7 @@ def _pairs(option: str, text: str, known: tuple[str, ...]) -> dict[str, str]:
 
 
 def _quantity(option: str, text: str, unit: str) -> float:
-    from rig.quantities import quantity
+    from rig.core.units import quantity
 
     try:
         value = quantity(text, unit)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from rig.cli.outcome import log, reported, say, start_log, tell_failure
-from rig.errors import ConfigurationError, ExitCode, RigError
+from rig.core.errors import ConfigurationError, ExitCode, RigError
 
 if TYPE_CHECKING:
     from rig.cli.terminal import Terminal

@@ -26,8 +26,8 @@ from rig.analysis.scoring.outcomes import Truth
 from rig.analysis.scoring.results import Judged
 from rig.analysis.scoring.tables import NAMES
 from rig.cli.scored_trials import judge_one
-from rig.documents import read_text
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
+from rig.core.toml_files import read_text
 from rig.recording.runfile import RunFile
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rig.cli.outcome import reported
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.analysis.low_pass_curves import LowPassCurves
@@ -80,8 +80,8 @@ def _specification(name: str, texts: dict[str, str | None]) -> LowPassSettings:
     from pydantic import ValidationError
 
     from rig.cli.detector_settings import low_pass_values
+    from rig.core.settings import unit_of
     from rig.detector.low_pass import NAMED_LOW_PASSES, LowPassSettings
-    from rig.settings import unit_of
 
     if name not in NAMED_LOW_PASSES:
         raise ConfigurationError(
@@ -121,7 +121,7 @@ def _by_options(message: str) -> str:
 
 
 def _quantity(option: str, text: str, unit: str) -> float:
-    from rig.quantities import quantity
+    from rig.core.units import quantity
 
     try:
         return quantity(text, unit)
@@ -131,7 +131,7 @@ def _quantity(option: str, text: str, unit: str) -> float:
 
 def _stem(name: str, changed: bool, low_pass: LowPass) -> str:
     """One name a specification and rate, so that the same filter has the same files."""
-    from rig.settings import fingerprint
+    from rig.core.settings import fingerprint
 
     shown = fingerprint(low_pass.settings)[:8] if changed else name
     return f"low-pass-{shown}-{low_pass.rate_Hz:g}Hz"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from rig.errors import ConfigurationError, RigError
+from rig.core.errors import ConfigurationError, RigError
 
 
 @contextmanager

@@ -15,9 +15,9 @@ import typer
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
-from rig.errors import ConfigurationError
-from rig.quantities import parse
-from rig.settings import Settings, descriptions, name_without_unit, unit_of
+from rig.core.errors import ConfigurationError
+from rig.core.settings import Settings, descriptions, name_without_unit, unit_of
+from rig.core.units import parse
 
 
 def option_name(field: str) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import typer
 
-from rig.errors import ExitCode, RigError
+from rig.core.errors import ExitCode, RigError
 
 log = logging.getLogger("rig")
 log.addHandler(logging.NullHandler())

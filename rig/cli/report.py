@@ -16,8 +16,8 @@ from rich.progress import (
 )
 
 from rig.cli.outcome import say, tell_failure
-from rig.errors import RigError
-from rig.quantities import duration
+from rig.core.errors import RigError
+from rig.core.units import duration
 
 if TYPE_CHECKING:
     from pathlib import Path

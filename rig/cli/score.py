@@ -18,8 +18,8 @@ import typer
 
 from rig.cli.model_errors import model_errors
 from rig.cli.outcome import reported, say
-from rig.documents import MAX_JSON_BYTES, read_text
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
+from rig.core.toml_files import MAX_JSON_BYTES, read_text
 
 if TYPE_CHECKING:
     from rig.analysis.scoring.baselines import BaselineSettings
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from rig.analysis.scoring.seeds import SeedRange
     from rig.analysis.scoring.tables import Measured
     from rig.cli.scored_trials import Population
+    from rig.core.settings import Settings
     from rig.model.labelled_trials import PopulationSettings
-    from rig.settings import Settings
 
     Model = TypeVar("Model", bound=Settings)
 else:
@@ -200,8 +200,8 @@ def _population(
 ) -> Population:
     from typing import get_args
 
-    from rig.cache import user_cache
     from rig.cli.scored_trials import Population
+    from rig.core.cache import user_cache
     from rig.model.labelled_trials import Kind
     from rig.model.skin.condensed import build_skin
 
@@ -227,9 +227,9 @@ def _with_options(
     speed: str | None,
 ) -> PopulationSettings:
     """The ranges with what options say of skin, ridge and speed."""
+    from rig.core.units import quantity
     from rig.model.labelled_trials import PopulationSettings, Range
     from rig.model.skin.settings import SkinSettings
-    from rig.quantities import quantity
 
     def number(text: str, unit: str, option: str) -> float:
         try:
@@ -318,8 +318,8 @@ def _report(
 ) -> None:
     """Tables and figures below `out`, the tables on stdout."""
     from rig.analysis.scoring.results import ROW, results, rows
+    from rig.core.settings import fingerprint
     from rig.detector.detector import DETECTOR_VERSION
-    from rig.settings import fingerprint
 
     told = results(contenders, judged)
     document = {

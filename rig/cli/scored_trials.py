@@ -23,7 +23,7 @@ from rig.analysis.scoring.patterns import roll_pattern
 from rig.analysis.scoring.results import Judged
 from rig.analysis.scoring.roc import tune
 from rig.analysis.scoring.seeds import SeedRange
-from rig.cache import Cache
+from rig.core.cache import Cache
 from rig.model.labelled_trials import (
     FrontEndSettings,
     Kind,

@@ -19,7 +19,7 @@ from concurrent.futures import (
 )
 from typing import TypeVar
 
-from rig.errors import ConfigurationError, ExitCode, RigError
+from rig.core.errors import ConfigurationError, ExitCode, RigError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

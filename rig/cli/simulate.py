@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from rig.cli.outcome import reported, say
-from rig.errors import ConfigurationError, UnsafeError
+from rig.core.errors import ConfigurationError, UnsafeError
 
 if TYPE_CHECKING:
     from rig.bench import BenchFactory

@@ -16,19 +16,19 @@ import typer
 
 from rig.cli.model_errors import model_errors
 from rig.cli.outcome import reported
-from rig.documents import MAX_JSON_BYTES, read_text
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
+from rig.core.toml_files import MAX_JSON_BYTES, read_text
 
 if TYPE_CHECKING:
     import numpy as np
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
+    from rig.core.settings import Settings
     from rig.model.skin.condensed import CondensedSkin
     from rig.model.skin.elasticity import ElasticSkin
     from rig.model.skin.settings import SkinSettings
     from rig.model.trials import Trial
-    from rig.settings import Settings
 
     Model = TypeVar("Model", bound=Settings)
 else:
@@ -364,7 +364,7 @@ def _times(at: list[str] | None) -> list[float] | None:
 
 def _number(text: str, unit: str, option: str) -> float:
     """A number from an option's text, with or without its unit."""
-    from rig.quantities import quantity
+    from rig.core.units import quantity
 
     try:
         return quantity(text, unit)
@@ -373,7 +373,7 @@ def _number(text: str, unit: str, option: str) -> float:
 
 
 def _skin(settings: SkinSettings) -> tuple[ElasticSkin, CondensedSkin]:
-    from rig.cache import user_cache
+    from rig.core.cache import user_cache
     from rig.model.skin.condensed import build_skin
     from rig.model.skin.elasticity import ElasticSkin
 

@@ -14,7 +14,7 @@ import tty
 from typing import TYPE_CHECKING, Any, Self
 
 from rig.cli.outcome import printable
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 from rig.runner.jog import Key
 from rig.runner.stopping import StopRequestedError
 

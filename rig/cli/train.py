@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.cli.outcome import reported, say
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.cli.scored_trials import Floats
@@ -64,8 +64,8 @@ def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int
     import rig
     from rig.analysis.scoring.seeds import SeedRange
     from rig.analysis.training import Lesson, Rows, learn, rows_of
-    from rig.cache import user_cache
     from rig.cli.scored_trials import Population, Traits, each_trial
+    from rig.core.cache import user_cache
     from rig.detector.detector import DETECTOR_VERSION, IncipientSlipDetector, NETWORK_RATE_Hz
     from rig.detector.kernel import INPUTS
     from rig.detector.network import OUTPUTS, Network

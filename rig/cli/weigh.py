@@ -13,12 +13,12 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from rig.cli.outcome import say
-from rig.errors import ConfigurationError, ExitCode, RigError
+from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.runner.scales import RejectedError, Scale
 
 if TYPE_CHECKING:
     from rig.analysis.weighing import Mean
-    from rig.clock import Clock
+    from rig.core.clock import Clock
 
 Vector = tuple[float, float, float]
 

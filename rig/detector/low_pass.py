@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
+from rig.core.settings import Settings
 from rig.detector.fir import frequency_response, kaiser_shape, minimum_phase
-from rig.settings import Settings
 
 Reals = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from rig.core.settings import Settings
 from rig.detector.low_pass import LowPassSettings
 from rig.detector.network import Network, trained_network
-from rig.settings import Settings
 
 Logic = Literal["rig", "paper-literal", "paper-hp"]
 

@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.figures.style import Together

@@ -13,10 +13,10 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 
-from rig.errors import RigError
+from rig.core.errors import RigError
+from rig.core.imports import importing
 from rig.figures import draw_part
 from rig.figures.forked import side_by_side
-from rig.imports import importing
 
 NICENESS = 5
 """What takes the data, and what keeps them, goes first."""

@@ -12,9 +12,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rig.errors import RigError
+from rig.core.errors import RigError
+from rig.core.processor import let_run_anywhere
 from rig.figures import FIGURES
-from rig.processor import let_run_anywhere
 
 PATIENCE_S = 120.0
 """How long a figure may take to be drawn."""

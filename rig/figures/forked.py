@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 
 T = TypeVar("T")
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rig.settings import Settings
+from rig.core.settings import Settings
 
 Reals = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from rig.core.settings import Settings
 from rig.model.modal import Reals
-from rig.settings import Settings
 
 
 class FrontEndSettings(Settings):

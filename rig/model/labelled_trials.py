@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rig.cache import Cache, NoCache
+from rig.core.cache import Cache, NoCache
+from rig.core.settings import Settings, fingerprint
 from rig.model.contact.settings import ContactSettings, Cylinder, FrictionSettings, Object, Plate
 from rig.model.contact.stepper import ConvergenceError
 from rig.model.skin.condensed import CondensedSkin
 from rig.model.skin.settings import SkinSettings
 from rig.model.trials import RollSettings, Script, SlideSettings, Trial, follow
-from rig.settings import Settings, fingerprint
 
 Floats = NDArray[np.float64]
 

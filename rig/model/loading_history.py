@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from rig.core.settings import Settings
 from rig.model.contact.settings import FrictionSettings
 from rig.model.contact.stepper import OPEN, SLIP_MINUS, SLIP_PLUS, STICK, Statuses
 from rig.model.contact.truth import SlipTruth, SlipWatch
 from rig.model.skin.elasticity import ElasticSkin, strip_areas
 from rig.model.skin.settings import SkinSettings
-from rig.settings import Settings
 
 Floats = NDArray[np.float64]
 

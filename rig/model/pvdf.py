@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from rig.core.settings import Settings
 from rig.model.modal import Complexes, ZeroPoleGain
-from rig.settings import Settings
 
 
 class CircuitSettings(Settings):

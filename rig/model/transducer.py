@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
+from rig.core.settings import Settings
 from rig.model import pvdf
 from rig.model.pvdf import SKIN_STRIP, CircuitSettings
-from rig.settings import Settings
 
 Floats = NDArray[np.float64]
 

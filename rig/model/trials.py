@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from rig.core.settings import Settings
 from rig.model.contact.settings import ContactSettings, Cylinder, Object, Plate
 from rig.model.contact.slices import LARGEST_FORCE_N, make_stepper
 from rig.model.contact.stepper import ContactBlock
 from rig.model.contact.truth import SlipTruth, SlipWatch
 from rig.model.skin.condensed import CondensedSkin
 from rig.model.transducer import TransducerChain, TransducerSettings
-from rig.settings import Settings
 
 Floats = NDArray[np.float64]
 

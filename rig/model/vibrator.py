@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from rig.core.settings import Settings
 from rig.model import pvdf
 from rig.model.modal import Complexes, ModalSystem, ZeroPoleGain, lag, resonance
 from rig.model.pvdf import SWEEP_FILM, CircuitSettings
-from rig.settings import Settings
 
 
 class Output(IntEnum):

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.detector.detector import DETECTOR_VERSION, IncipientSlipDetector
 from rig.detector.events import EVENT_KINDS, Event
 from rig.detector.fir import StreamingFir
 from rig.detector.settings import DetectorSettings
-from rig.errors import ConfigurationError, ExitCode, RigError
 from rig.recording.compiled import sha256_of
 from rig.recording.errors import RunFileError
 from rig.recording.naming import checksum_path

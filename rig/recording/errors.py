@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from rig.errors import ConfigurationError, ExitCode, FoundWrongError, RigError
+from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError, RigError
 
 _MISSING = re.compile(r"object '([^']+)' doesn't exist")
 

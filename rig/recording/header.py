@@ -22,9 +22,9 @@ from pydantic import (
     model_validator,
 )
 
-from rig.documents import check_nesting
+from rig.core.settings import Settings
+from rig.core.toml_files import check_nesting
 from rig.recording.layout import MOST_PARTS, Layout, Short
-from rig.settings import Settings
 
 FORMAT = 1
 

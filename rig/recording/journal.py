@@ -18,7 +18,7 @@ from typing import Any, Self
 
 from pydantic import ValidationError
 
-from rig.errors import ConfigurationError, ExitCode, RigError
+from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.recording.contents import JournalContents, KeptPoint, read_journal
 from rig.recording.errors import JournalError, RecordingError
 from rig.recording.header import End, Event, RunHeader, StreamState

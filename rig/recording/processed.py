@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.core.settings import fingerprint, leaves, unit_of
 from rig.detector.events import Event
 from rig.detector.settings import DetectorSettings
 from rig.recording.compiled import sha256_of
@@ -31,7 +32,6 @@ from rig.recording.nexus import (
     texts_field,
 )
 from rig.recording.publishing import publish
-from rig.settings import fingerprint, leaves, unit_of
 
 if TYPE_CHECKING:
     import h5py

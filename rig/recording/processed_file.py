@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
+from rig.core.settings import fingerprint
 from rig.detector.events import Event, EventKind
 from rig.detector.settings import DetectorSettings
 from rig.recording.errors import RunFileError, in_words
@@ -20,7 +21,6 @@ from rig.recording.header import SIMULATED
 from rig.recording.open_file import OpenFile
 from rig.recording.processed import DEFINITION, DetectedTrial, Source, processed_path
 from rig.recording.reading import DAMAGE, refuse_links, text_of, texts_of, whole
-from rig.settings import fingerprint
 
 if TYPE_CHECKING:
     pass

@@ -22,7 +22,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 from rig.recording.header import End, Event, RunHeader, StreamState
 
 MAGIC = b"RIGJ0001"

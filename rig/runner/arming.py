@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 
 BEAT_EVERY_S = 0.2
 """How often a run says that it is alive."""

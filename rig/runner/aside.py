@@ -13,7 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from types import TracebackType
 
-from rig.clock import Clock
+from rig.core.clock import Clock
 
 
 class Aside:

@@ -14,12 +14,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from rig.imports import importing
+from rig.core.imports import importing
 from rig.visa_library import import_visa
 
 if TYPE_CHECKING:
     from rig.bench import BenchFactory, BenchPlan, Fixture, RunningBench
-    from rig.clock import Clock
+    from rig.core.clock import Clock
     from rig.runner.lock import BenchLock
 
 Stages = Literal["festo", "az", "festo-az", "az-festo"]
@@ -113,7 +113,7 @@ class Choosing:
 
     def _of_file(self, request: BenchRequest, at_the_end: ExitStack, path: Path) -> ChosenBench:
         from rig.bench import read_bench
-        from rig.clock import WallClock
+        from rig.core.clock import WallClock
         from rig.runner.guard import refuse_unsafe, report_path
         from rig.runner.lock import BenchLock
 
@@ -133,7 +133,7 @@ class Choosing:
         self, request: BenchRequest, started: RunningBench, real: BenchPlan | None
     ) -> ChosenBench:
         from rig.bench import parse_bench, rehearsal
-        from rig.clock import ControlLink, PacedClock, SlavedClock
+        from rig.core.clock import ControlLink, PacedClock, SlavedClock
         from rig.runner.guard import GUARD_SUFFIX
 
         self._tell_killed(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
@@ -197,7 +197,7 @@ def _simulated_benches() -> BenchFactory:
 
 
 def _refuse_simulation_options(request: BenchRequest, path: Path | None) -> None:
-    from rig.errors import ConfigurationError
+    from rig.core.errors import ConfigurationError
 
     own = ("stages", "world", "fault", "world_log")
     given = [name for name in own if getattr(request, name) is not None]

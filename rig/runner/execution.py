@@ -19,8 +19,8 @@ from typing import Protocol, TypeVar
 
 from rig import bench as benches
 from rig.bench import Bench, BenchPlan
-from rig.clock import Clock
-from rig.errors import ExitCode, LimitError, RigError
+from rig.core.clock import Clock
+from rig.core.errors import ExitCode, LimitError, RigError
 from rig.recording.compiled import compile_run
 from rig.recording.contents import read_journal
 from rig.recording.recorder import Recorder

@@ -16,8 +16,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from rig.clock import Clock
-from rig.errors import InstrumentError, RigError
+from rig.core.clock import Clock
+from rig.core.errors import InstrumentError, RigError
 from rig.instruments import ForceFrames, ForceSensor
 from rig.runner.holds import Holds
 from rig.runner.reader import StreamReader
@@ -187,11 +187,11 @@ class ForceMonitor:
     # no force, is not disturbed by it.
 
     def bytes_handled(self) -> int:
-        """See `rig.clock.StreamConsumer`."""
+        """See `rig.core.clock.StreamConsumer`."""
         return self.await_bytes(0, 0.0)
 
     def await_bytes(self, count: int, patience_s: float) -> int:
-        """See `rig.clock.StreamConsumer`."""
+        """See `rig.core.clock.StreamConsumer`."""
         try:
             return self._reader.await_bytes(count, patience_s)
         except Exception:  # noqa: BLE001 - check() raises it

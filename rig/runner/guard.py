@@ -27,7 +27,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rig.processor import let_run_anywhere
+from rig.core.processor import let_run_anywhere
 
 if TYPE_CHECKING:
     from rig.bench import BenchPlan
@@ -75,7 +75,7 @@ def _mark_told(path: Path, report: dict[str, Any]) -> None:
 
 def refuse_unsafe(results: Path, bench_name: str) -> None:
     """Raise UnsafeError where the last guard could not make this bench safe."""
-    from rig.errors import UnsafeError
+    from rig.core.errors import UnsafeError
 
     path = report_path(results, bench_name)
     try:
@@ -252,7 +252,7 @@ def make_bench_safe(bench_toml: str, source: str) -> dict[str, str]:
 
 
 def _compile(journal: Path) -> str:
-    from rig.errors import RigError
+    from rig.core.errors import RigError
     from rig.recording.recover import recover
 
     try:

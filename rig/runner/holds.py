@@ -12,7 +12,7 @@ import threading
 from types import FrameType
 from typing import Self
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 
 
 class HoldError(RigError):

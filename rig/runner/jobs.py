@@ -15,7 +15,8 @@ from typing import Any
 
 import rig
 from rig.bench import Bench
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
+from rig.core.settings import Settings, fingerprint, leaves
 from rig.recording.contents import JournalContents
 from rig.recording.journal import JournalWriter, begin_journal, begin_journal_at
 from rig.runner.guard import GUARD_SUFFIX, report_path
@@ -24,7 +25,6 @@ from rig.runner.outcome import Outcome
 from rig.runner.points import Point, Reading
 from rig.runner.procedure import Procedure
 from rig.runner.source_state import source_state
-from rig.settings import Settings, fingerprint, leaves
 
 PROGRAM = "tactile-rig"
 

@@ -17,7 +17,8 @@ from typing import Protocol
 from pydantic import Field
 
 from rig.bench import WAITS_PER_CALL, Bench, require
-from rig.errors import ConfigurationError, ExitCode, LimitError, RigError
+from rig.core.errors import ConfigurationError, ExitCode, LimitError, RigError
+from rig.core.settings import Settings
 from rig.instruments import LinearStage, Reach, RotaryStage
 from rig.runner.arming import BEAT_EVERY_S, OFF_DEADLINE_S, Arming, OffFailure
 from rig.runner.force import ForceMonitor
@@ -39,7 +40,6 @@ from rig.runner.jog import (
 )
 from rig.runner.stopping import StopFlag
 from rig.runner.trip import TripError
-from rig.settings import Settings
 
 AXES = ("stage_z", "stage_x", "rotary")
 """Roles that can be jogged."""

@@ -22,7 +22,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.bench import BenchPlan

@@ -18,9 +18,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from rig.clock import WAIT_SLICE_S, Clock
-from rig.errors import ExitCode, RigError
-from rig.processor import place, two_places
+from rig.core.clock import WAIT_SLICE_S, Clock
+from rig.core.errors import ExitCode, RigError
+from rig.core.processor import place, two_places
 
 LATE = 0.5
 """Share of a period from which a tick counts as late."""

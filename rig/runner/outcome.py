@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rig.errors import ExitCode, RigError
+from rig.core.errors import ExitCode, RigError
 from rig.runner.arming import OffFailure
 from rig.runner.guard import TakenOver
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rig.bench import Bench, BenchPlan, require
-from rig.errors import ConfigurationError, LimitError, RigError
+from rig.core.errors import ConfigurationError, LimitError, RigError
 from rig.instruments import Acquisition
 
 Reading = dict[str, float | int | bool | str | None]

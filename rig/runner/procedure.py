@@ -30,9 +30,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rig.bench import Fixture
+from rig.core.settings import Settings
 from rig.recording.layout import Layout
 from rig.runner.points import Point, Reading
-from rig.settings import Settings
 
 if TYPE_CHECKING:
     from rig.runner.run import Run

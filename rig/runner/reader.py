@@ -87,7 +87,7 @@ class StreamReader(Generic[Sample]):
         return self._handled_bytes
 
     def await_bytes(self, count: int, patience_s: float) -> int:
-        """Wait for that; see `rig.clock.StreamConsumer`. Raises what ended the thread."""
+        """Wait for that; see `rig.core.clock.StreamConsumer`. Raises what ended the thread."""
         if self._handled_bytes < count:
             with self._turned:
                 self._turned.wait_for(

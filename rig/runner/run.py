@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rig.bench import WAITS_PER_CALL, Bench
-from rig.clock import Clock
-from rig.errors import InstrumentTimeoutError, RigError
+from rig.core.clock import Clock
+from rig.core.errors import InstrumentTimeoutError, RigError
 from rig.instruments import Record, Scaling
 from rig.recording.recorder import Recorder
 from rig.runner.arming import OFF_DEADLINE_S, Arming

@@ -7,8 +7,8 @@ stopped: nothing it would send later could be put in its place.
 
 from __future__ import annotations
 
-from rig.clock import Clock
-from rig.errors import InstrumentError
+from rig.core.clock import Clock
+from rig.core.errors import InstrumentError
 from rig.instruments import Acquisition, DataAcquisition, Record, Scaling
 
 SILENT_S = 0.5

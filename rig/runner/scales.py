@@ -15,8 +15,8 @@ import numpy as np
 
 from rig.analysis.estimate import with_error
 from rig.analysis.weighing import Mean, mean_of
-from rig.clock import Clock
-from rig.errors import ExitCode, InstrumentError, RigError
+from rig.core.clock import Clock
+from rig.core.errors import ExitCode, InstrumentError, RigError
 from rig.instruments import Acquisition, DataAcquisition, ForceFrames, ForceSensor, InputChannel
 from rig.runner.reader import StreamReader
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Self
 
-from rig.errors import ExitCode, RigError
+from rig.core.errors import ExitCode, RigError
 
 STOP_SIGNALS = {
     signal.SIGINT: ExitCode.SIGINT,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rig.errors import LimitError
+from rig.core.errors import LimitError
 
 
 class TripError(LimitError):

@@ -11,7 +11,7 @@ import pytest
 
 from rig.analysis.load_rate import load_scale, load_scale_of_record
 from rig.calibration import FilmCalibration
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 from rig.model.pvdf import corner_frequency, level_at_one_hertz
 from rig.model.transducer import TransducerChain, TransducerSettings
 

@@ -13,7 +13,7 @@ from rig.batch.expansion import expand
 from rig.batch.findings import RefusedBatchError
 from rig.batch.plan import Plan
 from rig.batch.settings import BatchFile
-from rig.errors import ExitCode
+from rig.core.errors import ExitCode
 
 SPEEDS = [0.2, 0.5, 1.0]
 FORCES = [2.0, 4.0]

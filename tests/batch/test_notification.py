@@ -16,7 +16,7 @@ import pytest
 from rig.batch import notification
 from rig.batch.notification import Notifier, require_usable
 from rig.batch.settings import Notify
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 KEEPS = (
     "import json, sys;"

@@ -17,7 +17,7 @@ from rig.batch.policy import (
     window,
 )
 from rig.batch.settings import BatchSettings
-from rig.errors import (
+from rig.core.errors import (
     ConfigurationError,
     ExitCode,
     InstrumentError,

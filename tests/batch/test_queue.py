@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rig.batch.plan import Condition, Plan, PlannedRun
 from rig.batch.queue import Ended, Estimate, Queue
-from rig.errors import ConfigurationError, RigError
+from rig.core.errors import ConfigurationError, RigError
 
 
 def plan(conditions: int = 2, repeats: int = 3) -> Plan:

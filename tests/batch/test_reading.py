@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from rig.batch.positions import lines_of
 from rig.batch.reading import parse_batch, read_batch
-from rig.documents import MAX_TOML_BYTES, MAX_TOML_LINE
-from rig.errors import ConfigurationError, ExitCode
+from rig.core.errors import ConfigurationError, ExitCode
+from rig.core.toml_files import MAX_TOML_BYTES, MAX_TOML_LINE
 
 GOOD = """\
 [batch]

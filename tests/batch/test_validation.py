@@ -16,10 +16,10 @@ from rig.batch.plan import Plan
 from rig.batch.settings import BatchFile
 from rig.batch.validation import Checked, Connected, validate
 from rig.bench import Bench, BenchPlan, Fixture, InstrumentPlan, parse_bench
-from rig.clock import WallClock
-from rig.errors import ConfigurationError, ExitCode
+from rig.core.clock import WallClock
+from rig.core.errors import ConfigurationError, ExitCode
+from rig.core.settings import Settings
 from rig.instruments import Acquisition, Reach
-from rig.settings import Settings
 
 BENCH = """
 name = "bench-5"

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
 import recorded_trials as trials
 
 from rig.batch.afterwards import Afterwards, Job
-from rig.clock import WallClock
+from rig.core.clock import WallClock
 from rig.runner.loop import LATE, tick_loop
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from measured import heading
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.recording.compiled import compile_run
 from rig.recording.errors import RunFileError
 from rig.recording.recover import recover

@@ -40,8 +40,8 @@ from drivers.simulated.serial_server import PtyServer
 from drivers.simulated.serial_tcp import SerialTcpServer
 from drivers.simulated.servers import HislipServer, ScpiSocketServer
 from drivers.simulated.zaber_rst import ZABER_DIALECT, RotaryStage, StageSettings
-from rig.clock import WallClock
-from rig.errors import InstrumentError
+from rig.core.clock import WallClock
+from rig.core.errors import InstrumentError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "drivers"))
 from simulated.axis_bench import AxisBench

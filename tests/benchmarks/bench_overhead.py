@@ -28,8 +28,9 @@ from drivers.visa_link import VisaLink
 from procedures import sweep
 from rig.analysis import response, sine_fit
 from rig.bench import parse_bench, read_bench
-from rig.clock import ControlLink, SlavedClock, WallClock
-from rig.errors import ExitCode
+from rig.core.clock import ControlLink, SlavedClock, WallClock
+from rig.core.errors import ExitCode
+from rig.core.settings import Settings
 from rig.recording.layout import Column, Layout, Plot
 from rig.recording.recorder import Recorder
 from rig.recording.runfile import RunFile
@@ -39,7 +40,6 @@ from rig.runner.jobs import Job
 from rig.runner.points import Point
 from rig.runner.run import Run
 from rig.runner.stopping import StopFlag
-from rig.settings import Settings
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "foreign"))
 from clients import python_with, seen_by

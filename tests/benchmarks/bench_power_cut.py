@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from measured import heading
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.recording import JournalWriter, Recorder
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))

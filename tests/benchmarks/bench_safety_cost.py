@@ -18,8 +18,9 @@ import pytest
 from measured import heading, row, target
 
 from rig.bench import GuardedGenerator, read_bench
-from rig.clock import WallClock
-from rig.errors import ExitCode
+from rig.core.clock import WallClock
+from rig.core.errors import ExitCode
+from rig.core.settings import Settings
 from rig.instruments import ForceFrames, Reach
 from rig.recording.layout import Column, Layout, Plot
 from rig.runner.execution import execute
@@ -29,7 +30,6 @@ from rig.runner.jobs import Job
 from rig.runner.loop import tick_loop
 from rig.runner.points import Point
 from rig.runner.stopping import StopFlag
-from rig.settings import Settings
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(900)]
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from rig.cache import DiskCache
+from rig.core.cache import DiskCache
 from rig.model.contact.settings import ContactSettings, FrictionSettings, Plate
 from rig.model.contact.stepper import ContactStepper
 from rig.model.design_map import MapSettings, design_map

@@ -19,7 +19,7 @@ from measured import heading, row, target
 
 from procedures import pressed_trial, slip_trial
 from rig.bench import read_bench
-from rig.clock import WallClock
+from rig.core.clock import WallClock
 from rig.recording.runfile import RunFile
 from rig.runner import loop
 from rig.runner.execution import execute

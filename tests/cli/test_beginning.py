@@ -10,7 +10,7 @@ import pytest
 
 from drivers.simulated import bench as simulated
 from rig.cli import beginning
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 PATIENCE_S = 30.0
 

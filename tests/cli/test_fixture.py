@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from rig.cache import DiskCache
+from rig.core.cache import DiskCache
 from rig.model.skin.condensed import CondensedSkin
 from rig.runner.bench_choice import BenchRequest, Choosing
 

@@ -9,9 +9,9 @@ import pytest
 from pydantic import Field
 
 from rig.cli.options import option_name, parameters, settings_from
-from rig.errors import ConfigurationError, ExitCode
-from rig.quantities import parse, quantity
-from rig.settings import Settings
+from rig.core.errors import ConfigurationError, ExitCode
+from rig.core.settings import Settings
+from rig.core.units import parse, quantity
 
 
 class Example(Settings):

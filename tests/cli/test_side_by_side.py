@@ -8,7 +8,7 @@ import signal
 import pytest
 
 from rig.cli.side_by_side import completed
-from rig.errors import ConfigurationError, RigError
+from rig.core.errors import ConfigurationError, RigError
 
 
 def square(number: int) -> int:

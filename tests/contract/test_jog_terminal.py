@@ -17,7 +17,7 @@ import time
 import pytest
 
 from rig.bench import read_bench
-from rig.clock import WallClock
+from rig.core.clock import WallClock
 from rig.runner.jog import SILENCE_S
 
 LESS, MORE = b"\x1b[A", b"\x1b[B"

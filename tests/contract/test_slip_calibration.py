@@ -15,7 +15,7 @@ from drivers.simulated.bench import start
 from procedures import slip_trial
 from rig.bench import parse_bench
 from rig.calibration import FilmCalibration, make_record, write_calibration
-from rig.clock import ControlLink, SlavedClock
+from rig.core.clock import ControlLink, SlavedClock
 from rig.model.pvdf import level_at_one_hertz
 from rig.model.transducer import TransducerSettings
 from rig.recording.entry import text_of

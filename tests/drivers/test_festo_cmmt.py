@@ -22,8 +22,8 @@ from drivers.simulated.fault_plan import AxisFault, FaultPlan
 from drivers.simulated.faults import WireFaults
 from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
 from drivers.simulated.modbus_tcp import ModbusError, ModbusTcpServer
-from rig.clock import Clock
-from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
+from rig.core.clock import Clock
+from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
 
 TIMEOUT_S = 0.15
 OWN: dict[str, Any] = {

@@ -7,8 +7,8 @@ from pydantic import ValidationError
 from transcript import playing
 
 from drivers.keysight_33500b import Generator, Settings, connect, make_safe
-from rig.clock import WallClock
-from rig.errors import InstrumentError
+from rig.core.clock import WallClock
+from rig.core.errors import InstrumentError
 
 IDENTITY = "Agilent Technologies,33512B,MY59000123,4.00-1.00-4.00-00-00"
 NO_ERROR = '+0,"No error"'

@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from transcript import playing
 
 from drivers.keysight_u2300a import Daq, Settings, connect, make_safe
-from rig.clock import WallClock
-from rig.errors import InstrumentError, LimitError
+from rig.core.clock import WallClock
+from rig.core.errors import InstrumentError, LimitError
 from rig.instruments import Acquisition, InputChannel
 
 NO_ERROR = '+0,"No error"'

@@ -20,8 +20,8 @@ from drivers.simulated.fault_plan import FaultPlan
 from drivers.simulated.faults import WireFaults
 from drivers.simulated.me_gsv8 import Gsv8, Memory, Sensor
 from drivers.simulated.serial_server import Exchange, PtyServer
-from rig.clock import Clock, WallClock
-from rig.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.clock import Clock, WallClock
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments import ForceFrames
 
 # --- a transcript ----------------------------------------------------------------------------

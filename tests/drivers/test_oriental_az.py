@@ -32,8 +32,8 @@ from drivers.simulated.oriental_az import (
     LINE_TIMEOUT_ms,
 )
 from drivers.simulated.serial_server import Exchange, PtyServer
-from rig.clock import Clock
-from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
+from rig.core.clock import Clock
+from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
 
 TIMEOUT_S = 0.15
 STEPS = 1000

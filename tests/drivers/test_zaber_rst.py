@@ -21,8 +21,8 @@ from drivers.simulated.serial_server import Exchange, PtyServer
 from drivers.simulated.zaber_rst import ZABER_DIALECT, ChainLine, RotaryStage, StageSettings
 from drivers.zaber_frames import FrameError, command, reply
 from drivers.zaber_rst import RotaryAxis, Settings
-from rig.clock import Clock
-from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
+from rig.core.clock import Clock
+from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
 
 TIMEOUT_S = 0.3
 TURNED_deg = 0.02

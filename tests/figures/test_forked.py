@@ -9,7 +9,7 @@ import pytest
 
 TASKS = """
 import os, sys
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 from rig.figures.forked import side_by_side
 
 def refused(): raise ConfigurationError("no such place", "name another")

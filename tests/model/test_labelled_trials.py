@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.cache import DiskCache
+from rig.core.cache import DiskCache
 from rig.model.labelled_trials import (
     FrontEndSettings,
     Kind,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from rig.cache import DiskCache
+from rig.core.cache import DiskCache
 from rig.model.contact.settings import FrictionSettings
 from rig.model.skin import condensed
 from rig.model.skin.condensed import CondensedSkin, build_skin

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from procedures import preload
-from rig.errors import InstrumentError
+from rig.core.errors import InstrumentError
 from rig.instruments import Reach
 
 CONTACT_mm, TARGET_N = 12.6, 25.0

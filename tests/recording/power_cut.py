@@ -25,7 +25,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.recording.recover import recover
 from rig.recording.runfile import RunFile
 

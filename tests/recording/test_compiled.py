@@ -242,7 +242,7 @@ def test_a_file_that_does_not_read_back_equal_is_not_published(
 
 FULL_DISK = """
 import resource, sys
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.recording.compiled import compile_run
 for size in range(0, int(sys.argv[2]), 9001):
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))

@@ -21,7 +21,7 @@ import recorded_run as run
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.recording import Program, RecordingError, RunHeader
 from rig.recording.definitions import definition_path
 from rig.recording.errors import ForeignFileError

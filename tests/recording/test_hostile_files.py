@@ -17,7 +17,7 @@ from hostile import HEADER, damaged, journals, json_record
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.recording.compiled import compile_run, sha256_of
 from rig.recording.contents import read_journal
 from rig.recording.description import describe

@@ -19,7 +19,7 @@ import recorded_run as run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.recording import JournalError, JournalWriter, RecordingError, read_journal
 from rig.recording.compiled import compile_run
 from rig.recording.header import Event, RunHeader
@@ -404,7 +404,7 @@ FULL = """
 import resource, sys
 sys.path.insert(0, sys.argv[2])
 import recorded_run as run
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.recording import JournalWriter, Recorder
 recorder = Recorder(JournalWriter.create(sys.argv[1], run.header()))
 recorder.put_block(0, 0, 0.0, run.samples(0, 1000))

@@ -13,11 +13,11 @@ import pytest
 import recorded_run
 import recorded_trials as trials
 
+from rig.core.errors import ExitCode
 from rig.detector.detector import DETECTOR_VERSION
 from rig.detector.fir import StreamingFir
 from rig.detector.low_pass import design_low_pass
 from rig.detector.settings import DetectorSettings
-from rig.errors import ExitCode
 from rig.recording.compiled import compile_run, sha256_of
 from rig.recording.definitions import definition_path
 from rig.recording.detection import Failure, Found, Job, detect_file, detect_trials

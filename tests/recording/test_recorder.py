@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import recorded_run as run
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.recording import JournalWriter, Recorder, RecordingError, read_journal
 from rig.recording.records import Block
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from rig.errors import InstrumentError
+from rig.core.errors import InstrumentError
 from rig.runner.arming import Arming, OffFailure
 
 PATIENCE_S = 30.0

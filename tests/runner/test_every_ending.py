@@ -30,8 +30,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 
 from rig.bench import BenchPlan, BenchSettings, InstrumentPlan
-from rig.clock import WAIT_SLICE_S, Clock
-from rig.errors import ExitCode, InstrumentError, InstrumentTimeoutError, LimitError
+from rig.core.clock import WAIT_SLICE_S, Clock
+from rig.core.errors import ExitCode, InstrumentError, InstrumentTimeoutError, LimitError
+from rig.core.settings import Settings
 from rig.instruments import ForceFrames, Identity
 from rig.recording.errors import RecordingError
 from rig.recording.layout import Column, Layout, Plot
@@ -44,7 +45,6 @@ from rig.runner.outcome import Outcome
 from rig.runner.points import Point, Reading
 from rig.runner.run import Run
 from rig.runner.stopping import STOP_SIGNALS, StopFlag
-from rig.settings import Settings
 
 PATIENCE_S = 60.0
 STUCK_S = 0.02

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rig.clock import WallClock
-from rig.errors import InstrumentError, InstrumentTimeoutError, RigError
+from rig.core.clock import WallClock
+from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 from rig.instruments import ForceFrames
 from rig.runner.arming import OFF_DEADLINE_S
 from rig.runner.holds import HoldError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.errors import InstrumentError
+from rig.core.errors import InstrumentError
 from rig.instruments import ForceFrames
 from rig.runner import force
 from rig.runner.force import ForceMonitor

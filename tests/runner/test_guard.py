@@ -17,8 +17,8 @@ import pytest
 
 from drivers.simulated.bench import start
 from rig.bench import BenchPlan, parse_bench
-from rig.clock import ControlLink, WallClock
-from rig.errors import InstrumentError, UnsafeError
+from rig.core.clock import ControlLink, WallClock
+from rig.core.errors import InstrumentError, UnsafeError
 from rig.runner.guard import GuardLink, act, make_bench_safe, refuse_unsafe, report_path
 
 PATIENCE_S = 60.0

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rig.bench import BenchPlan, parse_bench
-from rig.errors import ConfigurationError, ExitCode
+from rig.core.errors import ConfigurationError, ExitCode
 from rig.runner.lock import BenchLock, in_use, lock_files
 
 BENCH = """

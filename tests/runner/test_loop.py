@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import pytest
 
-from rig.clock import WAIT_SLICE_S, Clock, WallClock
-from rig.errors import ExitCode
-from rig.processor import GIVEN
+from rig.core.clock import WAIT_SLICE_S, Clock, WallClock
+from rig.core.errors import ExitCode
+from rig.core.processor import GIVEN
 from rig.runner import loop
 from rig.runner.loop import BEHIND_FOR_S, Relay, Tick, Ticks, TooSlowError, tick_loop
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import pytest
 
-from rig.errors import InstrumentError
+from rig.core.errors import InstrumentError
 from rig.runner.reader import StreamReader, Watcher
 
 PATIENCE_S = 30.0

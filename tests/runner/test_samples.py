@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from rig.errors import InstrumentError
+from rig.core.errors import InstrumentError
 from rig.instruments import Acquisition, InputChannel
 from rig.runner.samples import SampleStream
 

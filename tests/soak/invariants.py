@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from drivers.simulated.fault_plan import CLOCK, DISK, FORCE_STREAM
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.recording.compiled import compile_run
 from rig.recording.runfile import RunFile
 from rig.recording.verify import verify

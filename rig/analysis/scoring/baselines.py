@@ -19,8 +19,8 @@ from pydantic import Field
 
 from rig.analysis.scoring.outcomes import Said
 from rig.analysis.scoring.seeds import SeedRange
+from rig.core.settings import Settings
 from rig.detector.low_pass import LowPassSettings, design_low_pass
-from rig.settings import Settings
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from rig.analysis.scoring.baselines import BaselineSettings, baseline_says
 from rig.analysis.scoring.outcomes import Said
 from rig.analysis.scoring.seeds import SeedRange
+from rig.core.settings import Settings
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.settings import DetectorSettings
-from rig.settings import Settings
 
 Floats = NDArray[np.float64]
 

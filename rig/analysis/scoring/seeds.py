@@ -11,8 +11,8 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from rig.errors import ConfigurationError
-from rig.settings import Settings
+from rig.core.errors import ConfigurationError
+from rig.core.settings import Settings
 
 FIRST_REPORTING_SEED = 1_000_000
 """Seeds below are for tuning, this one and those above for reporting."""

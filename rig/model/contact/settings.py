@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from rig.settings import Settings
+from rig.core.settings import Settings
 
 
 class FrictionSettings(Settings):

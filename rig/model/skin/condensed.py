@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.cache import Cache, NoCache
+from rig.core.cache import Cache, NoCache
+from rig.core.settings import fingerprint
 from rig.model.skin.settings import SkinSettings
-from rig.settings import fingerprint
 
 if TYPE_CHECKING:
     from rig.model.skin.elasticity import ElasticSkin

@@ -16,6 +16,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rig.core.settings import fingerprint
 from rig.recording.compiled import compile_run
 from rig.recording.errors import ForeignFileError, RecordingError
 from rig.recording.foreign import lvm, matlab, matlab_variables
@@ -28,7 +29,6 @@ from rig.recording.journal import JournalWriter, begin_journal
 from rig.recording.layout import Column, Layout, Trace
 from rig.recording.naming import RUN_SUFFIX, checksum_path
 from rig.recording.nexus import CHUNK_ROWS, plain_text
-from rig.settings import fingerprint
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

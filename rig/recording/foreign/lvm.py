@@ -19,7 +19,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
-from rig.errors import shortened
+from rig.core.errors import shortened
 from rig.recording.errors import ForeignFileError
 from rig.recording.foreign.dialect import CHARACTER, Decimal, Delimiter, Dialect, Shape
 from rig.recording.foreign.source import Format

@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from rig.errors import shortened
+from rig.core.errors import shortened
 from rig.recording.errors import ForeignFileError
 from rig.recording.foreign.matlab_variables import MAGIC_73, Variables, arrays_of, variables_of
 from rig.recording.foreign.source import Format

@@ -17,7 +17,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from rig.errors import shortened
+from rig.core.errors import shortened
 from rig.recording.errors import ForeignFileError
 from rig.recording.reading import refuse_links, whole
 

@@ -12,7 +12,7 @@ from array import array
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from rig.errors import shortened
+from rig.core.errors import shortened
 from rig.recording.errors import ForeignFileError
 from rig.recording.foreign.dialect import Decimal, Delimiter, Shape, recognised
 from rig.recording.foreign.source import MAX_HEAD, Format

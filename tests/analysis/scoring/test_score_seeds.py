@@ -3,7 +3,7 @@
 import pytest
 
 from rig.analysis.scoring.seeds import SeedRange, check_unseen, check_use, seed_range
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 TUNING, REPORTING = seed_range("0:1000000"), seed_range("1000000:1000010")
 

@@ -36,7 +36,7 @@ from drivers.simulated.serial_server import PtyServer
 from drivers.simulated.serial_tcp import SerialTcpServer
 from drivers.simulated.servers import HislipServer, ScpiSocketServer
 from drivers.simulated.zaber_rst import RotaryStage, StageSettings
-from rig.clock import Clock
+from rig.core.clock import Clock
 
 from .roles import carried, pressed
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.errors import InstrumentError, InstrumentTimeoutError, LimitError
+from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
 from rig.instruments import (
     Acquisition,
     DataAcquisition,

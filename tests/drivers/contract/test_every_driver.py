@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from rig.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
 
 from .cases import CASES, STRANGER, TIMEOUT_S, Case, Service
 from .roles import ROLES, Role

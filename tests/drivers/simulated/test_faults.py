@@ -8,7 +8,7 @@ import pytest
 
 from drivers.simulated.fault_plan import BEFALLEN, DEVICES, FaultPlan
 from drivers.simulated.faults import Delivery, Dialect, WireFaults, WireReply
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 from .ideal import IdealBench
 

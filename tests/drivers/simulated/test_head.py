@@ -10,7 +10,7 @@ import pytest
 from drivers.simulated.meeting import Where
 from drivers.simulated.plate_world import HeadWorldSettings, hang_skin
 from drivers.simulated.world import World
-from rig.cache import DiskCache
+from rig.core.cache import DiskCache
 from rig.model.contact.settings import Sphere
 from rig.model.contact.slices import SlicedStepper, hertz_force
 from rig.model.skin.condensed import CondensedSkin

@@ -20,9 +20,9 @@ from drivers.simulated.bench import start
 from drivers.simulated.me_gsv8 import NOISE_MV_V, Sensor
 from drivers.simulated.options import Options
 from rig.bench import Bench, connect, parse_bench
-from rig.cache import DiskCache
-from rig.clock import ControlLink, SlavedClock
-from rig.errors import ConfigurationError, InstrumentError
+from rig.core.cache import DiskCache
+from rig.core.clock import ControlLink, SlavedClock
+from rig.core.errors import ConfigurationError, InstrumentError
 from rig.instruments import Acquisition, ForceFrames, InputChannel, Record
 from rig.model.contact.settings import ContactSettings, Plate
 from rig.model.contact.stepper import ContactStepper

@@ -15,8 +15,8 @@ from drivers.simulated.control import ControlServer
 from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
 from drivers.simulated.plate_world import PlateWorldSettings, hang_skin
 from drivers.simulated.world import STAGE_X, STAGE_Z, World, WorldSettings, read_world
-from rig.cache import DiskCache
-from rig.errors import ConfigurationError
+from rig.core.cache import DiskCache
+from rig.core.errors import ConfigurationError
 from rig.model.contact.settings import ContactSettings, Plate
 from rig.model.contact.stepper import (
     ContactBlock,

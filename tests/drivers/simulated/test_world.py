@@ -19,7 +19,7 @@ from drivers.simulated.world import (
     WorldSettings,
     read_world,
 )
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 RATE = 50e3
 BOTH = (LOAD_CELL_TERMINAL, FILM_TERMINAL)

@@ -12,7 +12,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from rig.errors import ConfigurationError
+from rig.core.errors import ConfigurationError
 
 MAX_TOML_BYTES = 64 << 10
 """A bench file has two thousand."""

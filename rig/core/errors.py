@@ -154,7 +154,7 @@ _WORDS = {
 def finding(item: Any) -> str:
     """One of pydantic's findings (an entry of `ValidationError.errors`) in words: key, value with
     unit, and the limit."""
-    from rig.settings import unit_of
+    from rig.core.settings import unit_of
 
     key = ".".join(shortened(str(part)) for part in item["loc"])
     name = next((part for part in reversed(item["loc"]) if isinstance(part, str)), "")

@@ -3,7 +3,7 @@
 A settings class may hold other settings, numbers with a unit suffix (``speed_mm_s``), names and
 flags. It may not read files, touch instruments or know where it is used. Unknown keys, NaN and
 infinities are refused; pydantic collects every error of a document, so that all are shown at once
-(``rig.errors.ConfigurationError.from_validation`` words them).
+(``rig.core.errors.ConfigurationError.from_validation`` words them).
 """
 
 from __future__ import annotations

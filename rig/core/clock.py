@@ -22,7 +22,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
-from rig.errors import InstrumentError
+from rig.core.errors import InstrumentError
 
 WAIT_SLICE_S = 0.02
 """The longest stretch of time that passes without a look at stop requests and keep-alives."""

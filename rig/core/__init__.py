@@ -1,0 +1,1 @@
+"""What everything stands on: settings, units, errors, the clock, the disk cache."""
