@@ -58,7 +58,7 @@ from drivers.telegram111 import (
 )
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
-from rig.instruments import Identity, Reach
+from rig.instruments.roles import Identity, Reach
 
 ROLES = ("stage_z", "stage_x")
 """The roles this driver can play; which one, its settings say."""

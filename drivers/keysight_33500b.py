@@ -18,7 +18,7 @@ from drivers.visa_link import VisaLink
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError
 from rig.core.settings import Settings as BaseSettings
-from rig.instruments import Identity, Reach
+from rig.instruments.roles import Identity, Reach
 
 ROLES = ("generator",)
 

@@ -20,7 +20,7 @@ from drivers.visa_link import VisaLink
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, LimitError
 from rig.core.settings import Settings as BaseSettings
-from rig.instruments import Acquisition, Identity, InputChannel, Reach, Record, Scaling
+from rig.instruments.roles import Acquisition, Identity, InputChannel, Reach, Record, Scaling
 
 if TYPE_CHECKING:
     import numpy as np

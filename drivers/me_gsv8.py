@@ -37,7 +37,7 @@ from drivers.gsv_frames import Layout, Measurements, Response
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.core.settings import Settings as BaseSettings
-from rig.instruments import ForceFrames, Identity, Reach
+from rig.instruments.roles import ForceFrames, Identity, Reach
 
 ROLES = ("force_sensor",)
 

@@ -46,7 +46,7 @@ from drivers.az_link import AzLink, RefusedError, RtuLine, halves, reading, sign
 from drivers.az_settings import ALARMS, Settings
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
-from rig.instruments import Identity, Reach
+from rig.instruments.roles import Identity, Reach
 
 ROLES = ("stage_z", "stage_x")
 """The roles this driver can play; which one, its settings say."""

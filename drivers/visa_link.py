@@ -18,8 +18,8 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
-from rig.instruments import Identity
-from rig.visa_library import import_visa
+from rig.instruments.roles import Identity
+from rig.instruments.visa_library import import_visa
 
 if TYPE_CHECKING:
     from rig.core.clock import Clock

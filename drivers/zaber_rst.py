@@ -43,7 +43,7 @@ from drivers.zaber_settings import (
 )
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
-from rig.instruments import Identity, Reach
+from rig.instruments.roles import Identity, Reach
 
 ROLES = ("rotary",)
 

@@ -25,7 +25,7 @@ from procedures.contact import (
 from rig.bench import STRIPS, FixtureSettings
 from rig.core.errors import RigError
 from rig.core.settings import Settings as BaseSettings
-from rig.instruments import Acquisition, InputChannel
+from rig.instruments.roles import Acquisition, InputChannel
 from rig.runner.points import Move, Point, Reading
 from rig.runner.procedure import DriftFigure
 

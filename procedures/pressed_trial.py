@@ -35,7 +35,7 @@ from rig.runner.servo import ForceServo, settings_from
 
 if TYPE_CHECKING:
     from procedures.pressed_pace import Pace
-    from rig.instruments import LinearStage
+    from rig.instruments.roles import LinearStage
     from rig.runner.loop import Tick
     from rig.runner.points import Reading
     from rig.runner.run import Run

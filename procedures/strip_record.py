@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from procedures.pressed import PressedSettings
-    from rig.instruments import Record
+    from rig.instruments.roles import Record
     from rig.runner.run import Run
 
 CLOCKS_DIFFER = 1e-3

@@ -23,7 +23,7 @@ from procedures import contact, preload, sweep_layout
 from procedures.contact import contact_range_mm
 from rig.bench import Fixture, FixtureSettings
 from rig.core.settings import Settings as BaseSettings
-from rig.instruments import Acquisition, InputChannel
+from rig.instruments.roles import Acquisition, InputChannel
 from rig.runner.points import Move, Point, Reading
 from rig.runner.procedure import DriftFigure, StreamPlan
 

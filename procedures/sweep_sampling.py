@@ -24,7 +24,7 @@ from rig.analysis.levelling import (
 from rig.analysis.response import DB_PER_RELATIVE, Response, complex_response
 from rig.analysis.sine_fit import SineFit, fit_sine, mains_lines
 from rig.core.errors import InstrumentError
-from rig.instruments import Acquisition, InputChannel, Record
+from rig.instruments.roles import Acquisition, InputChannel, Record
 from rig.runner.trip import TripError
 
 if TYPE_CHECKING:

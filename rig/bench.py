@@ -18,15 +18,6 @@ from typing import Any, Literal, Protocol, Self, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
-from rig.calibration import (
-    CalibrationFiles,
-    FilmCalibration,
-    ForceCalibration,
-    LoadCellCalibration,
-    header_entry,
-    read_calibration,
-    require_valid,
-)
 from rig.core.clock import Clock
 from rig.core.errors import (
     ConfigurationError,
@@ -37,7 +28,16 @@ from rig.core.errors import (
 )
 from rig.core.settings import Settings
 from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
-from rig.instruments import (
+from rig.instruments.calibration import (
+    CalibrationFiles,
+    FilmCalibration,
+    ForceCalibration,
+    LoadCellCalibration,
+    header_entry,
+    read_calibration,
+    require_valid,
+)
+from rig.instruments.roles import (
     DataAcquisition,
     DriverModule,
     ForceSensor,

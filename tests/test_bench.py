@@ -27,7 +27,7 @@ from rig.bench import (
 )
 from rig.core.clock import WallClock
 from rig.core.errors import ConfigurationError, ExitCode, InstrumentError, LimitError, RigError
-from rig.instruments import Identity, Reach
+from rig.instruments.roles import Identity, Reach
 from rig.keep_alives import KeepAlives
 from rig.runner.points import Move, Point, require_roles
 

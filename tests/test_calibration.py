@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.calibration import (
+from rig.core.errors import ConfigurationError, ExitCode
+from rig.instruments.calibration import (
     FilmCalibration,
     ForceCalibration,
     LoadCellCalibration,
@@ -22,7 +23,6 @@ from rig.calibration import (
     require_valid,
     write_calibration,
 )
-from rig.core.errors import ConfigurationError, ExitCode
 
 MEASURED = datetime(2026, 11, 21, 22, 0, tzinfo=timezone(timedelta(hours=1)))
 NOW = MEASURED + timedelta(days=1)

@@ -17,9 +17,14 @@ from hypothesis import strategies as st
 from drivers.simulated.fault_plan import FaultPlan
 from drivers.simulated.world import read_world
 from rig.bench import parse_bench, read_bench
-from rig.calibration import FilmCalibration, ForceCalibration, LoadCellCalibration, read_calibration
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.core.toml_files import MAX_TOML_BYTES, MAX_TOML_LINE
+from rig.instruments.calibration import (
+    FilmCalibration,
+    ForceCalibration,
+    LoadCellCalibration,
+    read_calibration,
+)
 
 READERS: dict[str, Callable[[Path], object]] = {
     "bench": read_bench,

@@ -21,8 +21,8 @@ from rig.analysis.film_model import FilmModel, Notch
 from rig.analysis.response import DB_PER_RELATIVE
 from rig.analysis.sine_fit import scaled_covariance
 from rig.analysis.slope import OUTSIDE_DROPS_DB
-from rig.calibration import FilmCalibration
 from rig.core.errors import ExitCode, RigError
+from rig.instruments.calibration import FilmCalibration
 
 if TYPE_CHECKING:
     from rig.analysis.gain_curve import SweepAnalysis

@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.analysis.estimate import Estimate
 from rig.analysis.response import DB_PER_RELATIVE
-from rig.calibration import FilmCalibration
 from rig.core.errors import ConfigurationError
+from rig.instruments.calibration import FilmCalibration
 
 Reals = NDArray[np.float64]
 

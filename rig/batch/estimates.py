@@ -21,7 +21,7 @@ from rig.batch.policy import window
 from rig.batch.procedures import installed
 from rig.batch.settings import BatchSettings
 from rig.bench import BenchPlan, FixtureSettings
-from rig.calibration import (
+from rig.instruments.calibration import (
     FilmCalibration,
     ForceCalibration,
     LoadCellCalibration,

@@ -24,8 +24,8 @@ from rig.batch.reading import read_batch
 from rig.batch.settings import BatchFile
 from rig.batch.validation import Checked, Connected, validate
 from rig.bench import Bench, BenchPlan, Fixture, read_bench
-from rig.calibration import require_valid
 from rig.core.errors import ConfigurationError
+from rig.instruments.calibration import require_valid
 from rig.runner.bench_choice import BenchRequest, Choosing, Stages, bench_file
 
 STAGES: dict[tuple[str, str], Stages] = {

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rig.bench import STRIPS, BenchSettings
-from rig.calibration import COMMANDS, Record
 from rig.core.settings import name_without_unit, unit_of
+from rig.instruments.calibration import COMMANDS, Record
 from rig.runner.procedure import DriftFigure
 
 LARGE_LOSS_dB = 20.0

@@ -23,9 +23,9 @@ from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError, Limit
 if TYPE_CHECKING:
     from rig.analysis.weighing import CellFit, ForceFit
     from rig.bench import Bench
-    from rig.calibration import Kind, Record
     from rig.cli.weigh import Person
-    from rig.instruments import Reach
+    from rig.instruments.calibration import Kind, Record
+    from rig.instruments.roles import Reach
     from rig.runner.scales import Timing
 
     Vector = tuple[float, float, float]
@@ -101,7 +101,7 @@ class Wanted:
     def fields(self, kind: Kind, date: datetime, operator: str = "") -> dict[str, Any]:
         """Fields of a record that was measured at `date`."""
         import rig
-        from rig.calibration import VALID_DAYS
+        from rig.instruments.calibration import VALID_DAYS
 
         days = VALID_DAYS[kind] if self.valid is None else _days(self.valid)
         low, high = TEMPERATURES_degC
@@ -152,8 +152,8 @@ def pvdf(
     """Level b and corner of a film, from the run file of a sweep."""
     wanted = Wanted(to, operator, valid, temperature, notes, as_json)
     with reported(debug, as_json):
-        from rig.calibration import FOLDER
         from rig.cli.film_record import analysed, doubts, film_record, sentences
+        from rig.instruments.calibration import FOLDER
         from rig.recording.runfile import RunFile
 
         _refuse_changed(file)
@@ -203,8 +203,8 @@ def force(
     )
     with reported(debug, as_json), _stoppable(as_json):
         from rig.analysis.weighing import fit_force, refuse_outlier, sequence
-        from rig.calibration import ForceCalibration, make_record
         from rig.cli.weigh import weigh
+        from rig.instruments.calibration import ForceCalibration, make_record
         from rig.runner.scales import ForceScale
 
         forces = sequence(_directions(axes), _weights(options))
@@ -260,9 +260,9 @@ def load_cell(
     )
     with reported(debug, as_json), _stoppable(as_json):
         from rig.analysis.weighing import fit_load_cell, refuse_outlier, sequence
-        from rig.calibration import LoadCellCalibration, make_record
         from rig.cli.weigh import weigh
-        from rig.instruments import Reach
+        from rig.instruments.calibration import LoadCellCalibration, make_record
+        from rig.instruments.roles import Reach
         from rig.runner.scales import CellScale
 
         forces = sequence([DIRECTIONS["+z"]], _weights(options))
@@ -309,9 +309,9 @@ def _at_the_bench(
 ) -> Iterator[tuple[Bench, Person, Path]]:  # fmt: skip
     """The bench with these instruments connected and no others, who puts the weights on, and the
     folder for the record, which takes one."""
-    from rig.calibration import require_folder
     from rig.cli.streams import say_at_once
     from rig.cli.weigh import Person
+    from rig.instruments.calibration import require_folder
     from rig.runner.bench_choice import BenchRequest, Choosing, bench_file
     from rig.runner.stopping import StopFlag
 
@@ -486,7 +486,7 @@ def _at(force_N: Vector) -> str:
 
 def _finish(record: Record, wanted: Wanted, folder: Path, warnings: list[str]) -> None:
     """Write the record and say where it is and how long it holds."""
-    from rig.calibration import write_calibration
+    from rig.instruments.calibration import write_calibration
 
     path = write_calibration(record, wanted.to or folder)
     for warning in warnings:
@@ -512,7 +512,7 @@ def _finish(record: Record, wanted: Wanted, folder: Path, warnings: list[str]) -
 
 def _beside(source: str) -> Path:
     """The folder of records beside the bench file; here where the bench has no file."""
-    from rig.calibration import FOLDER
+    from rig.instruments.calibration import FOLDER
 
     bench_file = Path(source)
     return (bench_file.parent if bench_file.is_file() else Path()) / FOLDER

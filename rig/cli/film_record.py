@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from rig.analysis.gain_curve import SweepAnalysis
-    from rig.calibration import FilmCalibration, Quantity
+    from rig.instruments.calibration import FilmCalibration, Quantity
     from rig.recording.runfile import RunFile
 
 FEWEST_FREQUENCIES = 12
@@ -63,7 +63,7 @@ def film_record(
     """The record of the run's film; ConfigurationError where nobody knows which film it was, and
     where the record would have expired already."""
     from rig.analysis.film_load import coefficients
-    from rig.calibration import FilmCalibration, make_record
+    from rig.instruments.calibration import FilmCalibration, make_record
 
     header = run.header
     described = _film_of(run)

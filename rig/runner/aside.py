@@ -22,7 +22,7 @@ class Aside:
 
     Leaving ``with`` waits for what was asked, unless something is raised there: then what has not
     begun is forgotten, and what is under way is left to end. A stop that follows has to hold
-    against it (`rig.instruments.LinearStage.stop`).
+    against it (`rig.instruments.roles.LinearStage.stop`).
     """
 
     def __init__(self, name: str, clock: Clock):

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from rig.core.imports import importing
-from rig.visa_library import import_visa
+from rig.instruments.visa_library import import_visa
 
 if TYPE_CHECKING:
     from rig.bench import BenchFactory, BenchPlan, Fixture, RunningBench

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, RigError
-from rig.instruments import ForceFrames, ForceSensor
+from rig.instruments.roles import ForceFrames, ForceSensor
 from rig.runner.holds import Holds
 from rig.runner.reader import StreamReader
 from rig.runner.trip import TripError

@@ -19,7 +19,7 @@ from pydantic import Field
 from rig.bench import WAITS_PER_CALL, Bench, require
 from rig.core.errors import ConfigurationError, ExitCode, LimitError, RigError
 from rig.core.settings import Settings
-from rig.instruments import LinearStage, Reach, RotaryStage
+from rig.instruments.roles import LinearStage, Reach, RotaryStage
 from rig.runner.arming import BEAT_EVERY_S, OFF_DEADLINE_S, Arming, OffFailure
 from rig.runner.force import ForceMonitor
 from rig.runner.guard import GuardLink

@@ -8,7 +8,7 @@ from typing import Any
 
 from rig.bench import Bench, BenchPlan, require
 from rig.core.errors import ConfigurationError, LimitError, RigError
-from rig.instruments import Acquisition
+from rig.instruments.roles import Acquisition
 
 Reading = dict[str, float | int | bool | str | None]
 """What a point gave: plain numbers by name, as they go into the run file."""

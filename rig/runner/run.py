@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rig.bench import WAITS_PER_CALL, Bench
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentTimeoutError, RigError
-from rig.instruments import Record, Scaling
+from rig.instruments.roles import Record, Scaling
 from rig.recording.recorder import Recorder
 from rig.runner.arming import OFF_DEADLINE_S, Arming
 from rig.runner.force import ForceMonitor

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError
-from rig.instruments import Acquisition, DataAcquisition, Record, Scaling
+from rig.instruments.roles import Acquisition, DataAcquisition, Record, Scaling
 
 SILENT_S = 0.5
 """No block for so much longer than one takes ends the run."""

@@ -17,7 +17,13 @@ from rig.analysis.estimate import with_error
 from rig.analysis.weighing import Mean, mean_of
 from rig.core.clock import Clock
 from rig.core.errors import ExitCode, InstrumentError, RigError
-from rig.instruments import Acquisition, DataAcquisition, ForceFrames, ForceSensor, InputChannel
+from rig.instruments.roles import (
+    Acquisition,
+    DataAcquisition,
+    ForceFrames,
+    ForceSensor,
+    InputChannel,
+)
 from rig.runner.reader import StreamReader
 
 FORCE_STREAM = "force_sensor"

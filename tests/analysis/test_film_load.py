@@ -11,7 +11,7 @@ from recorded_film import FRONT_END, recorded_sweep
 
 from rig.analysis.film_load import FilmLoadError, coefficients, film_model, load_from_voltage
 from rig.analysis.gain_curve import analyse
-from rig.calibration import FilmCalibration
+from rig.instruments.calibration import FilmCalibration
 from rig.model.front_end import noise_rms
 from rig.model.vibrator import drawn_film, true_response
 

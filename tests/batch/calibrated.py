@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from pathlib import Path
 
-from rig.calibration import LoadCellCalibration, as_text
+from rig.instruments.calibration import LoadCellCalibration, as_text
 
 
 def write_record(path: Path, date: datetime, valid_until: str) -> None:

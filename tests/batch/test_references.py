@@ -19,7 +19,7 @@ from rig.batch.references import (
     zero_drift,
 )
 from rig.bench import BenchSettings
-from rig.calibration import Record
+from rig.instruments.calibration import Record
 
 GAIN = "gain_near_200_Hz_dB"
 S1, S2 = "mean_touch_gain_1_dB", "mean_touch_gain_2_dB"

@@ -19,7 +19,7 @@ from rig.bench import Bench, BenchPlan, Fixture, InstrumentPlan, parse_bench
 from rig.core.clock import WallClock
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import Settings
-from rig.instruments import Acquisition, Reach
+from rig.instruments.roles import Acquisition, Reach
 
 BENCH = """
 name = "bench-5"

@@ -82,7 +82,7 @@ def test_a_minute_of_a_million_samples_a_second_loses_none(tmp_path: Path) -> No
 
     from drivers import keysight_u2300a
     from rig.core.clock import WallClock
-    from rig.instruments import Acquisition, InputChannel
+    from rig.instruments.roles import Acquisition, InputChannel
     from rig.recording.contents import read_journal
     from rig.recording.journal import JournalWriter
     from rig.recording.recorder import Recorder

@@ -14,7 +14,7 @@ from measured import heading, row, target
 from drivers.simulated.bench import StartedBench, start
 from rig.bench import connect, parse_bench
 from rig.core.clock import ControlLink, SlavedClock
-from rig.instruments import Acquisition, InputChannel
+from rig.instruments.roles import Acquisition, InputChannel
 from rig.runner.force import ForceMonitor
 from rig.runner.holds import Holds
 

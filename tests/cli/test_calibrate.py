@@ -20,7 +20,7 @@ import pytest
 
 from procedures.sweep_layout import LAYOUT
 from rig.analysis.estimate import with_error
-from rig.calibration import (
+from rig.instruments.calibration import (
     FilmCalibration,
     ForceCalibration,
     LoadCellCalibration,

@@ -14,8 +14,8 @@ import pytest
 from drivers.simulated.bench import start
 from procedures import slip_trial
 from rig.bench import parse_bench
-from rig.calibration import FilmCalibration, make_record, write_calibration
 from rig.core.clock import ControlLink, SlavedClock
+from rig.instruments.calibration import FilmCalibration, make_record, write_calibration
 from rig.model.pvdf import level_at_one_hertz
 from rig.model.transducer import TransducerSettings
 from rig.recording.entry import text_of

@@ -12,7 +12,7 @@ from transcript import playing
 from drivers.keysight_u2300a import Daq, Settings, connect, make_safe
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError, LimitError
-from rig.instruments import Acquisition, InputChannel
+from rig.instruments.roles import Acquisition, InputChannel
 
 NO_ERROR = '+0,"No error"'
 CHANNELS = (InputChannel("film", 1.25), InputChannel("load_cell", 5.0))

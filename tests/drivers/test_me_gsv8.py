@@ -22,7 +22,7 @@ from drivers.simulated.me_gsv8 import Gsv8, Memory, Sensor
 from drivers.simulated.serial_server import Exchange, PtyServer
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
-from rig.instruments import ForceFrames
+from rig.instruments.roles import ForceFrames
 
 # --- a transcript ----------------------------------------------------------------------------
 

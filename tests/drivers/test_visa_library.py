@@ -7,7 +7,7 @@ import sys
 
 STEPS = """
 import sys
-from rig.visa_library import import_visa
+from rig.instruments.visa_library import import_visa
 for resource in {!r}:
     import_visa(resource)
     print("tcpip" in str(sys.modules.get("pyvisa_py.tcpip")), "usb.core" in sys.modules)

@@ -11,7 +11,7 @@ import pytest
 
 from procedures import preload
 from rig.core.errors import InstrumentError
-from rig.instruments import Reach
+from rig.instruments.roles import Reach
 
 CONTACT_mm, TARGET_N = 12.6, 25.0
 REACH = Reach(0.0, 14.0, "mm", "stage_z")

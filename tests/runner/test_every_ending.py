@@ -33,7 +33,7 @@ from rig.bench import BenchPlan, BenchSettings, InstrumentPlan
 from rig.core.clock import WAIT_SLICE_S, Clock
 from rig.core.errors import ExitCode, InstrumentError, InstrumentTimeoutError, LimitError
 from rig.core.settings import Settings
-from rig.instruments import ForceFrames, Identity
+from rig.instruments.roles import ForceFrames, Identity
 from rig.recording.errors import RecordingError
 from rig.recording.layout import Column, Layout, Plot
 from rig.recording.runfile import RunFile

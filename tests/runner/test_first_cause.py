@@ -12,7 +12,7 @@ import pytest
 
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
-from rig.instruments import ForceFrames
+from rig.instruments.roles import ForceFrames
 from rig.runner.arming import OFF_DEADLINE_S
 from rig.runner.holds import HoldError
 from rig.runner.run import Run

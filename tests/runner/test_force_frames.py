@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.core.errors import InstrumentError
-from rig.instruments import ForceFrames
+from rig.instruments.roles import ForceFrames
 from rig.runner import force
 from rig.runner.force import ForceMonitor
 from rig.runner.holds import Holds

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from rig.core.errors import InstrumentError
-from rig.instruments import Acquisition, InputChannel
+from rig.instruments.roles import Acquisition, InputChannel
 from rig.runner.samples import SampleStream
 
 BLOCK = Acquisition((InputChannel("film", 1.25),), 1000.0, 100)

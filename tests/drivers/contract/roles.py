@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
-from rig.instruments import (
+from rig.instruments.roles import (
     Acquisition,
     DataAcquisition,
     ForceFrames,

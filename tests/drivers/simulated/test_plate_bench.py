@@ -23,7 +23,7 @@ from rig.bench import Bench, connect, parse_bench
 from rig.core.cache import DiskCache
 from rig.core.clock import ControlLink, SlavedClock
 from rig.core.errors import ConfigurationError, InstrumentError
-from rig.instruments import Acquisition, ForceFrames, InputChannel, Record
+from rig.instruments.roles import Acquisition, ForceFrames, InputChannel, Record
 from rig.model.contact.settings import ContactSettings, Plate
 from rig.model.contact.stepper import ContactStepper
 from rig.model.contact.truth import SlipWatch
