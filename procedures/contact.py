@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rig.core.errors import ConfigurationError, InstrumentError
-from rig.recording.layout import Column
+from rig.files.journal.layout import Column
 
 if TYPE_CHECKING:
     from rig.bench import Bench, FixtureSettings

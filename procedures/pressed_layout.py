@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from procedures.contact import ZERO_COLUMNS
-from rig.recording.layout import Column
+from rig.files.journal.layout import Column
 from rig.runner.procedure import StreamPlan
 
 STREAMS = (

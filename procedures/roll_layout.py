@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from procedures import pressed_layout
 from procedures.pressed_layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED
-from rig.recording.layout import Column, Layout, Plot, Trace
+from rig.files.journal.layout import Column, Layout, Plot, Trace
 from rig.runner.procedure import StreamPlan
 
 STREAMS = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from procedures.pressed_layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED
-from rig.recording.layout import Column, Layout, Plot, Trace
+from rig.files.journal.layout import Column, Layout, Plot, Trace
 
 LAYOUT = Layout(
     definition="NXrig_slip_trial",

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from procedures.contact import ZERO_COLUMNS
-from rig.recording.layout import Column, Layout, Plot
+from rig.files.journal.layout import Column, Layout, Plot
 from rig.runner.points import Reading
 
 if TYPE_CHECKING:

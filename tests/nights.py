@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rig.recording.contents import read_journal
-from rig.recording.errors import JournalError
-from rig.recording.runfile import RunFile
+from rig.files.errors import JournalError
+from rig.files.journal.reader import read_journal
+from rig.files.runfile.reader import RunFile
 
 PATIENCE_S = 120.0
 NIGHT = """

@@ -54,8 +54,8 @@ def _telling(warnings: list[str], what: str) -> Iterator[None]:
 
 def _run_file(journal: Path) -> Path:
     """The run's file, compiled if its journal is still there."""
-    from rig.recording.compiled import compile_run
-    from rig.recording.naming import RUN_SUFFIX
+    from rig.files.naming import RUN_SUFFIX
+    from rig.files.runfile.compile import compile_run
 
     file = journal.with_suffix(RUN_SUFFIX)
     if file.exists() and not journal.exists():
@@ -65,8 +65,8 @@ def _run_file(journal: Path) -> Path:
 
 def _kind_of(file: Path) -> tuple[str, bool, bool]:
     """A run file's figure; whether it has points; whether it has the strips' signals."""
-    from rig.recording.detection import stream_of_strips
-    from rig.recording.runfile import RunFile
+    from rig.files.runfile.reader import RunFile
+    from rig.processing.detection import stream_of_strips
 
     with RunFile.open(file) as run:
         figure = run.header.procedure.replace("-", "_")
@@ -76,7 +76,7 @@ def _kind_of(file: Path) -> tuple[str, bool, bool]:
 def _detect(file: Path) -> tuple[Path | None, list[str]]:
     """The processed file beside a run file, as ``rig detect`` makes it, and what is to be told."""
     from rig.detector.settings import named_detectors
-    from rig.recording import detection
+    from rig.processing import detection
 
     found = detection.detect_file(detection.Job(file, named_detectors()["rig"]))
     if isinstance(found, detection.Failure):

@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 
 from rig.core.errors import ConfigurationError
-from rig.recording.naming import JOURNAL_SUFFIX, RUN_SUFFIX
+from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
 
 QUEUE = "queue.sqlite"
 

@@ -13,7 +13,7 @@ from typing import Literal
 
 from rig.batch.settings import BatchSettings
 from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
-from rig.recording.errors import RecordingError
+from rig.files.errors import RecordingError
 
 Kind = Literal["timeout", "instrument", "died", "limit", "usage", "storage", "unsafe", "internal"]
 """Of a failure."""

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING
 from rig.batch.procedures import installed
 from rig.batch.queue import Ended
 from rig.core.errors import RigError
-from rig.recording.contents import JournalContents, read_journal
-from rig.recording.errors import JournalError
-from rig.recording.naming import RUN_SUFFIX
-from rig.recording.recover import interrupted
-from rig.recording.runfile import RunFile
+from rig.files.errors import JournalError
+from rig.files.journal.reader import JournalContents, read_journal
+from rig.files.naming import RUN_SUFFIX
+from rig.files.runfile.reader import RunFile
+from rig.files.runfile.recover import interrupted
 
 if TYPE_CHECKING:
-    from rig.recording.header import RunHeader
+    from rig.files.journal.values import RunHeader
     from rig.runner.points import Reading
 
 

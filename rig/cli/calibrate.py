@@ -153,8 +153,8 @@ def pvdf(
     wanted = Wanted(to, operator, valid, temperature, notes, as_json)
     with reported(debug, as_json):
         from rig.cli.film_record import analysed, doubts, film_record, sentences
+        from rig.files.runfile.reader import RunFile
         from rig.instruments.calibration import FOLDER
-        from rig.recording.runfile import RunFile
 
         _refuse_changed(file)
         with RunFile.open(file) as run:
@@ -291,7 +291,7 @@ def load_cell(
 
 def _refuse_changed(file: Path) -> None:
     """FoundWrongError where the run file is not, byte by byte, the one that was written."""
-    from rig.recording.verify import checksum_findings
+    from rig.files.verify import checksum_findings
 
     if findings := list(checksum_findings(file)):
         raise FoundWrongError(

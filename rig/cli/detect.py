@@ -15,7 +15,7 @@ from rig.core.errors import ExitCode, RigError
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-    from rig.recording.detection import Failure, Found
+    from rig.processing.detection import Failure, Found
 
     Answer = Found | RigError
 
@@ -53,7 +53,7 @@ def detect(
 
         wanted = detector_settings(detector, settings)
 
-        from rig.recording.detection import Job, detect_file, prepare
+        from rig.processing.detection import Job, detect_file, prepare
 
         if scheduler is None:
             work = [Job(file, wanted, to) for file in files]
@@ -80,7 +80,7 @@ def detect(
 
 
 def _answer(result: Found | Failure | RigError, file: Path) -> Answer:
-    from rig.recording.detection import Failure
+    from rig.processing.detection import Failure
 
     if isinstance(result, Failure):
         return result.error()

@@ -16,7 +16,7 @@ from rig.cli.outcome import printable, reported, say
 from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError
 
 if TYPE_CHECKING:
-    from rig.recording.header import RunHeader
+    from rig.files.journal.values import RunHeader
     from rig.runner.bench_choice import Stages
     from rig.runner.points import Reading
 
@@ -44,8 +44,8 @@ def resume(
 
         from rig.bench import entry
         from rig.cli.procedures import Request, perform
-        from rig.recording.naming import results_of
-        from rig.recording.recover import interrupted
+        from rig.files.naming import results_of
+        from rig.files.runfile.recover import interrupted
 
         contents = interrupted(file)
         header = contents.header
@@ -84,12 +84,12 @@ def show(
 ) -> None:
     """Say what a run file, processed file or journal holds; draw a file's figures again."""
     with reported(debug):
-        from rig.recording.contents import read_journal
-        from rig.recording.description import describe, ending_of
-        from rig.recording.file_kind import kind_of
-        from rig.recording.processed_file import is_processed
-        from rig.recording.runfile import RunFile
-        from rig.recording.verify import checksum_findings, verify_apart
+        from rig.files.describe import describe, ending_of
+        from rig.files.file_kind import kind_of
+        from rig.files.journal.reader import read_journal
+        from rig.files.processed.reader import is_processed
+        from rig.files.runfile.reader import RunFile
+        from rig.files.verify import checksum_findings, verify_apart
 
         for path in files:
             if kind_of(path) == "journal":
@@ -122,7 +122,7 @@ def verify(files: Files, debug: Debug = False) -> None:
     Checksums, structure, and how complete they are.
     """
     with reported(debug):
-        from rig.recording.verify import safe_verdict
+        from rig.files.verify import safe_verdict
 
         wrong = 0
         for path in files:
@@ -138,7 +138,7 @@ def recover(files: Files, debug: Debug = False) -> None:
     """Compile what a killed run left behind into its run file."""
     with reported(debug):
         from rig.core.errors import RigError
-        from rig.recording.recover import recover as compile_left_over
+        from rig.files.runfile.recover import recover as compile_left_over
 
         failed: RigError | None = None
         for path in files:
@@ -171,8 +171,8 @@ def _results(header: RunHeader, readings: Sequence[Reading]) -> dict[str, Any]:
 def _show_processed(
     path: Path, doubts: Sequence[str], figures: bool, figures_to: Path | None
 ) -> None:
-    from rig.recording.description import describe_processed
-    from rig.recording.processed_file import ProcessedFile
+    from rig.files.describe import describe_processed
+    from rig.files.processed.reader import ProcessedFile
 
     with ProcessedFile.open(path) as processed:
         for finding in doubts:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from rig.analysis.gain_curve import SweepAnalysis
+    from rig.files.runfile.reader import RunFile
     from rig.instruments.calibration import FilmCalibration, Quantity
-    from rig.recording.runfile import RunFile
 
 FEWEST_FREQUENCIES = 12
 """Different frequencies that a film's record needs, over a decade at least."""

@@ -91,9 +91,9 @@ def import_(
         rate_Hz = None if rate is None else _quantity("--rate", rate, "Hz")
 
         import rig
-        from rig.recording.foreign.importing import About, read_foreign, write_import
-        from rig.recording.foreign.series import Told
-        from rig.recording.header import Program
+        from rig.files.imported.import_file import About, read_foreign, write_import
+        from rig.files.imported.series import Told
+        from rig.files.journal.values import Program
         from rig.runner.jobs import PROGRAM
         from rig.runner.source_state import source_state
 
@@ -212,7 +212,7 @@ def _quantity(option: str, text: str, unit: str) -> float:
 def _start(text: str) -> str:
     from pydantic import TypeAdapter, ValidationError
 
-    from rig.recording.header import IsoTime
+    from rig.files.journal.values import IsoTime
 
     try:
         return TypeAdapter(IsoTime).validate_python(text)

@@ -28,7 +28,7 @@ from rig.analysis.scoring.tables import NAMES
 from rig.cli.scored_trials import judge_one
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import read_text
-from rig.recording.runfile import RunFile
+from rig.files.runfile.reader import RunFile
 
 Floats = NDArray[np.float64]
 

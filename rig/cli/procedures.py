@@ -20,7 +20,7 @@ from rig.runner.bench_choice import BenchRequest, Choosing, Stages, bench_file
 if TYPE_CHECKING:
     from rig.bench import RunningBench
     from rig.core.settings import Settings
-    from rig.recording.contents import JournalContents
+    from rig.files.journal.reader import JournalContents
     from rig.runner.procedure import Procedure
 
 

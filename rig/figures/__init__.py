@@ -37,7 +37,7 @@ def draw_part(
 ) -> list[Path]:
     """Draw what one of the functions gives; `together` may draw the pictures side by side."""
     from rig.figures.style import one_by_one, save
-    from rig.recording.runfile import RunFile
+    from rig.files.runfile.reader import RunFile
 
     beside = run_file if folder is None else folder / run_file.name
     module, _, function = part.partition(":")
@@ -59,7 +59,7 @@ def draw_processed(file: Path, folder: Path | None = None) -> list[Path]:
     """Draw what a processed file holds as PNG and SVG, in the folder or beside it; their paths."""
     from rig.figures.processed import draw_trials
     from rig.figures.style import save
-    from rig.recording.processed_file import ProcessedFile
+    from rig.files.processed.reader import ProcessedFile
 
     beside = file if folder is None else folder / file.name
     with ProcessedFile.open(file) as processed:

@@ -31,7 +31,7 @@ def main() -> None:
 
         for module in (
             "h5py",
-            "rig.recording.runfile",
+            "rig.files.runfile.reader",
             *(part.partition(":")[0] for part in parts),
         ):
             import_module(module)

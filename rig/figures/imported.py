@@ -18,7 +18,7 @@ from rig.figures.style import STYLE, legend_above, set_margins
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from rig.recording.runfile import RunFile
+    from rig.files.runfile.reader import RunFile
 
 MOST_DRAWN = 8000
 """Points of a curve: several for each dot of the picture's width."""

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from rig.recording.runfile import RunFile, Waveform
+    from rig.files.runfile.reader import RunFile, Waveform
 
 TRIALS_SHOWN = 20
 """Trials that get a figure of their own; the file holds them all."""

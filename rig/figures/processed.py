@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from rig.detector.events import EventKind
-    from rig.recording.processed import DetectedTrial
-    from rig.recording.processed_file import ProcessedFile
+    from rig.files.processed.reader import ProcessedFile
+    from rig.files.processed.writer import DetectedTrial
 
 MARKS: dict[EventKind, tuple[str, str]] = {
     "predictive": ("C1", ":"),

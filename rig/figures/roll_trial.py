@@ -19,7 +19,7 @@ from rig.figures.pressed import (
 from rig.figures.style import STYLE, legend_above, set_margins
 
 if TYPE_CHECKING:
-    from rig.recording.runfile import RunFile
+    from rig.files.runfile.reader import RunFile
 
 
 def draw_trials(run: RunFile) -> dict[str, Figure]:

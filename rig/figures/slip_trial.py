@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from rig.recording.runfile import RunFile
+    from rig.files.runfile.reader import RunFile
 
 REASON_WIDTH = 80
 """Characters of a line that fits into a panel."""

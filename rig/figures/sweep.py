@@ -14,7 +14,7 @@ from rig.model.pvdf import SKIN_STRIP
 if TYPE_CHECKING:
     from rig.analysis.gain_curve import SweepAnalysis
     from rig.analysis.response_curve import ResponseCurve
-    from rig.recording.runfile import RunFile
+    from rig.files.runfile.reader import RunFile
 
 REFERENCE_SLOPE_DB_DECADE = 20.0
 """First-order (stress-rate) characteristic of the paper's eq. (2), drawn for comparison."""

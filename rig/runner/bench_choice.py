@@ -158,7 +158,7 @@ class Choosing:
     def _import_ahead(self) -> None:
         """What the command will need, while a simulated bench boots beside it."""
         with importing():
-            for name in ("rig.recording.compiled", "rig.runner.execution", *LIBRARIES_OF_LINKS):
+            for name in ("rig.files.runfile.compile", "rig.runner.execution", *LIBRARIES_OF_LINKS):
                 import_module(name)
             import_visa()
             self.meanwhile()

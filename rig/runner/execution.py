@@ -21,9 +21,9 @@ from rig import bench as benches
 from rig.bench import Bench, BenchPlan
 from rig.core.clock import Clock
 from rig.core.errors import ExitCode, LimitError, RigError
-from rig.recording.compiled import compile_run
-from rig.recording.contents import read_journal
-from rig.recording.recorder import Recorder
+from rig.files.journal.reader import read_journal
+from rig.files.journal.recorder import Recorder
+from rig.files.runfile.compile import compile_run
 from rig.runner.arming import BEAT_EVERY_S, OffFailure
 from rig.runner.guard import GuardLink
 from rig.runner.holds import HoldError, PauseSwitch

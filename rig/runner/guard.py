@@ -253,7 +253,7 @@ def make_bench_safe(bench_toml: str, source: str) -> dict[str, str]:
 
 def _compile(journal: Path) -> str:
     from rig.core.errors import RigError
-    from rig.recording.recover import recover
+    from rig.files.runfile.recover import recover
 
     try:
         return str(recover(journal))

@@ -17,8 +17,8 @@ import rig
 from rig.bench import Bench
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings, fingerprint, leaves
-from rig.recording.contents import JournalContents
-from rig.recording.journal import JournalWriter, begin_journal, begin_journal_at
+from rig.files.journal.reader import JournalContents
+from rig.files.journal.writer import JournalWriter, begin_journal, begin_journal_at
 from rig.runner.guard import GUARD_SUFFIX, report_path
 from rig.runner.lock import BenchLock
 from rig.runner.outcome import Outcome

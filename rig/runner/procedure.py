@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from rig.bench import Fixture
 from rig.core.settings import Settings
-from rig.recording.layout import Layout
+from rig.files.journal.layout import Layout
 from rig.runner.points import Point, Reading
 
 if TYPE_CHECKING:

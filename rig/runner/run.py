@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from rig.bench import WAITS_PER_CALL, Bench
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentTimeoutError, RigError
+from rig.files.journal.recorder import Recorder
 from rig.instruments.roles import Record, Scaling
-from rig.recording.recorder import Recorder
 from rig.runner.arming import OFF_DEADLINE_S, Arming
 from rig.runner.force import ForceMonitor
 from rig.runner.holds import Holds

@@ -22,8 +22,8 @@ import recorded_trials as trials
 from rig.batch.afterwards import Afterwards, Answer, Job, answer_of, job_of
 from rig.batch.afterwork import work_on
 from rig.detector.settings import named_detectors
-from rig.recording import detection
-from rig.recording.verify import verify
+from rig.files.verify import verify
+from rig.processing import detection
 
 PATIENCE_S = 200.0
 """A process of the lowest priority gets what a busy computer leaves."""

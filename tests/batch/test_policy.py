@@ -25,7 +25,7 @@ from rig.core.errors import (
     LimitError,
     RigError,
 )
-from rig.recording.errors import RecordingError
+from rig.files.errors import RecordingError
 
 TEN = datetime(2026, 11, 21, 22, 0, tzinfo=timezone(timedelta(hours=1)))
 

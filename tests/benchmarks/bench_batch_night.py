@@ -28,8 +28,8 @@ from soak.trials import SWEEP_WORLD, as_toml, fault
 
 from drivers.simulated.fault_plan import ROTARY, STAGE_X
 from rig.batch.reading import parse_batch
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 RUNS = int(os.environ.get("RIG_RUNS", "330"))
 SEED = int(os.environ.get("RIG_SEED", "1"))

@@ -82,11 +82,11 @@ def test_a_minute_of_a_million_samples_a_second_loses_none(tmp_path: Path) -> No
 
     from drivers import keysight_u2300a
     from rig.core.clock import WallClock
+    from rig.files.journal.format import Block
+    from rig.files.journal.reader import read_journal
+    from rig.files.journal.recorder import Recorder
+    from rig.files.journal.writer import JournalWriter
     from rig.instruments.roles import Acquisition, InputChannel
-    from rig.recording.contents import read_journal
-    from rig.recording.journal import JournalWriter
-    from rig.recording.recorder import Recorder
-    from rig.recording.records import Block
     from rig.runner.run import Run
     from rig.runner.samples import SampleStream
 

@@ -15,10 +15,10 @@ from hypothesis import HealthCheck, given, settings
 from measured import heading
 
 from rig.core.errors import RigError
-from rig.recording.compiled import compile_run
-from rig.recording.errors import RunFileError
-from rig.recording.recover import recover
-from rig.recording.verify import verify, verify_apart
+from rig.files.errors import RunFileError
+from rig.files.runfile.compile import compile_run
+from rig.files.runfile.recover import recover
+from rig.files.verify import verify, verify_apart
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
 import recorded_run as run

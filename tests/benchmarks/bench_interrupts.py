@@ -26,8 +26,8 @@ import pytest
 from measured import heading, row
 
 from rig.analysis.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(2400)]
 

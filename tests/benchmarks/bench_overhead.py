@@ -31,10 +31,10 @@ from rig.bench import parse_bench, read_bench
 from rig.core.clock import ControlLink, SlavedClock, WallClock
 from rig.core.errors import ExitCode
 from rig.core.settings import Settings
-from rig.recording.layout import Column, Layout, Plot
-from rig.recording.recorder import Recorder
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.journal.layout import Column, Layout, Plot
+from rig.files.journal.recorder import Recorder
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 from rig.runner.execution import execute
 from rig.runner.jobs import Job
 from rig.runner.points import Point

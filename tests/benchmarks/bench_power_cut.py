@@ -21,7 +21,8 @@ import pytest
 from measured import heading
 
 from rig.core.errors import RigError
-from rig.recording import JournalWriter, Recorder
+from rig.files.journal.recorder import Recorder
+from rig.files.journal.writer import JournalWriter
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
 import recorded_run
@@ -78,7 +79,7 @@ def record_for_ever(path: str, acknowledged: Connection) -> None:
 def test_kills(tmp_path):
     chance, tally, written = random.Random(0), Tally(), []
     server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(["recorded_run", "rig.recording.recorder"])
+    server.set_forkserver_preload(["recorded_run", "rig.files.journal.recorder"])
     true = np.concatenate([rows_of(block) for block in range(20_000)])
     for kill in range(KILLS):
         path = tmp_path / f"{kill}.rigj"

@@ -14,7 +14,7 @@ import time
 import pytest
 from measured import heading
 
-from rig.recording.verify import verify
+from rig.files.verify import verify
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(600)]
 

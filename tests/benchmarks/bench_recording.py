@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.recording import JournalWriter, Recorder, read_journal
-from rig.recording.compiled import compile_run, journal_equals_file
-from rig.recording.verify import verify
+from rig.files.journal.reader import read_journal
+from rig.files.journal.recorder import Recorder
+from rig.files.journal.writer import JournalWriter
+from rig.files.runfile.compile import compile_run, journal_equals_file
+from rig.files.verify import verify
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
 import recorded_run as run

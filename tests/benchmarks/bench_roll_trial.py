@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from measured import heading, row
 
-from rig.recording.runfile import RunFile
+from rig.files.runfile.reader import RunFile
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
 

@@ -21,8 +21,8 @@ from rig.bench import GuardedGenerator, read_bench
 from rig.core.clock import WallClock
 from rig.core.errors import ExitCode
 from rig.core.settings import Settings
+from rig.files.journal.layout import Column, Layout, Plot
 from rig.instruments.roles import ForceFrames, Reach
-from rig.recording.layout import Column, Layout, Plot
 from rig.runner.execution import execute
 from rig.runner.force import ForceMonitor
 from rig.runner.holds import Holds

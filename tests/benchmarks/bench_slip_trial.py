@@ -20,7 +20,7 @@ from measured import heading, row, target
 from procedures import pressed_trial, slip_trial
 from rig.bench import read_bench
 from rig.core.clock import WallClock
-from rig.recording.runfile import RunFile
+from rig.files.runfile.reader import RunFile
 from rig.runner import loop
 from rig.runner.execution import execute
 from rig.runner.jobs import Job

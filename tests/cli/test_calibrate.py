@@ -20,6 +20,8 @@ import pytest
 
 from procedures.sweep_layout import LAYOUT
 from rig.analysis.estimate import with_error
+from rig.files.journal.writer import JournalWriter
+from rig.files.runfile.compile import compile_run
 from rig.instruments.calibration import (
     FilmCalibration,
     ForceCalibration,
@@ -29,8 +31,6 @@ from rig.instruments.calibration import (
 )
 from rig.model import pvdf
 from rig.model.vibrator import drawn_film, true_response
-from rig.recording.compiled import compile_run
-from rig.recording.journal import JournalWriter
 
 # --- a film from a sweep ---------------------------------------------------------------------
 

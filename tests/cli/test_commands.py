@@ -11,8 +11,8 @@ from typing import Any
 import h5py
 import pytest
 
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 SHORT = ("--frequencies", "200,1000", "--no-figures", "--json")
 

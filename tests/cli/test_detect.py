@@ -18,7 +18,7 @@ import recorded_run
 import recorded_trials as trials
 
 from rig.detector.detector import DETECTOR_VERSION
-from rig.recording.compiled import compile_run
+from rig.files.runfile.compile import compile_run
 
 HP = ("--detector", "paper-hp")
 

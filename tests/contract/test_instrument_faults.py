@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 FREQUENCIES = ("--frequencies", "20,210,310,410,510")
 IN_THE_MIDDLE = 14

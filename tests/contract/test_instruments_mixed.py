@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from benches import DAQ_MODELS, PAIRS
 
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 from rig.model.vibrator import drawn_film, true_response
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
 
 FREQUENCIES = "20,210,2100,15000"
 

@@ -13,9 +13,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 from drivers.simulated.options import Options
-from rig.recording.contents import read_journal
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.journal.reader import read_journal
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 PATIENCE_S = 30.0
 SIXTY_POINTS = (

@@ -8,8 +8,8 @@ import tomllib
 
 import pytest
 
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ import signal
 
 import numpy as np
 
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 SETTLING = ("--settling", "0.3s")
 """So that a run takes seconds and is interrupted in the middle on a busy machine too."""

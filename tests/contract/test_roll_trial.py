@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from nexusformat.nexus.validate import validate_application, validate_file
 
-from rig.recording.definitions import definition_path
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.definitions import definition_path
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 ROLLER = 'shape = "cylinder", radius_mm = 30.0'
 """What the reference figures belong to (decision 0020)."""

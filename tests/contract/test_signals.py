@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 SIXTY_POINTS = (
     "--frequencies", ",".join(str(f) for f in range(300, 6300, 100)), "--settling", "0.3s"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 SHORT = ("--distance", "0.5mm", "--speed", "0.5mm/s", "--rest", "100ms")
 WORLD = "skin_mount.contact_mm = 12.05\n"

@@ -10,9 +10,9 @@ import pytest
 from nexusformat.nexus.validate import lint_nxdl, validate_application, validate_file
 from slip_model import compare
 
-from rig.recording.definitions import definition_path
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.definitions import definition_path
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 SHORT = ("--distance", "0.4mm", "--speed", "0.5mm/s", "--rest", "100ms")
 """Slow enough to need no rehearsal on any stage."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.recording.verify import verify
+from rig.files.verify import verify
 
 LIMIT_BYTES = 400_000
 FREQUENCIES = ("--frequencies", "300,400,500,600,700,800,900,1000")

@@ -10,7 +10,7 @@ from typing import Any
 import recorded_run as run
 from hypothesis import strategies as st
 
-from rig.recording.records import BLOCK_HEAD, MAGIC, Kind, frame, to_json
+from rig.files.journal.format import BLOCK_HEAD, MAGIC, Kind, frame, to_json
 
 DEEP: dict[str, Any] = {}
 for _ in range(25):

@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.errors import RigError
-from rig.recording.recover import recover
-from rig.recording.runfile import RunFile
+from rig.files.runfile.reader import RunFile
+from rig.files.runfile.recover import recover
 
 PAGE = 4096
 TRACED_RIG = Path(__file__).with_name("traced_rig.py")

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from rig.recording import Column, JournalWriter, Layout, Plot
+from rig.files.journal.layout import Column, Layout, Plot
+from rig.files.journal.writer import JournalWriter
 
 LAYOUT = Layout(
     definition="NXrig_sweep",
@@ -165,7 +166,7 @@ WRITER = """
 import sys
 sys.path.insert(0, sys.argv[2])
 import recorded_run as run
-from rig.recording import JournalWriter, Recorder
+from rig.files import JournalWriter, Recorder
 recorder = Recorder(JournalWriter.create(sys.argv[1], run.header()))
 recorder.put_point_begin("p", {})
 for n in range(10**6):

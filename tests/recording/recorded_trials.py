@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import recorded_run as run
 
-from rig.recording import JournalWriter, Layout, Trace
-from rig.recording.compiled import compile_run
+from rig.files.journal.layout import Layout, Trace
+from rig.files.journal.writer import JournalWriter
+from rig.files.runfile.compile import compile_run
 
 RATE_HZ = 1000.0
 SLIP_S = 0.9

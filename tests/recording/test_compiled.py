@@ -15,22 +15,16 @@ import numpy as np
 import pytest
 import recorded_run as run
 
-from rig.recording import (
-    JournalError,
-    JournalWriter,
-    Layout,
-    RecordingError,
-    RunFileError,
-    Trace,
-    journal_path,
-    next_run_path,
-    read_journal,
-)
-from rig.recording.compiled import compile_run, journal_equals_file, sha256_of
-from rig.recording.definitions import definition_path
-from rig.recording.recover import recover
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.definitions import definition_path
+from rig.files.errors import JournalError, RecordingError, RunFileError
+from rig.files.journal.layout import Layout, Trace
+from rig.files.journal.reader import read_journal
+from rig.files.journal.writer import JournalWriter
+from rig.files.naming import journal_path, next_run_path
+from rig.files.runfile.compile import compile_run, journal_equals_file, sha256_of
+from rig.files.runfile.reader import RunFile
+from rig.files.runfile.recover import recover
+from rig.files.verify import verify
 
 
 @pytest.fixture(scope="module")
@@ -234,7 +228,9 @@ def test_a_file_that_does_not_read_back_equal_is_not_published(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal = run.write_run(tmp_path / "a.rigj")
-    monkeypatch.setattr("rig.recording.waveforms.channel_attributes", lambda *_: {"scale": 0.0})
+    monkeypatch.setattr(
+        "rig.files.runfile.write_samples.channel_attributes", lambda *_: {"scale": 0.0}
+    )
     with pytest.raises(RunFileError, match="does not read back equal"):
         compile_run(journal, retire=True)
     assert [p.name for p in tmp_path.iterdir()] == ["a.rigj"]
@@ -243,7 +239,7 @@ def test_a_file_that_does_not_read_back_equal_is_not_published(
 FULL_DISK = """
 import resource, sys
 from rig.core.errors import RigError
-from rig.recording.compiled import compile_run
+from rig.files.runfile.compile import compile_run
 for size in range(0, int(sys.argv[2]), 9001):
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
     try:
@@ -542,7 +538,7 @@ def test_a_layout_that_makes_no_plot_is_refused(path: tuple, value: object) -> N
 
 
 def test_a_journal_is_read_without_h5py() -> None:
-    script = "import sys, rig.recording, rig.recording.recover, rig.recording.verify\n"
+    script = "import sys, rig.files, rig.files.runfile.recover, rig.files.verify\n"
     script += "sys.exit('h5py' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import recorded_run as run
 
-from rig.recording.journal import JournalWriter
+from rig.files.journal.writer import JournalWriter
 
 
 def test_an_interrupted_run_is_shown_and_verified_from_both_of_its_files(rig: Any) -> None:

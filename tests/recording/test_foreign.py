@@ -22,18 +22,18 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from rig.core.errors import RigError
-from rig.recording import Program, RecordingError, RunHeader
-from rig.recording.definitions import definition_path
-from rig.recording.errors import ForeignFileError
-from rig.recording.foreign import importing
-from rig.recording.foreign.importing import About, read_foreign, write_import
-from rig.recording.foreign.series import Recording, Told, recording_of
-from rig.recording.foreign.source import MAX_BYTES
-from rig.recording.foreign.text import read_text
-from rig.recording.records import to_json
-from rig.recording.recover import interrupted, recover
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.definitions import definition_path
+from rig.files.errors import ForeignFileError, RecordingError
+from rig.files.imported import import_file as importing
+from rig.files.imported.import_file import About, read_foreign, write_import
+from rig.files.imported.series import Recording, Told, recording_of
+from rig.files.imported.source import MAX_BYTES
+from rig.files.imported.text import read_text
+from rig.files.journal.format import to_json
+from rig.files.journal.values import Program, RunHeader
+from rig.files.runfile.reader import RunFile
+from rig.files.runfile.recover import interrupted, recover
+from rig.files.verify import verify
 
 BY_NUMBER = {"time": "1", "v_1": "2", "v_2": "3"}
 PROGRAM = Program(name="tactile-rig", version="0.0.1")
@@ -604,7 +604,7 @@ def test_what_ends_an_import_leaves_nothing(
         raise error
 
     for place in ("compiled._write", "compiled.publish", "foreign.importing._record"):
-        monkeypatch.setattr(f"rig.recording.{place}", fail)
+        monkeypatch.setattr(f"rig.files.{place}", fail)
         with pytest.raises(failure):
             imported(tmp_path)
         assert [p for p in (tmp_path / "results").rglob("*") if p.is_file()] == []

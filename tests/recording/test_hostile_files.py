@@ -18,15 +18,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rig.core.errors import RigError
-from rig.recording.compiled import compile_run, sha256_of
-from rig.recording.contents import read_journal
-from rig.recording.description import describe
-from rig.recording.errors import RunFileError
-from rig.recording.naming import results_of
-from rig.recording.records import MAGIC, Kind
-from rig.recording.recover import recover
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify, verify_apart
+from rig.files.describe import describe
+from rig.files.errors import RunFileError
+from rig.files.journal.format import MAGIC, Kind
+from rig.files.journal.reader import read_journal
+from rig.files.naming import results_of
+from rig.files.runfile.compile import compile_run, sha256_of
+from rig.files.runfile.reader import RunFile
+from rig.files.runfile.recover import recover
+from rig.files.verify import verify, verify_apart
 
 FEW = settings(
     max_examples=10,

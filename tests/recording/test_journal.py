@@ -20,11 +20,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.core.errors import RigError
-from rig.recording import JournalError, JournalWriter, RecordingError, read_journal
-from rig.recording.compiled import compile_run
-from rig.recording.header import Event, RunHeader
-from rig.recording.records import MAGIC, Block, Kind, frame, from_json, json_record, to_json
-from rig.recording.runfile import RunFile
+from rig.files.errors import JournalError, RecordingError
+from rig.files.journal.format import MAGIC, Block, Kind, frame, from_json, json_record, to_json
+from rig.files.journal.reader import read_journal
+from rig.files.journal.values import Event, RunHeader
+from rig.files.journal.writer import JournalWriter
+from rig.files.runfile.compile import compile_run
+from rig.files.runfile.reader import RunFile
 
 JSON_VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
@@ -405,7 +407,7 @@ import resource, sys
 sys.path.insert(0, sys.argv[2])
 import recorded_run as run
 from rig.core.errors import RigError
-from rig.recording import JournalWriter, Recorder
+from rig.files import JournalWriter, Recorder
 recorder = Recorder(JournalWriter.create(sys.argv[1], run.header()))
 recorder.put_block(0, 0, 0.0, run.samples(0, 1000))
 recorder.barrier()

@@ -18,13 +18,13 @@ from rig.detector.detector import DETECTOR_VERSION
 from rig.detector.fir import StreamingFir
 from rig.detector.low_pass import design_low_pass
 from rig.detector.settings import DetectorSettings
-from rig.recording.compiled import compile_run, sha256_of
-from rig.recording.definitions import definition_path
-from rig.recording.detection import Failure, Found, Job, detect_file, detect_trials
-from rig.recording.nexus import array_field
-from rig.recording.processed_file import ProcessedFile, is_processed
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verdict, verify
+from rig.files.definitions import definition_path
+from rig.files.hdf5.nexus import array_field
+from rig.files.processed.reader import ProcessedFile, is_processed
+from rig.files.runfile.compile import compile_run, sha256_of
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verdict, verify
+from rig.processing.detection import Failure, Found, Job, detect_file, detect_trials
 
 SETTINGS = DetectorSettings(logic="paper-hp")
 TRIALS = {"trial-001": trials.slipping(), "trial-002": trials.quiet(seed=2)}
@@ -143,7 +143,7 @@ def test_who_holds_on_to_a_field_does_not_change_the_bytes(
         held.append(array_field(*given))
         return held[-1]
 
-    monkeypatch.setattr("rig.recording.processed.array_field", holding)
+    monkeypatch.setattr("rig.files.processed.writer.array_field", holding)
     again = detected(run_file, tmp_path / "elsewhere")
     assert held
     assert again.file.read_bytes() == found.file.read_bytes()
@@ -171,7 +171,7 @@ def test_other_parameters_or_another_version_add_a_file(
     first = detected(own_run)
     deaf = detected(own_run, settings=SETTINGS.model_copy(update={"fire_mV": 100.0}))
     assert deaf.events["incipient slip"] == 0
-    monkeypatch.setattr("rig.recording.detection.DETECTOR_VERSION", "next")
+    monkeypatch.setattr("rig.processing.detection.DETECTOR_VERSION", "next")
     later = detect_file(Job(own_run, SETTINGS, version="next"))
     assert isinstance(later, Found)
     files = {path.name for path in first.file.parent.glob("*.h5")}
@@ -284,7 +284,7 @@ FULL_DISK = """
 import resource, sys
 from pathlib import Path
 from rig.detector.settings import DetectorSettings
-from rig.recording.detection import Job, detect_file
+from rig.processing.detection import Job, detect_file
 job = Job(Path(sys.argv[1]), DetectorSettings(logic="paper-hp"))
 for size in range(0, int(sys.argv[2]), 9001):
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))

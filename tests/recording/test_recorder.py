@@ -11,8 +11,11 @@ import pytest
 import recorded_run as run
 
 from rig.core.errors import RigError
-from rig.recording import JournalWriter, Recorder, RecordingError, read_journal
-from rig.recording.records import Block
+from rig.files.errors import RecordingError
+from rig.files.journal.format import Block
+from rig.files.journal.reader import read_journal
+from rig.files.journal.recorder import Recorder
+from rig.files.journal.writer import JournalWriter
 
 
 @pytest.fixture

@@ -33,10 +33,10 @@ from rig.bench import BenchPlan, BenchSettings, InstrumentPlan
 from rig.core.clock import WAIT_SLICE_S, Clock
 from rig.core.errors import ExitCode, InstrumentError, InstrumentTimeoutError, LimitError
 from rig.core.settings import Settings
+from rig.files.errors import RecordingError
+from rig.files.journal.layout import Column, Layout, Plot
+from rig.files.runfile.reader import RunFile
 from rig.instruments.roles import ForceFrames, Identity
-from rig.recording.errors import RecordingError
-from rig.recording.layout import Column, Layout, Plot
-from rig.recording.runfile import RunFile
 from rig.runner import execution
 from rig.runner.execution import execute
 from rig.runner.holds import PAUSE

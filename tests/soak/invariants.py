@@ -19,9 +19,9 @@ import numpy as np
 
 from drivers.simulated.fault_plan import CLOCK, DISK, FORCE_STREAM
 from rig.core.errors import RigError
-from rig.recording.compiled import compile_run
-from rig.recording.runfile import RunFile
-from rig.recording.verify import verify
+from rig.files.runfile.compile import compile_run
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import verify
 
 from .trials import Trial
 

@@ -1,0 +1,113 @@
+"""What a file says about its run, as names and values to be shown."""
+
+from __future__ import annotations
+
+import contextlib
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.files.journal.reader import JournalContents
+from rig.files.journal.values import Named, RunHeader
+from rig.files.runfile.reader import Outcome
+from rig.files.runfile.write_entry import ending
+
+if TYPE_CHECKING:
+    from rig.detector.events import Event
+    from rig.files.processed.reader import ProcessedFile
+
+
+def describe(file: Path, header: RunHeader, outcome: Outcome) -> dict[str, Any]:
+    """The run in JSON-able values; what is empty is left out. Settings carry their units."""
+    told = {
+        "file": str(file),
+        "procedure": header.procedure,
+        "title": header.marked(header.title),
+        "start_time": header.start_time,
+        "status": outcome.status,
+        "reason": outcome.reason,
+        "points_done": outcome.points_done,
+        "points_planned": outcome.points_planned,
+        "duration_s": outcome.duration,
+        "attempt": outcome.attempt,
+        "simulated": outcome.simulated,
+        "imported": outcome.imported or None,
+        "origin": {} if header.origin is None else header.origin.model_dump(exclude={"head"}),
+        "user": _named(header.user),
+        "sample": _named(header.sample),
+        "notes": header.notes,
+        "bench": _bench(header),
+        "calibrations": [
+            f"{record.get('kind', 'calibration')} of {record.get('sensor', 'unknown')}"
+            for record in header.calibrations
+        ],
+        "program": f"{header.program.name} {header.program.version}",
+        "settings": header.settings,
+        "warnings": list(outcome.warnings),
+    }
+    return {name: value for name, value in told.items() if value not in ("", [], {}, None)}
+
+
+def ending_of(contents: JournalContents) -> Outcome:
+    """How a journal's run ended, in the words of a run file."""
+    header, end = contents.header, ending(contents)
+    planned = end.points_planned
+    return Outcome(
+        status=end.status,
+        reason=end.reason,
+        attempt=end.attempt,
+        points_planned=len(header.points) if planned is None else planned,
+        points_done=end.points_done,
+        simulated=header.simulated,
+        seed=header.seed,
+        exit=end.exit,
+        duration=end.duration_s,
+        warnings=end.warnings,
+        imported=header.origin is not None,
+    )
+
+
+def describe_processed(file: ProcessedFile) -> dict[str, Any]:
+    """A processed file in JSON-able values: where it comes from, how, and what was found."""
+    source, settings = file.source, file.settings
+    parameters = settings.model_dump(exclude={"logic", "network"})
+    if settings.network is not None:
+        parameters["network"] = settings.network.name
+    events = file.events()
+    return {
+        "file": str(file.path),
+        "title": file.title,
+        "run": source.file_name,
+        "run_sha256": source.sha256,
+        **({} if source.start_time is None else {"start_time": source.start_time}),
+        **({} if source.simulated is None else {"simulated": source.simulated}),
+        "detector": settings.logic,
+        "version": file.version,
+        "parameters": parameters,
+        "trials": {
+            trial: [_event(event) for of, event in events if of == trial] or ["nothing found"]
+            for trial in file.trial_ids()
+        },
+    }
+
+
+def _event(event: Event) -> str:
+    """``incipient slip at 6.384 s, confidence 0.6``"""
+    reason = f" ({event.reason})" if event.reason else ""
+    return f"{event.kind} at {event.time_s:.3f} s, confidence {event.confidence:.2f}{reason}"
+
+
+def _named(who: Named) -> str:
+    """A person's or sample's name with whatever else is known."""
+    details = ", ".join(f"{name} {value}" for name, value in who.details().items())
+    return f"{who.name} ({details})" if details else who.name
+
+
+def _bench(header: RunHeader) -> str:
+    """The bench's name and the file that described it."""
+    name = ""
+    with contextlib.suppress(tomllib.TOMLDecodeError):
+        name = str(tomllib.loads(header.bench_toml).get("name", ""))
+    if name and header.bench_file:
+        return f"{name} ({header.bench_file})"
+    return name or header.bench_file

@@ -1,0 +1,189 @@
+"""NeXus in HDF5: groups with a class, fields with a unit, plots that open at the first click.
+
+The conventions are those that h5web, silx, NeXpy and xarray each need: a plot's title is a field,
+``long_name`` shows the unit, logarithmic axes are written in two spellings, and dimension scales
+name the dimensions. h5py and numpy are imported only where something is written.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import h5py
+    from numpy.typing import NDArray
+
+    from rig.files.journal.layout import Layout, Plot
+    from rig.files.runfile.table import PointTable
+
+CHUNK_ROWS = 1 << 18
+"""Rows of a chunk: half a MiB of int16, which viewers read at a time."""
+
+
+def set_attributes(item: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -> None:
+    """New attributes, as ``item.attrs[name] = value`` makes them in twice the time: it writes each
+    one under another name first, and a run file has thousands. What may exist goes that way."""
+    import numpy as np
+    from h5py import h5a
+
+    for name, value in values.items():
+        kind: type = type(value)
+        rows = None
+        if kind is list and value and all(type(text) is str for text in value):
+            kind, rows = str, len(value)
+        if kind not in (str, float, int):
+            item.attrs[name] = value
+            continue
+        memory, stored, space = _attribute(kind, rows)
+        h5a.create(item.id, name.encode(), stored, space).write(np.array(value, memory))
+
+
+@cache
+def _attribute(kind: type, rows: int | None) -> tuple[Any, Any, Any]:
+    """How a scalar or a list is written: its type in memory, the one in the file, its space."""
+    import numpy as np
+    from h5py import h5s, h5t, string_dtype
+
+    memory = np.dtype({float: "<f8", int: "<i8"}.get(kind, string_dtype()))
+    space = h5s.create(h5s.SCALAR) if rows is None else h5s.create_simple((rows,))
+    return memory, h5t.py_create(memory, logical=True), space
+
+
+def safe_name(text: str) -> str:
+    """A valid NeXus name that looks like the text: ``f=10.5 Hz`` gives ``f_10_5_Hz``."""
+    return re.sub(r"[^A-Za-z0-9_]+", "_", text)[:100] or "_"
+
+
+class UniqueNames:
+    """Names for the items of one group, all different."""
+
+    def __init__(self, *taken: str) -> None:
+        self._numbers = dict.fromkeys(taken, 1)
+        """Of each name, the last number that was put behind it."""
+
+    def name(self, text: str) -> str:
+        """``safe_name``, with a number behind it where it is taken."""
+        name = base = safe_name(text)
+        while name in self._numbers:
+            self._numbers[base] += 1
+            name = f"{base}_{self._numbers[base]}"
+        self._numbers[name] = 1
+        return name
+
+
+def plain_text(text: object) -> str:
+    """Text as HDF5 can hold it: no NUL and no lone surrogates."""
+    return str(text).replace("\0", "\ufffd").encode("utf-8", "replace").decode()
+
+
+def group(parent: h5py.Group, name: str, nx_class: str) -> h5py.Group:
+    """A new group of a NeXus class."""
+    made = parent.create_group(name)
+    set_attributes(made, {"NX_class": nx_class})
+    return made
+
+
+def text_field(parent: h5py.Group, name: str, text: object) -> h5py.Dataset:
+    """A field of UTF-8 text."""
+    return parent.create_dataset(name, data=plain_text(text))
+
+
+def texts_field(parent: h5py.Group, name: str, texts: Sequence[str]) -> h5py.Dataset:
+    """A field of several texts, shape (n,)."""
+    import h5py
+
+    plain = [plain_text(text) for text in texts]
+    return parent.create_dataset(name, (len(plain),), h5py.string_dtype(), data=plain or None)
+
+
+def number_field(parent: h5py.Group, name: str, value: Any, units: str = "") -> h5py.Dataset:
+    """A scalar field."""
+    field = parent.create_dataset(name, data=value)
+    if units:
+        field.attrs["units"] = units
+    return field
+
+
+def array_field(
+    parent: h5py.Group, name: str, values: NDArray[Any], units: str = "", long_name: str = ""
+) -> h5py.Dataset:
+    """A compressed, checksummed field."""
+    field = empty_field(parent, name, values.shape, values.dtype)
+    if values.size:
+        field[...] = values
+    label(field, units, long_name)
+    field.flush()  # else its place in the file is found when the last reference to it goes
+    return field
+
+
+def empty_field(parent: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
+    """A compressed, checksummed field to be filled: gzip 1, shuffle and fletcher32."""
+    if 0 in shape:
+        return parent.create_dataset(name, shape, dtype)
+    return parent.create_dataset(
+        name,
+        shape,
+        dtype,
+        chunks=(min(shape[0], CHUNK_ROWS), *shape[1:]),
+        compression="gzip",
+        compression_opts=1,
+        shuffle=True,
+        fletcher32=True,
+    )
+
+
+def label(field: h5py.Dataset, units: str, long_name: str) -> None:
+    """Unit and name as viewers show them."""
+    set_attributes(field, {"units": units} | ({"long_name": long_name} if long_name else {}))
+
+
+def plot_group(
+    entry: h5py.Group, plot: Plot, layout: Layout, table: PointTable, title: str
+) -> h5py.Group:
+    """An NXdata group of the table's columns, sorted by the plot's axes."""
+    data = group(entry, plot.group, "NXdata")
+    data.attrs["signal"] = plot.signal
+    data.attrs["axes"] = [plot.axes[0]]
+    for axis in plot.axes:
+        data.attrs[f"{axis}_indices"] = [0]
+    if plot.auxiliary:
+        data.attrs["auxiliary_signals"] = list(plot.auxiliary)
+    if plot.log_axes:
+        data.attrs["SILX_style"] = silx_style(plot)
+    text_field(data, "title", title)
+    order = table.order(plot.axes)
+    for name, source in plot_sources(plot).items():
+        column = layout.column(source)
+        array_field(data, name, table.numbers(source)[order], column.units, column.long_name)
+    _attach_scale(data, plot)
+    return data
+
+
+def plot_sources(plot: Plot) -> dict[str, str]:
+    """Names of a plot's datasets, each with the column it comes from."""
+    sources = {name: name for name in (plot.signal, *plot.axes, *plot.auxiliary)}
+    if plot.errors:
+        sources[plot.errors_name] = plot.errors
+    return sources
+
+
+def silx_style(plot: Plot) -> str:
+    """Scales of a plot's axes, in h5web's and in silx's spelling."""
+    axes = ["log" if plot.axes[0] in plot.log_axes else "linear"]
+    style: dict[str, object] = {"axes_scale_type": axes, "axes_scale_types": axes}
+    if plot.signal in plot.log_axes:
+        style["signal_scale_type"] = "log"
+    return json.dumps(style)
+
+
+def _attach_scale(data: h5py.Group, plot: Plot) -> None:
+    """Give the dimension its name, for xarray and HDFView."""
+    scale = data[plot.axes[0]]
+    scale.make_scale(plot.axes[0])
+    for name in plot_sources(plot):
+        if name != plot.axes[0]:
+            data[name].dims[0].attach_scale(scale)

@@ -1,0 +1,173 @@
+"""MATLAB files: numeric variables of version 5 (to ``-v7``, also Octave's) and of 7.3.
+
+A channel is a column of a variable, a vector is one column. Structs, cells, objects and text are
+refused by name, and never made: MATLAB can unpack them into variables.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from rig.core.errors import shortened
+from rig.files.errors import ForeignFileError
+from rig.files.imported.matlab_variables import MAGIC_73, Variables, arrays_of, variables_of
+from rig.files.imported.source import Format
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+HEAD_BYTES = 116
+MAX_VALUES = 16 << 20
+"""Of a variable; compressed ones can declare any number."""
+EXACT = 2**53
+"""Beyond it a whole number may have no double."""
+
+NUMERIC = frozenset(
+    {"double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+)
+_WANTED = re.compile(r"([A-Za-z]\w*)(?::([0-9]{1,9}))?\Z", re.ASCII)
+
+
+class MatlabTable:
+    """The numeric variables of a file (see `source.Source`)."""
+
+    told = ""
+    rate_Hz: float | None = None
+    time: str | None = None
+
+    def __init__(self, name: str, content: bytes, variables: Variables) -> None:
+        self._file = name
+        self._content = content
+        self._variables = variables
+        self.format: Format = "MATLAB 7.3" if content.startswith(MAGIC_73) else "MATLAB 5"
+        self.head = content[:HEAD_BYTES].decode("latin-1").strip("\0 ")
+        self._columns: list[tuple[str, int]] = []
+        """Variable and its column (from 0), in the order in which they were asked for."""
+
+    def column(self, wanted: str) -> int:
+        """A vector by its variable's name, or ``NAME:COLUMN``; a bare column (from 1) of the only
+        numeric variable."""
+        numeric = [name for name, (kind, _) in self._variables.items() if kind in NUMERIC]
+        if wanted.isdecimal() and len(numeric) == 1:
+            wanted = f"{numeric[0]}:{wanted}"
+        found = _WANTED.match(wanted)
+        if found is None or found[1] not in self._variables:
+            known = ", ".join(map(shortened, sorted(numeric)[:20])) or "none that is numeric"
+            raise ForeignFileError(
+                self._file,
+                f"no variable {shortened(wanted)!r}",
+                f"it has {known}; write NAME, or NAME:COLUMN of a matrix",
+            )
+        variable, (kind, shape) = found[1], self._variables[found[1]]
+        if kind not in NUMERIC:
+            raise ForeignFileError(
+                self._file,
+                f"variable {variable} is a {shortened(kind)}, not an array of numbers",
+                "save its parts as variables, a struct with save(FILE, '-struct', NAME)",
+            )
+        if len(shape) != 2 or 0 in shape:
+            size = " x ".join(map(str, shape))
+            raise ForeignFileError(
+                self._file,
+                f"variable {variable} is {size}, not a vector or matrix",
+                "save it as one row a sample",
+            )
+        columns = 1 if 1 in shape else shape[1]
+        number = int(found[2] or 1)
+        if not 1 <= number <= columns or (found[2] is None and columns > 1):
+            raise ForeignFileError(
+                self._file,
+                f"variable {variable} has {columns} columns: {wanted} is none of them",
+                f"write {variable}:1 to {variable}:{columns}",
+            )
+        if (key := (variable, number - 1)) not in self._columns:
+            self._columns.append(key)
+        return self._columns.index(key)
+
+    def name(self, column: int) -> str:
+        """A column by its variable."""
+        variable, number = self._columns[column]
+        shape = self._variables[variable][1]
+        many = 1 not in shape
+        return f"column {number + 1} of variable {variable}" if many else f"variable {variable}"
+
+    def unit(self, column: int) -> str | None:
+        """MATLAB's arrays have none."""
+        return None
+
+    def place(self, row: int) -> str:
+        """A row as MATLAB counts."""
+        return f"row {row + 1}"
+
+    def values(self, columns: Sequence[int]) -> NDArray[np.float64]:
+        """Numbers of shape (rows, columns)."""
+        import numpy as np
+
+        names = list(dict.fromkeys(self._columns[column][0] for column in columns))
+        for variable in names:
+            self._check_size(variable)
+        arrays = arrays_of(self._content, self._file, names)
+        loaded = {variable: self._exact(variable, array) for variable, array in arrays.items()}
+        taken = []
+        for column in columns:
+            variable, number = self._columns[column]
+            array = loaded[variable]
+            taken.append(array.reshape(-1) if 1 in array.shape else array[:, number])
+            if len(taken[-1]) != len(taken[0]):
+                raise ForeignFileError(
+                    self._file,
+                    f"{self.name(column)} has {len(taken[-1])} values, {self.name(columns[0])} "
+                    f"{len(taken[0])}",
+                    "every channel needs the same number of samples",
+                )
+            if not (finite := np.isfinite(taken[-1])).all():
+                row = int(np.argmin(finite))
+                raise ForeignFileError(
+                    self._file,
+                    f"{self.name(column)}: {taken[-1][row]} is no number",
+                    "cut the recording there: a sample that is missing cannot be imported",
+                    self.place(row),
+                )
+        return np.column_stack(taken)
+
+    def _check_size(self, variable: str) -> None:
+        count = math.prod(self._variables[variable][1])
+        if count > MAX_VALUES:
+            raise ForeignFileError(
+                self._file,
+                f"variable {variable} has {count} values, {MAX_VALUES} are allowed",
+                "save the channels that are wanted alone",
+            )
+
+    def _exact(self, variable: str, array: NDArray[Any]) -> NDArray[np.float64]:
+        """A variable as doubles; ForeignFileError where a whole number has none."""
+        import numpy as np
+
+        kind, shape = self._variables[variable]
+        if array.shape != shape or array.dtype.kind not in "iuf":
+            raise ForeignFileError(
+                self._file,
+                f"variable {variable}: {array.dtype} {array.shape}, not the {kind} {shape} that "
+                "the file announces",
+                "save it again as an array of real numbers",
+            )
+        if (
+            array.dtype.kind in "iu"
+            and array.size
+            and max(int(array.max()), -int(array.min())) > EXACT
+        ):
+            raise ForeignFileError(
+                self._file,
+                f"variable {variable}: whole numbers beyond {EXACT} have no double",
+                "save it as double, if the digits do not matter",
+            )
+        return array.astype(np.float64)
+
+
+def read_matlab(content: bytes, name: str) -> MatlabTable:
+    """The variables of a MATLAB file; ForeignFileError where it cannot be read."""
+    return MatlabTable(name, content, variables_of(content, name))

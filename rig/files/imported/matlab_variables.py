@@ -1,0 +1,128 @@
+"""The variables of a MATLAB file, read where nothing can be lost.
+
+``python -m rig.files.imported.matlab_variables [NAME...]`` takes the file's bytes on standard
+input and answers on standard output: without names what variables there are, as JSON, with names
+their arrays, as NumPy's npz. SciPy has crashed on damaged files of version 5, and HDF5 may not come
+to an end with one of 7.3, which nothing in their process can interrupt.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from rig.core.errors import shortened
+from rig.files.errors import ForeignFileError
+from rig.files.hdf5.safe_reading import refuse_links, whole
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+MAGIC_5, MAGIC_73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
+
+PATIENCE_S = 60.0
+"""For a small file; a large one has BYTES_A_S besides."""
+BYTES_A_S = 1e6
+MAX_MEMORY_BYTES = 8 << 30
+_DAMAGED = 3
+
+Variables = dict[str, tuple[str, tuple[int, ...]]]
+"""Class, in MATLAB's word, and shape of each variable; no shape where it is no array."""
+
+
+def variables_of(content: bytes, name: str) -> Variables:
+    """What variables there are; ForeignFileError where the file cannot be read."""
+    listed = json.loads(_apart(content, name, ()))
+    return {variable: (kind, tuple(shape)) for variable, (kind, shape) in listed.items()}
+
+
+def arrays_of(content: bytes, name: str, wanted: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Arrays of those variables; ForeignFileError where the file cannot be read."""
+    import numpy as np
+
+    with np.load(io.BytesIO(_apart(content, name, wanted)), allow_pickle=False) as arrays:
+        return {variable: arrays[f"{number}"] for number, variable in enumerate(wanted)}
+
+
+def _apart(content: bytes, name: str, wanted: Sequence[str]) -> bytes:
+    command = [sys.executable, "-P", "-m", __name__, *wanted]
+    patience_s = PATIENCE_S + len(content) / BYTES_A_S
+    try:
+        done = subprocess.run(command, input=content, capture_output=True, timeout=patience_s)
+    except subprocess.TimeoutExpired:
+        reason = f"reading it does not come to an end within {patience_s:.0f} s"
+    else:
+        if done.returncode == 0:
+            return done.stdout
+        said = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["it died of it"]
+        killed = signal.Signals(-done.returncode).name if done.returncode < 0 else said[0]
+        reason = shortened(killed, 200)
+    raise ForeignFileError(
+        name, f"no readable MATLAB file: {reason}", "it is damaged: save it again"
+    )
+
+
+def _version_5(content: bytes, wanted: list[str]) -> dict[str, Any]:
+    from scipy.io import loadmat, whosmat
+
+    file: Any = io.BytesIO(content)  # SciPy's types know names alone
+    if not wanted:
+        return {variable: (kind, shape) for variable, shape, kind in whosmat(file)}
+    loaded = loadmat(file, variable_names=wanted, verify_compressed_data_integrity=True)
+    return {variable: loaded[variable] for variable in wanted}
+
+
+def _version_73(content: bytes, wanted: list[str]) -> dict[str, Any]:
+    import h5py
+
+    with h5py.File(io.BytesIO(content), "r") as file:
+        refuse_links(file)
+        if wanted:  # MATLAB stores columns first
+            return {variable: whole(file[variable]).T for variable in wanted}
+        names = [variable for variable in file if not variable.startswith("#")]  # cells' contents
+        return {variable: _described(file[variable], h5py) for variable in names}
+
+
+def _described(item: Any, h5py: Any) -> tuple[str, tuple[int, ...]]:
+    kind = item.attrs.get("MATLAB_class", b"group")
+    kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+    if not isinstance(item, h5py.Dataset):
+        return ("sparse" if "MATLAB_sparse" in item.attrs else kind), ()
+    shape = (0, 0) if "MATLAB_empty" in item.attrs else tuple(reversed(item.shape))
+    return kind, shape
+
+
+def main() -> None:
+    """Answer one request; exit code 3 and a line on stderr for a file that cannot be read."""
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
+    content, wanted = sys.stdin.buffer.read(), sys.argv[1:]
+    read = _version_73 if content.startswith(MAGIC_73) else _version_5
+    try:
+        found = read(content, wanted)
+        answer = _npz(found.values()) if wanted else json.dumps(found).encode()
+    except Exception as error:  # noqa: BLE001 - the readers raise anything for a damaged file
+        sys.stderr.write(" ".join(str(error).split()) or type(error).__name__)
+        sys.exit(_DAMAGED)
+    sys.stdout.buffer.write(answer)
+
+
+def _npz(arrays: Any) -> bytes:
+    import numpy as np
+
+    plain = [np.asarray(array) for array in arrays]
+    if any(array.dtype.hasobject for array in plain):
+        raise ValueError("a variable is no array of numbers")
+    file = io.BytesIO()
+    named: dict[str, Any] = {str(number): array for number, array in enumerate(plain)}
+    np.savez(file, **named)
+    return file.getvalue()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,218 @@
+"""From the columns of a file to channels over time: which is what, at what rate, in what unit.
+
+Pure: takes a source and what was told about it, gives arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rig.files.errors import ForeignFileError
+from rig.files.imported.source import Source
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+STRIPS, FORCES = ("v_1", "v_2"), ("F_n", "F_t")
+TIME = "time"
+UNIT = {"v_1": "V", "v_2": "V", "F_n": "N", "F_t": "N", TIME: "s"}
+"""Of the values that are made of a column."""
+
+STEP_TOLERANCE = 0.5
+"""Of a period, by which two rows may lie nearer or farther: times are printed with few digits."""
+LINE_TOLERANCE = 0.25
+"""Of a period, by which any row may lie off the even spacing."""
+RATE_TOLERANCE = 1e-3
+"""Relative, by which the rate that was told may differ from the file's."""
+ROUND_TOLERANCE = 0.01
+"""Of a period, by which the last row may move when a measured rate is rounded; more where the times
+are less even than that."""
+LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 1.0, 1e7
+LEAST_ROWS = 2
+LARGEST = {"V": 1e3, "N": 1e4}
+"""Beyond, a column holds no such signal, or counts whose scale was not told."""
+LATEST_S = 1e11
+"""Since any of the years from which clocks count."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What was told about a file. Keys are v_1, v_2, F_n, F_t and time."""
+
+    columns: Mapping[str, str]
+    """The column of each channel, as the source takes it."""
+    scale: Mapping[str, float]
+    """V, N or s for one unit of the file; 1 where nothing was told."""
+    rate_Hz: float | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Channels over time at a constant rate.
+
+    ``raw`` maps a channel to its numbers in the file, float64 of shape (rows,); ``scale`` to what
+    makes V or N of them; ``columns`` to the column that they are from.
+    """
+
+    rate_Hz: float
+    raw: dict[str, NDArray[np.float64]]
+    scale: dict[str, float]
+    columns: dict[str, str]
+    warnings: tuple[str, ...]
+
+    @property
+    def rows(self) -> int:
+        """Samples of each channel."""
+        return len(self.raw["v_1"])
+
+    def values(self, channel: str) -> NDArray[np.float64]:
+        """A channel in V or N, float64 of shape (rows,)."""
+        return self.raw[channel] * self.scale[channel]
+
+
+def recording_of(source: Source, told: Told, name: str) -> Recording:
+    """The channels that were told of, read and checked.
+
+    ForeignFileError where a column is not there or named twice, is labelled in a unit that nothing
+    was told about, holds what is no number, or where the rate is unknown, uneven or contradicted.
+    """
+    import numpy as np
+
+    wanted = dict(told.columns)
+    if TIME not in wanted and source.time is not None:
+        wanted[TIME] = source.time
+    if TIME in told.scale and TIME not in wanted:
+        raise ForeignFileError(name, "a scale of times without times", "give their --time column")
+    columns = {channel: source.column(column) for channel, column in wanted.items()}
+    for channel, column in columns.items():
+        twin = next(other for other, its in columns.items() if its == column)
+        if twin != channel:
+            raise ForeignFileError(
+                name, f"{twin} and {channel} are both {source.name(column)}", "see --channels"
+            )
+        _check_unit(source, channel, column, told, name)
+    scale = {channel: told.scale.get(channel, 1.0) for channel in columns}
+    table = source.values(list(columns.values()))
+    if len(table) < LEAST_ROWS:
+        raise ForeignFileError(name, f"{len(table)} rows, {LEAST_ROWS} are needed at least")
+    raw = dict(zip(columns, np.ascontiguousarray(table.T), strict=True))
+    times = raw.pop(TIME, None)
+    rate_Hz = _common_rate(source, told, None if times is None else times * scale.pop(TIME), name)
+    recording = Recording(
+        rate_Hz,
+        raw,
+        scale,
+        {channel: source.name(columns[channel]) for channel in raw},
+        tuple(
+            f"{channel} is dead: {source.name(columns[channel])} is {numbers[0]:g} in every row"
+            for channel, numbers in raw.items()
+            if (numbers == numbers[0]).all()
+        ),
+    )
+    for channel in raw:
+        _check_size(source, recording, channel, name)
+    return recording
+
+
+def _check_size(source: Source, recording: Recording, channel: str, name: str) -> None:
+    unit = UNIT[channel]
+    limit = LARGEST[unit] / abs(recording.scale[channel])
+    sizes = abs(recording.raw[channel])
+    if sizes.max() > limit:
+        row = int(sizes.argmax())
+        raise ForeignFileError(
+            name,
+            f"{recording.columns[channel]}: {recording.raw[channel][row]:g} times "
+            f"{recording.scale[channel]:g} {unit} is no {channel}, {LARGEST[unit]:g} {unit} are "
+            "allowed",
+            f"say what one unit of the file is, such as --scale {channel}=1m{unit}",
+            source.place(row),
+        )
+
+
+def _check_unit(source: Source, channel: str, column: int, told: Told, name: str) -> None:
+    labelled, unit = source.unit(column), UNIT[channel]
+    if labelled not in (None, unit) and channel not in told.scale:
+        raise ForeignFileError(
+            name,
+            f"{source.name(column)} is labelled {labelled}, {channel} is read in {unit}",
+            f"say what one unit of the file is, such as --scale {channel}=1m{unit}",
+        )
+
+
+def _common_rate(
+    source: Source, told: Told, times_s: NDArray[np.float64] | None, name: str
+) -> float:
+    """The rate that was told, or the file's own; they have to agree."""
+    known = [("--rate is", told.rate_Hz), ("the header says", source.rate_Hz)]
+    if times_s is not None:
+        known.append(("the times say", uniform_rate(times_s, source, name)))
+    rates = [(whose, rate) for whose, rate in known if rate is not None]
+    if not rates:
+        raise ForeignFileError(
+            name, "nothing in it says how fast it was sampled", "give --rate, or its --time column"
+        )
+    first, rate_Hz = rates[0]
+    for whose, other in rates[1:]:
+        if abs(other / rate_Hz - 1) > RATE_TOLERANCE:
+            raise ForeignFileError(
+                name,
+                f"{first} {rate_Hz:g} Hz and {whose} {other:g} Hz: they may differ by "
+                f"{100 * RATE_TOLERANCE:g} %",
+                "correct what is wrong, --rate or --scale time=...",
+            )
+    _check_rate(first, rate_Hz, name)
+    return rate_Hz
+
+
+def _check_rate(whose: str, rate_Hz: float, name: str) -> None:
+    if not LOWEST_RATE_Hz <= rate_Hz <= HIGHEST_RATE_Hz:
+        raise ForeignFileError(
+            name,
+            f"{whose} {rate_Hz:g} Hz: has to be {LOWEST_RATE_Hz:g} to {HIGHEST_RATE_Hz:g} Hz",
+            "where times are not in s, say so with --scale time=1ms",
+        )
+
+
+def uniform_rate(times_s: NDArray[np.float64], source: Source, name: str) -> float:
+    """The rate of evenly spaced times, the roundest that agrees with them.
+
+    ForeignFileError names the row where they are not even: STEP_TOLERANCE and LINE_TOLERANCE.
+    """
+    import numpy as np
+
+    def refuse(row: int, reason: str) -> ForeignFileError:
+        hint = "cut the file there, or resample it; a gap cannot be imported"
+        return ForeignFileError(name, reason, hint, source.place(row))
+
+    if np.abs(times_s).max() > LATEST_S:
+        row = int(np.abs(times_s).argmax())
+        raise refuse(row, f"{times_s[row]:g} s is no time, {LATEST_S:g} s are allowed")
+    steps = np.diff(times_s)
+    usual = float(np.median(steps))
+    if not usual > 0:
+        raise refuse(int(np.argmax(steps <= 0)) + 1, "its time is not behind that of the row above")
+    _check_rate("the times say", 1 / max(usual, 1 / LATEST_S**2), name)
+    uneven = np.abs(steps / usual - 1) > STEP_TOLERANCE
+    if uneven.any():
+        row = int(np.argmax(uneven))
+        raise refuse(
+            row + 1,
+            f"{steps[row]:.6g} s after the row above, {usual:.6g} s is usual: "
+            f"{STEP_TOLERANCE:g} of that is allowed",
+        )
+    count = len(steps)
+    rate_Hz = float(count / (times_s[-1] - times_s[0]))
+    off = np.abs((times_s - times_s[0]) * rate_Hz - np.arange(count + 1))
+    if off.max() > LINE_TOLERANCE:
+        row = int(off.argmax())
+        raise refuse(
+            row,
+            f"its time is {off[row]:.2g} periods off even spacing, {LINE_TOLERANCE:g} are allowed",
+        )
+    allowed = max(ROUND_TOLERANCE, float(off.max()))
+    rounded = (float(f"{rate_Hz:.{digits}g}") for digits in range(1, 18))
+    return next(r for r in rounded if count * abs(r / rate_Hz - 1) <= allowed)

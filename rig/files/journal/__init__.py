@@ -1,0 +1,1 @@
+"""The journal: the record of a run as it happens, append only, each record with a checksum."""

@@ -1,0 +1,246 @@
+"""The bytes of a journal: records to and from bytes, without any file.
+
+    magic "RIGJ0001", then records   u32 length | u32 crc32 of the payload | payload
+    payload   u8 type, then a body: JSON (ASCII), or for a block
+              u16 stream | u64 first_index | f64 host_time | rows
+
+All little-endian. JSON has no NaN and no infinities: a non-finite number is written as
+``{"$float": "nan"}`` ("inf", "-inf") and comes back as that float; null stays None. Finite floats
+are written with ``repr`` and come back bit for bit.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from rig.core.errors import ConfigurationError
+from rig.files.journal.values import End, Event, RunHeader, StreamState
+
+MAGIC = b"RIGJ0001"
+MAX_PAYLOAD = 16 << 20
+MAX_JSON = 4 << 20
+"""JSON grows some thirty times when it is read: a bound of its own keeps a hostile record small."""
+
+PREFIX = struct.Struct("<II")
+BLOCK_HEAD = struct.Struct("<BHQd")
+
+
+class Kind(IntEnum):
+    """First byte of a payload."""
+
+    HEADER = 1
+    BLOCK = 2
+    EVENT = 3
+    POINT_BEGIN = 4
+    POINT_KEEP = 5
+    POINT_DISCARD = 6
+    END = 7
+    STREAM = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Rows of one stream: ``data`` is their bytes, C order."""
+
+    stream: int
+    first_index: int
+    host_time: float
+    data: memoryview
+
+
+@dataclass(frozen=True, slots=True)
+class PointBegin:
+    """A point is taken from here on; ``fields`` is what the writer knows about it."""
+
+    id: str
+    fields: dict[str, Any]
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class PointKeep:
+    """The open point is kept, with its reading."""
+
+    id: str
+    reading: dict[str, Any]
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class PointDiscard:
+    """The open point does not count: what it recorded stays, marked as discarded."""
+
+    id: str
+    reason: str
+    text: str
+
+
+Record = RunHeader | Block | Event | PointBegin | PointKeep | PointDiscard | End | StreamState
+
+
+class BadRecord(ValueError):  # noqa: N818 - an intermediate finding, not an error anybody sees
+    """The bytes are no record; the message is the reason."""
+
+
+def to_json(value: Any) -> str:
+    """JSON text of a value (see the module's text about NaN); TypeError for what JSON lacks."""
+    try:
+        return json.dumps(value, allow_nan=False, separators=(",", ":"), default=_plain)
+    except ValueError:
+        return json.dumps(_tagged(value), allow_nan=False, separators=(",", ":"))
+
+
+def from_json(text: str | bytes) -> Any:
+    """The value of a JSON text; BadRecord for anything else, however hostile."""
+    if len(text) > MAX_JSON:
+        raise BadRecord(f"{len(text)} bytes of JSON, at most {MAX_JSON} are allowed")
+    try:
+        return json.loads(text, object_hook=_untagged, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise BadRecord(f"not JSON: {error}") from None
+
+
+def _plain(value: Any) -> Any:
+    """NumPy scalars and arrays, settings and mappings as what json.dumps knows."""
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
+    if isinstance(value, Mapping):
+        return dict(value)
+    if hasattr(value, "tolist") and not isinstance(value, (bytes, memoryview)):
+        plain = value.tolist()
+        if not isinstance(plain, complex):
+            return plain
+    raise TypeError(f"{type(value).__name__} has no place in JSON")
+
+
+def _tagged(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return {"$float": repr(float(value))}
+    if isinstance(value, Mapping):
+        return {key: _tagged(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_tagged(item) for item in value]
+    if value is None or isinstance(value, (str, int, float)):
+        return value
+    return _tagged(_plain(value))
+
+
+_NON_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
+
+
+def _untagged(value: dict[str, Any]) -> Any:
+    if len(value) == 1 and "$float" in value:
+        number = value["$float"]
+        if isinstance(number, str) and number in _NON_FINITE:
+            return _NON_FINITE[number]
+        raise ValueError("$float is none of nan, inf, -inf")
+    return value
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no JSON")
+
+
+def frame(payload: bytes) -> bytes:
+    """A payload as a record: with its length and checksum."""
+    if len(payload) > MAX_PAYLOAD:
+        raise ValueError(f"a record of {len(payload)} bytes; at most {MAX_PAYLOAD} are allowed")
+    return PREFIX.pack(len(payload), zlib.crc32(payload)) + payload
+
+
+def json_record(kind: Kind, value: Any) -> bytes:
+    """A record of JSON; ValueError if it is longer than allowed, TypeError if it is no JSON."""
+    text = to_json(value).encode("ascii")
+    if len(text) > MAX_JSON:
+        raise ValueError(f"{kind.name}: {len(text)} bytes of JSON; at most {MAX_JSON} are allowed")
+    return frame(bytes((kind,)) + text)
+
+
+def block_record(stream: int, first_index: int, host_time: float, data: memoryview) -> bytes:
+    """A record of sample rows."""
+    return frame(BLOCK_HEAD.pack(Kind.BLOCK, stream, first_index, host_time) + data)
+
+
+def decode(payload: bytes, header: RunHeader | None) -> Record:
+    """The record of a payload whose checksum is right; BadRecord if it makes no sense.
+
+    Without a header only a HEADER is accepted, and with one everything but a HEADER.
+    """
+    kind = payload[0]
+    if (kind == Kind.HEADER) != (header is None):
+        raise BadRecord("a second HEADER" if header else f"type {kind} where HEADER is expected")
+    if header is not None and kind == Kind.BLOCK:
+        return _decode_block(payload, header)
+    if kind not in _JSON_KINDS:
+        raise BadRecord(f"unknown record type {kind}")
+    try:
+        text = payload[1:].decode("utf-8")
+    except UnicodeDecodeError:
+        raise BadRecord("not UTF-8") from None
+    value = from_json(text)
+    if not isinstance(value, dict):
+        raise BadRecord(f"{Kind(kind).name} is no JSON object")
+    return _decode_json(Kind(kind), value, text, header)
+
+
+_JSON_KINDS = frozenset(Kind) - {Kind.BLOCK}
+
+
+def _decode_block(payload: bytes, header: RunHeader) -> Block:
+    if len(payload) < BLOCK_HEAD.size:
+        raise BadRecord("a block too short for its own head")
+    _, stream, first_index, host_time = BLOCK_HEAD.unpack_from(payload)
+    data = memoryview(payload)[BLOCK_HEAD.size :]
+    try:
+        header.check_block(stream, len(data), first_index, host_time)
+    except ValueError as error:
+        raise BadRecord(f"block: {error}") from None
+    return Block(stream, first_index, host_time, data)
+
+
+def _decode_json(kind: Kind, value: dict[str, Any], text: str, header: RunHeader | None) -> Record:
+    if kind in (Kind.POINT_BEGIN, Kind.POINT_KEEP, Kind.POINT_DISCARD):
+        return _decode_point(kind, value, text)
+    try:
+        if kind == Kind.HEADER:
+            return RunHeader.model_validate(value)
+        if kind == Kind.EVENT:
+            return Event.model_validate(value)
+        if kind == Kind.END:
+            return End.model_validate(value)
+        state = StreamState.model_validate(value)
+        if header is not None:
+            header.check_state(state)
+        return state
+    except ValidationError as error:
+        raise BadRecord(ConfigurationError.from_validation(error, kind.name).message) from None
+    except (ValueError, RecursionError) as error:
+        raise BadRecord(f"{kind.name}: {error}") from None
+
+
+def _decode_point(kind: Kind, value: dict[str, Any], text: str) -> Record:
+    point_id = value.get("id")
+    if not isinstance(point_id, str) or not 0 < len(point_id) <= 256:
+        raise BadRecord(f"{kind.name}: id is not a text of 1 to 256 characters")
+    if kind == Kind.POINT_BEGIN:
+        fields = value.get("point", {})
+        if isinstance(fields, dict):
+            return PointBegin(point_id, fields, text)
+    elif kind == Kind.POINT_KEEP:
+        reading = value.get("reading")
+        if isinstance(reading, dict):
+            return PointKeep(point_id, reading, text)
+    else:
+        reason = value.get("reason", "")
+        if isinstance(reason, str):
+            return PointDiscard(point_id, reason, text)
+    raise BadRecord(f"{kind.name}: its content is of the wrong type")

@@ -1,0 +1,383 @@
+"""Writing a journal: the run as it happens, append only, each record with its checksum.
+
+What ``sync`` has returned for is *acknowledged*: it survives a kill and a power cut. The file is
+opened without buffers, locked for as long as it is written (nobody compiles a run that still
+writes), and never changed behind its end, but for the torn end that ``reopen`` cuts off.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from pydantic import ValidationError
+
+from rig.core.errors import ConfigurationError, ExitCode, RigError
+from rig.files.errors import JournalError, RecordingError
+from rig.files.journal.format import (
+    BLOCK_HEAD,
+    MAGIC,
+    MAX_PAYLOAD,
+    Kind,
+    block_record,
+    json_record,
+)
+from rig.files.journal.reader import JournalContents, KeptPoint, read_journal
+from rig.files.journal.values import End, Event, RunHeader, StreamState
+from rig.files.naming import journal_path, next_run_path
+
+__all__ = [
+    "JournalContents",
+    "JournalEncoder",
+    "JournalError",
+    "JournalWriter",
+    "KeptPoint",
+    "read_journal",
+]
+
+_IOV_MAX = 1024
+_NAME_TRIES = 20
+_DISK_HINT = "free space or write access there, then `rig recover` the journal or resume the run"
+
+
+class JournalEncoder:
+    """Turns what happens into records, and refuses what makes no sense: no file, no bytes kept.
+
+    A point is begun, then kept or discarded; a kept point is never begun again. ValueError and
+    TypeError mean that the caller's values cannot be recorded.
+    """
+
+    def __init__(self, header: RunHeader, kept: Sequence[str] = ()) -> None:
+        self.header = header
+        self._kept = set(kept)
+        self._open: str | None = None
+
+    def block(self, stream: int, first_index: int, host_time: float, data: object) -> list[bytes]:
+        """Records of rows (bytes or an array, C order, of the stream's dtype and channels)."""
+        rows = _row_bytes(data, self.header, stream)
+        self.header.check_block(stream, len(rows), first_index, host_time)
+        row = self.header.streams[stream].row_bytes
+        most = (MAX_PAYLOAD - BLOCK_HEAD.size) // row * row
+        return [
+            block_record(stream, first_index + at // row, host_time, rows[at : at + most])
+            for at in range(0, len(rows), most)
+        ]
+
+    def event(self, fields: Mapping[str, Any] | Event) -> bytes:
+        """A record of an event: time (s since start), level, code, message."""
+        return json_record(Kind.EVENT, Event.model_validate(fields))
+
+    def stream(self, fields: Mapping[str, Any] | StreamState) -> bytes:
+        """A record of how a stream's counts read from here on."""
+        state = StreamState.model_validate(fields)
+        self.header.check_state(state)
+        return json_record(Kind.STREAM, state)
+
+    def point_begin(self, point_id: str, fields: Mapping[str, Any]) -> bytes:
+        """A record that a point is taken from here on; ``time`` in the fields is s since start."""
+        if self._open is not None:
+            raise ValueError(f"point {point_id}: point {self._open} is still open")
+        if point_id in self._kept:
+            raise ValueError(f"point {point_id}: kept already")
+        if not 0 < len(point_id) <= 256:
+            raise ValueError(f"point {point_id[:40]!r}: an id has 1 to 256 characters")
+        record = json_record(Kind.POINT_BEGIN, {"id": point_id, "point": dict(fields)})
+        self._open = point_id
+        return record
+
+    def point_keep(self, point_id: str, reading: Mapping[str, Any]) -> bytes:
+        """A record that the open point counts, with its reading."""
+        self._check_open(point_id)
+        record = json_record(Kind.POINT_KEEP, {"id": point_id, "reading": dict(reading)})
+        self._kept.add(point_id)
+        self._open = None
+        return record
+
+    def point_discard(self, point_id: str, reason: str) -> bytes:
+        """A record that the open point does not count."""
+        self._check_open(point_id)
+        record = json_record(Kind.POINT_DISCARD, {"id": point_id, "reason": reason})
+        self._open = None
+        return record
+
+    def end(self, fields: Mapping[str, Any] | End) -> bytes:
+        """A record of how the run ended."""
+        return json_record(Kind.END, End.model_validate(fields))
+
+    def _check_open(self, point_id: str) -> None:
+        if self._open != point_id:
+            raise ValueError(f"point {point_id}: not the open point, which is {self._open}")
+
+
+def _row_bytes(data: object, header: RunHeader, stream: int) -> memoryview:
+    """The rows' bytes; ValueError for an array of another type or shape than the stream's."""
+    dtype = getattr(data, "dtype", None)
+    if dtype is not None and 0 <= stream < len(header.streams):
+        expected, shape = header.streams[stream], getattr(data, "shape", ())
+        if dtype != expected.dtype or shape[1:] not in (expected.row_shape, ()):
+            raise ValueError(
+                f"stream {expected.name}: an array of {dtype} {shape}, expected rows of "
+                f"{expected.dtype} {expected.row_shape}"
+            )
+        if shape[1:] == () and expected.row_shape != (1,):
+            raise ValueError(f"stream {expected.name}: rows need {expected.row_shape[0]} channels")
+    view = memoryview(data)  # type: ignore[arg-type]
+    return memoryview(view.tobytes()) if not view.c_contiguous else view.cast("B")
+
+
+class JournalWriter:
+    """A journal open for writing, by one thread. After a failed write it only repeats that error.
+
+    Errors: JournalError for a file that is none; RecordingError with path, cause and remedy for a
+    full disk and the like.
+    """
+
+    def __init__(self, path: Path, descriptor: int, encoder: JournalEncoder, size: int) -> None:
+        self.path = path
+        self.encoder = encoder
+        self._descriptor = descriptor
+        self._size = size
+        self._acknowledged = 0
+        self._failure: RecordingError | None = None
+
+    @classmethod
+    def create(cls, path: Path | str, header: RunHeader | Mapping[str, Any]) -> JournalWriter:
+        """A new journal, its header on the disk; FileExistsError if there is a file already."""
+        path = Path(path)
+        header = _validated(path, header)
+        record = json_record(Kind.HEADER, header)
+        try:
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
+        except FileExistsError:
+            raise
+        except OSError as error:
+            raise RecordingError(path, error.strerror or str(error), _DISK_HINT) from error
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        writer = cls(path, descriptor, JournalEncoder(header), 0)
+        try:
+            writer.append([MAGIC, record])
+            writer.sync()
+            sync_folder(path.parent)
+        except BaseException:
+            writer.close()
+            with contextlib.suppress(OSError):  # a disk that has become read-only keeps it
+                path.unlink()
+            raise
+        return writer
+
+    @classmethod
+    def reopen(cls, path: Path | str) -> JournalWriter:
+        """A journal to be continued: a torn end is cut off, a point left open is discarded.
+
+        JournalError for what is no journal, is damaged before its end, or is being written.
+        """
+        path = Path(path)
+        try:
+            descriptor = os.open(path, os.O_RDWR | os.O_APPEND)
+        except OSError as error:
+            raise JournalError(path, None, error.strerror or str(error)) from error
+        try:
+            lock_journal(path, descriptor)
+            contents = read_journal(path)
+            contents.require_continuable()
+            os.ftruncate(descriptor, contents.end_offset)
+            encoder = JournalEncoder(contents.header, contents.kept_ids())
+            writer = cls(path, descriptor, encoder, contents.end_offset)
+            writer._close_open_point(contents.grouping.open_point)
+            writer.sync()
+        except BaseException:
+            os.close(descriptor)
+            raise
+        return writer
+
+    def _close_open_point(self, point_id: str | None) -> None:
+        if point_id is not None:
+            fields = {"id": point_id, "reason": "the run was interrupted"}
+            self.append([json_record(Kind.POINT_DISCARD, fields)])
+
+    @property
+    def header(self) -> RunHeader:
+        """The run's header."""
+        return self.encoder.header
+
+    @property
+    def size(self) -> int:
+        """Bytes written."""
+        return self._size
+
+    @property
+    def acknowledged_bytes(self) -> int:
+        """Bytes that are known to be on the disk."""
+        return self._acknowledged
+
+    def block(self, stream: int, first_index: int, host_time: float, data: object) -> None:
+        """Rows of a stream: ``first_index`` counts its rows, ``host_time`` is s since start."""
+        self._record(lambda: self.encoder.block(stream, first_index, host_time, data))
+
+    def event(self, fields: Mapping[str, Any] | Event) -> None:
+        """Something that happened: time (s since start), level, code, message."""
+        self._record(lambda: [self.encoder.event(fields)])
+
+    def stream(self, fields: Mapping[str, Any] | StreamState) -> None:
+        """How a stream's counts read from here on."""
+        self._record(lambda: [self.encoder.stream(fields)])
+
+    def point_begin(self, point_id: str, fields: Mapping[str, Any]) -> None:
+        """A point is taken from here on."""
+        self._record(lambda: [self.encoder.point_begin(point_id, fields)])
+
+    def point_keep(self, point_id: str, reading: Mapping[str, Any]) -> None:
+        """The open point counts, with this reading."""
+        self._record(lambda: [self.encoder.point_keep(point_id, reading)])
+
+    def point_discard(self, point_id: str, reason: str) -> None:
+        """The open point does not count."""
+        self._record(lambda: [self.encoder.point_discard(point_id, reason)])
+
+    def end(self, fields: Mapping[str, Any] | End) -> None:
+        """How the run, or this attempt at it, ended."""
+        self._record(lambda: [self.encoder.end(fields)])
+
+    def _record(self, encode: Any) -> None:
+        self.append(refusing_nonsense(self.path, encode))
+
+    def append(self, records: Sequence[bytes]) -> None:
+        """Write whole records, in one system call where the kernel takes them in one."""
+        self._check()
+        begin = self._size
+        try:
+            for at in range(0, len(records), _IOV_MAX):
+                _write_all(self._descriptor, records[at : at + _IOV_MAX])
+            self._size = begin + sum(map(len, records))
+        except OSError as error:
+            raise self._fail("write", error) from error
+
+    def sync(self) -> None:
+        """Return when everything written is on the disk (fdatasync): it is acknowledged."""
+        self._check()
+        try:
+            os.fdatasync(self._descriptor)
+        except OSError as error:  # what the kernel dropped is gone: a second sync would lie
+            raise self._fail("sync", error) from error
+        self._acknowledged = self._size
+
+    def close(self) -> None:
+        """Close the file, without another sync. A second close does nothing."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _check(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+        if self._descriptor < 0:
+            raise RecordingError(self.path, "the journal is closed")
+
+    def _fail(self, act: str, error: OSError) -> RecordingError:
+        cause = f"{act} failed: {error.strerror or error}"
+        self._failure = RecordingError(self.path, cause, _DISK_HINT)
+        return self._failure
+
+
+def begin_journal(
+    results: Path, procedure: str, header: RunHeader | Mapping[str, Any]
+) -> JournalWriter:
+    """A new journal in the folder of today, under the next number; RecordingError where none can
+    be begun."""
+    now = datetime.now().astimezone()
+    with _beginning(results):
+        for _ in range(_NAME_TRIES):
+            with contextlib.suppress(FileExistsError):  # another run took the number
+                path = next_run_path(results, procedure, now)
+                return JournalWriter.create(journal_path(path), header)
+    raise RecordingError(results, "other runs keep taking the next file name")
+
+
+def begin_journal_at(path: Path, header: RunHeader | Mapping[str, Any]) -> JournalWriter:
+    """A new journal in this place; RecordingError where it cannot be begun, or is there already."""
+    with _beginning(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return JournalWriter.create(path, header)
+
+
+@contextlib.contextmanager
+def _beginning(place: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(
+            place,
+            f"no run file can be begun there: {error.strerror or error}",
+            "give another folder with --results, or free the disk",
+        ) from error
+
+
+def refusing_nonsense(path: Path, encode: Any) -> Any:
+    """What ``encode()`` gives; its ValueError or TypeError becomes a RigError that names the file.
+
+    Nothing was written then, and the journal can go on.
+    """
+    try:
+        return encode()
+    except ValidationError as error:
+        reason = ConfigurationError.from_validation(error, "record").message
+        raise RigError(f"{path}: cannot be recorded: {reason}", code=ExitCode.INTERNAL) from error
+    except (ValueError, TypeError) as error:
+        raise RigError(f"{path}: cannot be recorded: {error}", code=ExitCode.INTERNAL) from error
+
+
+def lock_journal(path: Path, descriptor: int, *, shared: bool = False) -> None:
+    """Hold the journal's lock until the descriptor is closed; JournalError if a run writes it."""
+    try:
+        fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except OSError as error:
+        raise JournalError(
+            path, None, "another process is using this journal", "wait for its run to end"
+        ) from error
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the folder's entries durable: a new file, a rename."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _validated(path: Path, header: RunHeader | Mapping[str, Any]) -> RunHeader:
+    if isinstance(header, RunHeader):
+        return header
+    try:
+        return RunHeader.model_validate(dict(header))
+    except ValidationError as error:
+        raise JournalError(
+            path, None, ConfigurationError.from_validation(error, "header").message
+        ) from error
+
+
+def _write_all(descriptor: int, buffers: Sequence[bytes]) -> None:
+    left: list[bytes | memoryview] = list(buffers)
+    while left:
+        written = os.writev(descriptor, left)
+        while left and written >= len(left[0]):
+            written -= len(left.pop(0))
+        if left and written:
+            left[0] = memoryview(left[0])[written:]

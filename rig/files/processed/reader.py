@@ -1,0 +1,212 @@
+"""Reading a processed file: its source, the detector's parameters, events and signals.
+
+As with run files, whatever is wrong with one is a RunFileError that names it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from rig.core.settings import fingerprint
+from rig.detector.events import Event, EventKind
+from rig.detector.settings import DetectorSettings
+from rig.files.errors import RunFileError, in_words
+from rig.files.file_kind import TOLD, kind_of
+from rig.files.hdf5.open_file import OpenFile
+from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
+from rig.files.journal.values import SIMULATED
+from rig.files.processed.writer import DEFINITION, DetectedTrial, Source, processed_path
+
+if TYPE_CHECKING:
+    pass
+
+
+def is_processed(path: Path) -> bool:
+    """Whether a file says that it is a processed one; a damaged file says nothing."""
+    import h5py
+
+    if kind_of(path) != "hdf5":
+        return False
+    try:
+        with h5py.File(path, "r") as file:
+            refuse_links(file)
+            return text_of(file["entry/definition"]) == DEFINITION
+    except DAMAGE:
+        return False
+
+
+class ProcessedFile(OpenFile):
+    """An open processed file; use it as a context."""
+
+    @classmethod
+    def open(cls, path: Path | str) -> ProcessedFile:
+        """Open a processed file. RunFileError if it cannot be read or is none."""
+        import h5py
+
+        path = Path(path)
+        if (kind := kind_of(path)) != "hdf5":
+            raise RunFileError(path, TOLD[kind])
+        with _naming(path):
+            file = h5py.File(path, "r")
+        opened = cls(path, file)
+        try:
+            with _naming(path):
+                refuse_links(file)
+                if "entry/definition" not in file or opened._text("definition") != DEFINITION:
+                    raise RunFileError(path, "an HDF5 file, but no processed one")
+                _ = opened.source, opened.settings
+        except RunFileError:
+            file.close()
+            raise
+        return opened
+
+    @cached_property
+    def source(self) -> Source:
+        """The run file that was processed."""
+        with _naming(self.path):
+            simulated = "source/simulated" in self.entry
+            return Source(
+                file_name=self._text("source/file_name"),
+                sha256=self._text("source/sha256"),
+                definition=self._text("source/definition"),
+                title=self._text("source/title"),
+                run_uuid=self._text("identifier_experiment"),
+                start_time=self._text("start_time") if "start_time" in self.entry else None,
+                end_time=self._text("end_time") if "end_time" in self.entry else None,
+                simulated=bool(whole(self.entry["source/simulated"])) if simulated else None,
+                mark=self._text("source/mark"),
+            )
+
+    @cached_property
+    def settings(self) -> DetectorSettings:
+        """The detector's parameters."""
+        with _naming(self.path):
+            return DetectorSettings.model_validate_json(self._text("process/settings/data"))
+
+    @property
+    def title(self) -> str:
+        """The file's title, with its mark."""
+        with _naming(self.path):
+            return self._text("title")
+
+    @property
+    def version(self) -> str:
+        """The detector's version."""
+        with _naming(self.path):
+            return self._text("process/version")
+
+    def trial_ids(self) -> list[str]:
+        """Ids of the trials, in the order in which they were processed."""
+        with _naming(self.path):
+            return texts_of(self.entry["trials/id"])
+
+    def events(self) -> list[tuple[str, Event]]:
+        """All events, each with its trial's id: trial after trial, in the order of time."""
+        with _naming(self.path):
+            table = self.entry["events"]
+            kinds = texts_of(table["kind"])
+            if not set(kinds) <= set(get_args(EventKind)):
+                raise ValueError("an event of another kind")
+            features = [
+                (str(column.attrs["long_name"]), whole(column).tolist())
+                for column in table["features"].values()
+            ]
+            columns = (
+                texts_of(table["trial"]),
+                kinds,
+                whole(table["sample"]).tolist(),
+                whole(table["time"]).tolist(),
+                whole(table["confidence"]).tolist(),
+                texts_of(table["reason"]),
+            )
+            return [
+                (
+                    trial,
+                    Event(
+                        kind=kind,
+                        sample=sample,
+                        time_s=time,
+                        confidence=confidence,
+                        reason=reason,
+                        features={
+                            name: values[row]
+                            for name, values in features
+                            if not math.isnan(values[row])
+                        },
+                    ),
+                )
+                for row, (trial, kind, sample, time, confidence, reason) in enumerate(
+                    zip(*columns, strict=True)
+                )
+            ]
+
+    def trials(self) -> list[DetectedTrial]:
+        """The trials with their signals and events."""
+        events = self.events()
+        with _naming(self.path):
+            groups = {
+                data.attrs["trial"]: data
+                for name, data in self.entry["trials"].items()
+                if name != "id"
+            }
+            return [
+                DetectedTrial(
+                    id=trial,
+                    rate_Hz=float(groups[trial].attrs["rate_Hz"]),
+                    sample=whole(groups[trial]["sample"]),
+                    v_d=whole(groups[trial]["v_d"]),
+                    predictive=whole(groups[trial]["predictive"]),
+                    events=tuple(event for of, event in events if of == trial),
+                )
+                for trial in self.trial_ids()
+            ]
+
+    def extent(self) -> str:
+        """What it holds: ``rig 1, 12 events in 3 trials``."""
+        trials, events = len(self.trial_ids()), len(self.events())
+        told = f"{events} event{'s' * (events != 1)} in {trials} trial{'s' * (trials != 1)}"
+        return f"{self.settings.logic} {self.version}, {told}"
+
+    def findings(self) -> Iterator[str]:
+        """Contents: what is wrong with what the file says of itself, one sentence each."""
+        source, settings = self.source, self.settings
+        for where, title in (("title", self.title), ("source/title", source.title)):
+            if not title.startswith(source.mark):
+                yield f"{where} does not say {source.mark}, as its source does"
+        if (source.mark == SIMULATED) != bool(source.simulated):
+            yield "source/simulated does not agree with source/mark"
+        with _naming(self.path):
+            if self.entry["process/settings/data"].attrs["fingerprint"] != fingerprint(settings):
+                yield "the parameters' fingerprint is not theirs"
+            name = str(self._file.attrs["file_name"])
+        if name != processed_path(Path(source.file_name), settings, self.version).name:
+            yield "its name is not that of its run, detector and parameters"
+        for trial in self.trials():
+            rows = trial.sample.size
+            if trial.v_d.shape != (rows,) or trial.predictive.shape != (rows,):
+                yield f"trial {trial.id}: not one value a row"
+            last = int(trial.sample[-1]) if rows else -1
+            if any(not 0 <= event.sample <= last for event in trial.events):
+                yield f"trial {trial.id}: an event lies outside its rows"
+            if any(event.time_s != event.sample / trial.rate_Hz for event in trial.events):
+                yield f"trial {trial.id}: an event's time is not its row's"
+        if strangers := {of for of, _ in self.events()} - set(self.trial_ids()):
+            yield f"events of trials that are not there: {', '.join(sorted(strangers))}"
+
+    def _text(self, name: str) -> str:
+        return text_of(self.entry[name])
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Damage to the file as a RunFileError that names it."""
+    try:
+        yield
+    except DAMAGE as error:
+        hint = "`rig detect` writes it again from the run file"
+        raise RunFileError(path, f"no readable processed file: {in_words(error)}", hint) from error

@@ -1,0 +1,277 @@
+"""Processed files: what a detector found in a run file, in a file of its own beside it.
+
+The raw file is read and named by its SHA-256, never written to. A processed file holds nothing but
+what follows from that file, the detector's version and its parameters, so that the same three give
+the same bytes (with the same libraries), whoever computes them and when.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.core.settings import fingerprint, leaves, unit_of
+from rig.detector.events import Event
+from rig.detector.settings import DetectorSettings
+from rig.files.errors import RecordingError, RunFileError
+from rig.files.hdf5.guarded_file import GuardedFile
+from rig.files.hdf5.nexus import (
+    UniqueNames,
+    array_field,
+    group,
+    number_field,
+    plain_text,
+    set_attributes,
+    text_field,
+    texts_field,
+)
+from rig.files.hdf5.publishing import publish
+from rig.files.naming import RUN_SUFFIX
+from rig.files.runfile.compile import sha256_of
+from rig.files.runfile.write_entry import write_note, write_values
+
+if TYPE_CHECKING:
+    import h5py
+    import numpy as np
+    from numpy.typing import NDArray
+
+DEFINITION, LAYOUT_VERSION = "NXrig_processed", "1"
+FOLDER = "processed"
+"""Of the results, in the folder of their run."""
+FINGERPRINT_LENGTH = 12
+"""Characters of the parameters' fingerprint in a file's name."""
+PROGRAM = "rig detect"
+
+
+@dataclass(frozen=True)
+class Source:
+    """The run file that was processed, as it said itself; times are ISO 8601."""
+
+    file_name: str
+    sha256: str
+    definition: str
+    title: str
+    """With its mark."""
+    run_uuid: str
+    start_time: str | None
+    end_time: str | None
+    simulated: bool | None
+    """None where nobody knows."""
+    mark: str
+    """What every title has to begin with: that the run was simulated or imported, or nothing."""
+
+
+@dataclass(frozen=True)
+class DetectedTrial:
+    """What a detector made of one trial."""
+
+    id: str
+    rate_Hz: float
+    sample: NDArray[np.int64]
+    """(n,), the rows that were recorded, counted from the first; gaps are missing rows."""
+    v_d: NDArray[np.float64]
+    """v_1 - v_2 in V, (n,)."""
+    predictive: NDArray[np.float64]
+    """v_d behind the detector's low-pass, in V, (n,)."""
+    events: tuple[Event, ...]
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Since the first row, (n,)."""
+        return self.sample / self.rate_Hz
+
+    def same(self, other: DetectedTrial) -> bool:
+        """Equal bit for bit."""
+        return (
+            (self.id, self.rate_Hz, self.events) == (other.id, other.rate_Hz, other.events)
+            and self.sample.tobytes() == other.sample.tobytes()
+            and self.v_d.tobytes() == other.v_d.tobytes()
+            and self.predictive.tobytes() == other.predictive.tobytes()
+        )
+
+
+def processed_path(
+    run_file: Path, settings: DetectorSettings, version: str, folder: Path | None = None
+) -> Path:
+    """Where the result belongs: in `folder`, or in ``processed`` beside the run file.
+
+    ``<run>.<detector>-<version>-<hash of the parameters>.h5``
+    """
+    folder = run_file.parent / FOLDER if folder is None else folder
+    shown = fingerprint(settings)[:FINGERPRINT_LENGTH]
+    return folder / f"{run_file.stem}.{settings.logic}-{version}-{shown}{RUN_SUFFIX}"
+
+
+def write_processed(
+    target: Path,
+    source: Source,
+    settings: DetectorSettings,
+    version: str,
+    trials: Sequence[DetectedTrial],
+) -> None:
+    """Write a processed file, in place of an earlier one; it appears when it is whole.
+
+    Raises RecordingError where the disk does not take it, RunFileError where it does not read back
+    equal.
+    """
+    from rig.files.processed.reader import ProcessedFile
+
+    part = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
+    try:
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            _write(part, target.name, source, settings, version, trials)
+            with ProcessedFile.open(part) as written:
+                found = written.trials()
+                equal = written.settings == settings and written.source == source
+            if not equal or not all(
+                mine.same(own) for mine, own in zip(found, trials, strict=True)
+            ):
+                raise RunFileError(target, "does not read back equal", "run it again")
+            publish(part, target, sha256_of(part))
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            target,
+            f"cannot be written: {error.strerror or error}",
+            "free space there, or name another folder with --to; the run file is untouched",
+        ) from error
+
+
+def _write(
+    path: Path,
+    name: str,
+    source: Source,
+    settings: DetectorSettings,
+    version: str,
+    trials: Sequence[DetectedTrial],
+) -> None:
+    """Write it all and make it durable; OSError if the disk does not take it."""
+    import h5py
+
+    guarded = GuardedFile(path)
+    try:
+        with h5py.File(guarded, "w") as file:
+            _write_root(file, name, source)
+            entry = group(file, "entry", "NXentry")
+            entry.attrs["default"] = "data"
+            _write_source(entry, source)
+            _write_process(entry, settings, version)
+            _write_events(group(entry, "events", "NXcollection"), trials)
+            _write_trials(entry, source, trials)
+        guarded.sync()
+    except RuntimeError:
+        guarded.check()  # what HDF5 makes of a full disk
+        raise
+    finally:
+        guarded.close()
+
+
+def _write_root(file: h5py.File, name: str, source: Source) -> None:
+    import h5py
+
+    import rig
+
+    file.attrs["NX_class"] = "NXroot"
+    file.attrs["default"] = "entry"
+    file.attrs["file_name"] = name
+    if source.end_time is not None:
+        file.attrs["file_time"] = source.end_time
+    file.attrs["creator"] = PROGRAM
+    file.attrs["creator_version"] = rig.__version__
+    file.attrs["HDF5_Version"] = h5py.version.hdf5_version
+    file.attrs["h5py_version"] = h5py.version.version
+
+
+def _write_source(entry: h5py.Group, source: Source) -> None:
+    text_field(entry, "definition", DEFINITION).attrs["version"] = LAYOUT_VERSION
+    text_field(entry, "title", marked(source, f"Slips detected: {_unmarked(source)}"))
+    for name in ("start_time", "end_time"):
+        if getattr(source, name) is not None:
+            text_field(entry, name, getattr(source, name))
+    text_field(entry, "identifier_experiment", source.run_uuid)
+    made = group(entry, "source", "NXcollection")
+    for name in ("file_name", "sha256", "definition", "title", "mark"):
+        text_field(made, name, getattr(source, name))
+    if source.simulated is not None:
+        number_field(made, "simulated", source.simulated)
+
+
+def marked(source: Source, title: str) -> str:
+    """A title of what was made of that file: it says first what the file said of itself."""
+    return f"{source.mark} {title}" if source.mark else title
+
+
+def _unmarked(source: Source) -> str:
+    return source.title.removeprefix(source.mark).lstrip() or source.file_name
+
+
+def _write_process(entry: h5py.Group, settings: DetectorSettings, version: str) -> None:
+    process = group(entry, "process", "NXprocess")
+    text_field(process, "program", PROGRAM).attrs["detector"] = settings.logic
+    text_field(process, "version", version)
+    number_field(process, "sequence_index", 1)
+    units = {name: unit for name, _, unit in leaves(settings) if unit is not None}
+    write_values(group(process, "parameters", "NXparameters"), settings.model_dump(), units)
+    write_note(process, "settings", "application/json", "", settings.model_dump_json())
+    process["settings/data"].attrs["fingerprint"] = fingerprint(settings)
+
+
+def _write_events(made: h5py.Group, trials: Sequence[DetectedTrial]) -> None:
+    """The events of all trials as columns, a row an event; NaN for a feature that one lacks."""
+    import numpy as np
+
+    rows = [(trial.id, event) for trial in trials for event in trial.events]
+    texts_field(made, "trial", [trial for trial, _ in rows])
+    for name in ("kind", "reason"):
+        texts_field(made, name, [getattr(event, name) for _, event in rows])
+    columns = (
+        ("sample", np.int64, "1", "sample", "Row of the trial"),
+        ("time", np.float64, "s", "time_s", "Time since the trial's first row (s)"),
+        ("confidence", np.float64, "1", "confidence", "Confidence"),
+    )
+    for name, dtype, units, source, long_name in columns:
+        values = np.array([getattr(event, source) for _, event in rows], dtype)
+        array_field(made, name, values, units, long_name)
+    features = group(made, "features", "NXcollection")
+    names = UniqueNames()
+    for feature in dict.fromkeys(name for _, event in rows for name in event.features):
+        values = np.array([event.features.get(feature, np.nan) for _, event in rows], np.float64)
+        array_field(features, names.name(feature), values, unit_of(feature) or "1", feature)
+
+
+def _write_trials(entry: h5py.Group, source: Source, trials: Sequence[DetectedTrial]) -> None:
+    """An NXdata a trial, and the first one's again as the default plot."""
+    made = group(entry, "trials", "NXcollection")
+    texts_field(made, "id", [trial.id for trial in trials])
+    names = UniqueNames("id")
+    groups = [_write_trial(made, names.name(trial.id), source, trial) for trial in trials]
+    if not groups:
+        entry.attrs["default"] = "events"
+        return
+    made.attrs["default"] = groups[0].name.rpartition("/")[2]
+    shown = group(entry, "data", "NXdata")
+    set_attributes(shown, _PLOT)
+    for name in ("title", "predictive", "v_d", "time"):
+        shown[name] = groups[0][name]
+
+
+_PLOT = {"signal": "predictive", "auxiliary_signals": ["v_d"], "axes": ["time"]}
+
+
+def _write_trial(parent: h5py.Group, name: str, source: Source, trial: DetectedTrial) -> h5py.Group:
+    data = group(parent, name, "NXdata")
+    set_attributes(data, _PLOT)
+    set_attributes(data, {"trial": plain_text(trial.id), "rate_Hz": trial.rate_Hz})
+    text_field(data, "title", marked(source, f"{trial.id}: v_d and the predictive signal"))
+    array_field(data, "predictive", trial.predictive, "V", "Predictive signal (V)")
+    array_field(data, "v_d", trial.v_d, "V", "v_d = v_1 - v_2 (V)")
+    array_field(data, "time", trial.time_s, "s", "Time (s)").make_scale("time")
+    array_field(data, "sample", trial.sample, "1", "Row of the trial")
+    for field in ("predictive", "v_d", "sample"):
+        data[field].dims[0].attach_scale(data["time"])
+    return data

@@ -1,0 +1,141 @@
+"""Compiling: a journal becomes a run file, HDF5 with NeXus attributes.
+
+The file appears under its name only when it is whole, on the disk, and has read back equal to the
+journal. Any earlier file of the same run is replaced by it. The same journal gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+from pathlib import Path
+
+from rig.files.errors import JournalError, RecordingError, RunFileError
+from rig.files.hdf5.guarded_file import GuardedFile
+from rig.files.hdf5.nexus import plain_text
+from rig.files.hdf5.publishing import publish
+from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of
+from rig.files.journal.reader import JournalContents, read_journal
+from rig.files.journal.writer import lock_journal, sync_folder
+from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX, checksum_path
+from rig.files.runfile.read_back import differences
+from rig.files.runfile.table import point_table
+from rig.files.runfile.write_entry import write_entry, write_root
+from rig.files.runfile.write_samples import WaveformWriter, write_traces
+
+
+def compile_run(
+    journal: Path | str, target: Path | str | None = None, *, retire: bool = False
+) -> Path:
+    """Compile a journal into its run file (beside it unless ``target`` says otherwise).
+
+    With ``retire`` the journal of a complete run is deleted afterwards; that of any other run
+    stays, since resuming needs it. The file is read-only; ``<file>.sha256`` beside it is in
+    sha256sum's format.
+
+    Raises JournalError (no journal; being written), RecordingError (disk), RunFileError (the file
+    does not read back equal: the journal stays, nothing is published; or the target is another
+    run's file).
+    """
+    journal = Path(journal)
+    target = journal.with_suffix(RUN_SUFFIX) if target is None else Path(target)
+    descriptor = _open(journal)
+    try:
+        lock_journal(journal, descriptor, shared=True)
+        contents = read_journal(journal)
+        _refuse_other_run(target, contents)
+        try:
+            _publish(contents, target)
+        except OSError as error:
+            cause = f"cannot be written: {error.strerror or error}"
+            hint = f"free space there, then `rig recover {journal}`; the journal is untouched"
+            raise RecordingError(target, cause, hint) from error
+        if retire and contents.complete:
+            journal.unlink()
+            sync_folder(journal.parent)
+    finally:
+        os.close(descriptor)
+    return target
+
+
+def journal_equals_file(journal: Path | str, file: Path | str) -> bool:
+    """Whether the file holds everything that the journal holds, sample by sample."""
+    return not differences(read_journal(journal), Path(file))
+
+
+def sha256_of(path: Path) -> str:
+    """The file's SHA-256 in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _open(journal: Path) -> int:
+    if journal.suffix == RUN_SUFFIX:
+        hint = f"its journal would be {journal.with_suffix(JOURNAL_SUFFIX).name}"
+        raise JournalError(journal, None, "a run file, not a journal", hint)
+    try:
+        return os.open(journal, os.O_RDONLY | os.O_NONBLOCK)  # a pipe is refused when it is read
+    except OSError as error:
+        raise JournalError(journal, None, error.strerror or str(error)) from error
+
+
+def _publish(contents: JournalContents, target: Path) -> None:
+    """Write beside the target, check, make durable, rename; leaves nothing behind if it fails."""
+    part = target.with_name(f".{target.name}.part")
+    part.unlink(missing_ok=True)
+    try:
+        _write(contents, part, target.name)
+        findings = differences(contents, part)
+        if findings:
+            raise RunFileError(target, f"does not read back equal: {findings[0]}", "run it again")
+        publish(part, target, sha256_of(part))
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _write(contents: JournalContents, path: Path, name: str) -> None:
+    """Write the file and make it durable; OSError if the disk does not take it."""
+    import h5py
+
+    table = point_table(contents)
+    guarded = GuardedFile(path)
+    try:
+        with h5py.File(guarded, "w") as file:
+            entry = write_root(file, contents, name)
+            write_entry(entry, contents, table)
+            guarded.check()
+            WaveformWriter(entry, contents).write(guarded.check)
+            write_traces(entry, contents)
+            if contents.header.layout.default not in entry or not table.ids:
+                entry.attrs["default"] = "waveforms" if "waveforms" in entry else "points"
+        guarded.sync()
+    except (RuntimeError, ValueError, TypeError, KeyError) as error:
+        guarded.check()
+        reason = f"cannot be compiled: {type(error).__name__}: {error}"
+        raise JournalError(
+            contents.path, None, reason, "keep the journal; this is a bug"
+        ) from error
+    finally:
+        guarded.close()
+
+
+def _refuse_other_run(target: Path, contents: JournalContents) -> None:
+    """An existing file is replaced only by the same run's; a damaged one is not kept for that, and
+    one that its checksum shows to be damaged is not opened: HDF5 might not come to an end."""
+    if not target.exists():
+        return
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        if checksum_path(target).read_text(encoding="utf-8").split()[:1] != [sha256_of(target)]:
+            return
+    import h5py
+
+    with (
+        contextlib.suppress(*DAMAGE),
+        h5py.File(target) as file,
+    ):
+        refuse_links(file)
+        if text_of(file["entry/identifier_experiment"]) != plain_text(contents.header.run_uuid):
+            raise RunFileError(
+                target, "is the file of another run", "move it away, or compile to another name"
+            )

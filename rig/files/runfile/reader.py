@@ -1,0 +1,223 @@
+"""Reading a run file: a few plain questions, answered as values and arrays.
+
+Opens with a plain read, never in SWMR mode (which can hang on a damaged file). Whatever is wrong
+with the file is a RunFileError that names it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.files.errors import RunFileError, in_words
+from rig.files.file_kind import TOLD, kind_of
+from rig.files.hdf5.open_file import OpenFile
+from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
+from rig.files.journal.values import RunHeader
+from rig.files.runfile.write_entry import header_of
+
+if TYPE_CHECKING:
+    import h5py
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How the run ended. ``duration`` in s; ``status`` complete, stopped or failed."""
+
+    status: str
+    reason: str
+    attempt: int
+    points_planned: int
+    points_done: int
+    simulated: bool | None
+    """None of an imported run: nobody here knows."""
+    seed: int
+    exit: int
+    duration: float
+    warnings: tuple[str, ...]
+    imported: bool = False
+    """Made of a file from elsewhere, of which the header's origin tells."""
+
+    def extent(self) -> str:
+        """How far the run came: ``stopped, 2 of 81 points``."""
+        return f"{self.status}, {self.points_done} of {self.points_planned} points"
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """Gapless samples of one stream. ``counts`` maps a channel to its raw counts, shape (n,)."""
+
+    path: str
+    point: str | None
+    stream: str
+    status: str
+    rate_Hz: float | None
+    first_index: int
+    host_time: float
+    counts: dict[str, NDArray[Any]]
+    scale: dict[str, float]
+    offset: dict[str, float]
+    units: str
+    """Unit of scale × count + offset."""
+
+    def values(self, channel: str) -> NDArray[np.float64]:
+        """A channel in ``units``, float64 of shape (n,)."""
+        values: NDArray[np.float64] = (
+            self.counts[channel] * self.scale[channel] + self.offset[channel]
+        )
+        return values
+
+
+class RunFile(OpenFile):
+    """An open run file; use it as a context."""
+
+    @classmethod
+    def open(cls, path: Path | str) -> RunFile:
+        """Open a run file. RunFileError if it cannot be read or is no run file."""
+        import h5py
+
+        path = Path(path)
+        _refuse_other_kinds(path)
+        with _naming(path):
+            file = h5py.File(path, "r")
+        run = cls(path, file)
+        try:
+            with _naming(path):
+                refuse_links(file)
+                if "entry/journal_header" not in file:
+                    raise RunFileError(path, "an HDF5 file, but not of a run: no journal header")
+                if not isinstance(run.header, RunHeader) or "outcome" not in run.entry:
+                    raise ValueError("it has no outcome")
+        except RunFileError:
+            file.close()
+            raise
+        return run
+
+    @cached_property
+    def header(self) -> RunHeader:
+        """What the run was to be: settings, points, instruments, layout."""
+        return header_of(self.entry)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The run's resolved settings, nested."""
+        return self.header.settings
+
+    @property
+    def end_time(self) -> str | None:
+        """When the run ended, ISO 8601; None of an imported run where nobody told."""
+        with _naming(self.path):
+            return text_of(self.entry["end_time"]) if "end_time" in self.entry else None
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the run ended."""
+        with _naming(self.path):
+            group = self.entry["outcome"]
+            number = {name: int(whole(group[name])) for name in _NUMBERS}
+            imported = "imported" in group and bool(whole(group["imported"]))
+            return Outcome(
+                status=text_of(group["status"]),
+                reason=text_of(group["reason"]),
+                attempt=number["attempt"],
+                points_planned=number["points_planned"],
+                points_done=number["points_done"],
+                simulated=None if imported else bool(whole(group["simulated"])),
+                seed=number["seed"],
+                exit=number["exit"],
+                duration=float(whole(group["duration"])),
+                warnings=tuple(texts_of(group["warnings"])),
+                imported=imported,
+            )
+
+    def point_ids(self) -> list[str]:
+        """Ids of the kept points, in the order of ``column``'s rows."""
+        with _naming(self.path):
+            return texts_of(self.entry["points/id"])
+
+    def columns(self) -> list[str]:
+        """Names of the columns of the readings."""
+        return [column.name for column in self.header.layout.columns]
+
+    def column(self, name: str) -> NDArray[Any]:
+        """A column of the readings: float64 (or text) of shape (points,), in plot order."""
+        if name not in self.columns():
+            raise RunFileError(self.path, f"no column {name!r}", f"it has {self.columns()}")
+        with _naming(self.path):
+            if self.header.layout.column(name).kind == "text":
+                import numpy as np
+
+                return np.array(texts_of(self.entry[f"points/{name}"]), dtype=object)
+            numbers: NDArray[Any] = whole(self.entry[f"points/{name}"])
+            return numbers
+
+    def readings(self) -> list[dict[str, Any]]:
+        """The readings as the procedure gave them, in the order of ``point_ids``."""
+        from rig.files.journal.format import from_json
+
+        with _naming(self.path):
+            results = texts_of(self.entry["attempts/result"])
+            return [from_json(results[n])["reading"] for n in whole(self.entry["points/attempt"])]
+
+    def waveforms(
+        self, point: str | None = None, status: str = "kept", stream: str | None = None
+    ) -> Iterator[Waveform]:
+        """The samples of a point, or of all with that status, one segment at a time; of a stream,
+        or of all."""
+        places = {"kept": "waveforms", "between": "between_points"}
+        place = places.get(status, "discarded")
+        with _naming(self.path):
+            names = list(self.entry[place]) if place in self.entry else []
+            for name in names:
+                data = self.entry[f"{place}/{name}"]
+                if (
+                    data.attrs["status"] == status
+                    and point in (None, data.attrs.get("point"))
+                    and stream in (None, data.attrs["stream"])
+                ):
+                    yield _waveform(data)
+
+
+_NUMBERS = ("attempt", "points_planned", "points_done", "seed", "exit")
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Damage to the file as a RunFileError that names it."""
+    try:
+        yield
+    except DAMAGE as error:
+        hint = "`rig recover` compiles it again if its journal is still there"
+        raise RunFileError(path, f"no readable run file: {in_words(error)}", hint) from error
+
+
+def _refuse_other_kinds(path: Path) -> None:
+    kind = kind_of(path)
+    if kind == "journal":
+        raise RunFileError(path, "a journal, not a run file", "`rig recover` compiles it")
+    if kind != "hdf5":
+        raise RunFileError(path, TOLD[kind])
+
+
+def _waveform(data: h5py.Group) -> Waveform:
+    names = [str(data.attrs["signal"]), *map(str, data.attrs.get("auxiliary_signals", ()))]
+    first = data[names[0]].attrs
+    return Waveform(
+        path=data.name,
+        point=data.attrs.get("point"),
+        stream=data.attrs["stream"],
+        status=data.attrs["status"],
+        rate_Hz=float(first["rate_Hz"]) if "rate_Hz" in first else None,
+        first_index=int(data.attrs["first_index"]),
+        host_time=float(data.attrs["host_time"]),
+        counts={name: whole(data[name]) for name in names},
+        scale={name: float(data[name].attrs.get("scale", 1.0)) for name in names},
+        offset={name: float(data[name].attrs.get("offset", 0.0)) for name in names},
+        units=str(first.get("scaled_units", data[names[0]].attrs.get("units", ""))),
+    )

@@ -1,0 +1,298 @@
+"""What stands around the samples in ``/entry``: who, when, with what, how it was set and ended.
+
+Writes the NeXus tree of a journal's contents into an open HDF5 file; decides nothing about files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime, timedelta
+from typing import TYPE_CHECKING, Any
+
+from rig.files.hdf5.nexus import (
+    UniqueNames,
+    array_field,
+    group,
+    number_field,
+    plain_text,
+    plot_group,
+    text_field,
+    texts_field,
+)
+from rig.files.hdf5.safe_reading import text_of
+from rig.files.journal.format import to_json
+from rig.files.journal.reader import JournalContents
+from rig.files.journal.values import SIMULATED, End, Instrument, Named, Origin, RunHeader
+from rig.files.runfile.table import PointTable
+
+if TYPE_CHECKING:
+    import h5py
+
+NEVER_CLOSED = "the run ended without closing its journal"
+
+
+def ending(contents: JournalContents) -> End:
+    """How the run ended; of a journal that was never closed, what can be said about it."""
+    warnings = [contents.problem] if contents.problem else []
+    if contents.end is not None:
+        end = contents.end
+        if not warnings:
+            return end
+        return end.model_copy(update={"warnings": (*end.warnings, *warnings)})
+    lasted = timedelta(seconds=max(contents.last_time, 0.0))
+    start = contents.header.start_time
+    end_time = None if start is None else (datetime.fromisoformat(start) + lasted).isoformat()
+    damaged = contents.problem and not contents.torn
+    return End(
+        status="failed",
+        reason=f"the journal is damaged: {contents.problem}" if damaged else NEVER_CLOSED,
+        attempt=len(contents.ends) + 1,
+        end_time=end_time,
+        duration_s=lasted.total_seconds(),
+        points_done=len(contents.grouping.kept),
+        warnings=("end_time is the time of the last record", *warnings),
+        exit=1,
+    )
+
+
+TRUTH = "simulated_truth"
+"""Key of a reading, JSON text, and name of the group: the World's ground truth."""
+
+
+def write_root(file: h5py.File, contents: JournalContents, name: str) -> h5py.Group:
+    """The root's attributes, and the empty entry. Nothing in it depends on when this is done."""
+    import h5py
+
+    program = contents.header.program
+    file.attrs["NX_class"] = "NXroot"
+    file.attrs["default"] = "entry"
+    file.attrs["file_name"] = name
+    origin = contents.header.origin
+    file.attrs["file_time"] = origin.imported_at if origin else ending(contents).end_time
+    file.attrs["creator"] = program.name
+    file.attrs["creator_version"] = program.version
+    file.attrs["HDF5_Version"] = h5py.version.hdf5_version
+    file.attrs["h5py_version"] = h5py.version.version
+    return group(file, "entry", "NXentry")
+
+
+def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable) -> None:
+    """Everything in the entry but the samples."""
+    header, end = contents.header, ending(contents)
+    entry.attrs["default"] = header.layout.default
+    text_field(entry, "definition", header.layout.definition).attrs["version"] = plain_text(
+        header.layout.version
+    )
+    text_field(entry, "title", header.marked(header.title))
+    for name, time in (("start_time", header.start_time), ("end_time", end.end_time)):
+        if time is not None:
+            text_field(entry, name, time)
+    number_field(entry, "duration", round(end.duration_s), "s")
+    text_field(entry, "identifier_experiment", header.run_uuid)
+    if header.collection is not None:
+        text_field(entry, "identifier_collection", header.collection)
+    program = text_field(entry, "program_name", header.program.name)
+    program.attrs["version"] = plain_text(header.program.version)
+    program.attrs["configuration"] = plain_text(header.program.configuration)
+    _write_named(group(entry, "user", "NXuser"), header.user)
+    _write_named(group(entry, "sample", "NXsample"), header.sample)
+    _write_parameters(group(entry, "parameters", "NXparameters"), header)
+    write_note(entry, "configuration", "application/toml", header.bench_file, header.bench_toml)
+    write_note(entry, "journal_header", "application/json", "header.json", to_json(header))
+    if header.notes:
+        write_note(entry, "notes", "text/plain", "", header.notes)
+    if header.origin is not None:
+        _write_origin(group(entry, "origin", "NXcollection"), header.origin)
+    _write_outcome(group(entry, "outcome", "NXcollection"), contents, table, end)
+    _write_events(group(entry, "events", "NXcollection"), contents)
+    _write_instrument(group(entry, "instrument", "NXinstrument"), header)
+    _write_attempts(group(entry, "attempts", "NXcollection"), contents)
+    _write_points(group(entry, "points", "NXcollection"), contents, table)
+    _write_truth(entry, contents, table)
+    for plot in header.layout.plots:
+        title = header.marked(plot.title or header.title)
+        plot_group(entry, plot, header.layout, table, title)
+
+
+def _write_named(made: h5py.Group, named: Named) -> None:
+    text_field(made, "name", named.name)
+    if named.details():
+        write_values(group(made, "details", "NXparameters"), named.details(), {})
+
+
+def _write_parameters(made: h5py.Group, header: RunHeader) -> None:
+    write_values(made, header.settings, header.setting_units)
+
+
+def write_values(
+    made: h5py.Group, values: Mapping[str, Any], units: Mapping[str, str], prefix: str = ""
+) -> None:
+    """Nested values as nested groups; ``units`` are those of the dotted names."""
+    names = UniqueNames(*made)
+    for key, value in values.items():
+        name, dotted = names.name(key), f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            write_values(group(made, name, "NXparameters"), value, units, f"{dotted}.")
+            continue
+        field = made.create_dataset(name, data=_field_value(value))
+        if dotted in units:
+            field.attrs["units"] = plain_text(units[dotted])
+
+
+def _field_value(value: Any) -> Any:
+    """A number, text or list of numbers as it is, anything else as its JSON text."""
+    if isinstance(value, (bool, float)):
+        return value
+    if isinstance(value, int) and abs(value) < 2**63:
+        return value
+    if isinstance(value, str):
+        return plain_text(value)
+    if isinstance(value, (list, tuple)) and value and all(type(v) is float for v in value):
+        return list(value)
+    if isinstance(value, (list, tuple)) and value and all(type(v) in (int, float) for v in value):
+        return [float(v) for v in value] if all(abs(v) < 2**53 for v in value) else to_json(value)
+    if _is_matrix(value):
+        return [[float(number) for number in row] for row in value]
+    return to_json(value)
+
+
+def _is_matrix(value: Any) -> bool:
+    """Rows of equally many numbers, each exact as a float."""
+    rows = value if isinstance(value, (list, tuple)) else []
+    return (
+        bool(rows)
+        and all(isinstance(row, (list, tuple)) and row for row in rows)
+        and len({len(row) for row in rows}) == 1
+        and all(type(v) is float or (type(v) is int and abs(v) < 2**53) for r in rows for v in r)
+    )
+
+
+def write_note(entry: h5py.Group, name: str, kind: str, file_name: str, data: str) -> None:
+    """A text of that media type as an NXnote."""
+    note = group(entry, name, "NXnote")
+    text_field(note, "type", kind)
+    text_field(note, "file_name", file_name)
+    text_field(note, "data", data)
+
+
+def _write_origin(made: h5py.Group, origin: Origin) -> None:
+    for name in ("file_name", "sha256", "format", "imported_at", "head"):
+        text_field(made, name, getattr(origin, name))
+    number_field(made, "bytes", origin.bytes)
+    write_values(group(made, "options", "NXparameters"), origin.options, {})
+
+
+def _write_outcome(
+    made: h5py.Group, contents: JournalContents, table: PointTable, end: End
+) -> None:
+    header = contents.header
+    text_field(made, "status", end.status)
+    text_field(made, "reason", end.reason)
+    number_field(made, "attempt", end.attempt)
+    planned = len(header.points) if end.points_planned is None else end.points_planned
+    number_field(made, "points_planned", max(planned, len(table.ids)))
+    number_field(made, "points_done", len(table.ids))
+    number_field(made, "exit", end.exit)
+    number_field(made, "duration", end.duration_s, "s")
+    if header.origin is None:
+        number_field(made, "simulated", header.simulated)
+    else:
+        number_field(made, "imported", True)
+    number_field(made, "seed", header.seed)
+    text_field(made, "fingerprint", header.fingerprint)
+    texts_field(made, "warnings", [*end.warnings, *table.warnings])
+
+
+def _write_events(made: h5py.Group, contents: JournalContents) -> None:
+    import numpy as np
+
+    times = np.array([event.time for event in contents.events], np.float64)
+    field = array_field(made, "time", times, "s", "Time (s)")
+    if contents.header.start_time is not None:
+        field.attrs["start"] = contents.header.start_time
+    for name in ("level", "code", "message"):
+        texts_field(made, name, [getattr(event, name) for event in contents.events])
+
+
+def _write_instrument(made: h5py.Group, header: RunHeader) -> None:
+    names = UniqueNames("calibrations")
+    for instrument in header.instruments:
+        part = group(made, names.name(instrument.name), _class_of(instrument))
+        text_field(part, "name", instrument.name)
+        fabrication = group(part, "fabrication", "NXfabrication")
+        mark = f"{SIMULATED} " if instrument.simulated else ""
+        text_field(fabrication, "vendor", f"{mark}{instrument.vendor}")
+        text_field(fabrication, "model", f"{mark}{instrument.model}")
+        text_field(fabrication, "serial_number", instrument.serial_number)
+        details = group(part, "details", "NXcollection")
+        for name in ("role", "firmware", "driver"):
+            text_field(details, name, getattr(instrument, name))
+        number_field(details, "simulated", instrument.simulated)
+    calibrations = group(made, "calibrations", "NXcollection")
+    names = UniqueNames()
+    for number, calibration in enumerate(header.calibrations):
+        name = next((calibration[k] for k in ("sensor", "name", "kind") if k in calibration), "")
+        part = group(
+            calibrations, names.name(str(name) or f"calibration_{number}"), "NXcalibration"
+        )
+        text_field(part, "description", f"calibration of {name}" if name else "calibration")
+        if "date" in calibration:
+            text_field(part, "last_process", calibration["date"])
+        number_field(part, "applied", True)
+        parameters = group(part, "calibration_parameters", "NXparameters")
+        write_values(parameters, calibration, {})
+
+
+def _class_of(instrument: Instrument) -> str:
+    role = instrument.role.lower()
+    if "stage" in role:
+        return "NXpositioner"
+    return "NXactuator" if "generator" in role or "shaker" in role else "NXsensor"
+
+
+def _write_attempts(made: h5py.Group, contents: JournalContents) -> None:
+    """Every attempt at a point, with the journal's own words."""
+    for name in ("id", "status", "reason", "begin", "result"):
+        texts_field(made, name, [getattr(attempt, name) for attempt in contents.attempts])
+
+
+def _write_points(made: h5py.Group, contents: JournalContents, table: PointTable) -> None:
+    """The readings of the kept points, in the order of the default plot."""
+    import numpy as np
+
+    texts_field(made, "id", table.ids)
+    array_field(made, "attempt", np.array(table.attempts, np.int64))
+    for column in contents.header.layout.columns:
+        values = table.columns[column.name]
+        if isinstance(values, list):
+            field = texts_field(made, column.name, values)
+            field.attrs["long_name"] = plain_text(column.long_name)
+        else:
+            array_field(made, column.name, values, column.units, column.long_name)
+
+
+def _write_truth(entry: h5py.Group, contents: JournalContents, table: PointTable) -> None:
+    """What the simulated World says really happened at each point: no measurement knows it."""
+    from rig.files.journal.format import from_json
+
+    truths = {
+        name: text
+        for name, attempt in zip(table.ids, table.attempts, strict=True)
+        if (text := contents.reading(attempt).get(TRUTH))
+    }
+    if not truths:
+        return
+    made = group(entry, TRUTH, "NXcollection")
+    text_field(made, "description", "SIMULATED: known to the World only, never measured")
+    names = UniqueNames("description")
+    for name, text in truths.items():
+        found = from_json(str(text))
+        values = found if isinstance(found, Mapping) else {"value": found}
+        write_values(group(made, names.name(name), "NXparameters"), values, {})
+
+
+def header_of(entry: h5py.Group) -> RunHeader:
+    """The run's header as the file keeps it; ValueError if it is none."""
+    from rig.files.journal.format import from_json
+
+    return RunHeader.model_validate(from_json(text_of(entry["journal_header/data"])))

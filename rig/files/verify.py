@@ -1,0 +1,361 @@
+"""Verifying: what can be checked about a file of a run without its instruments.
+
+HDF5 can crash on a damaged file, or never come to an end inside one call, which nothing in its
+process can interrupt. ``python -m rig.files.verify FILE`` prints the verdict as JSON: a file
+that is not known to be as it was written is read there first.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from rig.files.describe import ending_of
+from rig.files.errors import JournalError, RunFileError, in_words
+from rig.files.file_kind import TOLD, kind_of
+from rig.files.hdf5.nexus import plain_text, plot_sources
+from rig.files.hdf5.safe_reading import DAMAGE, checked, text_of, whole
+from rig.files.journal.format import to_json
+from rig.files.journal.reader import read_journal
+from rig.files.journal.values import IMPORTED, SIMULATED
+from rig.files.naming import checksum_path, journal_path
+from rig.files.runfile.compile import sha256_of
+from rig.files.runfile.read_back import differences
+from rig.files.runfile.reader import RunFile
+
+if TYPE_CHECKING:
+    import h5py
+
+    from rig.files.processed.reader import ProcessedFile
+
+AnyFile = TypeVar("AnyFile")
+
+MAX_CHECKSUM_CHARACTERS = 4096
+"""Of the line beside a file: a checksum and a name."""
+
+REQUIRED = (
+    *("definition", "title", "start_time", "end_time", "duration", "identifier_experiment"),
+    *("program_name", "user", "sample", "parameters", "configuration", "journal_header"),
+    *("outcome", "events", "instrument", "attempts", "points", "blocks"),
+)
+"""What every run file has in ``/entry``."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What checking a file gave: findings, one sentence each, and how far the run came."""
+
+    findings: tuple[str, ...]
+    extent: str
+    """``complete, 81 of 81 points``; nothing where the file does not tell."""
+
+    @property
+    def sound(self) -> bool:
+        """Nothing was found. A run that was stopped can be sound; ``extent`` says that it was."""
+        return not self.findings
+
+    def __str__(self) -> str:
+        told = "; ".join(self.findings) or "sound"
+        return f"{told} ({self.extent})" if self.extent else told
+
+
+def verify(file: Path | str) -> list[str]:
+    """Findings about a run file or a journal, one sentence each; empty if it is sound."""
+    return list(verdict(file).findings)
+
+
+def verdict(file: Path | str) -> Verdict:
+    """Check a run file, a processed file or a journal; raises nothing for a bad file, however
+    damaged.
+
+    Of a run file: the SHA-256 beside it, every dataset's checksum, the structure, the points, the
+    lengths, the outcome, the simulated marks, and its journal if that is still there. Of a journal:
+    every record's checksum, and that its records follow each other as they have to.
+    """
+    file = Path(file)
+    kind = kind_of(file)
+    if kind == "journal":
+        return _verdict_on_journal(file)
+    if kind != "hdf5":
+        return Verdict((TOLD[kind],), "")
+    from rig.files.processed.reader import is_processed
+
+    extent, findings = "", list(checksum_findings(file))
+    if is_processed(file):
+        return _verdict_on_processed(file, findings)
+    try:
+        with RunFile.open(file) as run:
+            for check in _CHECKS:
+                findings += _guarded(check, run)
+            extent = run.outcome.extent()
+    except RunFileError as error:
+        findings.append(error.reason)
+    findings += _journal(file)
+    return Verdict(tuple(findings), extent)
+
+
+def _verdict_on_journal(file: Path) -> Verdict:
+    try:
+        contents = read_journal(file)
+    except JournalError as error:
+        return Verdict((error.reason,), "")
+    extent = ending_of(contents).extent()
+    if contents.end is None:
+        extent += ", never closed: `rig recover` makes its run file"
+    if contents.problem is None:
+        return Verdict((), extent)
+    where = "torn at its end" if contents.torn else "damaged, with sound records behind that"
+    return Verdict((f"{where}: {contents.problem}; what is before it can be used",), extent)
+
+
+def _verdict_on_processed(file: Path, findings: list[str]) -> Verdict:
+    from rig.files.processed.reader import ProcessedFile
+
+    extent = ""
+    try:
+        with ProcessedFile.open(file) as processed:
+            findings += _guarded(_datasets, processed)
+            findings += _guarded(ProcessedFile.findings, processed)
+            extent = processed.extent()
+    except RunFileError as error:
+        findings.append(error.reason)
+    return Verdict(tuple(findings), extent)
+
+
+PATIENCE_S = 60.0
+"""For a small file; a large one has BYTES_A_S besides."""
+BYTES_A_S = 1e6
+"""Slower than any disk and computer that runs this."""
+MAX_MEMORY_BYTES = 8 << 30
+"""Of the process that verifies: the largest dataset in one piece, several times over."""
+
+
+def safe_verdict(file: Path | str) -> Verdict:
+    """The verdict on any file: on one that is not, byte by byte, what was written, by a process of
+    its own."""
+    file = Path(file)
+    if kind_of(file) != "hdf5" or not list(checksum_findings(file)):
+        return verdict(file)
+    try:
+        return verdict_apart(file)
+    except RunFileError as error:
+        return Verdict((error.reason,), "")
+
+
+def verify_apart(file: Path | str, patience_s: float = PATIENCE_S) -> list[str]:
+    """`verify` in a process of its own. RunFileError where HDF5 dies of the file or hangs."""
+    return list(verdict_apart(file, patience_s).findings)
+
+
+def verdict_apart(file: Path | str, patience_s: float = PATIENCE_S) -> Verdict:
+    """`verdict` in a process of its own. RunFileError where HDF5 dies of the file or hangs."""
+    file = Path(file)
+    size = file.stat().st_size if file.is_file() else 0
+    command = [sys.executable, "-P", "-m", "rig.files.verify", str(file)]
+    patience_s += size / BYTES_A_S
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=patience_s)
+    except subprocess.TimeoutExpired:
+        reason = f"damaged: HDF5 does not come to an end with it within {patience_s:.0f} s"
+        raise RunFileError(file, reason, _DAMAGED_HINT) from None
+    if done.returncode != 0:
+        death = signal.Signals(-done.returncode).name if done.returncode < 0 else "error"
+        last = done.stderr.strip().splitlines()[-1:]
+        reason = f"damaged: HDF5 died of it ({': '.join([death, *last])})"
+        raise RunFileError(file, reason, _DAMAGED_HINT)
+    told = json.loads(done.stdout)
+    return Verdict(tuple(told["findings"]), told["extent"])
+
+
+_DAMAGED_HINT = "compile it again if its journal is still there: rig recover"
+
+
+def _guarded(check: Callable[[AnyFile], Iterator[str]], run: AnyFile) -> list[str]:
+    """A check's findings; its stumbling over damage is a finding too."""
+    found: list[str] = []
+    try:
+        found.extend(check(run))
+    except RunFileError as error:
+        found.append(error.reason)
+    except DAMAGE as error:
+        what = (check.__doc__ or "").split(":")[0].rstrip(".")
+        found.append(f"{what}: {in_words(error)}")
+    return found
+
+
+def checksum_findings(file: Path) -> Iterator[str]:
+    """Whether the file is, byte by byte, the one that was written: its SHA-256, kept beside it."""
+    beside = checksum_path(file)
+    if beside.exists() and not beside.is_file():
+        yield f"{beside.name}: not a regular file"
+        return
+    try:
+        with beside.open(encoding="utf-8", errors="replace") as opened:
+            words = opened.read(MAX_CHECKSUM_CHARACTERS).split()
+    except FileNotFoundError:
+        yield (
+            f"its checksum is missing ({beside.name}): nobody can tell whether a byte has changed; "
+            "copy it along with the file"
+        )
+        return
+    except OSError as error:
+        yield f"{beside.name}: {error.strerror or error}"
+        return
+    if words[1:] != [file.name]:
+        yield f"{beside.name} is not about this file"
+    elif words[0] != sha256_of(file):
+        yield f"the file is not the one that was written: its SHA-256 is not that of {beside.name}"
+
+
+def _datasets(run: RunFile | ProcessedFile) -> Iterator[str]:
+    """Checksums of the datasets: every byte is read."""
+    import h5py
+
+    names: list[str] = []
+    run.entry.visititems(lambda name, item: names.append(name) if _is_dataset(item, h5py) else None)
+    for name in names:
+        try:
+            _read_all(run.entry[name])
+        except (OSError, RuntimeError, ValueError) as error:
+            yield f"{name}: {in_words(error)}"
+
+
+def _is_dataset(item: object, h5py: object) -> bool:
+    return isinstance(item, h5py.Dataset)  # type: ignore[attr-defined]
+
+
+def _read_all(dataset: h5py.Dataset) -> None:
+    """Read it, chunk by chunk where it has chunks."""
+    if dataset.chunks is None:
+        whole(dataset)
+        return
+    for chunk in checked(dataset).iter_chunks():
+        dataset[chunk]
+
+
+def _structure(run: RunFile) -> Iterator[str]:
+    """Structure: what every run file has."""
+    header = run.header
+    unknown = {"start_time", "end_time"} if header.start_time is None else set()
+    further = ("origin",) if header.origin is not None else ()
+    for name in (*REQUIRED, *further):
+        if (name in run.entry) == (name in unknown):
+            yield f"{name} is {'there, and nobody knew it' if name in unknown else 'missing'}"
+    layout = run.header.layout
+    if text_of(run.entry["definition"]) != layout.definition:
+        yield "definition is not that of the layout"
+    for plot in layout.plots:
+        for name in plot_sources(plot):
+            if f"{plot.group}/{name}" not in run.entry:
+                yield f"{plot.group}/{name} is missing"
+    for trace in layout.traces if run.point_ids() else ():
+        for name in trace.channels():
+            if f"{trace.group}/{name}" not in run.entry:
+                yield f"{trace.group}/{name} is missing"
+
+
+def _points(run: RunFile) -> Iterator[str]:
+    """Points: unique, and as many everywhere."""
+    ids = run.point_ids()
+    if len(set(ids)) != len(ids):
+        yield "a point is there twice"
+    for name in run.columns():
+        if len(run.column(name)) != len(ids):
+            yield f"column {name} has {len(run.column(name))} values for {len(ids)} points"
+    for plot in run.header.layout.plots:
+        for name in plot_sources(plot):
+            if run.entry[f"{plot.group}/{name}"].shape != (len(ids),):
+                yield f"{plot.group}/{name} has not one value a point"
+
+
+def _samples(run: RunFile) -> Iterator[str]:
+    """Samples: as many as the blocks brought, in every channel."""
+    import numpy as np
+
+    rows: dict[int, int] = {}
+    for stream in run.header.streams:
+        blocks = run.entry[f"blocks/{stream.name}"]
+        segments, counts = whole(blocks["segment"]), whole(blocks["rows"])
+        for segment in np.unique(segments):
+            rows[int(segment)] = int(counts[segments == segment].sum())
+    for place in ("waveforms", "discarded", "between_points"):
+        for name, data in run.entry[place].items() if place in run.entry else ():
+            expected = rows.pop(int(data.attrs["segment"]), None)
+            for channel in (data.attrs["signal"], *data.attrs.get("auxiliary_signals", ())):
+                if data[channel].shape != (expected,):
+                    yield f"{place}/{name}/{channel}: {data[channel].shape} of {expected} samples"
+    if rows:
+        yield f"{len(rows)} segments of samples are missing"
+
+
+def _outcome(run: RunFile) -> Iterator[str]:
+    """Outcome: agrees with the points, the header and itself."""
+    outcome = run.outcome
+    if outcome.status not in ("complete", "stopped", "failed"):
+        yield f"outcome/status is {outcome.status!r}"
+    if outcome.points_done != len(run.point_ids()):
+        yield f"outcome/points_done is {outcome.points_done} for {len(run.point_ids())} points"
+    if outcome.points_planned < max(len(run.header.points), outcome.points_done):
+        yield f"outcome/points_planned is {outcome.points_planned}"
+    if outcome.status != "complete" and not outcome.reason:
+        yield f"the run {outcome.status}, and no reason is given"
+    if text_of(run.entry["identifier_experiment"]) != run.header.run_uuid:
+        yield "identifier_experiment is not the run's"
+    if text_of(run.entry["configuration/data"]) != plain_text(run.header.bench_toml):
+        yield "configuration is not the bench's file"
+    if text_of(run.entry["journal_header/data"]) != plain_text(to_json(run.header)):
+        yield "journal_header was changed"
+
+
+def _marks(run: RunFile) -> Iterator[str]:
+    """Marks: title, outcome, instruments and header agree on simulated and imported."""
+    simulated, imported = run.header.simulated, run.header.origin is not None
+    for name, said, known in (
+        ("simulated", run.outcome.simulated, simulated),
+        ("imported", run.outcome.imported, imported),
+    ):
+        if said != known:
+            yield f"outcome/{name} is {said}, the header says {known}"
+    title = text_of(run.entry["title"])
+    for mark, known in ((SIMULATED, bool(simulated)), (IMPORTED, imported)):
+        if title.startswith(mark) != known:
+            yield f"the title does not agree with outcome/{mark.lower()}"
+    for name, part in run.entry["instrument"].items():
+        if "fabrication" not in part:
+            continue
+        marked = text_of(part["fabrication/vendor"]).startswith(SIMULATED)
+        if marked != bool(whole(part["details/simulated"])) or (marked and not simulated):
+            yield f"instrument/{name} does not agree on whether it is simulated"
+
+
+_CHECKS = (_datasets, _structure, _points, _samples, _outcome, _marks)
+
+
+def _journal(file: Path) -> Iterator[str]:
+    journal = journal_path(file)
+    if not journal.exists():
+        return
+    try:
+        contents = read_journal(journal)
+    except JournalError as error:
+        yield f"its journal: {error.reason}"
+        return
+    for difference in differences(contents, file):
+        yield f"it is not what its journal holds: {difference}"
+
+
+def main() -> None:
+    """Print the verdict on the file that is the only argument."""
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
+    print(json.dumps(asdict(verdict(sys.argv[1]))))  # noqa: T201 - the answer to `verdict_apart`
+
+
+if __name__ == "__main__":
+    main()

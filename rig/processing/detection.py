@@ -1,0 +1,276 @@
+"""Detecting slips in run files: one file in, one processed file out.
+
+`detect_file` is a plain function of plain values, which a pool of processes or a cluster can call;
+what goes wrong with a file is in its answer, since not every error survives the way between
+processes.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.core.errors import ConfigurationError, ExitCode, RigError
+from rig.detector.detector import DETECTOR_VERSION, IncipientSlipDetector
+from rig.detector.events import EVENT_KINDS, Event
+from rig.detector.fir import StreamingFir
+from rig.detector.settings import DetectorSettings
+from rig.files.errors import RunFileError
+from rig.files.naming import checksum_path
+from rig.files.processed.reader import ProcessedFile, is_processed
+from rig.files.processed.writer import (
+    DetectedTrial,
+    Source,
+    processed_path,
+    write_processed,
+)
+from rig.files.runfile.compile import sha256_of
+from rig.files.runfile.reader import RunFile
+from rig.files.verify import checksum_findings, verify_apart
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from rig.files.journal.layout import Layout
+    from rig.files.journal.values import RunHeader
+    from rig.files.runfile.reader import Waveform
+
+STRIPS = ("v_1", "v_2")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run file to be processed."""
+
+    run_file: Path
+    settings: DetectorSettings
+    folder: Path | None = None
+    """For the result; None is ``processed`` beside the run file."""
+    version: str = DETECTOR_VERSION
+    """Of the detector that is wanted: another computer may have another one."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a file was not processed, as a RigError would say it."""
+
+    message: str
+    hint: str | None
+    code: ExitCode
+
+    def error(self) -> RigError:
+        """It, to be raised or told."""
+        return RigError(self.message, self.hint, self.code)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found in one run file."""
+
+    file: Path
+    """The processed file."""
+    kept: bool
+    """It was there before and was not touched."""
+    simulated: bool | None
+    trials: int
+    events: dict[str, int]
+    """How many of each kind."""
+    first_slip: tuple[str, float] | None
+    """The first incipient slip: its trial, and when in it, s."""
+    warnings: tuple[str, ...] = field(default=())
+
+
+def prepare(settings: DetectorSettings) -> None:
+    """Have the detector compiled: processes that are forked afterwards have it, too."""
+    import h5py  # noqa: F401
+    import numpy as np
+
+    IncipientSlipDetector(settings, 1000.0).add(np.zeros((1, 2)))
+
+
+def detect_file(job: Job) -> Found | Failure:
+    """Process one run file, or find that it was processed before."""
+    try:
+        return _detect(job)
+    except RigError as error:
+        return Failure(error.message, error.hint, error.code)
+
+
+def detect_trials(run: RunFile, settings: DetectorSettings) -> list[DetectedTrial]:
+    """What the detector makes of every kept trial of a run, in the order of the trials.
+
+    ConfigurationError where the run has no strips, or a trial cannot be judged.
+    """
+    stream = _stream_of_strips(run)
+    pieces: dict[str | None, list[Waveform]] = {}
+    for waveform in run.waveforms(stream=stream):
+        pieces.setdefault(waveform.point, []).append(waveform)
+    if not pieces:
+        raise ConfigurationError(
+            f"{run.path}: no trial of it was kept ({run.outcome.extent()})",
+            "there is nothing to look for slips in",
+        )
+    trials = []
+    for point in run.point_ids():
+        if point in pieces:
+            try:
+                trials.append(_detect_trial(point, pieces[point], settings))
+            except ValueError as error:
+                raise ConfigurationError(f"{run.path}: trial {point}: {error}") from error
+    return trials
+
+
+def stream_of_strips(layout: Layout) -> str | None:
+    """The stream that holds v_1 and v_2, as a file's own layout says; None where none does."""
+    return next(
+        (trace.stream for trace in layout.traces if set(STRIPS) <= set(trace.channels())), None
+    )
+
+
+def _detect(job: Job) -> Found:
+    run_file, settings = job.run_file, job.settings
+    if job.version != DETECTOR_VERSION:
+        raise ConfigurationError(
+            f"{run_file}: detector version {job.version} is wanted, this computer has "
+            f"{DETECTOR_VERSION}",
+            "install the same tactile-rig on all of them",
+        )
+    warnings = _refuse_damaged(run_file)
+    if is_processed(run_file):
+        raise ConfigurationError(
+            f"{run_file}: a processed file, not a run", "name the run file that it was made from"
+        )
+    target = processed_path(run_file, settings, job.version, job.folder)
+    with RunFile.open(run_file) as run:
+        source = _source(run, sha256_of(run_file))
+        if (there := _already_there(target, source, warnings)) is not None:
+            return there
+        trials = detect_trials(run, settings)
+    write_processed(target, source, settings, job.version, trials)
+    events = [(trial.id, event) for trial in trials for event in trial.events]
+    return _found(target, False, source, len(trials), events, warnings)
+
+
+def _refuse_damaged(run_file: Path) -> list[str]:
+    """RunFileError where the file is not the one that was written; a warning where nobody knows."""
+    if not run_file.is_file():
+        return []  # what it is instead is told when it is opened
+    doubts = list(checksum_findings(run_file))
+    if doubts and checksum_path(run_file).exists():
+        raise RunFileError(run_file, "; ".join(doubts), "`rig verify` says more")
+    if doubts:
+        verify_apart(run_file)  # HDF5 may die of it, or hang
+    return [f"{run_file.name}: {doubt}" for doubt in doubts]
+
+
+def _already_there(target: Path, source: Source, warnings: list[str]) -> Found | None:
+    """The result that exists, where it is sound and of just this file; of a run that has gone on
+    since, or damaged, it is written again. RunFileError where it is another run's."""
+    if not target.exists():
+        return None
+    if doubts := list(checksum_findings(target)):
+        warnings.append(f"{target.name}: written again: {'; '.join(doubts)}")
+        return None
+    with ProcessedFile.open(target) as there:
+        if there.source.run_uuid != source.run_uuid:
+            raise RunFileError(
+                target,
+                f"is the result of another run of that name ({there.source.title})",
+                "move it away, or name another folder with --to",
+            )
+        if there.source.sha256 != source.sha256:
+            warnings.append(f"{target.name}: written again: the run file has changed since")
+            return None
+        return _found(target, True, source, len(there.trial_ids()), there.events(), warnings)
+
+
+def _found(
+    target: Path,
+    kept: bool,
+    source: Source,
+    trials: int,
+    events: list[tuple[str, Event]],
+    warnings: list[str],
+) -> Found:
+    counts = Counter(event.kind for _, event in events)
+    slips = ((trial, event.time_s) for trial, event in events if event.kind == "incipient slip")
+    return Found(
+        file=target,
+        kept=kept,
+        simulated=source.simulated,
+        trials=trials,
+        events={kind: counts[kind] for kind in EVENT_KINDS},
+        first_slip=next(slips, None),
+        warnings=tuple(warnings),
+    )
+
+
+def _source(run: RunFile, sha256: str) -> Source:
+    header: RunHeader = run.header
+    return Source(
+        file_name=run.path.name,
+        sha256=sha256,
+        definition=header.layout.definition,
+        title=header.marked(header.title),
+        run_uuid=header.run_uuid,
+        start_time=header.start_time,
+        end_time=run.end_time,
+        simulated=header.simulated,
+        mark=header.mark,
+    )
+
+
+def _stream_of_strips(run: RunFile) -> str:
+    stream = stream_of_strips(run.header.layout)
+    if stream is None:
+        raise ConfigurationError(
+            f"{run.path}: a {run.header.procedure}, which records no strips v_1 and v_2",
+            "slips are looked for in slip trials, roll trials and imported recordings",
+        )
+    return stream
+
+
+def _detect_trial(point: str, pieces: list[Waveform], settings: DetectorSettings) -> DetectedTrial:
+    """ValueError where the detector cannot take the trial, or not all of it is of one kind."""
+    import numpy as np
+
+    rate_Hz = pieces[0].rate_Hz
+    if rate_Hz is None:
+        raise ValueError("the file gives no sampling rate of v_1 and v_2")
+    detector = IncipientSlipDetector(settings, rate_Hz)
+    events: list[Event] = []
+    rows, differences, predictive = [], [], []
+    for piece, volts in _rows_of(pieces):
+        first = piece.first_index - pieces[0].first_index
+        events += detector.add(volts, first_sample=first)
+        v_d = volts[:, 0] - volts[:, 1]
+        rows.append(np.arange(first, first + len(v_d), dtype=np.int64))
+        differences.append(v_d)
+        predictive.append(StreamingFir(detector.low_pass.taps, 1).add(v_d[:, None])[:, 0])
+    events += detector.finish()
+    return DetectedTrial(
+        id=point,
+        rate_Hz=rate_Hz,
+        sample=np.concatenate(rows),
+        v_d=np.concatenate(differences),
+        predictive=np.concatenate(predictive),
+        events=tuple(events),
+    )
+
+
+def _rows_of(pieces: list[Waveform]) -> Iterator[tuple[Waveform, NDArray[np.float64]]]:
+    """Each piece with its volts, (n, 2)."""
+    import numpy as np
+
+    for piece in pieces:
+        if piece.units != "V":
+            raise ValueError(f"v_1 and v_2 are in {piece.units!r}, not in V")
+        if piece.rate_Hz != pieces[0].rate_Hz:
+            raise ValueError(
+                f"the rate changes from {pieces[0].rate_Hz} Hz to {piece.rate_Hz} Hz within it"
+            )
+        yield piece, np.column_stack([piece.values(name) for name in STRIPS])
