@@ -13,15 +13,15 @@ import numpy as np
 from procedures.contact import ForceZero
 from procedures.pressed import AFTER_S, FORCE_RATE_S_S, PressedSettings
 from procedures.pressed_layout import TOUCHED
-from rig.analysis.clock_offset import clock_offset
-from rig.analysis.touch_down import Series, TouchDownError
-from rig.analysis.touch_gain import touch_gain
+from rig.analysis.trial.clock_offset import clock_offset
+from rig.analysis.trial.touch_down import Series, TouchDownError
+from rig.analysis.trial.touch_gain import touch_gain
 from rig.bench import STRIPS
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from rig.analysis.load_rate import LoadScale
+    from rig.analysis.trial.load_rate import LoadScale
     from rig.runner.loop import LoopStatistics
     from rig.runner.points import Reading
     from rig.runner.run import Run

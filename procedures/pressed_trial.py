@@ -25,7 +25,7 @@ from procedures.contact import (
 from procedures.pressed import FORCE_RATE_S_S, TAP_S, NEAR_mm, PressedSettings
 from procedures.pressed_reading import CONTACT_N, DECIMATED_Hz, Taken
 from procedures.strip_record import StripRecord
-from rig.analysis.load_rate import LoadScale, amplifier_dB, load_scale, load_scale_of_record
+from rig.analysis.trial.load_rate import LoadScale, amplifier_dB, load_scale, load_scale_of_record
 from rig.bench import STRIPS, require
 from rig.core.errors import InstrumentError, RigError
 from rig.runner.approach import Approach, search_speed_mm_s

@@ -10,7 +10,7 @@ import numpy as np
 
 from procedures import pressed_reading
 from procedures.pressed_reading import DECIMATED_Hz, Taken, frame_times_s
-from rig.analysis.spectrum import share_above
+from rig.analysis.response.spectrum import share_above
 
 if TYPE_CHECKING:
     from procedures.roll_trial import Settings

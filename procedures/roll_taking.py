@@ -15,7 +15,7 @@ from procedures.pressed import AFTER_S
 from procedures.pressed_trial import PressedSeries, PressedTrial
 from procedures.roll_reading import RollTaken, reading_of
 from procedures.roll_trial import NUDGED_S, NUDGES, SETTLED_S
-from rig.analysis.axis_offset import Look, axis_offset
+from rig.analysis.trial.axis_offset import Look, axis_offset
 from rig.core.errors import LimitError
 from rig.runner.aside import Aside
 

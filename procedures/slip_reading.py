@@ -9,7 +9,7 @@ import numpy as np
 
 from procedures import pressed_reading
 from procedures.pressed_reading import Taken, frame_times_s
-from rig.analysis.friction import FrictionError, friction
+from rig.analysis.trial.friction import FrictionError, friction
 
 if TYPE_CHECKING:
     import numpy.typing as npt

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from procedures.pressed_reading import DECIMATED_Hz, Taken
-from rig.analysis.decimation import Decimator
+from rig.analysis.trial.decimation import Decimator
 from rig.bench import STRIPS
 from rig.runner.aside import Aside
 from rig.runner.samples import SampleStream

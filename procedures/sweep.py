@@ -29,7 +29,7 @@ from rig.runner.procedure import DriftFigure, StreamPlan
 
 if TYPE_CHECKING:
     from procedures.sweep_memory import Memory
-    from rig.analysis.frequency_plan import FrequencyPlanSettings
+    from rig.analysis.response.frequency_plan import FrequencyPlanSettings
     from rig.bench import Bench
     from rig.runner.run import Run
 
@@ -178,7 +178,7 @@ def points(settings: Settings) -> tuple[Point, ...]:
     preload.refuse_impossible(settings.preload_N, max(settings.levels_N), LARGEST_SHARE_OF_PRELOAD)
     frequencies = settings.frequencies_Hz
     if not frequencies:
-        from rig.analysis.frequency_plan import scan_frequencies_Hz
+        from rig.analysis.response.frequency_plan import scan_frequencies_Hz
 
         frequencies = scan_frequencies_Hz(_grid(settings))
     return _points_at(settings, frequencies)
@@ -189,8 +189,8 @@ def refine(settings: Settings, readings: Sequence[Reading]) -> tuple[Point, ...]
     if settings.frequencies_Hz or not settings.points_per_half_width:
         return ()
     from procedures.sweep_summary import curve_of
-    from rig.analysis.frequency_plan import refine_Hz
-    from rig.analysis.response_curve import CurveError
+    from rig.analysis.response.curve import CurveError
+    from rig.analysis.response.frequency_plan import refine_Hz
 
     grid = {point.id for point in points(settings)}
     scanned = [reading for reading in readings if _id_of(reading) in grid]
@@ -211,7 +211,7 @@ def check(settings: Settings, bench: Bench) -> None:
 
 
 def _grid(settings: Settings) -> FrequencyPlanSettings:
-    from rig.analysis.frequency_plan import FrequencyPlanSettings
+    from rig.analysis.response.frequency_plan import FrequencyPlanSettings
 
     return FrequencyPlanSettings(
         lowest_Hz=settings.lowest_Hz,
@@ -246,7 +246,7 @@ def _points_at(settings: Settings, frequencies: Sequence[float]) -> tuple[Point,
 
 
 def _point(settings: Settings, condition: Condition, last: Condition | None) -> Point:
-    from rig.analysis.sine_fit import whole_cycles
+    from rig.analysis.response.sine_fit import whole_cycles
 
     frequency = condition.frequency_Hz
     rate = settings.rate_at(frequency)
@@ -298,7 +298,7 @@ def import_ahead() -> None:
     """What a sweep needs and takes long to import: never while something is switched on."""
     import scipy.special  # noqa: F401
 
-    import rig.analysis.gain_curve  # noqa: F401
+    import rig.analysis.film.gain_curve  # noqa: F401
 
 
 def arm(run: Run) -> None:

@@ -10,8 +10,8 @@ from rig.files.journal.layout import Column, Layout, Plot
 from rig.runner.points import Reading
 
 if TYPE_CHECKING:
-    from rig.analysis.response import Response
-    from rig.analysis.sine_fit import SineFit
+    from rig.analysis.response.complex_response import Response
+    from rig.analysis.response.sine_fit import SineFit
 
 
 def reading_of(response: Response, load: SineFit, voltage: SineFit, settled_at_s: float) -> Reading:

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from procedures.sweep import CHANNELS
-from rig.analysis.levelling import LearnedGain, LearnedMains
+from rig.analysis.response.levelling import LearnedGain, LearnedMains
 
 if TYPE_CHECKING:
     from procedures.preload import Preload
-    from rig.analysis.sine_fit import SineFit
+    from rig.analysis.response.sine_fit import SineFit
     from rig.runner.points import Reading
     from rig.runner.run import Run
 

@@ -14,15 +14,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from procedures.sweep import CHANNELS, LISTEN_S
-from rig.analysis.levelling import (
+from rig.analysis.response.complex_response import DB_PER_RELATIVE, Response, complex_response
+from rig.analysis.response.levelling import (
     HARDLY,
     RecordNeeds,
     affordable_inflation,
     range_for,
     record_samples,
 )
-from rig.analysis.response import DB_PER_RELATIVE, Response, complex_response
-from rig.analysis.sine_fit import SineFit, fit_sine, mains_lines
+from rig.analysis.response.sine_fit import SineFit, fit_sine, mains_lines
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import Acquisition, InputChannel, Record
 from rig.runner.trip import TripError

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from procedures.sweep_layout import LAYOUT
-from rig.analysis.response_curve import CurveError, ResponseCurve, points_of
+from rig.analysis.response.curve import CurveError, ResponseCurve, points_of
 from rig.runner.points import Reading
 
 NEAR_200 = 1.26
@@ -55,7 +55,9 @@ def model(readings: Sequence[Reading], several_loads: bool) -> dict[str, Any]:
     asked for; nothing for a sweep too short for it."""
     if len({reading["frequency_Hz"] for reading in readings}) < FEWEST_FOR_A_MODEL:
         return {}
-    from rig.analysis.gain_curve import analyse  # takes long: never while something is switched on
+    from rig.analysis.film.gain_curve import (
+        analyse,  # takes long: never while something is switched on
+    )
 
     def of_loads(name: str) -> npt.NDArray[np.float64] | None:
         return _column(readings, name) if several_loads else None

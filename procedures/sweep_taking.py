@@ -15,13 +15,13 @@ from procedures.contact import felt_N
 from procedures.sweep import LONG_RECORD_S
 from procedures.sweep_layout import reading_of
 from procedures.sweep_sampling import Sampled, Sampling, refuse_silence, warn_of_mains
-from rig.analysis.levelling import AGREEMENT_SIGMAS, RecordNeeds, agreement, combined
+from rig.analysis.response.levelling import AGREEMENT_SIGMAS, RecordNeeds, agreement, combined
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
     from procedures.sweep import Condition, Settings
     from procedures.sweep_memory import Memory
-    from rig.analysis.sine_fit import SineFit
+    from rig.analysis.response.sine_fit import SineFit
     from rig.runner.points import Reading
     from rig.runner.run import Run
 

@@ -14,7 +14,7 @@ from rig.core.toml_files import parse_toml
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from rig.analysis.gain_curve import SweepAnalysis
+    from rig.analysis.film.gain_curve import SweepAnalysis
     from rig.files.runfile.reader import RunFile
     from rig.instruments.calibration import FilmCalibration, Quantity
 
@@ -29,8 +29,8 @@ def analysed(run: RunFile) -> SweepAnalysis:
     """The gain-curve analysis of a complete sweep; refuses any other file."""
     import numpy as np
 
-    from rig.analysis.gain_curve import analyse
-    from rig.analysis.response_curve import points_of
+    from rig.analysis.film.gain_curve import analyse
+    from rig.analysis.response.curve import points_of
 
     header, outcome = run.header, run.outcome
     if header.procedure != "sweep":
@@ -62,7 +62,7 @@ def film_record(
 ) -> FilmCalibration:
     """The record of the run's film; ConfigurationError where nobody knows which film it was, and
     where the record would have expired already."""
-    from rig.analysis.film_load import coefficients
+    from rig.analysis.film.load import coefficients
     from rig.instruments.calibration import FilmCalibration, make_record
 
     header = run.header

@@ -21,13 +21,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.analysis.scoring.contenders import Contender
-from rig.analysis.scoring.outcomes import Truth
-from rig.analysis.scoring.results import Judged
-from rig.analysis.scoring.tables import NAMES
 from rig.cli.scored_trials import judge_one
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import read_text
+from rig.evaluation.scoring.contenders import Contender
+from rig.evaluation.scoring.outcomes import Truth
+from rig.evaluation.scoring.results import Judged
+from rig.evaluation.scoring.tables import NAMES
 from rig.files.runfile.reader import RunFile
 
 Floats = NDArray[np.float64]

@@ -22,13 +22,13 @@ from rig.core.errors import ConfigurationError
 from rig.core.toml_files import MAX_JSON_BYTES, read_text
 
 if TYPE_CHECKING:
-    from rig.analysis.scoring.baselines import BaselineSettings
-    from rig.analysis.scoring.contenders import Contender
-    from rig.analysis.scoring.results import Judged, Result
-    from rig.analysis.scoring.seeds import SeedRange
-    from rig.analysis.scoring.tables import Measured
     from rig.cli.scored_trials import Population
     from rig.core.settings import Settings
+    from rig.evaluation.scoring.baselines import BaselineSettings
+    from rig.evaluation.scoring.contenders import Contender
+    from rig.evaluation.scoring.results import Judged, Result
+    from rig.evaluation.scoring.seeds import SeedRange
+    from rig.evaluation.scoring.tables import Measured
     from rig.model.labelled_trials import PopulationSettings
 
     Model = TypeVar("Model", bound=Settings)
@@ -126,15 +126,15 @@ def score(
 ) -> None:
     """Score detectors on trials whose truth is known: found, false alarms, delays, prediction."""
     with reported(debug, as_json), model_errors("leave its seed out"):
-        from rig.analysis.scoring.contenders import BaselineContender
-        from rig.analysis.scoring.seeds import (
+        from rig.cli.labelled_files import judge_files
+        from rig.cli.scored_trials import judge_trials
+        from rig.evaluation.scoring.contenders import BaselineContender
+        from rig.evaluation.scoring.seeds import (
             FIRST_REPORTING_SEED,
             check_unseen,
             check_use,
             seed_range,
         )
-        from rig.cli.labelled_files import judge_files
-        from rig.cli.scored_trials import judge_trials
         from rig.model.labelled_trials import FrontEndSettings, PopulationSettings
 
         ranges = _with_options(
@@ -264,8 +264,8 @@ def _with_options(
 
 
 def _detectors(names: Sequence[str], overrides: Path | None) -> list[Contender]:
-    from rig.analysis.scoring.contenders import DetectorContender
     from rig.cli.detector_settings import detector_settings
+    from rig.evaluation.scoring.contenders import DetectorContender
 
     if overrides is None:
         return [
@@ -281,7 +281,7 @@ def _detectors(names: Sequence[str], overrides: Path | None) -> list[Contender]:
 
 
 def _baselines(wanted: bool, file: Path | None) -> list[BaselineSettings]:
-    from rig.analysis.scoring.baselines import Baselines, tuned_baselines
+    from rig.evaluation.scoring.baselines import Baselines, tuned_baselines
 
     if file is not None:
         return list(_read(Baselines, file).baselines)
@@ -292,8 +292,8 @@ def _tuned(
     trials: Population, baselines: Sequence[BaselineSettings], file: Path, jobs: int
 ) -> list[BaselineSettings]:
     """The baselines with thresholds chosen on these trials, written to `file`."""
-    from rig.analysis.scoring.baselines import Baselines
     from rig.cli.scored_trials import tune_baselines
+    from rig.evaluation.scoring.baselines import Baselines
 
     total = len(trials.trials())
     found = tune_baselines(trials, baselines, jobs=jobs, done=_Progress("trials tuned on", total))
@@ -317,9 +317,9 @@ def _report(
     as_json: bool,
 ) -> None:
     """Tables and figures below `out`, the tables on stdout."""
-    from rig.analysis.scoring.results import ROW, results, rows
     from rig.core.settings import fingerprint
     from rig.detector.detector import DETECTOR_VERSION
+    from rig.evaluation.scoring.results import ROW, results, rows
 
     told = results(contenders, judged)
     document = {

@@ -16,14 +16,14 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.analysis.scoring.baselines import BaselineSettings, baseline_score
-from rig.analysis.scoring.contenders import FACTORS, Contender
-from rig.analysis.scoring.outcomes import Truth, judge
-from rig.analysis.scoring.patterns import roll_pattern
-from rig.analysis.scoring.results import Judged
-from rig.analysis.scoring.roc import tune
-from rig.analysis.scoring.seeds import SeedRange
 from rig.core.cache import Cache
+from rig.evaluation.scoring.baselines import BaselineSettings, baseline_score
+from rig.evaluation.scoring.contenders import FACTORS, Contender
+from rig.evaluation.scoring.outcomes import Truth, judge
+from rig.evaluation.scoring.patterns import roll_pattern
+from rig.evaluation.scoring.results import Judged
+from rig.evaluation.scoring.roc import tune
+from rig.evaluation.scoring.seeds import SeedRange
 from rig.model.labelled_trials import (
     FrontEndSettings,
     Kind,

@@ -34,7 +34,7 @@ def train(
 ) -> None:
     """Train the network of the detector `rig` on simulated trials whose truth is known."""
     with reported(debug):
-        from rig.analysis.scoring.seeds import FIRST_REPORTING_SEED, seed_range
+        from rig.evaluation.scoring.seeds import FIRST_REPORTING_SEED, seed_range
 
         drawn = seed_range(seeds)
         if not drawn.tunes:
@@ -62,14 +62,14 @@ def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int
     import numpy as np
 
     import rig
-    from rig.analysis.scoring.seeds import SeedRange
-    from rig.analysis.training import Lesson, Rows, learn, rows_of
     from rig.cli.scored_trials import Population, Traits, each_trial
     from rig.core.cache import user_cache
     from rig.detector.detector import DETECTOR_VERSION, IncipientSlipDetector, NETWORK_RATE_Hz
     from rig.detector.kernel import INPUTS
     from rig.detector.network import OUTPUTS, Network
     from rig.detector.settings import named_detectors
+    from rig.evaluation.scoring.seeds import SeedRange
+    from rig.evaluation.training import Lesson, Rows, learn, rows_of
     from rig.model.labelled_trials import FrontEndSettings, LabelledTrial, PopulationSettings
     from rig.model.skin.condensed import build_skin
 

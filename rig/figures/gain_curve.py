@@ -12,18 +12,18 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from rig.analysis.circuit_fit import READINGS
-from rig.analysis.film_model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ
-from rig.analysis.response import DB_PER_RELATIVE
+from rig.analysis.film.circuit import READINGS
+from rig.analysis.film.model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ
+from rig.analysis.response.complex_response import DB_PER_RELATIVE
 from rig.figures.style import STYLE, decades, set_margins
 from rig.model.pvdf import SKIN_STRIP, CircuitSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rig.analysis.gain_curve import ResponseCurve, SweepAnalysis
-    from rig.analysis.linearity import LoadLinearity
-    from rig.analysis.response import Reals
+    from rig.analysis.film.gain_curve import ResponseCurve, SweepAnalysis
+    from rig.analysis.film.linearity import LoadLinearity
+    from rig.analysis.response.complex_response import Reals
 
 ERROR_BARS = 2.0
 """Standard errors on either side."""

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from rig.analysis.scoring.outcomes import FOUND_WITHIN_S
-from rig.analysis.scoring.results import Result
-from rig.analysis.scoring.roc import AXES, ROLL_ALARMS
+from rig.evaluation.scoring.outcomes import FOUND_WITHIN_S
+from rig.evaluation.scoring.results import Result
+from rig.evaluation.scoring.roc import AXES, ROLL_ALARMS
 from rig.figures.style import STYLE
 
 COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#555555")

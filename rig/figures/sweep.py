@@ -12,8 +12,8 @@ from rig.figures.style import STYLE, decades, set_margins, show_at_least
 from rig.model.pvdf import SKIN_STRIP
 
 if TYPE_CHECKING:
-    from rig.analysis.gain_curve import SweepAnalysis
-    from rig.analysis.response_curve import ResponseCurve
+    from rig.analysis.film.gain_curve import SweepAnalysis
+    from rig.analysis.response.curve import ResponseCurve
     from rig.files.runfile.reader import RunFile
 
 REFERENCE_SLOPE_DB_DECADE = 20.0
@@ -49,8 +49,8 @@ def draw_model(run: RunFile) -> dict[str, Figure]:
 
 def _analysed(run: RunFile) -> tuple[ResponseCurve | None, SweepAnalysis | None]:
     """The responses and what the analysis makes of them; nothing for a sweep too short for it."""
-    from rig.analysis.gain_curve import analyse
-    from rig.analysis.response_curve import CurveError, points_of
+    from rig.analysis.film.gain_curve import analyse
+    from rig.analysis.response.curve import CurveError, points_of
 
     column = run.column
     several = len(set(column("load_set").tolist())) > 1

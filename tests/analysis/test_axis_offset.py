@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.analysis.axis_offset import AxisOffsetError, Look, ROLLING_mm, axis_offset
+from rig.analysis.trial.axis_offset import AxisOffsetError, Look, ROLLING_mm, axis_offset
 
 SIDES = (0, 1, 0, -1, 0)
 STIFFNESS_N_mm = 18.0

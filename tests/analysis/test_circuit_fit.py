@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from rig.analysis.circuit_fit import asymptote_dB, compare_circuit, matched, separability
 from rig.analysis.estimate import Estimate
-from rig.analysis.response_curve import ResponseCurve
+from rig.analysis.film.circuit import asymptote_dB, compare_circuit, matched, separability
+from rig.analysis.response.curve import ResponseCurve
 from rig.model import pvdf
 from rig.model.pvdf import SKIN_STRIP, SWEEP_FILM, CircuitSettings
 

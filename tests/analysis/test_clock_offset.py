@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.analysis.clock_offset import ClockOffsetError, Series, clock_offset
-from rig.analysis.decimation import Decimator
+from rig.analysis.trial.clock_offset import ClockOffsetError, Series, clock_offset
+from rig.analysis.trial.decimation import Decimator
 from rig.model.contact.settings import ContactSettings, Plate
 from rig.model.contact.stepper import ContactStepper
 from rig.model.skin.condensed import CondensedSkin

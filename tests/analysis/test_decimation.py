@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.analysis.decimation import Decimator
+from rig.analysis.trial.decimation import Decimator
 
 RATES = [10_000.0, 16_000.0, 20_000.0, 50_000.0]
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from recorded_film import FRONT_END, recorded_sweep
 
-from rig.analysis.film_load import FilmLoadError, coefficients, film_model, load_from_voltage
-from rig.analysis.gain_curve import analyse
+from rig.analysis.film.gain_curve import analyse
+from rig.analysis.film.load import FilmLoadError, coefficients, film_model, load_from_voltage
 from rig.instruments.calibration import FilmCalibration
 from rig.model.front_end import noise_rms
 from rig.model.vibrator import drawn_film, true_response

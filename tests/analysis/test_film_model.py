@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.analysis.film_fit import fit_film, minimised
-from rig.analysis.film_model import FilmModel, Notch, without
-from rig.analysis.response_curve import CurveError, ResponseCurve
+from rig.analysis.film.fit import fit_film, minimised
+from rig.analysis.film.model import FilmModel, Notch, without
+from rig.analysis.response.curve import CurveError, ResponseCurve
 from rig.model import pvdf
 from rig.model.vibrator import DropSettings, VibratorSettings, true_response
 

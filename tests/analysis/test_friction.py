@@ -7,7 +7,7 @@ than twice that of the bench's force sensor.
 import numpy as np
 import pytest
 
-from rig.analysis.friction import FrictionError, friction, mean_of_correlated
+from rig.analysis.trial.friction import FrictionError, friction, mean_of_correlated
 from rig.model.contact.settings import ContactSettings, FrictionSettings
 from rig.model.skin.condensed import CondensedSkin
 from rig.model.trials import PressSettings, SlideSettings, Trial, slide

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.analysis.levelling import (
+from rig.analysis.response.complex_response import Response
+from rig.analysis.response.levelling import (
     LearnedGain,
     LearnedMains,
     RecordNeeds,
@@ -16,8 +17,7 @@ from rig.analysis.levelling import (
     range_for,
     record_samples,
 )
-from rig.analysis.response import Response
-from rig.analysis.sine_fit import fit_sine, inflation, mains_lines
+from rig.analysis.response.sine_fit import fit_sine, inflation, mains_lines
 
 
 def resonance(f, f0=95.0, Q=1.3):

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from rig.analysis.gain_curve import analyse
-from rig.analysis.linearity import distortion_summary, load_linearity
-from rig.analysis.response_curve import CurveError
+from rig.analysis.film.gain_curve import analyse
+from rig.analysis.film.linearity import distortion_summary, load_linearity
+from rig.analysis.response.curve import CurveError
 
 LOADS = (0.2, 0.5, 1.0, 3.0, 10.0)
 FREQUENCIES = np.geomspace(2, 20000, 40)

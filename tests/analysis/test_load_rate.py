@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.analysis.load_rate import load_scale, load_scale_of_record
+from rig.analysis.trial.load_rate import load_scale, load_scale_of_record
 from rig.core.errors import ConfigurationError
 from rig.instruments.calibration import FilmCalibration
 from rig.model.pvdf import corner_frequency, level_at_one_hertz

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rig.analysis.response import (
+from rig.analysis.response.complex_response import (
     complex_response,
     cramer_rao_amplitude,
     cramer_rao_duration,
@@ -13,7 +13,7 @@ from rig.analysis.response import (
     cramer_rao_phase_deg,
     quantisation_rms,
 )
-from rig.analysis.sine_fit import RecordError, fit_sine
+from rig.analysis.response.sine_fit import RecordError, fit_sine
 from rig.model.front_end import FrontEndSettings, noise_rms
 from rig.model.modal import SineDrive
 from rig.model.vibrator import Output, drawn_film, true_response, vibrator_line

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.analysis.estimate import Estimate
-from rig.analysis.response_curve import CurveError, ResponseCurve
+from rig.analysis.response.curve import CurveError, ResponseCurve
 
 F = np.array([30.0, 10.0, 20.0])
 H = np.array([3j, 1.0 + 0j, -2.0 + 0j])

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from rig.analysis.response import cramer_rao_amplitude, quantisation_rms
-from rig.analysis.sine_fit import (
+from rig.analysis.response.complex_response import cramer_rao_amplitude, quantisation_rms
+from rig.analysis.response.sine_fit import (
     RecordError,
     fit_sine,
     mains_lines,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.analysis.touch_down import Series, TouchDownError
-from rig.analysis.touch_gain import touch_gain
+from rig.analysis.trial.touch_down import Series, TouchDownError
+from rig.analysis.trial.touch_gain import touch_gain
 
 STEP_s = 1e-3
 FORCE_NOISE_N, VOLT_NOISE_V, MAINS_V = 3e-3, 2e-4, 5e-4

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.analysis.training import Lesson, Rows, learn, rows_of
+from rig.evaluation.training import Lesson, Rows, learn, rows_of
 
 NEVER = float("nan")
 

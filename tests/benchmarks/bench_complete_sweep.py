@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 from measured import heading, row, target
 
-from rig.analysis.gain_curve import analyse
-from rig.analysis.response_curve import points_of
+from rig.analysis.film.gain_curve import analyse
+from rig.analysis.response.curve import points_of
 from rig.files.runfile.reader import RunFile
 from rig.model.film_clamp import FilmClampSettings, preload_gain
 from rig.model.front_end import FrontEndSettings

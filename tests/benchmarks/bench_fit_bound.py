@@ -21,9 +21,9 @@ from drivers.simulated.keysight_u2300a import MODELS, codes_of_volts, volts_of_c
 from drivers.simulated.ports import Excitation
 from drivers.simulated.world import FILM_TERMINAL, LOAD_CELL_TERMINAL, World, WorldSettings
 from procedures.sweep import Settings
-from rig.analysis.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz
-from rig.analysis.response import quantisation_rms
-from rig.analysis.sine_fit import fit_sine, mains_lines, record_length
+from rig.analysis.response.complex_response import quantisation_rms
+from rig.analysis.response.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz
+from rig.analysis.response.sine_fit import fit_sine, mains_lines, record_length
 from rig.model.front_end import FrontEndSettings, noise_rms
 from rig.model.modal import SineDrive
 from rig.model.vibrator import Output, drawn_film, vibrator_line

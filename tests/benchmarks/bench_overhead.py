@@ -26,7 +26,8 @@ from drivers.simulated.keysight_u2300a import codes_of_volts
 from drivers.simulated.world import World, WorldSettings
 from drivers.visa_link import VisaLink
 from procedures import sweep
-from rig.analysis import response, sine_fit
+from rig.analysis.response import complex_response as response
+from rig.analysis.response import sine_fit
 from rig.bench import parse_bench, read_bench
 from rig.core.clock import ControlLink, SlavedClock, WallClock
 from rig.core.errors import ExitCode

@@ -9,8 +9,8 @@ import time
 import numpy as np
 import pytest
 
-from rig.analysis.response import cramer_rao_amplitude, quantisation_rms
-from rig.analysis.sine_fit import fit_sine, mains_lines, record_length
+from rig.analysis.response.complex_response import cramer_rao_amplitude, quantisation_rms
+from rig.analysis.response.sine_fit import fit_sine, mains_lines, record_length
 from rig.model.modal import SineDrive
 from rig.model.vibrator import Output, drawn_film, vibrator_line
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from rig.analysis.film_model import FilmModel, Notch
-from rig.analysis.gain_curve import ResponseCurve, analyse
+from rig.analysis.film.gain_curve import ResponseCurve, analyse
+from rig.analysis.film.model import FilmModel, Notch
 from rig.figures.gain_curve import draw_gain, draw_linearity, draw_readings
 from rig.figures.style import save
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.analysis.spectrum import share_above
+from rig.analysis.response.spectrum import share_above
 from rig.model.contact.settings import ContactSettings, Cylinder, FrictionSettings, Plate, Sphere
 from rig.model.skin.condensed import CondensedSkin, build_skin
 from rig.model.skin.settings import SkinSettings

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.analysis.scoring.baselines import (
+from rig.evaluation.scoring.baselines import (
     DB4,
     STATISTICS,
     BaselineSettings,
@@ -12,7 +12,7 @@ from rig.analysis.scoring.baselines import (
     tuned_baselines,
     wavelet_details,
 )
-from rig.analysis.scoring.seeds import FIRST_REPORTING_SEED
+from rig.evaluation.scoring.seeds import FIRST_REPORTING_SEED
 
 RATE_Hz = 1000.0
 BURST_S = 1.0

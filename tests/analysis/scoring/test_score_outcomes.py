@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rig.analysis.scoring.outcomes import Outcome, Said, Truth, judge
+from rig.evaluation.scoring.outcomes import Outcome, Said, Truth, judge
 
 SLIP = Truth(
     label="slip", motion_s=0.5, node_slip_s=0.8, ridge_slip_s=1.0, gross_slip_s=1.2

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from rig.analysis.scoring.patterns import roll_pattern
-from rig.analysis.scoring.roc import Roc, roc, threshold_for, tune
+from rig.evaluation.scoring.patterns import roll_pattern
+from rig.evaluation.scoring.roc import Roc, roc, threshold_for, tune
 
 
 def test_a_curve_counts_slips_and_the_trials_without_one_by_their_labels():

@@ -2,8 +2,8 @@
 
 import pytest
 
-from rig.analysis.scoring.seeds import SeedRange, check_unseen, check_use, seed_range
 from rig.core.errors import ConfigurationError
+from rig.evaluation.scoring.seeds import SeedRange, check_unseen, check_use, seed_range
 
 TUNING, REPORTING = seed_range("0:1000000"), seed_range("1000000:1000010")
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from rig.analysis.scoring.outcomes import Outcome, Said, Truth, judge
-from rig.analysis.scoring.tables import by_trait, percentiles, rate, score
+from rig.evaluation.scoring.outcomes import Outcome, Said, Truth, judge
+from rig.evaluation.scoring.tables import by_trait, percentiles, rate, score
 
 
 @pytest.mark.parametrize(

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from rig.analysis.scoring.outcomes import Said
-from rig.analysis.scoring.seeds import SeedRange
 from rig.core.settings import Settings
 from rig.detector.low_pass import LowPassSettings, design_low_pass
+from rig.evaluation.scoring.outcomes import Said
+from rig.evaluation.scoring.seeds import SeedRange
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

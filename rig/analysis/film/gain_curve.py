@@ -4,9 +4,9 @@ Numbers in: frequencies, complex responses with their covariances, loads and dis
 out: :class:`SweepAnalysis`. What each means:
 
 - ``level`` is ``b`` of the paper's equation (2): the low-frequency asymptote at 1 Hz of a circuit
-  of 20 dB/decade and one pole, fitted together with all drops (`rig.analysis.film_model`);
+  of 20 dB/decade and one pole, fitted together with all drops (`rig.analysis.film.model`);
 - ``corner`` is the frequency of that pole;
-- ``slopes`` and ``plain`` are the slopes and the paper's own fit (`rig.analysis.slope`);
+- ``slopes`` and ``plain`` are the slopes and the paper's own fit (`rig.analysis.film.slope`);
 - a drop's frequency is where it is deepest, its depth and Q those of a second-order notch.
 
 Intervals hold noise and, where there is one, the model error. The load cell's calibration error
@@ -22,20 +22,20 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from rig.analysis.circuit_fit import CircuitComparison, compare_circuit
-from rig.analysis.drops import fit_with_drops
 from rig.analysis.estimate import Estimate
-from rig.analysis.film_fit import MISFIT_PROBABILITY, DropEstimate, FilmFit
-from rig.analysis.film_model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ
-from rig.analysis.linearity import (
+from rig.analysis.film.circuit import CircuitComparison, compare_circuit
+from rig.analysis.film.drops import fit_with_drops
+from rig.analysis.film.fit import MISFIT_PROBABILITY, DropEstimate, FilmFit
+from rig.analysis.film.linearity import (
     DistortionSummary,
     LoadLinearity,
     distortion_summary,
     load_linearity,
 )
-from rig.analysis.response_curve import CurveError, ResponseCurve
-from rig.analysis.slope import PlainFit, Slopes, plain_fit, slopes
-from rig.analysis.stress_jerk import StressJerkTest, stress_jerk_test
+from rig.analysis.film.model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ
+from rig.analysis.film.slope import PlainFit, Slopes, plain_fit, slopes
+from rig.analysis.film.stress_jerk import StressJerkTest, stress_jerk_test
+from rig.analysis.response.curve import CurveError, ResponseCurve
 from rig.model.pvdf import SKIN_STRIP, CircuitSettings
 
 __all__ = [

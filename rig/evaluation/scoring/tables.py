@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from rig.analysis.estimate import COVERAGE_95
-from rig.analysis.scoring.outcomes import Outcome
+from rig.evaluation.scoring.outcomes import Outcome
 
 PERCENTILES = (5, 50, 95)
 RESAMPLES = 1000

@@ -1,6 +1,6 @@
 """What a measured response says about the circuit of the paper's figure 6, and what it cannot say.
 
-The response fixes a level and a pole (`rig.analysis.film_fit`). Which circuit values it leaves
+The response fixes a level and a pole (`rig.analysis.film.fit`). Which circuit values it leaves
 open is computed, not assumed: from the derivatives of ln|H| of the nodal circuit by the logarithm
 of each value, at a circuit that has the measured level and pole, weighted with the measured errors.
 A value whose column is zero does not show; values whose columns are parallel act as one; and what
@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rig.analysis.estimate import COVERAGE_95, Estimate
-from rig.analysis.response import DB_PER_RELATIVE, Complexes, Reals
-from rig.analysis.response_curve import ResponseCurve
+from rig.analysis.response.complex_response import DB_PER_RELATIVE, Complexes, Reals
+from rig.analysis.response.curve import ResponseCurve
 from rig.model import pvdf
 from rig.model.pvdf import CircuitSettings
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rig.analysis.estimate import Estimate
-from rig.analysis.film_fit import MISFIT_PROBABILITY
-from rig.analysis.response import Reals
-from rig.analysis.response_curve import CurveError, ResponseCurve
+from rig.analysis.film.fit import MISFIT_PROBABILITY
+from rig.analysis.response.complex_response import Reals
+from rig.analysis.response.curve import CurveError, ResponseCurve
 
 LEAST_LOAD_RATIO = 1.5
 """Largest over smallest load at a frequency whose gain against load says anything."""

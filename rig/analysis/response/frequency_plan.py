@@ -13,9 +13,9 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from rig.analysis.drops import fit_with_drops
-from rig.analysis.response import Reals
-from rig.analysis.response_curve import ResponseCurve
+from rig.analysis.film.drops import fit_with_drops
+from rig.analysis.response.complex_response import Reals
+from rig.analysis.response.curve import ResponseCurve
 from rig.core.settings import Settings
 
 MAINS_LINES = 5

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.analysis.estimate import Estimate
-from rig.analysis.film_fit import FilmFit, fit_film
-from rig.analysis.film_model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ, FilmModel
-from rig.analysis.response import DB_PER_RELATIVE, Reals
-from rig.analysis.response_curve import ResponseCurve
+from rig.analysis.film.fit import FilmFit, fit_film
+from rig.analysis.film.model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ, FilmModel
+from rig.analysis.response.complex_response import DB_PER_RELATIVE, Reals
+from rig.analysis.response.curve import ResponseCurve
 
 OUTSIDE_DROPS_DB = 0.5
 """A point is outside the drops where the fitted drops together take less than this from it."""

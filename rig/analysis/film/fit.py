@@ -23,9 +23,9 @@ from functools import cached_property
 import numpy as np
 
 from rig.analysis.estimate import COVERAGE_95, Estimate
-from rig.analysis.film_model import FilmModel
-from rig.analysis.response import DB_PER_RELATIVE, Reals
-from rig.analysis.response_curve import CurveError, ResponseCurve
+from rig.analysis.film.model import FilmModel
+from rig.analysis.response.complex_response import DB_PER_RELATIVE, Reals
+from rig.analysis.response.curve import CurveError, ResponseCurve
 
 MISFIT_PROBABILITY = 1e-3
 """A chi-square rarer than this is not noise alone."""

@@ -8,12 +8,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.analysis.scoring.baselines import BaselineSettings, baseline_says
-from rig.analysis.scoring.outcomes import Said
-from rig.analysis.scoring.seeds import SeedRange
 from rig.core.settings import Settings
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.settings import DetectorSettings
+from rig.evaluation.scoring.baselines import BaselineSettings, baseline_says
+from rig.evaluation.scoring.outcomes import Said
+from rig.evaluation.scoring.seeds import SeedRange
 
 Floats = NDArray[np.float64]
 

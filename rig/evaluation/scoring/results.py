@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.analysis.scoring.contenders import FACTORS, Contender
-from rig.analysis.scoring.outcomes import Outcome
-from rig.analysis.scoring.roc import AXES, ROLL_ALARMS, Roc, roc
-from rig.analysis.scoring.tables import BINS, NAMES, Score, by_trait, score
+from rig.evaluation.scoring.contenders import FACTORS, Contender
+from rig.evaluation.scoring.outcomes import Outcome
+from rig.evaluation.scoring.roc import AXES, ROLL_ALARMS, Roc, roc
+from rig.evaluation.scoring.tables import BINS, NAMES, Score, by_trait, score
 
 ROW = (
     "detector", "use", "trait", "bin", "quantity", "unit", "value", "low", "high", "of",

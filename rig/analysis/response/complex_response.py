@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.analysis.sine_fit import RecordError, SineFit, scaled_covariance
+from rig.analysis.response.sine_fit import RecordError, SineFit, scaled_covariance
 
 Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rig.analysis.response import Complexes, Reals
+from rig.analysis.response.complex_response import Complexes, Reals
 
 FIRST_ORDER_SLOPE = 20.0
 """dB/decade of a stress-rate sensor (paper eq. 2)."""

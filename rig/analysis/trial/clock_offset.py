@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.analysis.estimate import Estimate
-from rig.analysis.touch_down import (
+from rig.analysis.trial.touch_down import (
     GRID_Hz,
     Reals,
     Series,

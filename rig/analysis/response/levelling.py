@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.analysis.response import Response
-from rig.analysis.sine_fit import SineFit, inflation, whole_cycles
+from rig.analysis.response.complex_response import Response
+from rig.analysis.response.sine_fit import SineFit, inflation, whole_cycles
 
 NEAR = 1.35
 """Within this ratio of a frequency that has been measured, a prediction is trusted."""

@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.analysis.estimate import Estimate
-from rig.analysis.film_model import FilmModel, Notch
-from rig.analysis.response import DB_PER_RELATIVE
-from rig.analysis.sine_fit import scaled_covariance
-from rig.analysis.slope import OUTSIDE_DROPS_DB
+from rig.analysis.film.model import FilmModel, Notch
+from rig.analysis.film.slope import OUTSIDE_DROPS_DB
+from rig.analysis.response.complex_response import DB_PER_RELATIVE
+from rig.analysis.response.sine_fit import scaled_covariance
 from rig.core.errors import ExitCode, RigError
 from rig.instruments.calibration import FilmCalibration
 
 if TYPE_CHECKING:
-    from rig.analysis.gain_curve import SweepAnalysis
+    from rig.analysis.film.gain_curve import SweepAnalysis
 
 Reals = NDArray[np.float64]
 

@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rig.analysis.film_fit import FilmFit, chi_square, fit_film, minimised
-from rig.analysis.film_model import FilmModel, Notch, in_order, without
-from rig.analysis.response import Reals
-from rig.analysis.response_curve import CurveError, ResponseCurve
+from rig.analysis.film.fit import FilmFit, chi_square, fit_film, minimised
+from rig.analysis.film.model import FilmModel, Notch, in_order, without
+from rig.analysis.response.complex_response import Reals
+from rig.analysis.response.curve import CurveError, ResponseCurve
 
 SMALLEST_DEPTH_DB = 1.0
 """Anything shallower is not called a drop."""

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rig.analysis.drops import fit_with_drops
-from rig.analysis.film_fit import BREAK_BAND_HZ, FilmFit, fit_film
-from rig.analysis.response_curve import CurveError, ResponseCurve
+from rig.analysis.film.drops import fit_with_drops
+from rig.analysis.film.fit import BREAK_BAND_HZ, FilmFit, fit_film
+from rig.analysis.response.curve import CurveError, ResponseCurve
 
 CLAIMED_BREAK_HZ = 1200.0
 """Where the earlier report had its break (paper 3.2)."""

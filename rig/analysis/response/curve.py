@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.analysis.response import DB_PER_RELATIVE, Complexes, Reals
+from rig.analysis.response.complex_response import DB_PER_RELATIVE, Complexes, Reals
 from rig.core.errors import ExitCode, RigError
 
 SAME_PRELOAD_N = 1e-6

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.analysis.estimate import Estimate
-from rig.analysis.response import DB_PER_RELATIVE
+from rig.analysis.response.complex_response import DB_PER_RELATIVE
 from rig.core.errors import ConfigurationError
 from rig.instruments.calibration import FilmCalibration
 

@@ -1,0 +1,1 @@
+"""Measured frequency response: sine fits, complex gain, frequency plan, load levelling."""

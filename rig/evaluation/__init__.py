@@ -1,0 +1,1 @@
+"""Evaluation of slip detectors: labelled trials, scoring, training."""
