@@ -21,9 +21,9 @@ from benches import Bench
 from hypothesis import settings
 
 from rig.core.cache import DiskCache
-from rig.model.skin.condensed import CondensedSkin, build_skin
-from rig.model.skin.settings import SkinSettings
-from rig.model.trials import SlideSettings, Trial, slide
+from rig.physics.skin.condensed import CondensedSkin, build_skin
+from rig.physics.skin.settings import SkinSettings
+from rig.physics.trials import SlideSettings, Trial, slide
 
 settings.register_profile("any computer", deadline=None)
 settings.load_profile("any computer")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from rig.model.film_clamp import FilmClampSettings, creep_step, push_after
+from rig.physics.film_clamp import FilmClampSettings, creep_step, push_after
 
 if TYPE_CHECKING:
     from drivers.simulated.meeting import Where

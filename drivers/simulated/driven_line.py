@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.simulated.ports import Excitation
-from rig.model.modal import Complexes, Driven, ModalSystem, SineDrive
+from rig.physics.modal import Complexes, Driven, ModalSystem, SineDrive
 
 SEGMENTS_KEPT = 4096
 """History kept: far more changes than happen within any acquisition."""

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from rig.core.settings import Settings
-from rig.model.contact.settings import Cylinder, Object, Plate, Sphere
+from rig.physics.contact.settings import Cylinder, Object, Plate, Sphere
 
 Reals = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]

@@ -14,11 +14,11 @@ from drivers.simulated.skin_contact import SkinContact, SkinMountSettings
 from drivers.simulated.world import World, WorldSettings
 from rig.core.cache import user_cache
 from rig.core.errors import ConfigurationError
-from rig.model.contact.settings import ContactSettings, Plate
-from rig.model.front_end import FrontEndSettings
-from rig.model.skin.condensed import build_skin
-from rig.model.skin.settings import SkinSettings
-from rig.model.transducer import TransducerSettings
+from rig.physics.contact.settings import ContactSettings, Plate
+from rig.physics.front_end import FrontEndSettings
+from rig.physics.skin.condensed import build_skin
+from rig.physics.skin.settings import SkinSettings
+from rig.physics.transducer import TransducerSettings
 
 VISCOUS = 3.0
 """Share by which rubber that is met at speed is stiffer than at rest: an ample bound."""

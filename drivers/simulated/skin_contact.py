@@ -5,7 +5,7 @@ the object, a plate or a head on the rotary stage, stands on the force sensor. z
 the rotary stage rolls. Signs: F_n is what the skin presses on the object with, positive along the
 sensor's z; F_t is what it drags the object with, positive along x while the stage moves towards +x.
 The stages are pushed back with -F_n and -F_t. Seen from the skin the object slides towards +x when
-the stage does: the reference slide of `rig.model.trials`.
+the stage does: the reference slide of `rig.physics.trials`.
 
 The contact goes in whole steps (0.1 ms), made when somebody asks and kept for a while, so that a
 converter may sample the past. What a step finds from the stages' positions at its beginning is
@@ -31,14 +31,14 @@ from pydantic import Field
 from drivers.simulated.slip_record import SlipRecord
 from rig.core.imports import as_if_missing
 from rig.core.settings import Settings
-from rig.model.contact.settings import ContactSettings, Plate, Sphere
-from rig.model.contact.slices import SlicedStepper
-from rig.model.contact.stepper import OPEN, ContactStepper, ConvergenceError
-from rig.model.transducer import TransducerChain, TransducerSettings
+from rig.physics.contact.settings import ContactSettings, Plate, Sphere
+from rig.physics.contact.slices import SlicedStepper
+from rig.physics.contact.stepper import OPEN, ContactStepper, ConvergenceError
+from rig.physics.transducer import TransducerChain, TransducerSettings
 
 if TYPE_CHECKING:
     from drivers.simulated.meeting import Below, Meeting
-    from rig.model.skin.condensed import CondensedSkin
+    from rig.physics.skin.condensed import CondensedSkin
 
 Reals = npt.NDArray[np.float64]
 Tell = Callable[[str, object], None]

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rig.model.contact.stepper import OPEN
-from rig.model.contact.truth import SlipWatch
+from rig.physics.contact.stepper import OPEN
+from rig.physics.contact.truth import SlipWatch
 
 Statuses = npt.NDArray[np.int8]
 Reals = npt.NDArray[np.float64]

@@ -40,9 +40,9 @@ from drivers.simulated.world_log import WorldLog
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings
 from rig.core.toml_files import read_toml
-from rig.model import film_clamp, front_end, pvdf, vibrator
-from rig.model.film_clamp import FilmClampSettings
-from rig.model.front_end import FrontEndSettings
+from rig.physics import film_clamp, front_end, pvdf, vibrator
+from rig.physics.film_clamp import FilmClampSettings
+from rig.physics.front_end import FrontEndSettings
 
 if TYPE_CHECKING:
     from drivers.simulated.meeting import Where

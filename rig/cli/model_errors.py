@@ -13,7 +13,7 @@ def model_errors(remedy: str | None = None) -> Iterator[None]:
     """Refused values and steps without a solution as one-line errors; `remedy` for the latter."""
     from pydantic import ValidationError
 
-    from rig.model.contact.stepper import ConvergenceError
+    from rig.physics.contact.stepper import ConvergenceError
 
     try:
         yield

@@ -24,12 +24,12 @@ from rig.core.toml_files import MAX_JSON_BYTES, read_text
 if TYPE_CHECKING:
     from rig.cli.scored_trials import Population
     from rig.core.settings import Settings
+    from rig.evaluation.labelled_trials import PopulationSettings
     from rig.evaluation.scoring.baselines import BaselineSettings
     from rig.evaluation.scoring.contenders import Contender
     from rig.evaluation.scoring.results import Judged, Result
     from rig.evaluation.scoring.seeds import SeedRange
     from rig.evaluation.scoring.tables import Measured
-    from rig.model.labelled_trials import PopulationSettings
 
     Model = TypeVar("Model", bound=Settings)
 else:
@@ -128,6 +128,7 @@ def score(
     with reported(debug, as_json), model_errors("leave its seed out"):
         from rig.cli.labelled_files import judge_files
         from rig.cli.scored_trials import judge_trials
+        from rig.evaluation.labelled_trials import FrontEndSettings, PopulationSettings
         from rig.evaluation.scoring.contenders import BaselineContender
         from rig.evaluation.scoring.seeds import (
             FIRST_REPORTING_SEED,
@@ -135,7 +136,6 @@ def score(
             check_use,
             seed_range,
         )
-        from rig.model.labelled_trials import FrontEndSettings, PopulationSettings
 
         ranges = _with_options(
             _read(PopulationSettings, population), skin, elements, ridge, youngs_modulus, speed
@@ -202,8 +202,8 @@ def _population(
 
     from rig.cli.scored_trials import Population
     from rig.core.cache import user_cache
-    from rig.model.labelled_trials import Kind
-    from rig.model.skin.condensed import build_skin
+    from rig.evaluation.labelled_trials import Kind
+    from rig.physics.skin.condensed import build_skin
 
     known: tuple[Kind, ...] = get_args(Kind)
     words = [word.strip() for word in kinds.split(",")]
@@ -228,8 +228,8 @@ def _with_options(
 ) -> PopulationSettings:
     """The ranges with what options say of skin, ridge and speed."""
     from rig.core.units import quantity
-    from rig.model.labelled_trials import PopulationSettings, Range
-    from rig.model.skin.settings import SkinSettings
+    from rig.evaluation.labelled_trials import PopulationSettings, Range
+    from rig.physics.skin.settings import SkinSettings
 
     def number(text: str, unit: str, option: str) -> float:
         try:

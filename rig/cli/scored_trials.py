@@ -17,14 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.cache import Cache
-from rig.evaluation.scoring.baselines import BaselineSettings, baseline_score
-from rig.evaluation.scoring.contenders import FACTORS, Contender
-from rig.evaluation.scoring.outcomes import Truth, judge
-from rig.evaluation.scoring.patterns import roll_pattern
-from rig.evaluation.scoring.results import Judged
-from rig.evaluation.scoring.roc import tune
-from rig.evaluation.scoring.seeds import SeedRange
-from rig.model.labelled_trials import (
+from rig.evaluation.labelled_trials import (
     FrontEndSettings,
     Kind,
     LabelledTrial,
@@ -32,7 +25,14 @@ from rig.model.labelled_trials import (
     heard,
     labelled_trial,
 )
-from rig.model.skin.condensed import CondensedSkin
+from rig.evaluation.scoring.baselines import BaselineSettings, baseline_score
+from rig.evaluation.scoring.contenders import FACTORS, Contender
+from rig.evaluation.scoring.outcomes import Truth, judge
+from rig.evaluation.scoring.patterns import roll_pattern
+from rig.evaluation.scoring.results import Judged
+from rig.evaluation.scoring.roc import tune
+from rig.evaluation.scoring.seeds import SeedRange
+from rig.physics.skin.condensed import CondensedSkin
 
 Floats = NDArray[np.float64]
 Traits = dict[str, float | str]

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from rig.core.settings import Settings
-    from rig.model.skin.condensed import CondensedSkin
-    from rig.model.skin.elasticity import ElasticSkin
-    from rig.model.skin.settings import SkinSettings
-    from rig.model.trials import Trial
+    from rig.physics.skin.condensed import CondensedSkin
+    from rig.physics.skin.elasticity import ElasticSkin
+    from rig.physics.skin.settings import SkinSettings
+    from rig.physics.trials import Trial
 
     Model = TypeVar("Model", bound=Settings)
 else:
@@ -99,9 +99,9 @@ def slide(
     at: At = None,
 ) -> None:
     """Press a plate on and slide it: v_d, forces, stick-slip map, deformed skin."""
-    from rig.model.skin.settings import SkinSettings
-    from rig.model.trials import PressSettings, SlideSettings
-    from rig.model.trials import slide as run
+    from rig.physics.skin.settings import SkinSettings
+    from rig.physics.trials import PressSettings, SlideSettings
+    from rig.physics.trials import slide as run
 
     with reported(debug, as_json), model_errors():
         default = SlideSettings(
@@ -144,9 +144,9 @@ def roll(
     at: At = None,
 ) -> None:
     """Press a cylinder or a sphere on and roll it: v_d, forces, stick-slip map, deformed skin."""
-    from rig.model.skin.settings import SkinSettings
-    from rig.model.trials import RollSettings
-    from rig.model.trials import roll as run
+    from rig.physics.skin.settings import SkinSettings
+    from rig.physics.trials import RollSettings
+    from rig.physics.trials import roll as run
 
     with reported(debug, as_json), model_errors():
         default = RollSettings.model_validate(
@@ -184,9 +184,9 @@ def history(
     at: AtStep = None,
 ) -> None:
     """The paper's simulation 4.2: stress difference and its rate, stick-slip map, deformed skin."""
-    from rig.model.loading_history import RELIEFS, HistorySettings, run_history
-    from rig.model.skin.elasticity import STRESSES, ElasticSkin
-    from rig.model.skin.field import deformed
+    from rig.physics.loading_history import RELIEFS, HistorySettings, run_history
+    from rig.physics.skin.elasticity import STRESSES, ElasticSkin
+    from rig.physics.skin.field import deformed
 
     with reported(debug, as_json), model_errors():
         if relief not in RELIEFS:
@@ -234,7 +234,7 @@ def map_(
     debug: Debug = False,
 ) -> None:
     """Where strips belong: hump and HF peak over ridge, place and stress component."""
-    from rig.model.design_map import MapSettings, design_map
+    from rig.physics.design_map import MapSettings, design_map
 
     with reported(debug, as_json), model_errors():
         chosen = _settings(MapSettings, settings, MapSettings())
@@ -295,7 +295,7 @@ def _instants(
     """The section at the instants asked for, or at rest, at the ridge's slip and at the end."""
     import numpy as np
 
-    from rig.model.skin.field import deformed, relaxed_forces
+    from rig.physics.skin.field import deformed, relaxed_forces
 
     whole = trial.truth.whole_slip_s[settings.ridge - 1]
     middle = whole if np.isfinite(whole) else (trial.motion_s + trial.time_s[-1]) / 2
@@ -374,8 +374,8 @@ def _number(text: str, unit: str, option: str) -> float:
 
 def _skin(settings: SkinSettings) -> tuple[ElasticSkin, CondensedSkin]:
     from rig.core.cache import user_cache
-    from rig.model.skin.condensed import build_skin
-    from rig.model.skin.elasticity import ElasticSkin
+    from rig.physics.skin.condensed import build_skin
+    from rig.physics.skin.elasticity import ElasticSkin
 
     return ElasticSkin(settings), build_skin(settings, user_cache())
 

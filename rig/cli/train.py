@@ -68,10 +68,10 @@ def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int
     from rig.detector.kernel import INPUTS
     from rig.detector.network import OUTPUTS, Network
     from rig.detector.settings import named_detectors
+    from rig.evaluation.labelled_trials import FrontEndSettings, LabelledTrial, PopulationSettings
     from rig.evaluation.scoring.seeds import SeedRange
     from rig.evaluation.training import Lesson, Rows, learn, rows_of
-    from rig.model.labelled_trials import FrontEndSettings, LabelledTrial, PopulationSettings
-    from rig.model.skin.condensed import build_skin
+    from rig.physics.skin.condensed import build_skin
 
     cache, ranges = user_cache(), PopulationSettings()
     population = Population(

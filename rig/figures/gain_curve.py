@@ -16,7 +16,7 @@ from rig.analysis.film.circuit import READINGS
 from rig.analysis.film.model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ
 from rig.analysis.response.complex_response import DB_PER_RELATIVE
 from rig.figures.style import STYLE, decades, set_margins
-from rig.model.pvdf import SKIN_STRIP, CircuitSettings
+from rig.physics.pvdf import SKIN_STRIP, CircuitSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,13 +17,13 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from rig.figures.style import STYLE
-from rig.model.contact.stepper import SLIP_MINUS, STICK, Statuses
-from rig.model.design_map import DesignMap
-from rig.model.loading_history import History
-from rig.model.skin.elasticity import STRESSES, strip_areas
-from rig.model.skin.field import DeformedSkin
-from rig.model.skin.settings import SkinSettings
-from rig.model.trials import Trial
+from rig.physics.contact.stepper import SLIP_MINUS, STICK, Statuses
+from rig.physics.design_map import DesignMap
+from rig.physics.loading_history import History
+from rig.physics.skin.elasticity import STRESSES, strip_areas
+from rig.physics.skin.field import DeformedSkin
+from rig.physics.skin.settings import SkinSettings
+from rig.physics.trials import Trial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rig.figures.style import STYLE, decades, set_margins, show_at_least
-from rig.model.pvdf import SKIN_STRIP
+from rig.physics.pvdf import SKIN_STRIP
 
 if TYPE_CHECKING:
     from rig.analysis.film.gain_curve import SweepAnalysis

@@ -26,9 +26,9 @@ from rig.analysis.response.frequency_plan import (
     refine_Hz,
     scan_frequencies_Hz,
 )
-from rig.model import pvdf
-from rig.model.front_end import FrontEndSettings, noise_rms
-from rig.model.vibrator import drawn_film, true_response
+from rig.physics import pvdf
+from rig.physics.front_end import FrontEndSettings, noise_rms
+from rig.physics.vibrator import drawn_film, true_response
 
 PLAN = FrequencyPlanSettings()
 FRONT_END = FrontEndSettings()

@@ -6,8 +6,8 @@ import pytest
 from rig.analysis.estimate import Estimate
 from rig.analysis.film.circuit import asymptote_dB, compare_circuit, matched, separability
 from rig.analysis.response.curve import ResponseCurve
-from rig.model import pvdf
-from rig.model.pvdf import SKIN_STRIP, SWEEP_FILM, CircuitSettings
+from rig.physics import pvdf
+from rig.physics.pvdf import SKIN_STRIP, SWEEP_FILM, CircuitSettings
 
 F = np.geomspace(2, 20000, 150)
 

@@ -7,10 +7,10 @@ import pytest
 
 from rig.analysis.trial.clock_offset import ClockOffsetError, Series, clock_offset
 from rig.analysis.trial.decimation import Decimator
-from rig.model.contact.settings import ContactSettings, Plate
-from rig.model.contact.stepper import ContactStepper
-from rig.model.skin.condensed import CondensedSkin
-from rig.model.transducer import TransducerChain, TransducerSettings
+from rig.physics.contact.settings import ContactSettings, Plate
+from rig.physics.contact.stepper import ContactStepper
+from rig.physics.skin.condensed import CondensedSkin
+from rig.physics.transducer import TransducerChain, TransducerSettings
 
 STEP_s = 1e-4
 DEPTH_mm = {2.0: 0.0281, 4.0: 0.0427}

@@ -12,8 +12,8 @@ from recorded_film import FRONT_END, recorded_sweep
 from rig.analysis.film.gain_curve import analyse
 from rig.analysis.film.load import FilmLoadError, coefficients, film_model, load_from_voltage
 from rig.instruments.calibration import FilmCalibration
-from rig.model.front_end import noise_rms
-from rig.model.vibrator import drawn_film, true_response
+from rig.physics.front_end import noise_rms
+from rig.physics.vibrator import drawn_film, true_response
 
 FILMS = 25
 LOADS_PER_FILM = 8

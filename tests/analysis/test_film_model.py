@@ -8,8 +8,8 @@ import pytest
 from rig.analysis.film.fit import fit_film, minimised
 from rig.analysis.film.model import FilmModel, Notch, without
 from rig.analysis.response.curve import CurveError, ResponseCurve
-from rig.model import pvdf
-from rig.model.vibrator import DropSettings, VibratorSettings, true_response
+from rig.physics import pvdf
+from rig.physics.vibrator import DropSettings, VibratorSettings, true_response
 
 F = np.geomspace(2, 20000, 120)
 NOTCHES = (Notch(500.0, 8.0, 12.0), Notch(2400.0, 15.0, 9.0))

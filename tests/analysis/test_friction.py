@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rig.analysis.trial.friction import FrictionError, friction, mean_of_correlated
-from rig.model.contact.settings import ContactSettings, FrictionSettings
-from rig.model.skin.condensed import CondensedSkin
-from rig.model.trials import PressSettings, SlideSettings, Trial, slide
+from rig.physics.contact.settings import ContactSettings, FrictionSettings
+from rig.physics.skin.condensed import CondensedSkin
+from rig.physics.trials import PressSettings, SlideSettings, Trial, slide
 
 NOISE_N = 5e-3
 

@@ -10,9 +10,9 @@ from recorded_film import PLAN, judge, line_slope, record, recorded_sweep
 from rig.analysis.film.gain_curve import CurveError, ResponseCurve, analyse
 from rig.analysis.film.model import FilmModel, Notch
 from rig.analysis.response.frequency_plan import refine_Hz, scan_frequencies_Hz
-from rig.model import pvdf
-from rig.model.pvdf import SWEEP_FILM
-from rig.model.vibrator import VibratorSettings, drawn_film, true_response
+from rig.physics import pvdf
+from rig.physics.pvdf import SWEEP_FILM
+from rig.physics.vibrator import VibratorSettings, drawn_film, true_response
 
 SEEDS = range(301, 313)
 DEFAULT_FILM = (VibratorSettings(), SWEEP_FILM)

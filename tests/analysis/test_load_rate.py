@@ -12,8 +12,8 @@ import pytest
 from rig.analysis.trial.load_rate import load_scale, load_scale_of_record
 from rig.core.errors import ConfigurationError
 from rig.instruments.calibration import FilmCalibration
-from rig.model.pvdf import corner_frequency, level_at_one_hertz
-from rig.model.transducer import TransducerChain, TransducerSettings
+from rig.physics.pvdf import corner_frequency, level_at_one_hertz
+from rig.physics.transducer import TransducerChain, TransducerSettings
 
 DATE = datetime(2026, 11, 21, tzinfo=UTC)
 STEP_s = 1e-4

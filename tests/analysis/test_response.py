@@ -14,9 +14,9 @@ from rig.analysis.response.complex_response import (
     quantisation_rms,
 )
 from rig.analysis.response.sine_fit import RecordError, fit_sine
-from rig.model.front_end import FrontEndSettings, noise_rms
-from rig.model.modal import SineDrive
-from rig.model.vibrator import Output, drawn_film, true_response, vibrator_line
+from rig.physics.front_end import FrontEndSettings, noise_rms
+from rig.physics.modal import SineDrive
+from rig.physics.vibrator import Output, drawn_film, true_response, vibrator_line
 
 RATE = 250e3
 FREQUENCY = 1000.0

@@ -22,9 +22,9 @@ from measured import heading, row, target
 from rig.analysis.film.gain_curve import analyse
 from rig.analysis.response.curve import points_of
 from rig.files.runfile.reader import RunFile
-from rig.model.film_clamp import FilmClampSettings, preload_gain
-from rig.model.front_end import FrontEndSettings
-from rig.model.vibrator import drawn_film, true_response, vibrator_line
+from rig.physics.film_clamp import FilmClampSettings, preload_gain
+from rig.physics.front_end import FrontEndSettings
+from rig.physics.vibrator import drawn_film, true_response, vibrator_line
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "analysis"))
 from recorded_film import beside_truth, print_estimates

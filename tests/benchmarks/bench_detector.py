@@ -16,14 +16,14 @@ from scipy.signal import lfilter
 
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.settings import named_detectors
-from rig.model.labelled_trials import (
+from rig.evaluation.labelled_trials import (
     FrontEndSettings,
     PopulationSettings,
     Range,
     heard,
     labelled_trial,
 )
-from rig.model.skin.condensed import build_skin
+from rig.physics.skin.condensed import build_skin
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
 

@@ -24,9 +24,9 @@ from procedures.sweep import Settings
 from rig.analysis.response.complex_response import quantisation_rms
 from rig.analysis.response.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz
 from rig.analysis.response.sine_fit import fit_sine, mains_lines, record_length
-from rig.model.front_end import FrontEndSettings, noise_rms
-from rig.model.modal import SineDrive
-from rig.model.vibrator import Output, drawn_film, vibrator_line
+from rig.physics.front_end import FrontEndSettings, noise_rms
+from rig.physics.modal import SineDrive
+from rig.physics.vibrator import Output, drawn_film, vibrator_line
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 

@@ -11,8 +11,8 @@ import pytest
 
 from rig.analysis.response.complex_response import cramer_rao_amplitude, quantisation_rms
 from rig.analysis.response.sine_fit import fit_sine, mains_lines, record_length
-from rig.model.modal import SineDrive
-from rig.model.vibrator import Output, drawn_film, vibrator_line
+from rig.physics.modal import SineDrive
+from rig.physics.vibrator import Output, drawn_film, vibrator_line
 
 pytestmark = pytest.mark.benchmark
 

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from rig.core.cache import DiskCache
-from rig.model.contact.settings import ContactSettings, FrictionSettings, Plate
-from rig.model.contact.stepper import ContactStepper
-from rig.model.design_map import MapSettings, design_map
-from rig.model.loading_history import RELIEFS, HistorySettings, run_history
-from rig.model.skin.condensed import CondensedSkin, build_skin, condense
-from rig.model.skin.elasticity import ElasticSkin, strip_areas
-from rig.model.skin.settings import SkinSettings
-from rig.model.trials import SampleSettings, SlideSettings, Trial, high_frequency, slide
+from rig.physics.contact.settings import ContactSettings, FrictionSettings, Plate
+from rig.physics.contact.stepper import ContactStepper
+from rig.physics.design_map import MapSettings, design_map
+from rig.physics.loading_history import RELIEFS, HistorySettings, run_history
+from rig.physics.skin.condensed import CondensedSkin, build_skin, condense
+from rig.physics.skin.elasticity import ElasticSkin, strip_areas
+from rig.physics.skin.settings import SkinSettings
+from rig.physics.trials import SampleSettings, SlideSettings, Trial, high_frequency, slide
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 

@@ -29,8 +29,8 @@ from rig.instruments.calibration import (
     header_entry,
     read_calibration,
 )
-from rig.model import pvdf
-from rig.model.vibrator import drawn_film, true_response
+from rig.physics import pvdf
+from rig.physics.vibrator import drawn_film, true_response
 
 # --- a film from a sweep ---------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from rig.core.cache import DiskCache
-from rig.model.skin.condensed import CondensedSkin
+from rig.physics.skin.condensed import CondensedSkin
 from rig.runner.bench_choice import BenchRequest, Choosing
 
 SMALL = "[skin]\nelements_per_ridge = 6\n"

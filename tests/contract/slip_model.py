@@ -14,10 +14,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from rig.model.contact.settings import ContactSettings, Plate
-from rig.model.contact.stepper import ContactStepper
-from rig.model.transducer import TransducerChain, TransducerSettings
-from rig.model.trials import SampleSettings, high_frequency, sample
+from rig.physics.contact.settings import ContactSettings, Plate
+from rig.physics.contact.stepper import ContactStepper
+from rig.physics.transducer import TransducerChain, TransducerSettings
+from rig.physics.trials import SampleSettings, high_frequency, sample
 
 STEP_s = 1e-4
 RATE_Hz = 1 / STEP_s

@@ -7,7 +7,7 @@ from benches import DAQ_MODELS, PAIRS
 
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
-from rig.model.vibrator import drawn_film, true_response
+from rig.physics.vibrator import drawn_film, true_response
 
 FREQUENCIES = "20,210,2100,15000"
 

@@ -18,8 +18,8 @@ from rig.core.clock import ControlLink, SlavedClock
 from rig.files.runfile.reader import RunFile
 from rig.files.runfile.write_entry import text_of
 from rig.instruments.calibration import FilmCalibration, make_record, write_calibration
-from rig.model.pvdf import level_at_one_hertz
-from rig.model.transducer import TransducerSettings
+from rig.physics.pvdf import level_at_one_hertz
+from rig.physics.transducer import TransducerSettings
 from rig.runner.execution import execute
 from rig.runner.jobs import Job
 from rig.runner.stopping import StopFlag

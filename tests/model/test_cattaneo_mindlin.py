@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from rig.model.contact.settings import ContactSettings, Cylinder, FrictionSettings
-from rig.model.contact.stepper import OPEN, STICK, ContactStepper
-from rig.model.skin.condensed import condense_elements
-from rig.model.skin.elasticity import ElasticSkin
-from rig.model.skin.settings import SkinSettings, StripSettings
+from rig.physics.contact.settings import ContactSettings, Cylinder, FrictionSettings
+from rig.physics.contact.stepper import OPEN, STICK, ContactStepper
+from rig.physics.skin.condensed import condense_elements
+from rig.physics.skin.elasticity import ElasticSkin
+from rig.physics.skin.settings import SkinSettings, StripSettings
 
 ELEMENT_MM = 0.05
 HALF_CONTACT_MM = 0.5

@@ -8,19 +8,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rig.model.contact import kernel
-from rig.model.contact.settings import ContactSettings, Cylinder, FrictionSettings, Plate, Sphere
-from rig.model.contact.slices import SlicedStepper, hertz_radius
-from rig.model.contact.stepper import (
+from rig.physics.contact import kernel
+from rig.physics.contact.settings import ContactSettings, Cylinder, FrictionSettings, Plate, Sphere
+from rig.physics.contact.slices import SlicedStepper, hertz_radius
+from rig.physics.contact.stepper import (
     OPEN,
     STICK,
     ContactStepper,
     ConvergenceError,
     concatenate,
 )
-from rig.model.contact.truth import SlipWatch
-from rig.model.skin.condensed import CondensedSkin, build_skin
-from rig.model.skin.settings import SkinSettings
+from rig.physics.contact.truth import SlipWatch
+from rig.physics.skin.condensed import CondensedSkin, build_skin
+from rig.physics.skin.settings import SkinSettings
 
 
 def friction(static: float, kinetic: float | None = None) -> ContactSettings:

@@ -9,10 +9,10 @@ import pytest
 @pytest.mark.parametrize(
     ("module", "absent"),
     [
-        ("rig.model", {"numpy", "numba", "scipy", "skfem"}),
-        ("rig.model.skin", {"numpy", "numba", "scipy", "skfem"}),
-        ("rig.model.trials", {"numba", "scipy", "skfem", "matplotlib"}),
-        ("rig.model.loading_history", {"numba", "scipy", "skfem", "matplotlib"}),
+        ("rig.physics", {"numpy", "numba", "scipy", "skfem"}),
+        ("rig.physics.skin", {"numpy", "numba", "scipy", "skfem"}),
+        ("rig.physics.trials", {"numba", "scipy", "skfem", "matplotlib"}),
+        ("rig.physics.loading_history", {"numba", "scipy", "skfem", "matplotlib"}),
         ("rig.cli.skin", {"numpy", "numba", "scipy", "skfem", "matplotlib"}),
         ("rig.figures.skin", {"numba", "scipy", "skfem"}),
     ],

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.model.film_clamp import FilmClampSettings, creep_step, preload_gain, push_after
+from rig.physics.film_clamp import FilmClampSettings, creep_step, preload_gain, push_after
 
 FILM = FilmClampSettings()
 

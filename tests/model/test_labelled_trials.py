@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.core.cache import DiskCache
-from rig.model.labelled_trials import (
+from rig.evaluation.labelled_trials import (
     FrontEndSettings,
     Kind,
     LabelledTrial,
@@ -15,7 +15,7 @@ from rig.model.labelled_trials import (
     heard,
     labelled_trial,
 )
-from rig.model.skin.condensed import CondensedSkin, build_skin
+from rig.physics.skin.condensed import CondensedSkin, build_skin
 
 KINDS: tuple[Kind, ...] = ("slide", "roll", "hold", "tap")
 

@@ -6,10 +6,10 @@ from pydantic import ValidationError
 from scipy.sparse import diags
 from scipy.sparse.linalg import eigsh
 
-from rig.model import loading_history
-from rig.model.contact.stepper import OPEN
-from rig.model.design_map import MapSettings, design_map
-from rig.model.loading_history import (
+from rig.physics import loading_history
+from rig.physics.contact.stepper import OPEN
+from rig.physics.design_map import MapSettings, design_map
+from rig.physics.loading_history import (
     NORMAL_RAISED,
     RELIEFS,
     History,
@@ -17,8 +17,8 @@ from rig.model.loading_history import (
     LoadPoint,
     run_history,
 )
-from rig.model.skin.elasticity import ElasticSkin
-from rig.model.skin.settings import SkinSettings
+from rig.physics.skin.elasticity import ElasticSkin
+from rig.physics.skin.settings import SkinSettings
 
 
 @pytest.fixture(scope="module", params=sorted(RELIEFS))

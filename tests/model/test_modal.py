@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from rig.model.modal import ModalSystem, SineDrive, ZeroPoleGain, lag, resonance
-from rig.model.pvdf import SWEEP_FILM
-from rig.model.vibrator import Output, VibratorSettings, drawn_film, vibrator_line
+from rig.physics.modal import ModalSystem, SineDrive, ZeroPoleGain, lag, resonance
+from rig.physics.pvdf import SWEEP_FILM
+from rig.physics.vibrator import Output, VibratorSettings, drawn_film, vibrator_line
 
 DRIVE = SineDrive(frequency_Hz=770.0, amplitude=1.3, phase_rad=0.4, offset=0.25)
 

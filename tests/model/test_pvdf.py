@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rig.model import pvdf
-from rig.model.pvdf import SKIN_STRIP, SWEEP_FILM, CircuitSettings
+from rig.physics import pvdf
+from rig.physics.pvdf import SKIN_STRIP, SWEEP_FILM, CircuitSettings
 
 MEGOHM = CircuitSettings(series_resistance_ohm=1e6)
 DECADES = np.array([2.0, 20.0, 200.0, 2000.0, 20000.0])

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from rig.analysis.response.spectrum import share_above
-from rig.model.contact.settings import ContactSettings, Cylinder, FrictionSettings, Plate, Sphere
-from rig.model.skin.condensed import CondensedSkin, build_skin
-from rig.model.skin.settings import SkinSettings
-from rig.model.trials import (
+from rig.physics.contact.settings import ContactSettings, Cylinder, FrictionSettings, Plate, Sphere
+from rig.physics.skin.condensed import CondensedSkin, build_skin
+from rig.physics.skin.settings import SkinSettings
+from rig.physics.trials import (
     PressSettings,
     RollSettings,
     SampleSettings,

@@ -7,11 +7,11 @@ import pytest
 from pydantic import ValidationError
 
 from rig.core.cache import DiskCache
-from rig.model.contact.settings import FrictionSettings
-from rig.model.skin import condensed
-from rig.model.skin.condensed import CondensedSkin, build_skin
-from rig.model.skin.elasticity import ElasticSkin, Rectangle
-from rig.model.skin.settings import SkinSettings, StripSettings
+from rig.physics.contact.settings import FrictionSettings
+from rig.physics.skin import condensed
+from rig.physics.skin.condensed import CondensedSkin, build_skin
+from rig.physics.skin.elasticity import ElasticSkin, Rectangle
+from rig.physics.skin.settings import SkinSettings, StripSettings
 
 SMALL = SkinSettings(ridges=3, elements_per_ridge=3)
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from rig.model import transducer
-from rig.model.pvdf import CircuitSettings
-from rig.model.transducer import TransducerChain, TransducerSettings
+from rig.physics import transducer
+from rig.physics.pvdf import CircuitSettings
+from rig.physics.transducer import TransducerChain, TransducerSettings
 
 
 def test_the_strips_are_those_of_table_1_behind_a_gain_of_1000():

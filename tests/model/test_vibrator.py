@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from rig.model import pvdf
-from rig.model.front_end import FrontEndSettings, mains_hum, noise_rms
-from rig.model.pvdf import SWEEP_FILM
-from rig.model.vibrator import (
+from rig.physics import pvdf
+from rig.physics.front_end import FrontEndSettings, mains_hum, noise_rms
+from rig.physics.pvdf import SWEEP_FILM
+from rig.physics.vibrator import (
     Output,
     VibratorSettings,
     drawn_film,

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.simulated.axis import Axis, Command, Mechanics
-from rig.model.contact.settings import ContactSettings, FrictionSettings, Plate
-from rig.model.contact.stepper import ContactStepper
-from rig.model.skin.condensed import CondensedSkin
+from rig.physics.contact.settings import ContactSettings, FrictionSettings, Plate
+from rig.physics.contact.stepper import ContactStepper
+from rig.physics.skin.condensed import CondensedSkin
 from rig.runner.approach import Approach
 from rig.runner.servo import ContactShift, ForceServo, settings_from
 

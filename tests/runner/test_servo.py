@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from pressed_skin import press_and_slide
 
-from rig.model.contact.settings import FrictionSettings
-from rig.model.skin.condensed import CondensedSkin
+from rig.physics.contact.settings import FrictionSettings
+from rig.physics.skin.condensed import CondensedSkin
 from rig.runner.approach import (
     Approach,
     ContactStiffness,

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 from rig.analysis.estimate import COVERAGE_95, Estimate
 from rig.analysis.response.complex_response import DB_PER_RELATIVE, Complexes, Reals
 from rig.analysis.response.curve import ResponseCurve
-from rig.model import pvdf
-from rig.model.pvdf import CircuitSettings
+from rig.physics import pvdf
+from rig.physics.pvdf import CircuitSettings
 
 Reading = Callable[[ArrayLike, CircuitSettings], Complexes]
 READINGS: Mapping[str, Reading] = {

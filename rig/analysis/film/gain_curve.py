@@ -36,7 +36,7 @@ from rig.analysis.film.model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ
 from rig.analysis.film.slope import PlainFit, Slopes, plain_fit, slopes
 from rig.analysis.film.stress_jerk import StressJerkTest, stress_jerk_test
 from rig.analysis.response.curve import CurveError, ResponseCurve
-from rig.model.pvdf import SKIN_STRIP, CircuitSettings
+from rig.physics.pvdf import SKIN_STRIP, CircuitSettings
 
 __all__ = [
     "CurveError",

@@ -9,7 +9,7 @@ from scipy.signal import lsim
 from drivers.simulated import driven_line
 from drivers.simulated.driven_line import DrivenLine
 from drivers.simulated.ports import Excitation
-from rig.model.modal import ModalSystem, lag, resonance
+from rig.physics.modal import ModalSystem, lag, resonance
 
 LINE = ModalSystem.from_chains(
     [resonance(90.0, 3.0, 12.0) * lag(400.0), lag(400.0)],

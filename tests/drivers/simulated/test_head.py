@@ -11,9 +11,9 @@ from drivers.simulated.meeting import Where
 from drivers.simulated.plate_world import HeadWorldSettings, hang_skin
 from drivers.simulated.world import World
 from rig.core.cache import DiskCache
-from rig.model.contact.settings import Sphere
-from rig.model.contact.slices import SlicedStepper, hertz_force
-from rig.model.skin.condensed import CondensedSkin
+from rig.physics.contact.settings import Sphere
+from rig.physics.contact.slices import SlicedStepper, hertz_force
+from rig.physics.skin.condensed import CondensedSkin
 
 QUIET = {"noise_density_V_sqrtHz": 0.0, "mains_amplitude_mV": 0.0}
 CONTACT_mm, CENTRE_mm, UPRIGHT_deg = 12.4, 10.0, 15.0

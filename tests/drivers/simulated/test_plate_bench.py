@@ -24,11 +24,11 @@ from rig.core.cache import DiskCache
 from rig.core.clock import ControlLink, SlavedClock
 from rig.core.errors import ConfigurationError, InstrumentError
 from rig.instruments.roles import Acquisition, ForceFrames, InputChannel, Record
-from rig.model.contact.settings import ContactSettings, Plate
-from rig.model.contact.stepper import ContactStepper
-from rig.model.contact.truth import SlipWatch
-from rig.model.skin.condensed import CondensedSkin
-from rig.model.transducer import TransducerChain, TransducerSettings
+from rig.physics.contact.settings import ContactSettings, Plate
+from rig.physics.contact.stepper import ContactStepper
+from rig.physics.contact.truth import SlipWatch
+from rig.physics.skin.condensed import CondensedSkin
+from rig.physics.transducer import TransducerChain, TransducerSettings
 
 STEP_us = 100
 CONVERSIONS = 48

@@ -17,15 +17,15 @@ from drivers.simulated.plate_world import PlateWorldSettings, hang_skin
 from drivers.simulated.world import STAGE_X, STAGE_Z, World, WorldSettings, read_world
 from rig.core.cache import DiskCache
 from rig.core.errors import ConfigurationError
-from rig.model.contact.settings import ContactSettings, Plate
-from rig.model.contact.stepper import (
+from rig.physics.contact.settings import ContactSettings, Plate
+from rig.physics.contact.stepper import (
     ContactBlock,
     ContactStepper,
     ConvergenceError,
 )
-from rig.model.contact.truth import SlipWatch
-from rig.model.skin.condensed import CondensedSkin
-from rig.model.transducer import TransducerChain, TransducerSettings
+from rig.physics.contact.truth import SlipWatch
+from rig.physics.skin.condensed import CondensedSkin
+from rig.physics.transducer import TransducerChain, TransducerSettings
 
 QUIET = {"noise_density_V_sqrtHz": 0.0, "mains_amplitude_mV": 0.0}
 CONTACT_mm = 12.4

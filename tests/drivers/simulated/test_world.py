@@ -97,7 +97,7 @@ def test_noise_is_of_the_stated_size() -> None:
     density = {"noise_density_V_sqrtHz": 1e-5, "mains_amplitude_mV": 0.0}
     bench = world(film="open-circuit", film_input=density)
     noise = sampled(bench, 20_000, (FILM_TERMINAL,))[:, 0]
-    from rig.model.front_end import noise_rms
+    from rig.physics.front_end import noise_rms
 
     expected = noise_rms(bench.settings.film_input, RATE)
     assert noise.std() == pytest.approx(expected, rel=0.05)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from rig.core.settings import Settings
-from rig.model.modal import Reals
+from rig.physics.modal import Reals
 
 
 class FrontEndSettings(Settings):

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from rig.core.settings import Settings
-from rig.model.modal import Complexes, ZeroPoleGain
+from rig.physics.modal import Complexes, ZeroPoleGain
 
 
 class CircuitSettings(Settings):

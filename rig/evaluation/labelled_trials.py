@@ -21,11 +21,11 @@ from pydantic import Field
 
 from rig.core.cache import Cache, NoCache
 from rig.core.settings import Settings, fingerprint
-from rig.model.contact.settings import ContactSettings, Cylinder, FrictionSettings, Object, Plate
-from rig.model.contact.stepper import ConvergenceError
-from rig.model.skin.condensed import CondensedSkin
-from rig.model.skin.settings import SkinSettings
-from rig.model.trials import RollSettings, Script, SlideSettings, Trial, follow
+from rig.physics.contact.settings import ContactSettings, Cylinder, FrictionSettings, Object, Plate
+from rig.physics.contact.stepper import ConvergenceError
+from rig.physics.skin.condensed import CondensedSkin
+from rig.physics.skin.settings import SkinSettings
+from rig.physics.trials import RollSettings, Script, SlideSettings, Trial, follow
 
 Floats = NDArray[np.float64]
 

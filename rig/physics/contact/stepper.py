@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.model.contact.settings import ContactSettings, Cylinder, Plate
-from rig.model.skin.condensed import CondensedSkin
+from rig.physics.contact.settings import ContactSettings, Cylinder, Plate
+from rig.physics.skin.condensed import CondensedSkin
 
 Floats = NDArray[np.float64]
 Statuses = NDArray[np.int8]
@@ -188,7 +188,7 @@ class ContactStepper:
         range and ConvergenceError where a step has no consistent solution; the steps before it
         stay done.
         """
-        from rig.model.contact import kernel
+        from rig.physics.contact import kernel
 
         normals, tangents = _paired(normal, tangential)
         rotations = self._rotations(rotation_rad, normals.size)

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rig.core.settings import Settings
-from rig.model.contact.settings import ContactSettings, Cylinder, Object, Plate
-from rig.model.contact.slices import LARGEST_FORCE_N, make_stepper
-from rig.model.contact.stepper import ContactBlock
-from rig.model.contact.truth import SlipTruth, SlipWatch
-from rig.model.skin.condensed import CondensedSkin
-from rig.model.transducer import TransducerChain, TransducerSettings
+from rig.physics.contact.settings import ContactSettings, Cylinder, Object, Plate
+from rig.physics.contact.slices import LARGEST_FORCE_N, make_stepper
+from rig.physics.contact.stepper import ContactBlock
+from rig.physics.contact.truth import SlipTruth, SlipWatch
+from rig.physics.skin.condensed import CondensedSkin
+from rig.physics.transducer import TransducerChain, TransducerSettings
 
 Floats = NDArray[np.float64]
 

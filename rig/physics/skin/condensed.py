@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from rig.core.cache import Cache, NoCache
 from rig.core.settings import fingerprint
-from rig.model.skin.settings import SkinSettings
+from rig.physics.skin.settings import SkinSettings
 
 if TYPE_CHECKING:
-    from rig.model.skin.elasticity import ElasticSkin
+    from rig.physics.skin.elasticity import ElasticSkin
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -87,14 +87,14 @@ def build_skin(settings: SkinSettings, cache: Cache | None = None) -> CondensedS
 
 def condense(settings: SkinSettings) -> CondensedSkin:
     """Assemble, factor and condense the skin's own mesh, without any cache."""
-    from rig.model.skin.elasticity import ElasticSkin
+    from rig.physics.skin.elasticity import ElasticSkin
 
     return condense_elements(ElasticSkin(settings))
 
 
 def condense_elements(elastic: ElasticSkin) -> CondensedSkin:
     """Condense given elements."""
-    from rig.model.skin.elasticity import strip_areas
+    from rig.physics.skin.elasticity import strip_areas
 
     settings = elastic.settings
     x_dofs, _ = elastic.contact_dofs

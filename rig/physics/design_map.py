@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rig.core.settings import Settings
-from rig.model.skin.condensed import condense_elements
-from rig.model.skin.elasticity import STRESSES, ElasticSkin, Rectangle
-from rig.model.skin.settings import SkinSettings
-from rig.model.transducer import TransducerChain
-from rig.model.trials import SlideSettings, Trial, high_frequency, sample, slide
+from rig.physics.skin.condensed import condense_elements
+from rig.physics.skin.elasticity import STRESSES, ElasticSkin, Rectangle
+from rig.physics.skin.settings import SkinSettings
+from rig.physics.transducer import TransducerChain
+from rig.physics.trials import SlideSettings, Trial, high_frequency, sample, slide
 
 Floats = NDArray[np.float64]
 

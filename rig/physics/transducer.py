@@ -1,6 +1,6 @@
 """From a strip's stress to volts: stress → charge → circuit → amplifier, at the step rate.
 
-The circuit is the rational reading of ``rig.model.pvdf`` with the paper's Table 1 (its equation 4
+The circuit is the rational reading of ``rig.physics.pvdf`` with the paper's Table 1 (its equation 4
 is not used here), discretised exactly for a stress that is linear between steps. Sampling belongs
 to the data acquisition.
 """
@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from rig.core.settings import Settings
-from rig.model import pvdf
-from rig.model.pvdf import SKIN_STRIP, CircuitSettings
+from rig.physics import pvdf
+from rig.physics.pvdf import SKIN_STRIP, CircuitSettings
 
 Floats = NDArray[np.float64]
 

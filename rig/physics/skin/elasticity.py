@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model.skin.mesh import skin_mesh
-from rig.model.skin.settings import SkinSettings
+from rig.physics.skin.mesh import skin_mesh
+from rig.physics.skin.settings import SkinSettings
 
 if TYPE_CHECKING:
     from skfem import MeshQuad

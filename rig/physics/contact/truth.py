@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model.contact.stepper import OPEN, STICK, Statuses
+from rig.physics.contact.stepper import OPEN, STICK, Statuses
 
 Floats = NDArray[np.float64]
 

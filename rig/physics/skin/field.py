@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model.skin.elasticity import ElasticSkin
+from rig.physics.skin.elasticity import ElasticSkin
 
 Floats = NDArray[np.float64]
 

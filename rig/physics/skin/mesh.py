@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model.skin.settings import SkinSettings
+from rig.physics.skin.settings import SkinSettings
 
 if TYPE_CHECKING:
     from skfem import MeshQuad

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from rig.core.settings import Settings
-from rig.model.contact.settings import FrictionSettings
-from rig.model.contact.stepper import OPEN, SLIP_MINUS, SLIP_PLUS, STICK, Statuses
-from rig.model.contact.truth import SlipTruth, SlipWatch
-from rig.model.skin.elasticity import ElasticSkin, strip_areas
-from rig.model.skin.settings import SkinSettings
+from rig.physics.contact.settings import FrictionSettings
+from rig.physics.contact.stepper import OPEN, SLIP_MINUS, SLIP_PLUS, STICK, Statuses
+from rig.physics.contact.truth import SlipTruth, SlipWatch
+from rig.physics.skin.elasticity import ElasticSkin, strip_areas
+from rig.physics.skin.settings import SkinSettings
 
 Floats = NDArray[np.float64]
 

@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from rig.core.settings import Settings
-from rig.model import pvdf
-from rig.model.modal import Complexes, ModalSystem, ZeroPoleGain, lag, resonance
-from rig.model.pvdf import SWEEP_FILM, CircuitSettings
+from rig.physics import pvdf
+from rig.physics.modal import Complexes, ModalSystem, ZeroPoleGain, lag, resonance
+from rig.physics.pvdf import SWEEP_FILM, CircuitSettings
 
 
 class Output(IntEnum):

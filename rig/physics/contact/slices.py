@@ -14,16 +14,16 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.model.contact.settings import ContactSettings, Cylinder, Plate, Sphere
-from rig.model.contact.stepper import (
+from rig.physics.contact.settings import ContactSettings, Cylinder, Plate, Sphere
+from rig.physics.contact.stepper import (
     ContactBlock,
     ContactState,
     ContactStepper,
     Control,
     ConvergenceError,
 )
-from rig.model.skin.condensed import CondensedSkin
-from rig.model.skin.settings import SkinSettings
+from rig.physics.skin.condensed import CondensedSkin
+from rig.physics.skin.settings import SkinSettings
 
 Floats = NDArray[np.float64]
 
