@@ -49,7 +49,7 @@ def detect(
     """Look for incipient slips in run files; what is found goes into processed files."""
     with reported(debug, as_json):
         from rig.cli.detector_settings import detector_settings
-        from rig.cli.side_by_side import completed, processors
+        from rig.processing.parallel import completed, processors
 
         wanted = detector_settings(detector, settings)
 

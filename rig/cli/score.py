@@ -22,9 +22,9 @@ from rig.core.errors import ConfigurationError
 from rig.core.toml_files import MAX_JSON_BYTES, read_text
 
 if TYPE_CHECKING:
-    from rig.cli.scored_trials import Population
     from rig.core.settings import Settings
     from rig.evaluation.labelled_trials import PopulationSettings
+    from rig.evaluation.scored_trials import Population
     from rig.evaluation.scoring.baselines import BaselineSettings
     from rig.evaluation.scoring.contenders import Contender
     from rig.evaluation.scoring.results import Judged, Result
@@ -126,9 +126,9 @@ def score(
 ) -> None:
     """Score detectors on trials whose truth is known: found, false alarms, delays, prediction."""
     with reported(debug, as_json), model_errors("leave its seed out"):
-        from rig.cli.labelled_files import judge_files
-        from rig.cli.scored_trials import judge_trials
+        from rig.evaluation.labelled_files import judge_files
         from rig.evaluation.labelled_trials import FrontEndSettings, PopulationSettings
+        from rig.evaluation.scored_trials import judge_trials
         from rig.evaluation.scoring.contenders import BaselineContender
         from rig.evaluation.scoring.seeds import (
             FIRST_REPORTING_SEED,
@@ -200,9 +200,9 @@ def _population(
 ) -> Population:
     from typing import get_args
 
-    from rig.cli.scored_trials import Population
     from rig.core.cache import user_cache
     from rig.evaluation.labelled_trials import Kind
+    from rig.evaluation.scored_trials import Population
     from rig.physics.skin.condensed import build_skin
 
     known: tuple[Kind, ...] = get_args(Kind)
@@ -292,7 +292,7 @@ def _tuned(
     trials: Population, baselines: Sequence[BaselineSettings], file: Path, jobs: int
 ) -> list[BaselineSettings]:
     """The baselines with thresholds chosen on these trials, written to `file`."""
-    from rig.cli.scored_trials import tune_baselines
+    from rig.evaluation.scored_trials import tune_baselines
     from rig.evaluation.scoring.baselines import Baselines
 
     total = len(trials.trials())

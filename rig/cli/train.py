@@ -17,8 +17,8 @@ from rig.cli.outcome import reported, say
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from rig.cli.scored_trials import Floats
     from rig.detector.network import Network
+    from rig.evaluation.scored_trials import Floats
 
 
 def train(
@@ -62,13 +62,13 @@ def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int
     import numpy as np
 
     import rig
-    from rig.cli.scored_trials import Population, Traits, each_trial
     from rig.core.cache import user_cache
     from rig.detector.detector import DETECTOR_VERSION, IncipientSlipDetector, NETWORK_RATE_Hz
     from rig.detector.kernel import INPUTS
     from rig.detector.network import OUTPUTS, Network
     from rig.detector.settings import named_detectors
     from rig.evaluation.labelled_trials import FrontEndSettings, LabelledTrial, PopulationSettings
+    from rig.evaluation.scored_trials import Population, Traits, each_trial
     from rig.evaluation.scoring.seeds import SeedRange
     from rig.evaluation.training import Lesson, Rows, learn, rows_of
     from rig.physics.skin.condensed import build_skin

@@ -7,8 +7,8 @@ import signal
 
 import pytest
 
-from rig.cli.side_by_side import completed
 from rig.core.errors import ConfigurationError, RigError
+from rig.processing.parallel import completed
 
 
 def square(number: int) -> int:

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.cli.scored_trials import judge_one
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import read_text
+from rig.evaluation.scored_trials import judge_one
 from rig.evaluation.scoring.contenders import Contender
 from rig.evaluation.scoring.outcomes import Truth
 from rig.evaluation.scoring.results import Judged
