@@ -15,9 +15,9 @@ from rig.core.errors import ConfigurationError, InstrumentError
 from rig.files.journal.layout import Column
 
 if TYPE_CHECKING:
-    from rig.bench import Bench, FixtureSettings
-    from rig.runner.points import Reading
-    from rig.runner.run import Run
+    from rig.bench.bench import Bench, FixtureSettings
+    from rig.run.context import Run
+    from rig.run.points import Reading
 
 TRAVEL_mm_s = 10.0
 CLEAR_mm = 0.3

@@ -28,12 +28,12 @@ from procedures.contact import (
     travel_s,
     unload,
 )
-from rig.bench import FixtureSettings, require
+from rig.bench.bench import FixtureSettings, require
 from rig.core.errors import InstrumentError, LimitError
-from rig.runner.trip import TripError
+from rig.run.trip import TripError
 
 if TYPE_CHECKING:
-    from rig.runner.run import Run
+    from rig.run.context import Run
 
 FORCE_RATE_S_S = 1000.0
 TICK_S = 0.01

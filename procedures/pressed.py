@@ -22,17 +22,17 @@ from procedures.contact import (
     travel_s,
     unload,
 )
-from rig.bench import STRIPS, FixtureSettings
+from rig.bench.bench import STRIPS, FixtureSettings
 from rig.core.errors import RigError
 from rig.core.settings import Settings as BaseSettings
 from rig.instruments.roles import Acquisition, InputChannel
-from rig.runner.points import Move, Point, Reading
-from rig.runner.procedure import DriftFigure
+from rig.run.points import Move, Point, Reading
+from rig.run.procedure import DriftFigure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rig.runner.run import Run
+    from rig.run.context import Run
 
 FORCE_RATE_S_S = 1000.0
 """Frames of the force sensor (paper 4.1)."""
@@ -178,7 +178,7 @@ def pressed_overhead_s(
     after each press. Stages that are `homed` wait where they are parked, x where the last run has
     left it.
     """
-    from rig.runner.approach import TOUCH, search_speed_mm_s
+    from rig.control.approach import TOUCH, search_speed_mm_s
 
     late_s, force_N = DELAY_S + max(settings.tick_s, 1 / LOOKS_Hz), settings.normal_force_N
     slow, quick = (

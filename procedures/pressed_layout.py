@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from procedures.contact import ZERO_COLUMNS
 from rig.files.journal.layout import Column
-from rig.runner.procedure import StreamPlan
+from rig.run.procedure import StreamPlan
 
 STREAMS = (
     StreamPlan("strips", "daq", ("strip_1", "strip_2"), "PVDF strips, raw counts"),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from procedures.pressed import DELAY_S, LINK_S, LOOKS_Hz, PressedSettings, TICK_Hz
 
 if TYPE_CHECKING:
-    from rig.runner.run import Run
+    from rig.run.context import Run
 
 
 @dataclass(frozen=True)

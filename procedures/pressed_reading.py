@@ -16,15 +16,15 @@ from procedures.pressed_layout import TOUCHED
 from rig.analysis.trial.clock_offset import clock_offset
 from rig.analysis.trial.touch_down import Series, TouchDownError
 from rig.analysis.trial.touch_gain import touch_gain
-from rig.bench import STRIPS
+from rig.bench.bench import STRIPS
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from rig.analysis.trial.load_rate import LoadScale
-    from rig.runner.loop import LoopStatistics
-    from rig.runner.points import Reading
-    from rig.runner.run import Run
+    from rig.control.tick_loop import LoopStatistics
+    from rig.run.context import Run
+    from rig.run.points import Reading
 
 CONTACT_N = 0.1
 """Force that means contact: ten times the sensor's noise over a look."""

@@ -26,19 +26,19 @@ from procedures.pressed import FORCE_RATE_S_S, TAP_S, NEAR_mm, PressedSettings
 from procedures.pressed_reading import CONTACT_N, DECIMATED_Hz, Taken
 from procedures.strip_record import StripRecord
 from rig.analysis.trial.load_rate import LoadScale, amplifier_dB, load_scale, load_scale_of_record
-from rig.bench import STRIPS, require
+from rig.bench.bench import STRIPS, require
+from rig.control.approach import Approach, search_speed_mm_s
+from rig.control.force_servo import ForceServo, settings_from
+from rig.control.tick_loop import tick_loop
 from rig.core.errors import InstrumentError, RigError
-from rig.runner.approach import Approach, search_speed_mm_s
-from rig.runner.aside import Aside
-from rig.runner.loop import tick_loop
-from rig.runner.servo import ForceServo, settings_from
+from rig.run.aside import Aside
 
 if TYPE_CHECKING:
     from procedures.pressed_pace import Pace
+    from rig.control.tick_loop import Tick
     from rig.instruments.roles import LinearStage
-    from rig.runner.loop import Tick
-    from rig.runner.points import Reading
-    from rig.runner.run import Run
+    from rig.run.context import Run
+    from rig.run.points import Reading
 
 LOOK_S = 0.004
 """Stretch of force that a tick looks at: shorter is noisier, longer is later."""
@@ -104,7 +104,7 @@ class PressedTrial:
     """One trial under way; what moves under the held force is a procedure's own."""
 
     EVENLY = False
-    """Whether the servo's moves fill their ticks (`rig.runner.servo`)."""
+    """Whether the servo's moves fill their ticks (`rig.control.force_servo`)."""
 
     def __init__(self, run: Run, number: int, series: PressedSeries, taken: Taken):
         self.run, self.number, self.series, self.taken = run, number, series, taken

@@ -5,7 +5,7 @@ from __future__ import annotations
 from procedures import pressed_layout
 from procedures.pressed_layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED
 from rig.files.journal.layout import Column, Layout, Plot, Trace
-from rig.runner.procedure import StreamPlan
+from rig.run.procedure import StreamPlan
 
 STREAMS = (
     *pressed_layout.STREAMS,

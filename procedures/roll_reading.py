@@ -15,8 +15,8 @@ from rig.analysis.response.spectrum import share_above
 if TYPE_CHECKING:
     from procedures.roll_trial import Settings
     from rig.analysis.estimate import Estimate
-    from rig.runner.points import Reading
-    from rig.runner.run import Run
+    from rig.run.context import Run
+    from rig.run.points import Reading
 
 HIGH_Hz = 100.0
 """Above, a roll has next to nothing (paper 5), and a slip has much."""

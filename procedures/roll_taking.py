@@ -17,15 +17,15 @@ from procedures.roll_reading import RollTaken, reading_of
 from procedures.roll_trial import NUDGED_S, NUDGES, SETTLED_S
 from rig.analysis.trial.axis_offset import Look, axis_offset
 from rig.core.errors import LimitError
-from rig.runner.aside import Aside
+from rig.run.aside import Aside
 
 if TYPE_CHECKING:
     from procedures.roll_profile import Turn
     from procedures.roll_trial import Settings
     from rig.analysis.estimate import Estimate
-    from rig.runner.loop import Tick
-    from rig.runner.points import Reading
-    from rig.runner.run import Run
+    from rig.control.tick_loop import Tick
+    from rig.run.context import Run
+    from rig.run.points import Reading
 
 UPRIGHT_deg_s, UPRIGHT_deg_s2 = 10.0, 100.0
 """How the object is brought upright, the skin being clear of it."""

@@ -30,13 +30,13 @@ from procedures.pressed import (
     why_invalid,
 )
 from procedures.roll_profile import Curve, Profile, ThereAndBack
-from rig.bench import Fixture, FixtureSettings
+from rig.bench.bench import Fixture, FixtureSettings
 from rig.core.errors import ConfigurationError
-from rig.runner.points import Move, Point, Reading
+from rig.run.points import Move, Point, Reading
 
 if TYPE_CHECKING:
-    from rig.bench import Bench
-    from rig.runner.run import Run
+    from rig.bench.bench import Bench
+    from rig.run.context import Run
 
 NAME = "roll-trial"
 FIXTURES: tuple[Fixture, ...] = ("semi-spherical-object",)
@@ -168,7 +168,7 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
 
 def check(settings: Settings, bench: Bench) -> None:
     """Refuse a fixture that does not say where the object is, or a roll beyond a stage's limits."""
-    from rig.bench import require
+    from rig.bench.bench import require
 
     contact_range_mm(bench)
     fixture = bench.settings.fixture
@@ -193,7 +193,7 @@ def check(settings: Settings, bench: Bench) -> None:
 
 
 def import_ahead() -> None:
-    """See `rig.runner.procedure`."""
+    """See `rig.run.procedure`."""
     import_what_a_trial_needs()
     import procedures.roll_taking  # noqa: F401
 

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from procedures.slip_trial import Settings
-    from rig.runner.points import Reading
-    from rig.runner.run import Run
+    from rig.run.context import Run
+    from rig.run.points import Reading
 
 FRICTION_COLUMNS = (
     "static_friction",

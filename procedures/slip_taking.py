@@ -10,14 +10,14 @@ from procedures.pressed import AFTER_S
 from procedures.pressed_trial import PressedSeries, PressedTrial
 from procedures.slip_reading import SlipTaken, reading_of
 from procedures.slip_trial import SLID_ON_mm
-from rig.runner.ramp import ForceRamp
-from rig.runner.servo import ContactShift
+from rig.control.force_ramp import ForceRamp
+from rig.control.force_servo import ContactShift
 
 if TYPE_CHECKING:
     from procedures.slip_trial import Settings
-    from rig.runner.loop import Tick
-    from rig.runner.points import Reading
-    from rig.runner.run import Run
+    from rig.control.tick_loop import Tick
+    from rig.run.context import Run
+    from rig.run.points import Reading
 
 MOVING_EVERY_S = 0.05
 """Between two looks whether x has arrived."""

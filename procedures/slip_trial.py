@@ -31,12 +31,12 @@ from procedures.pressed import (
     trial_points,
     why_invalid,
 )
-from rig.bench import Fixture, FixtureSettings
-from rig.runner.points import Move, Point, Reading
+from rig.bench.bench import Fixture, FixtureSettings
+from rig.run.points import Move, Point, Reading
 
 if TYPE_CHECKING:
-    from rig.bench import Bench
-    from rig.runner.run import Run
+    from rig.bench.bench import Bench
+    from rig.run.context import Run
 
 NAME = "slip-trial"
 FIXTURES: tuple[Fixture, ...] = ("plate",)
@@ -177,7 +177,7 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
 
 
 def import_ahead() -> None:
-    """See `rig.runner.procedure`."""
+    """See `rig.run.procedure`."""
     import_what_a_trial_needs()
     import procedures.slip_taking  # noqa: F401
 

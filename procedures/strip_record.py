@@ -10,16 +10,16 @@ import numpy as np
 
 from procedures.pressed_reading import DECIMATED_Hz, Taken
 from rig.analysis.trial.decimation import Decimator
-from rig.bench import STRIPS
-from rig.runner.aside import Aside
-from rig.runner.samples import SampleStream
+from rig.bench.bench import STRIPS
+from rig.run.aside import Aside
+from rig.run.sample_stream import SampleStream
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from procedures.pressed import PressedSettings
     from rig.instruments.roles import Record
-    from rig.runner.run import Run
+    from rig.run.context import Run
 
 CLOCKS_DIFFER = 1e-3
 """Far more than the clocks of DAQ and computer do: a block is asked for when it may be there."""

@@ -21,17 +21,17 @@ from pydantic import Field, field_validator, model_validator
 
 from procedures import contact, preload, sweep_layout
 from procedures.contact import contact_range_mm
-from rig.bench import Fixture, FixtureSettings
+from rig.bench.bench import Fixture, FixtureSettings
 from rig.core.settings import Settings as BaseSettings
 from rig.instruments.roles import Acquisition, InputChannel
-from rig.runner.points import Move, Point, Reading
-from rig.runner.procedure import DriftFigure, StreamPlan
+from rig.run.points import Move, Point, Reading
+from rig.run.procedure import DriftFigure, StreamPlan
 
 if TYPE_CHECKING:
     from procedures.sweep_memory import Memory
     from rig.analysis.response.frequency_plan import FrequencyPlanSettings
-    from rig.bench import Bench
-    from rig.runner.run import Run
+    from rig.bench.bench import Bench
+    from rig.run.context import Run
 
 NAME = "sweep"
 FIXTURES: tuple[Fixture, ...] = ("film-clamp",)

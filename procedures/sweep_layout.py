@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from procedures.contact import ZERO_COLUMNS
 from rig.files.journal.layout import Column, Layout, Plot
-from rig.runner.points import Reading
+from rig.run.points import Reading
 
 if TYPE_CHECKING:
     from rig.analysis.response.complex_response import Response

@@ -12,8 +12,8 @@ from rig.analysis.response.levelling import LearnedGain, LearnedMains
 if TYPE_CHECKING:
     from procedures.preload import Preload
     from rig.analysis.response.sine_fit import SineFit
-    from rig.runner.points import Reading
-    from rig.runner.run import Run
+    from rig.run.context import Run
+    from rig.run.points import Reading
 
 FOLLOW_S = 0.05
 """Least stretch of the static force that is followed."""

@@ -25,12 +25,12 @@ from rig.analysis.response.levelling import (
 from rig.analysis.response.sine_fit import SineFit, fit_sine, mains_lines
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import Acquisition, InputChannel, Record
-from rig.runner.trip import TripError
+from rig.run.trip import TripError
 
 if TYPE_CHECKING:
     from procedures.sweep import Condition, Settings
     from procedures.sweep_memory import Memory
-    from rig.runner.run import Run
+    from rig.run.context import Run
 
 NO_SIGNAL_ERRORS = 5.0
 """A tone whose amplitude is below this many standard errors is none."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from procedures.sweep_layout import LAYOUT
 from rig.analysis.response.curve import CurveError, ResponseCurve, points_of
-from rig.runner.points import Reading
+from rig.run.points import Reading
 
 NEAR_200 = 1.26
 """Ratio to 200 Hz that is still near: a tenth of a decade, the coarse grid's step."""

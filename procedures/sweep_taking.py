@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from procedures.sweep import Condition, Settings
     from procedures.sweep_memory import Memory
     from rig.analysis.response.sine_fit import SineFit
-    from rig.runner.points import Reading
-    from rig.runner.run import Run
+    from rig.run.context import Run
+    from rig.run.points import Reading
 
 # --- the drive ---
 CAUTION = 0.1

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from rig import bench as benches
-from rig.bench import (
+from rig.bench import bench as benches
+from rig.bench.bench import (
     Bench,
     GuardedGenerator,
     InstrumentPlan,
@@ -25,11 +25,11 @@ from rig.bench import (
     rehearsal,
     require,
 )
+from rig.bench.keep_alives import KeepAlives
 from rig.core.clock import WallClock
 from rig.core.errors import ConfigurationError, ExitCode, InstrumentError, LimitError, RigError
 from rig.instruments.roles import Identity, Reach
-from rig.keep_alives import KeepAlives
-from rig.runner.points import Move, Point, require_roles
+from rig.run.points import Move, Point, require_roles
 
 GOOD = """
 name = "bench-3"

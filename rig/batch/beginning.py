@@ -15,7 +15,7 @@ from rig.batch.queue import Queue
 from rig.batch.settings import BatchFile, Simulation
 from rig.core.errors import ConfigurationError
 from rig.core.settings import fingerprint
-from rig.runner.source_state import source_state
+from rig.run.source_state import source_state
 
 
 def begin(batch_file: Path, prepared: Prepared, now: datetime) -> BatchFolder:

@@ -1,7 +1,7 @@
 """What a plan is expected to take: time with its spread, disk, and records that expire on the way.
 
 Bench time is what the procedures expect of their points and of making ready
-(`rig.runner.procedure`), as progress and dry runs show it. Here are what comes to it between runs
+(`rig.run.procedure`), as progress and dry runs show it. Here are what comes to it between runs
 and how sure all that is. The numbers below were measured by
 `tests/benchmarks/bench_batch_plan.py`.
 """
@@ -20,7 +20,7 @@ from rig.batch.plan import Condition, Plan, PlannedRun
 from rig.batch.policy import window
 from rig.batch.procedures import installed
 from rig.batch.settings import BatchSettings
-from rig.bench import BenchPlan, FixtureSettings
+from rig.bench.bench import BenchPlan, FixtureSettings
 from rig.instruments.calibration import (
     FilmCalibration,
     ForceCalibration,
@@ -28,7 +28,7 @@ from rig.instruments.calibration import (
     Record,
     read_calibration,
 )
-from rig.runner.points import Point
+from rig.run.points import Point
 
 CONNECTING_S = 0.6
 """On a real bench, from the end of a run to the begin of the next (journal, guard, connections),

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from rig import bench as benches
 from rig.batch.estimates import Expected, Forecast, expect, forecast, homing_s, records_of
 from rig.batch.findings import Finding, RefusedBatchError, Where
 from rig.batch.notification import require_usable
@@ -23,10 +22,11 @@ from rig.batch.queue import Estimate
 from rig.batch.reading import read_batch
 from rig.batch.settings import BatchFile
 from rig.batch.validation import Checked, Connected, validate
-from rig.bench import Bench, BenchPlan, Fixture, read_bench
+from rig.bench import bench as benches
+from rig.bench.bench import Bench, BenchPlan, Fixture, read_bench
 from rig.core.errors import ConfigurationError
 from rig.instruments.calibration import require_valid
-from rig.runner.bench_choice import BenchRequest, Choosing, Stages, bench_file
+from rig.run.bench_selector import BenchRequest, Choosing, Stages, bench_file
 
 STAGES: dict[tuple[str, str], Stages] = {
     ("oriental-az", "oriental-az"): "az",

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import cache
 from importlib.metadata import entry_points
 
-from rig.bench import entry
+from rig.bench.bench import entry
 from rig.core.errors import ConfigurationError, shortened
-from rig.runner.procedure import Procedure
+from rig.run.procedure import Procedure
 
 GROUP = "rig.procedures"
 

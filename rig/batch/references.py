@@ -13,10 +13,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
 
-from rig.bench import STRIPS, BenchSettings
+from rig.bench.bench import STRIPS, BenchSettings
 from rig.core.settings import name_without_unit, unit_of
 from rig.instruments.calibration import COMMANDS, Record
-from rig.runner.procedure import DriftFigure
+from rig.run.procedure import DriftFigure
 
 LARGE_LOSS_dB = 20.0
 """A film that has lost so much gives next to nothing: no wear does that."""

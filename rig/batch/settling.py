@@ -23,7 +23,7 @@ from rig.files.runfile.recover import interrupted
 
 if TYPE_CHECKING:
     from rig.files.journal.values import RunHeader
-    from rig.runner.points import Reading
+    from rig.run.points import Reading
 
 
 def what_became_of(journal: Path) -> Ended:

@@ -28,7 +28,7 @@ from rig.batch.notification import Notifier
 from rig.batch.queue import Queue
 from rig.batch.settings import BatchFile, Occasion
 from rig.core.errors import ExitCode
-from rig.runner.stopping import StopFlag
+from rig.run.stopping import StopFlag
 
 LOOK_S = 0.1
 """How often stop requests and other terminals are looked at."""

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from rig.batch.findings import Finding, Where
 from rig.batch.plan import Condition, Plan
 from rig.batch.procedures import installed
-from rig.bench import Bench, BenchPlan, Fixture, FixtureSettings
+from rig.bench.bench import Bench, BenchPlan, Fixture, FixtureSettings
 from rig.core.errors import RigError
-from rig.runner.points import refusals, require_roles
+from rig.run.points import refusals, require_roles
 
 Connected = Callable[[Fixture], AbstractContextManager[Bench]]
 """A connected bench with a fixture mounted, for as long as a `with` block lasts."""

@@ -21,7 +21,7 @@ from rig.batch.references import (
     zero_drift,
 )
 from rig.batch.settings import BatchFile
-from rig.bench import BenchPlan, BenchSettings, read_bench
+from rig.bench.bench import BenchPlan, BenchSettings, read_bench
 
 ZERO = "force_zero_N"
 """Of a summary: what the force sensor said in free air."""

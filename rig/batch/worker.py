@@ -35,16 +35,16 @@ from rig.batch.settings import BatchFile
 from rig.batch.settling import put_away, to_continue, what_became_of
 from rig.batch.watching import Watch
 from rig.core.errors import ExitCode, RigError
-from rig.runner.bench_choice import BenchRequest, Choosing, ChosenBench, start_simulated
-from rig.runner.holds import PAUSE
-from rig.runner.stopping import StopFlag, StopRequestedError
+from rig.run.bench_selector import BenchRequest, Choosing, ChosenBench, start_simulated
+from rig.run.holds import PAUSE
+from rig.run.stopping import StopFlag, StopRequestedError
 
 if TYPE_CHECKING:
     from rig.batch.references import Finding
-    from rig.bench import BenchSettings, Fixture, RunningBench
-    from rig.runner.outcome import Outcome
-    from rig.runner.points import Point, Reading
-    from rig.runner.procedure import Procedure
+    from rig.bench.bench import BenchSettings, Fixture, RunningBench
+    from rig.run.outcome import Outcome
+    from rig.run.points import Point, Reading
+    from rig.run.procedure import Procedure
 
 LOOK_S = 0.05
 """How often a worker that waits for a person looks whether it may go on."""
@@ -133,24 +133,24 @@ class _Reporter:
         self._say = say
 
     def planned(self, points: tuple[Point, ...], kept: set[str], overhead_s: float) -> None:
-        """See `rig.runner.execution.Reporter`."""
+        """See `rig.run.execute.Reporter`."""
         self._say("planned", points=len(points), kept=len(kept))
 
     def point_kept(self, number: int, total: int, point: Point, reading: Reading) -> None:
-        """See `rig.runner.execution.Reporter`."""
+        """See `rig.run.execute.Reporter`."""
         self._say("point", done=number, of=total, point=point.id)
 
     def event(self, level: str, message: str) -> None:
-        """See `rig.runner.execution.Reporter`."""
+        """See `rig.run.execute.Reporter`."""
         self._say("note", level=level, text=message)
         if PAUSE in message:
             self._say("state", state="paused", text="the bench is safe")
 
     def storing(self) -> None:
-        """See `rig.runner.execution.Reporter`."""
+        """See `rig.run.execute.Reporter`."""
 
     def stored(self, run_file: Path) -> None:
-        """See `rig.runner.execution.Reporter`."""
+        """See `rig.run.execute.Reporter`."""
 
 
 @dataclass(frozen=True)
@@ -383,8 +383,8 @@ class Worker:
 
     def _perform(self, claim: Claim, at_the_end: ExitStack) -> Outcome:
         """One attempt at a run, from choosing the bench to a journal that is closed."""
-        from rig.runner.execution import execute
-        from rig.runner.jobs import Job
+        from rig.run.execute import execute
+        from rig.run.job import Job
 
         condition = claim.condition
         procedure = installed(condition.procedure)

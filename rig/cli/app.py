@@ -23,7 +23,7 @@ from rig.core.errors import ConfigurationError
 from rig.core.imports import importing
 
 if TYPE_CHECKING:
-    from rig.bench import RunningBench
+    from rig.bench.bench import RunningBench
 
 COMMANDS: dict[str, tuple[str, str, str]] = {
     "resume": (

@@ -186,7 +186,7 @@ def _supervise(folder: BatchFolder, as_json: bool) -> None:
     from rig.batch.status import status_of
     from rig.batch.supervisor import Supervisor
     from rig.cli.streams import say_at_once
-    from rig.runner.stopping import StopFlag
+    from rig.run.stopping import StopFlag
 
     with ExitStack() as stack:
         stop = stack.enter_context(StopFlag(say_at_once))

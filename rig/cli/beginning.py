@@ -13,7 +13,7 @@ from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rig.bench import RunningBench
+    from rig.bench.bench import RunningBench
 
 
 def begin_bench(arguments: Sequence[str]) -> RunningBench | None:
@@ -21,7 +21,7 @@ def begin_bench(arguments: Sequence[str]) -> RunningBench | None:
     asked = next((word for word in arguments if not word.startswith("-")), None)
     if asked not in entry_points(group="rig.procedures").names:
         return None
-    from rig.runner.bench_choice import begin_simulated, bench_file
+    from rig.run.bench_selector import begin_simulated, bench_file
 
     elsewhere = any(word.startswith(("--bench", "--help")) for word in arguments)
     return None if elsewhere or bench_file(None) is not None else begin_simulated()

@@ -22,11 +22,11 @@ from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError, Limit
 
 if TYPE_CHECKING:
     from rig.analysis.weighing import CellFit, ForceFit
-    from rig.bench import Bench
+    from rig.bench.bench import Bench
     from rig.cli.weigh import Person
     from rig.instruments.calibration import Kind, Record
     from rig.instruments.roles import Reach
-    from rig.runner.scales import Timing
+    from rig.run.scales import Timing
 
     Vector = tuple[float, float, float]
 
@@ -205,7 +205,7 @@ def force(
         from rig.analysis.weighing import fit_force, refuse_outlier, sequence
         from rig.cli.weigh import weigh
         from rig.instruments.calibration import ForceCalibration, make_record
-        from rig.runner.scales import ForceScale
+        from rig.run.scales import ForceScale
 
         forces = sequence(_directions(axes), _weights(options))
         fields = {**wanted.fields("force", _now()), **_conditions(options)}
@@ -263,7 +263,7 @@ def load_cell(
         from rig.cli.weigh import weigh
         from rig.instruments.calibration import LoadCellCalibration, make_record
         from rig.instruments.roles import Reach
-        from rig.runner.scales import CellScale
+        from rig.run.scales import CellScale
 
         forces = sequence([DIRECTIONS["+z"]], _weights(options))
         range_V = _number(input_range, "V", "--range")
@@ -312,8 +312,8 @@ def _at_the_bench(
     from rig.cli.streams import say_at_once
     from rig.cli.weigh import Person
     from rig.instruments.calibration import require_folder
-    from rig.runner.bench_choice import BenchRequest, Choosing, bench_file
-    from rig.runner.stopping import StopFlag
+    from rig.run.bench_selector import BenchRequest, Choosing, bench_file
+    from rig.run.stopping import StopFlag
 
     request = BenchRequest(
         bench=bench_file(options.bench),
@@ -328,7 +328,7 @@ def _at_the_bench(
         plan, clock, started = bench.plan, bench.clock, bench.started
         if started is not None:
             at_the_end.callback(started.wait)
-        from rig import bench as benches
+        from rig.bench import bench as benches
 
         needed = tuple(part for part in plan.instruments if part.role in roles)
         try:
@@ -552,7 +552,7 @@ def _weights(options: WeighingOptions) -> list[float]:
 
 
 def _timing(options: WeighingOptions) -> Timing:
-    from rig.runner.scales import Timing
+    from rig.run.scales import Timing
 
     timing = Timing(
         settling_s=_number(options.settling, "s", "--settling"),

@@ -17,8 +17,8 @@ from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError
 
 if TYPE_CHECKING:
     from rig.files.journal.values import RunHeader
-    from rig.runner.bench_choice import Stages
-    from rig.runner.points import Reading
+    from rig.run.bench_selector import Stages
+    from rig.run.points import Reading
 
 LONGEST_LIST = 8
 """Numbers of a list that are shown one by one."""
@@ -42,7 +42,7 @@ def resume(
     with reported(debug, as_json):
         from pydantic import ValidationError
 
-        from rig.bench import entry
+        from rig.bench.bench import entry
         from rig.cli.procedures import Request, perform
         from rig.files.naming import results_of
         from rig.files.runfile.recover import interrupted
@@ -155,7 +155,7 @@ def _results(header: RunHeader, readings: Sequence[Reading]) -> dict[str, Any]:
     """The procedure's own summary of the readings, where it is installed and still takes them."""
     from pydantic import ValidationError
 
-    from rig.bench import entry
+    from rig.bench.bench import entry
 
     found = entry("rig.procedures", header.procedure)
     if found is None or not readings:
@@ -231,7 +231,7 @@ def _world_of(bench_toml: str, source: str) -> Iterator[tuple[Path | None, Stage
 
     None for any other bench: that one's file is read from where it was.
     """
-    from rig.bench import parse_bench
+    from rig.bench.bench import parse_bench
     from rig.core.toml_files import toml_value
 
     plan = parse_bench(bench_toml, f"{source}: its bench file")

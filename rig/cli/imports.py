@@ -94,8 +94,8 @@ def import_(
         from rig.files.imported.import_file import About, read_foreign, write_import
         from rig.files.imported.series import Told
         from rig.files.journal.values import Program
-        from rig.runner.jobs import PROGRAM
-        from rig.runner.source_state import source_state
+        from rig.run.job import PROGRAM
+        from rig.run.source_state import source_state
 
         about = About(
             sensor=sensor,

@@ -15,9 +15,9 @@ from rig.core.errors import ConfigurationError, ExitCode, RigError
 
 if TYPE_CHECKING:
     from rig.cli.terminal import Terminal
-    from rig.runner.bench_choice import BenchRequest, ChosenBench
-    from rig.runner.jog_session import Ended, JogSettings
-    from rig.runner.stopping import StopFlag
+    from rig.jog.session import Ended, JogSettings
+    from rig.run.bench_selector import BenchRequest, ChosenBench
+    from rig.run.stopping import StopFlag
 
 OWN_BENCH_REPORT = "jog.guard.json"
 """Of the guard of a simulated bench that ended with the command."""
@@ -78,8 +78,8 @@ def jog(
     """
     with reported(debug):
         from rig.cli.options import settings_from
-        from rig.runner.bench_choice import BenchRequest, bench_file
-        from rig.runner.jog_session import JogSettings
+        from rig.jog.session import JogSettings
+        from rig.run.bench_selector import BenchRequest, bench_file
 
         given = {
             "step_mm": step,
@@ -112,8 +112,8 @@ def _perform(
     """Choose the bench, jog it, tell how it ended, and end with the exit code."""
     from rig.cli.streams import say_at_once
     from rig.cli.terminal import Terminal
-    from rig.runner.bench_choice import Choosing
-    from rig.runner.stopping import StopFlag
+    from rig.run.bench_selector import Choosing
+    from rig.run.stopping import StopFlag
 
     terminal = Terminal()
     with ExitStack() as stack:
@@ -155,10 +155,10 @@ def _at_the_bench(
     could not be stopped."""
     from datetime import datetime
 
-    from rig import bench as benches
+    from rig.bench import bench as benches
     from rig.cli.terminal import HELP
-    from rig.runner.guard import GuardLink, report_path
-    from rig.runner.jog_session import AXES, JogSession
+    from rig.jog.session import AXES, JogSession
+    from rig.run.guard import GuardLink, report_path
 
     plan, clock = chosen.plan, chosen.clock
     needed = tuple(p for p in plan.instruments if p.role in (*AXES, "force_sensor"))

@@ -15,13 +15,13 @@ import typer
 
 from rig.cli.options import parameters, settings_from
 from rig.cli.outcome import reported, say, start_log
-from rig.runner.bench_choice import BenchRequest, Choosing, Stages, bench_file
+from rig.run.bench_selector import BenchRequest, Choosing, Stages, bench_file
 
 if TYPE_CHECKING:
-    from rig.bench import RunningBench
+    from rig.bench.bench import RunningBench
     from rig.core.settings import Settings
     from rig.files.journal.reader import JournalContents
-    from rig.runner.procedure import Procedure
+    from rig.run.procedure import Procedure
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +102,7 @@ def perform(
     """Run a procedure on the bench that was asked for and end the process with its exit code."""
     from rig.cli.report import ConsoleReporter, finish, finish_dry_run
     from rig.cli.streams import say_at_once
-    from rig.runner.stopping import StopFlag
+    from rig.run.stopping import StopFlag
 
     with ExitStack() as stack:
         # From here on, a signal ends things in order.
@@ -116,8 +116,8 @@ def perform(
         with stop.nothing_connected():
             choosing = Choosing(say, import_ahead, begun=begun)
             bench = choosing.bench_for(request, stack, procedure.FIXTURES[0])
-        from rig.runner.execution import execute
-        from rig.runner.jobs import Job
+        from rig.run.execute import execute
+        from rig.run.job import Job
 
         job = Job(
             procedure=procedure,

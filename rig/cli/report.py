@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rig.figures.beside import Drawing
-    from rig.runner.outcome import Outcome
-    from rig.runner.points import Point, Reading
-    from rig.runner.procedure import Procedure
+    from rig.run.outcome import Outcome
+    from rig.run.points import Point, Reading
+    from rig.run.procedure import Procedure
 
 
 class ConsoleReporter:

@@ -11,7 +11,7 @@ from rig.cli.outcome import reported, say
 from rig.core.errors import ConfigurationError, UnsafeError
 
 if TYPE_CHECKING:
-    from rig.bench import BenchFactory
+    from rig.bench.bench import BenchFactory
 
 
 def simulate(
@@ -78,12 +78,12 @@ def make_safe(
     A run on it is not waited for: it fails when its instruments do what it has not told them.
     Ctrl-C ends nothing half-way.
     """
-    from rig.runner.stopping import StopFlag
+    from rig.run.stopping import StopFlag
 
     with reported(debug), StopFlag():
-        from rig.bench import read_bench
-        from rig.runner.guard import make_bench_safe, report_path
-        from rig.runner.lock import in_use
+        from rig.bench.bench import read_bench
+        from rig.run.guard import make_bench_safe, report_path
+        from rig.run.lock import in_use
 
         if not bench.exists():
             raise ConfigurationError(

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, Self
 
 from rig.cli.outcome import printable
 from rig.core.errors import ConfigurationError
-from rig.runner.jog import Key
-from rig.runner.stopping import StopRequestedError
+from rig.jog.keys import Key
+from rig.run.stopping import StopRequestedError
 
 if TYPE_CHECKING:
-    from rig.runner.jog import Axis
-    from rig.runner.jog_session import Status
+    from rig.jog.keys import Axis
+    from rig.jog.session import Status
 
 ESCAPE_S = 0.05
 """An escape character that nothing has followed for so long is the key Esc."""

@@ -15,7 +15,7 @@ from rig.batch.estimates import Expected, expect, forecast, homing_s
 from rig.batch.expansion import expand
 from rig.batch.plan import Plan
 from rig.batch.settings import BatchFile, BatchSettings
-from rig.bench import BenchPlan, FixtureSettings, parse_bench
+from rig.bench.bench import BenchPlan, FixtureSettings, parse_bench
 
 NOW = datetime(2026, 11, 22, 20, 0, tzinfo=UTC)
 PLATE = FixtureSettings(mounted="plate", contact_from_mm=12.0, contact_to_mm=13.0)

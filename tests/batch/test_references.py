@@ -18,7 +18,7 @@ from rig.batch.references import (
     watched_figures,
     zero_drift,
 )
-from rig.bench import BenchSettings
+from rig.bench.bench import BenchSettings
 from rig.instruments.calibration import Record
 
 GAIN = "gain_near_200_Hz_dB"

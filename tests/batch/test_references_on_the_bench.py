@@ -8,7 +8,7 @@ import pytest
 
 from procedures import roll_trial, slip_trial, sweep
 from rig.batch.references import ReferenceRun, judge, part_names, zero_drift
-from rig.bench import BenchSettings
+from rig.bench.bench import BenchSettings
 
 PARTS = part_names(BenchSettings(name="b", fixture={"mounted": "plate"}, film={"name": "F12"}))
 PROCEDURES = {module.NAME: module for module in (sweep, slip_trial, roll_trial)}

@@ -15,7 +15,7 @@ from rig.batch.findings import RefusedBatchError
 from rig.batch.plan import Plan
 from rig.batch.settings import BatchFile
 from rig.batch.validation import Checked, Connected, validate
-from rig.bench import Bench, BenchPlan, Fixture, InstrumentPlan, parse_bench
+from rig.bench.bench import Bench, BenchPlan, Fixture, InstrumentPlan, parse_bench
 from rig.core.clock import WallClock
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import Settings

@@ -1,6 +1,6 @@
 """What the work on earlier runs costs the tick loop: lateness of its ticks with and without.
 
-The loop of `rig.runner.loop` on the wall clock, 100 ticks a second with a millisecond's work in
+The loop of `rig.control.tick_loop` on the wall clock, 100 ticks a second with a millisecond's work in
 each, in windows that take turns: alone; with `rig.batch.afterwards` at work; with it held; and, to
 compare, with the same worker at ordinary priority. On all processors, and with everything on one.
 
@@ -27,8 +27,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
 import recorded_trials as trials
 
 from rig.batch.afterwards import Afterwards, Job
+from rig.control.tick_loop import LATE, tick_loop
 from rig.core.clock import WallClock
-from rig.runner.loop import LATE, tick_loop
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 

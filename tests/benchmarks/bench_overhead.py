@@ -28,7 +28,7 @@ from drivers.visa_link import VisaLink
 from procedures import sweep
 from rig.analysis.response import complex_response as response
 from rig.analysis.response import sine_fit
-from rig.bench import parse_bench, read_bench
+from rig.bench.bench import parse_bench, read_bench
 from rig.core.clock import ControlLink, SlavedClock, WallClock
 from rig.core.errors import ExitCode
 from rig.core.settings import Settings
@@ -36,11 +36,11 @@ from rig.files.journal.layout import Column, Layout, Plot
 from rig.files.journal.recorder import Recorder
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
-from rig.runner.execution import execute
-from rig.runner.jobs import Job
-from rig.runner.points import Point
-from rig.runner.run import Run
-from rig.runner.stopping import StopFlag
+from rig.run.context import Run
+from rig.run.execute import execute
+from rig.run.job import Job
+from rig.run.points import Point
+from rig.run.stopping import StopFlag
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "foreign"))
 from clients import python_with, seen_by
@@ -297,7 +297,7 @@ print(json.dumps({"rate": count / wall, "version": __version__}))
 
 
 def test_runner_and_journal_on_a_point_that_does_nothing(rig, real_time_bench, monkeypatch):
-    heading(f"rig.runner.run.execute, {COUNT} no-op points of 20 numbers, fdatasync'd journal")
+    heading(f"rig.run.context.execute, {COUNT} no-op points of 20 numbers, fdatasync'd journal")
     rates = {}
     for name in ("real time", "slaved"):
         found = []

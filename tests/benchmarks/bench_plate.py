@@ -12,11 +12,11 @@ import pytest
 from measured import heading, row, target
 
 from drivers.simulated.bench import StartedBench, start
-from rig.bench import connect, parse_bench
+from rig.bench.bench import connect, parse_bench
 from rig.core.clock import ControlLink, SlavedClock
 from rig.instruments.roles import Acquisition, InputChannel
-from rig.runner.force import ForceMonitor
-from rig.runner.holds import Holds
+from rig.run.force_monitor import ForceMonitor
+from rig.run.holds import Holds
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1200)]
 

@@ -17,19 +17,19 @@ import numpy as np
 import pytest
 from measured import heading, row, target
 
-from rig.bench import GuardedGenerator, read_bench
+from rig.bench.bench import GuardedGenerator, read_bench
+from rig.control.tick_loop import tick_loop
 from rig.core.clock import WallClock
 from rig.core.errors import ExitCode
 from rig.core.settings import Settings
 from rig.files.journal.layout import Column, Layout, Plot
 from rig.instruments.roles import ForceFrames, Reach
-from rig.runner.execution import execute
-from rig.runner.force import ForceMonitor
-from rig.runner.holds import Holds
-from rig.runner.jobs import Job
-from rig.runner.loop import tick_loop
-from rig.runner.points import Point
-from rig.runner.stopping import StopFlag
+from rig.run.execute import execute
+from rig.run.force_monitor import ForceMonitor
+from rig.run.holds import Holds
+from rig.run.job import Job
+from rig.run.points import Point
+from rig.run.stopping import StopFlag
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(900)]
 

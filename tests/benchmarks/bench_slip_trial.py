@@ -18,13 +18,13 @@ import pytest
 from measured import heading, row, target
 
 from procedures import pressed_trial, slip_trial
-from rig.bench import read_bench
+from rig.bench.bench import read_bench
+from rig.control import tick_loop as loop
 from rig.core.clock import WallClock
 from rig.files.runfile.reader import RunFile
-from rig.runner import loop
-from rig.runner.execution import execute
-from rig.runner.jobs import Job
-from rig.runner.stopping import StopFlag
+from rig.run.execute import execute
+from rig.run.job import Job
+from rig.run.stopping import StopFlag
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "contract"))
 from slip_model import compare

@@ -12,7 +12,7 @@ import pytest
 
 from rig.core.cache import DiskCache
 from rig.physics.skin.condensed import CondensedSkin
-from rig.runner.bench_choice import BenchRequest, Choosing
+from rig.run.bench_selector import BenchRequest, Choosing
 
 SMALL = "[skin]\nelements_per_ridge = 6\n"
 

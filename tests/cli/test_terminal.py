@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rig.cli.terminal import ESCAPE_S, Keyboard, in_a_line
-from rig.runner.jog import Axis, Key, Place
-from rig.runner.jog_session import Status
+from rig.jog.keys import Axis, Key, Place
+from rig.jog.session import Status
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,9 @@ import time
 
 import pytest
 
-from rig.bench import read_bench
+from rig.bench.bench import read_bench
 from rig.core.clock import WallClock
-from rig.runner.jog import SILENCE_S
+from rig.jog.keys import SILENCE_S
 
 LESS, MORE = b"\x1b[A", b"\x1b[B"
 REPEAT_S = 0.033

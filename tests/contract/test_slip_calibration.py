@@ -13,16 +13,16 @@ import pytest
 
 from drivers.simulated.bench import start
 from procedures import slip_trial
-from rig.bench import parse_bench
+from rig.bench.bench import parse_bench
 from rig.core.clock import ControlLink, SlavedClock
 from rig.files.runfile.reader import RunFile
 from rig.files.runfile.write_entry import text_of
 from rig.instruments.calibration import FilmCalibration, make_record, write_calibration
 from rig.physics.pvdf import level_at_one_hertz
 from rig.physics.transducer import TransducerSettings
-from rig.runner.execution import execute
-from rig.runner.jobs import Job
-from rig.runner.stopping import StopFlag
+from rig.run.execute import execute
+from rig.run.job import Job
+from rig.run.stopping import StopFlag
 
 SHORT = ("--distance", "0.4mm", "--speed", "1mm/s", "--rest", "100ms", "--rehearsal", "never")
 TRUE_b_dB = level_at_one_hertz(TransducerSettings().circuit)
@@ -96,7 +96,7 @@ def test_calibrated_strips_are_told_as_load_rates_with_their_error(rig, tmp_path
         "strip_2": write_calibration(record("film 8"), tmp_path),
     }
     run = get_context("spawn").Process(
-        target=take_on_a_slaved_bench, args=(tmp_path, rig.bench.stages, rig.world(""), files)
+        target=take_on_a_slaved_bench, args=(tmp_path, rig.bench.bench.stages, rig.world(""), files)
     )
     run.start()
     run.join()

@@ -9,7 +9,7 @@ import pytest
 
 from procedures.pressed_reading import Taken, reading_of
 from procedures.slip_trial import Settings
-from rig.runner.loop import LoopStatistics
+from rig.control.tick_loop import LoopStatistics
 
 TICKS = 200
 

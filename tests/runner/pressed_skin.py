@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.simulated.axis import Axis, Command, Mechanics
+from rig.control.approach import Approach
+from rig.control.force_servo import ContactShift, ForceServo, settings_from
 from rig.physics.contact.settings import ContactSettings, FrictionSettings, Plate
 from rig.physics.contact.stepper import ContactStepper
 from rig.physics.skin.condensed import CondensedSkin
-from rig.runner.approach import Approach
-from rig.runner.servo import ContactShift, ForceServo, settings_from
 
 LINK_ms, LATENCY_ms = 2, 1
 MEAN = 2

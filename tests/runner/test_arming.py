@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from rig.core.errors import InstrumentError
-from rig.runner.arming import Arming, OffFailure
+from rig.run.arming import Arming, OffFailure
 
 PATIENCE_S = 30.0
 

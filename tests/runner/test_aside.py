@@ -12,7 +12,7 @@ import pytest
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError
 from rig.core.processor import GIVEN, place
-from rig.runner.aside import Aside
+from rig.run.aside import Aside
 
 LONGEST_S = 5.0
 

@@ -1,6 +1,6 @@
 """A run, its watchers, its operator, offs that fail, in any order: what is promised all the same.
 
-`rig.runner.execution.execute` runs a procedure that does what a state machine tells it, on a bench
+`rig.run.execute.execute` runs a procedure that does what a state machine tells it, on a bench
 of roles that are put together here. Bench time stands still until the machine lets a slice of it
 pass; meanwhile the machine does what befalls a run: it presses on the force sensor, takes its
 frames away, asks for a stop, pauses, lets drive, disk or procedure fail. Run, arming, holds, force
@@ -29,7 +29,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 
-from rig.bench import BenchPlan, BenchSettings, InstrumentPlan
+from rig.bench.bench import BenchPlan, BenchSettings, InstrumentPlan
 from rig.core.clock import WAIT_SLICE_S, Clock
 from rig.core.errors import ExitCode, InstrumentError, InstrumentTimeoutError, LimitError
 from rig.core.settings import Settings
@@ -37,14 +37,14 @@ from rig.files.errors import RecordingError
 from rig.files.journal.layout import Column, Layout, Plot
 from rig.files.runfile.reader import RunFile
 from rig.instruments.roles import ForceFrames, Identity
-from rig.runner import execution
-from rig.runner.execution import execute
-from rig.runner.holds import PAUSE
-from rig.runner.jobs import Job
-from rig.runner.outcome import Outcome
-from rig.runner.points import Point, Reading
-from rig.runner.run import Run
-from rig.runner.stopping import STOP_SIGNALS, StopFlag
+from rig.run import execute as execution
+from rig.run.context import Run
+from rig.run.execute import execute
+from rig.run.holds import PAUSE
+from rig.run.job import Job
+from rig.run.outcome import Outcome
+from rig.run.points import Point, Reading
+from rig.run.stopping import STOP_SIGNALS, StopFlag
 
 PATIENCE_S = 60.0
 STUCK_S = 0.02

@@ -13,10 +13,10 @@ import pytest
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 from rig.instruments.roles import ForceFrames
-from rig.runner.arming import OFF_DEADLINE_S
-from rig.runner.holds import HoldError
-from rig.runner.run import Run
-from rig.runner.trip import TripError
+from rig.run.arming import OFF_DEADLINE_S
+from rig.run.context import Run
+from rig.run.holds import HoldError
+from rig.run.trip import TripError
 
 PATIENCE_S = 30.0
 LIMIT_N = 10.0

@@ -7,9 +7,9 @@ import pytest
 
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import ForceFrames
-from rig.runner import force
-from rig.runner.force import ForceMonitor
-from rig.runner.holds import Holds
+from rig.run import force_monitor as force
+from rig.run.force_monitor import ForceMonitor
+from rig.run.holds import Holds
 
 
 class Sensor:

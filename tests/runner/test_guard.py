@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 
 from drivers.simulated.bench import start
-from rig.bench import BenchPlan, parse_bench
+from rig.bench.bench import BenchPlan, parse_bench
 from rig.core.clock import ControlLink, WallClock
 from rig.core.errors import InstrumentError, UnsafeError
-from rig.runner.guard import GuardLink, act, make_bench_safe, refuse_unsafe, report_path
+from rig.run.guard import GuardLink, act, make_bench_safe, refuse_unsafe, report_path
 
 PATIENCE_S = 60.0
 
@@ -67,7 +67,7 @@ class Guard:
 
     def __init__(self) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "rig.runner.guard"], stdin=subprocess.PIPE
+            [sys.executable, "-m", "rig.run.guard"], stdin=subprocess.PIPE
         )
 
     def tell(self, word: str) -> None:
@@ -226,8 +226,10 @@ def test_an_instrument_that_hangs_keeps_no_other_from_being_made_safe(
         part("daq", refuse),
         part("stage_z", lambda settings: done.append("stage_z")),
     )
-    monkeypatch.setattr("rig.bench.parse_bench", lambda *_: SimpleNamespace(instruments=parts))
-    monkeypatch.setattr("rig.runner.guard.REST_S", 0.03)
+    monkeypatch.setattr(
+        "rig.bench.bench.parse_bench", lambda *_: SimpleNamespace(instruments=parts)
+    )
+    monkeypatch.setattr("rig.run.guard.REST_S", 0.03)
     failures = make_bench_safe("", "bench.toml")
     release.set()
     assert failures == {

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
-from rig.runner.arming import Arming
-from rig.runner.holds import HoldError, Holds
+from rig.run.arming import Arming
+from rig.run.holds import HoldError, Holds
 
 SILENT, PAUSED = "the force sensor is silent", "paused by the operator"
 

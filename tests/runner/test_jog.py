@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.runner.jog import (
+from rig.jog.keys import (
     CONFIRM_S,
     LONGEST_STEP_S,
     RETREAT,

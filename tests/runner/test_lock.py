@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from rig.bench import BenchPlan, parse_bench
+from rig.bench.bench import BenchPlan, parse_bench
 from rig.core.errors import ConfigurationError, ExitCode
-from rig.runner.lock import BenchLock, in_use, lock_files
+from rig.run.lock import BenchLock, in_use, lock_files
 
 BENCH = """
 name = "{name}"
@@ -29,8 +29,8 @@ port = "{port}"
 HOLDER = """
 import sys
 from pathlib import Path
-from rig.bench import read_bench
-from rig.runner.lock import BenchLock
+from rig.bench.bench import read_bench
+from rig.run.lock import BenchLock
 lock = BenchLock(read_bench(Path(sys.argv[1])))
 lock.tell_run(Path("/data/run.rigj"))
 print("held", flush=True)
@@ -136,10 +136,10 @@ def test_the_guard_of_a_dead_run_holds_its_bench_until_it_is_safe(
     run.stdout.readline()
     run.wait()
     assert f"pid {run.pid}, which has died" in str(in_use(plan()))
-    monkeypatch.setattr("rig.runner.lock.GUARD_S", 0.2)
+    monkeypatch.setattr("rig.run.lock.GUARD_S", 0.2)
     with pytest.raises(ConfigurationError, match=r"its guard has been making it safe for 0\.2 s"):
         BenchLock(plan())
-    monkeypatch.setattr("rig.runner.lock.GUARD_S", 30.0)
+    monkeypatch.setattr("rig.run.lock.GUARD_S", 30.0)
     ends_soon = threading.Timer(0.3, run.stdin.close)  # the heir's end of input
     ends_soon.start()
     with BenchLock(plan()):

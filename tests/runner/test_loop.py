@@ -8,11 +8,11 @@ from collections.abc import Callable
 
 import pytest
 
+from rig.control import tick_loop as loop
+from rig.control.tick_loop import BEHIND_FOR_S, Relay, Tick, Ticks, TooSlowError, tick_loop
 from rig.core.clock import WAIT_SLICE_S, Clock, WallClock
 from rig.core.errors import ExitCode
 from rig.core.processor import GIVEN
-from rig.runner import loop
-from rig.runner.loop import BEHIND_FOR_S, Relay, Tick, Ticks, TooSlowError, tick_loop
 
 
 class HandClock(Clock):

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from rig.runner.approach import CLOSING
-from rig.runner.ramp import ForceRamp
+from rig.control.approach import CLOSING
+from rig.control.force_ramp import ForceRamp
 
 GROSS_N, STEEPNESS_mm = 2.7, 0.08
 """F_t = GROSS (1 - exp(-x / STEEPNESS)): 34 N/mm at first, none in the end."""

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from pressed_skin import press_and_slide
 
-from rig.physics.contact.settings import FrictionSettings
-from rig.physics.skin.condensed import CondensedSkin
-from rig.runner.approach import (
+from rig.control.approach import (
     Approach,
     ContactStiffness,
     closing_speed_mm_s,
     search_speed_mm_s,
 )
-from rig.runner.servo import ContactShift, ForceServo, settings_from
+from rig.control.force_servo import ContactShift, ForceServo, settings_from
+from rig.physics.contact.settings import FrictionSettings
+from rig.physics.skin.condensed import CondensedSkin
 
 TARGET_N, STIFFNESS_N_mm = 4.0, 160.0
 

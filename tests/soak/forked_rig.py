@@ -14,7 +14,7 @@ from rig.cli import main
 
 for name in (
     *("h5py", "numpy", "pymodbus.client", "pyvisa_py.highlevel", "serial", "scipy.optimize"),
-    *("rig.cli.procedures", "rig.cli.report", "rig.files.runfile.compile", "rig.runner.execution"),
+    *("rig.cli.procedures", "rig.cli.report", "rig.files.runfile.compile", "rig.run.execute"),
     *("procedures.sweep", "procedures.slip_trial", "procedures.roll_trial"),
     *("drivers.festo_cmmt", "drivers.keysight_33500b", "drivers.keysight_u2300a"),
     *(

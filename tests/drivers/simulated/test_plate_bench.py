@@ -19,7 +19,7 @@ from drivers.simulated.axis import Axis, Command, Mechanics
 from drivers.simulated.bench import start
 from drivers.simulated.me_gsv8 import NOISE_MV_V, Sensor
 from drivers.simulated.options import Options
-from rig.bench import Bench, connect, parse_bench
+from rig.bench.bench import Bench, connect, parse_bench
 from rig.core.cache import DiskCache
 from rig.core.clock import ControlLink, SlavedClock
 from rig.core.errors import ConfigurationError, InstrumentError

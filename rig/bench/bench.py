@@ -18,6 +18,7 @@ from typing import Any, Literal, Protocol, Self, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
+from rig.bench.keep_alives import KeepAlives
 from rig.core.clock import Clock
 from rig.core.errors import (
     ConfigurationError,
@@ -48,7 +49,6 @@ from rig.instruments.roles import (
     RotaryStage,
     SignalGenerator,
 )
-from rig.keep_alives import KeepAlives
 
 ROLES = ("generator", "daq", "stage_z", "stage_x", "rotary", "force_sensor")
 

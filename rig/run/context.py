@@ -6,15 +6,15 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rig.bench import WAITS_PER_CALL, Bench
+from rig.bench.bench import WAITS_PER_CALL, Bench
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentTimeoutError, RigError
 from rig.files.journal.recorder import Recorder
 from rig.instruments.roles import Record, Scaling
-from rig.runner.arming import OFF_DEADLINE_S, Arming
-from rig.runner.force import ForceMonitor
-from rig.runner.holds import Holds
-from rig.runner.points import Reading
+from rig.run.arming import OFF_DEADLINE_S, Arming
+from rig.run.force_monitor import ForceMonitor
+from rig.run.holds import Holds
+from rig.run.points import Reading
 
 if TYPE_CHECKING:
     import numpy.typing as npt

@@ -7,7 +7,7 @@ instrument of the bench and call its driver's `make_safe`, each isolated from th
 then to compile the journal, then to write what was done to the guard's report. A report that says
 unsafe keeps the next run from starting.
 
-This module is the program as well (``python -m rig.runner.guard``); it imports the rest of the
+This module is the program as well (``python -m rig.run.guard``); it imports the rest of the
 project only when it has to act, so a guard costs a few milliseconds.
 """
 
@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rig.core.processor import let_run_anywhere
 
 if TYPE_CHECKING:
-    from rig.bench import BenchPlan
+    from rig.bench.bench import BenchPlan
 
 
 GUARD_SUFFIX = ".guard.json"
@@ -124,7 +124,7 @@ class GuardLink:
             "heartbeat_timeout_s": plan.settings.heartbeat_timeout_s,
         }
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "rig.runner.guard"],
+            [sys.executable, "-P", "-m", "rig.run.guard"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -240,8 +240,8 @@ def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[s
 def make_bench_safe(bench_toml: str, source: str) -> dict[str, str]:
     """Call every driver's `make_safe` in the order of the roles, each isolated from the others'
     failures and each with a deadline; returns what failed, by role."""
-    from rig.bench import WAITS_PER_CALL, parse_bench
-    from rig.runner.arming import Arming
+    from rig.bench.bench import WAITS_PER_CALL, parse_bench
+    from rig.run.arming import Arming
 
     arming = Arming()
     for part in reversed(parse_bench(bench_toml, source).instruments):

@@ -19,9 +19,9 @@ import numpy.typing as npt
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, RigError
 from rig.instruments.roles import ForceFrames, ForceSensor
-from rig.runner.holds import Holds
-from rig.runner.reader import StreamReader
-from rig.runner.trip import TripError
+from rig.run.holds import Holds
+from rig.run.stream_reader import StreamReader
+from rig.run.trip import TripError
 
 AXES = "xyz"
 STALE_S = 0.25

@@ -18,9 +18,9 @@ from rig.core.imports import importing
 from rig.instruments.visa_library import import_visa
 
 if TYPE_CHECKING:
-    from rig.bench import BenchFactory, BenchPlan, Fixture, RunningBench
+    from rig.bench.bench import BenchFactory, BenchPlan, Fixture, RunningBench
     from rig.core.clock import Clock
-    from rig.runner.lock import BenchLock
+    from rig.run.lock import BenchLock
 
 Stages = Literal["festo", "az", "festo-az", "az-festo"]
 """Of a simulated bench: on Modbus TCP, or on one Modbus RTU line."""
@@ -94,7 +94,7 @@ class Choosing:
         """The bench file's plan with a wall clock, locked until `at_the_end`; or a simulated bench,
         on which `fixture` is mounted, with its own clock: one that was `started` ahead for this
         request, or its own."""
-        from rig.bench import read_bench
+        from rig.bench.bench import read_bench
 
         if request.bench is not None and not request.dry_run:
             if self.begun is not None:
@@ -112,10 +112,10 @@ class Choosing:
             raise
 
     def _of_file(self, request: BenchRequest, at_the_end: ExitStack, path: Path) -> ChosenBench:
-        from rig.bench import read_bench
+        from rig.bench.bench import read_bench
         from rig.core.clock import WallClock
-        from rig.runner.guard import refuse_unsafe, report_path
-        from rig.runner.lock import BenchLock
+        from rig.run.guard import refuse_unsafe, report_path
+        from rig.run.lock import BenchLock
 
         plan = read_bench(path)
         _refuse_simulation_options(request, path)
@@ -132,9 +132,9 @@ class Choosing:
     def _simulated(
         self, request: BenchRequest, started: RunningBench, real: BenchPlan | None
     ) -> ChosenBench:
-        from rig.bench import parse_bench, rehearsal
+        from rig.bench.bench import parse_bench, rehearsal
         from rig.core.clock import ControlLink, PacedClock, SlavedClock
-        from rig.runner.guard import GUARD_SUFFIX
+        from rig.run.guard import GUARD_SUFFIX
 
         self._tell_killed(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
         self._import_ahead()
@@ -149,7 +149,7 @@ class Choosing:
         return ChosenBench(plan, clock, None, started, ready["recorded_toml"])
 
     def _tell_killed(self, *reports: Path) -> None:
-        from rig.runner.guard import tell_killed
+        from rig.run.guard import tell_killed
 
         for report in reports:
             if (told := tell_killed(report)) is not None:
@@ -158,7 +158,7 @@ class Choosing:
     def _import_ahead(self) -> None:
         """What the command will need, while a simulated bench boots beside it."""
         with importing():
-            for name in ("rig.files.runfile.compile", "rig.runner.execution", *LIBRARIES_OF_LINKS):
+            for name in ("rig.files.runfile.compile", "rig.run.execute", *LIBRARIES_OF_LINKS):
                 import_module(name)
             import_visa()
             self.meanwhile()

@@ -14,17 +14,17 @@ from pathlib import Path
 from typing import Any
 
 import rig
-from rig.bench import Bench
+from rig.bench.bench import Bench
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings, fingerprint, leaves
 from rig.files.journal.reader import JournalContents
 from rig.files.journal.writer import JournalWriter, begin_journal, begin_journal_at
-from rig.runner.guard import GUARD_SUFFIX, report_path
-from rig.runner.lock import BenchLock
-from rig.runner.outcome import Outcome
-from rig.runner.points import Point, Reading
-from rig.runner.procedure import Procedure
-from rig.runner.source_state import source_state
+from rig.run.guard import GUARD_SUFFIX, report_path
+from rig.run.lock import BenchLock
+from rig.run.outcome import Outcome
+from rig.run.points import Point, Reading
+from rig.run.procedure import Procedure
+from rig.run.source_state import source_state
 
 PROGRAM = "tactile-rig"
 

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Self
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from rig.bench import BenchPlan
+    from rig.bench.bench import BenchPlan
 
 ADDRESS = ("resource", "host", "port", "unit_id")
 """Settings of a driver that tell one instrument from another."""

@@ -29,13 +29,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from rig.bench import Fixture
+from rig.bench.bench import Fixture
 from rig.core.settings import Settings
 from rig.files.journal.layout import Layout
-from rig.runner.points import Point, Reading
+from rig.run.points import Point, Reading
 
 if TYPE_CHECKING:
-    from rig.runner.run import Run
+    from rig.run.context import Run
 
 
 @dataclass(frozen=True)

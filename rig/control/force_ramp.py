@@ -6,7 +6,7 @@ rate, from what is missing, and from the contact's tangential stiffness k as it 
 
     v = (rate + missing force / (CLOSING delay)) / k,
 
-the closed form of `rig.runner.approach` with the rate put ahead of it. When all of the skin slips,
+the closed form of `rig.control.approach` with the rate put ahead of it. When all of the skin slips,
 no speed makes the force rise any more: what is missing grows, the speed goes to its limit, and the
 ramp has become a slide.
 """
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 
-from rig.runner.approach import CLOSING, ContactStiffness
+from rig.control.approach import CLOSING, ContactStiffness
 
 STIFFEST_N_mm = 60.0
 """Of the reference skin under shear, at the beginning: 40 to 50 N/mm at 4 N, 23 after 10 µm."""

@@ -14,7 +14,7 @@ or changes evenly leaves no error in the mean: the account of positions is the i
 
 One number sets how quickly it believes what it sees, `memory_s`. It follows from delay and tick, so
 that k may be 1.3 times or half the one assumed: the skin's rises with the force, and changes when
-ridges slip. `rig.runner.approach` comes before and measures k. How well it holds: decision 0035.
+ridges slip. `rig.control.approach` comes before and measures k. How well it holds: decision 0035.
 
 Both may take longer now and then: a target that a busy link has carried late, a force that was
 heard late. The servo is told of each (`ForceServo.step`), and puts the force seen to where the axis

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rig.bench import Bench, BenchPlan, require
+from rig.bench.bench import Bench, BenchPlan, require
 from rig.core.errors import ConfigurationError, LimitError, RigError
 from rig.instruments.roles import Acquisition
 

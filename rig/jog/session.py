@@ -16,15 +16,11 @@ from typing import Protocol
 
 from pydantic import Field
 
-from rig.bench import WAITS_PER_CALL, Bench, require
+from rig.bench.bench import WAITS_PER_CALL, Bench, require
 from rig.core.errors import ConfigurationError, ExitCode, LimitError, RigError
 from rig.core.settings import Settings
 from rig.instruments.roles import LinearStage, Reach, RotaryStage
-from rig.runner.arming import BEAT_EVERY_S, OFF_DEADLINE_S, Arming, OffFailure
-from rig.runner.force import ForceMonitor
-from rig.runner.guard import GuardLink
-from rig.runner.holds import HoldError, Holds, PauseSwitch
-from rig.runner.jog import (
+from rig.jog.keys import (
     LONGEST_STEP_S,
     Action,
     Axis,
@@ -38,8 +34,12 @@ from rig.runner.jog import (
     Stop,
     Watch,
 )
-from rig.runner.stopping import StopFlag
-from rig.runner.trip import TripError
+from rig.run.arming import BEAT_EVERY_S, OFF_DEADLINE_S, Arming, OffFailure
+from rig.run.force_monitor import ForceMonitor
+from rig.run.guard import GuardLink
+from rig.run.holds import HoldError, Holds, PauseSwitch
+from rig.run.stopping import StopFlag
+from rig.run.trip import TripError
 
 AXES = ("stage_z", "stage_x", "rotary")
 """Roles that can be jogged."""

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.errors import ExitCode, RigError
-from rig.runner.arming import OffFailure
-from rig.runner.guard import TakenOver
+from rig.run.arming import OffFailure
+from rig.run.guard import TakenOver
 
 
 @dataclass

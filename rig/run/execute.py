@@ -17,22 +17,22 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from rig import bench as benches
-from rig.bench import Bench, BenchPlan
+from rig.bench import bench as benches
+from rig.bench.bench import Bench, BenchPlan
 from rig.core.clock import Clock
 from rig.core.errors import ExitCode, LimitError, RigError
 from rig.files.journal.reader import read_journal
 from rig.files.journal.recorder import Recorder
 from rig.files.runfile.compile import compile_run
-from rig.runner.arming import BEAT_EVERY_S, OffFailure
-from rig.runner.guard import GuardLink
-from rig.runner.holds import HoldError, PauseSwitch
-from rig.runner.jobs import Job, Journal
-from rig.runner.outcome import Outcome
-from rig.runner.points import Point, Reading, check_points, require_roles
-from rig.runner.run import Run
-from rig.runner.stopping import StopFlag, StopRequestedError
-from rig.runner.trip import TripError
+from rig.run.arming import BEAT_EVERY_S, OffFailure
+from rig.run.context import Run
+from rig.run.guard import GuardLink
+from rig.run.holds import HoldError, PauseSwitch
+from rig.run.job import Job, Journal
+from rig.run.outcome import Outcome
+from rig.run.points import Point, Reading, check_points, require_roles
+from rig.run.stopping import StopFlag, StopRequestedError
+from rig.run.trip import TripError
 
 HOLD_LOOK_S = 0.1
 """How often a run on hold looks whether it may go on."""

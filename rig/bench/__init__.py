@@ -1,0 +1,1 @@
+"""The bench: from a bench file to connected instruments that refuse what is outside their limits."""

@@ -1,0 +1,1 @@
+"""Control of force and position: the tick loop, the force servo, the approach. No instruments."""

@@ -1,0 +1,1 @@
+"""Moving an axis by hand from the keys of a terminal."""
