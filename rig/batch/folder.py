@@ -35,7 +35,7 @@ class BatchFolder:
 
     @property
     def heartbeat(self) -> Path:
-        """See `rig.batch.heartbeat`."""
+        """See `rig.batch.report.heartbeat`."""
         return self.path / "heartbeat.json"
 
     @property

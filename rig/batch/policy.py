@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Literal
 
-from rig.batch.settings import BatchSettings
+from rig.batch.plan.settings import BatchSettings
 from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
 from rig.files.errors import RecordingError
 

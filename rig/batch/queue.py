@@ -3,7 +3,7 @@
 The plan is written once, whole, before anything begins. From then on a run changes its state only
 in a transaction that is on the disk (write-ahead log, full sync) before anybody acts on it: a run
 is claimed before its first motion, and finished after its data are safe. Whoever dies in between
-leaves a claim, which the next worker settles from the run's own journal (`rig.batch.settling`).
+leaves a claim, which the next worker settles from the run's own journal (`rig.batch.execute.crash_recovery`).
 
     queued -> running -> done | failed
        ^         |
@@ -24,7 +24,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
-from rig.batch.plan import Condition, Plan
+from rig.batch.plan.conditions import Condition, Plan
 from rig.core.errors import ConfigurationError, RigError
 
 RunState = Literal["queued", "running", "done", "failed", "set-aside"]

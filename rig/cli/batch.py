@@ -16,7 +16,7 @@ from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.batch.folder import BatchFolder
-    from rig.batch.status import Status
+    from rig.batch.report.status import Status
 
 HELP = "Overnight batches: a file of many runs, each taken exactly once."
 
@@ -57,8 +57,8 @@ def run(
     with reported(debug, as_json):
         from datetime import datetime
 
-        from rig.batch.beginning import begin
-        from rig.batch.preparation import prepare
+        from rig.batch.execute.prepare import prepare
+        from rig.batch.execute.start import begin
         from rig.core.units import duration
 
         now = datetime.now().astimezone()
@@ -87,10 +87,10 @@ def resume(
 ) -> None:
     """Go on with a batch that was stopped, or let one go on that is paused or on hold."""
     with reported(debug, as_json):
-        from rig.batch.beginning import refuse_changes
+        from rig.batch.execute.start import refuse_changes
         from rig.batch.folder import find_folder
+        from rig.batch.plan.settings import BatchFile
         from rig.batch.queue import Queue
-        from rig.batch.settings import BatchFile
 
         found = find_folder(folder, results)
         with Queue.open(found.queue) as queue:
@@ -143,7 +143,7 @@ def status(
     """Say how far a batch is, from any terminal."""
     with reported(debug):
         from rig.batch.folder import find_folder
-        from rig.batch.status import status_of
+        from rig.batch.report.status import status_of
 
         found = find_folder(folder, results)
         while True:
@@ -183,8 +183,8 @@ def _ask(word: str, told: str, folder: Path | None, results: Path, debug: bool) 
 
 def _supervise(folder: BatchFolder, as_json: bool) -> None:
     """Have a batch taken, tell how it ended, and end with its exit code."""
-    from rig.batch.status import status_of
-    from rig.batch.supervisor import Supervisor
+    from rig.batch.execute.supervisor import Supervisor
+    from rig.batch.report.status import status_of
     from rig.cli.streams import say_at_once
     from rig.run.stopping import StopFlag
 

@@ -16,8 +16,8 @@ from rig.core.units import duration
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rig.batch.estimates import PlacedRun
-    from rig.batch.preparation import Prepared
+    from rig.batch.execute.prepare import Prepared
+    from rig.batch.plan.estimate import PlacedRun
 
 
 def plan(
@@ -31,7 +31,7 @@ def plan(
 ) -> None:
     """Check a batch whole and list its runs: when each begins, how long all takes, disk."""
     with reported(debug, as_json):
-        from rig.batch.preparation import prepare
+        from rig.batch.execute.prepare import prepare
 
         prepared = prepare(file, bench, datetime.now().astimezone(), say)
         free_B = shutil.disk_usage(_existing(Path(prepared.batch.batch.results))).free
@@ -46,7 +46,7 @@ def plan(
 
 def schema() -> None:
     """Print the JSON schema of the batch file, with the settings of the installed procedures."""
-    from rig.batch.schema import batch_schema
+    from rig.batch.plan.schema import batch_schema
 
     print(json.dumps(batch_schema(), indent=2))  # noqa: T201 - stdout carries data
 

@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "recording"))
 import recorded_run
 import recorded_trials as trials
 
-from rig.batch.afterwards import Afterwards, Answer, Job, answer_of, job_of
-from rig.batch.afterwork import work_on
+from rig.batch.execute.postprocess import Afterwards, Answer, Job, answer_of, job_of
+from rig.batch.execute.postprocess_worker import work_on
 from rig.detector.settings import named_detectors
 from rig.files.verify import verify
 from rig.processing import detection
@@ -255,7 +255,7 @@ def test_its_end_is_the_end_of_what_is_given(tmp_path: Path) -> None:
     """By hand, without the batch's side."""
     lines = "nonsense\n" + json.dumps({"journal": str(recorded(tmp_path, "a")), "figures": False})
     done = subprocess.run(
-        [sys.executable, "-m", "rig.batch.afterwards"],
+        [sys.executable, "-m", "rig.batch.execute.postprocess"],
         input=lines + "\n",
         capture_output=True,
         text=True,

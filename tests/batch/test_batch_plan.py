@@ -11,8 +11,8 @@ from typing import Any
 
 from calibrated import write_record
 
-from rig.batch.reading import parse_batch
-from rig.batch.schema import batch_schema
+from rig.batch.plan.read import parse_batch
+from rig.batch.plan.schema import batch_schema
 
 DOCUMENTED = Path(__file__).parents[2] / "docs" / "batch.md"
 SWEEPS = """\

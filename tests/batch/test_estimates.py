@@ -11,10 +11,10 @@ import pytest
 from calibrated import write_record
 
 from procedures import roll_trial, slip_trial, sweep
-from rig.batch.estimates import Expected, expect, forecast, homing_s
-from rig.batch.expansion import expand
-from rig.batch.plan import Plan
-from rig.batch.settings import BatchFile, BatchSettings
+from rig.batch.plan.conditions import Plan
+from rig.batch.plan.estimate import Expected, expect, forecast, homing_s
+from rig.batch.plan.expand import expand
+from rig.batch.plan.settings import BatchFile, BatchSettings
 from rig.bench.bench import BenchPlan, FixtureSettings, parse_bench
 
 NOW = datetime(2026, 11, 22, 20, 0, tzinfo=UTC)

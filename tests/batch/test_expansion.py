@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.batch.expansion import expand
-from rig.batch.findings import RefusedBatchError
-from rig.batch.plan import Plan
-from rig.batch.settings import BatchFile
+from rig.batch.plan.conditions import Plan
+from rig.batch.plan.expand import expand
+from rig.batch.plan.findings import RefusedBatchError
+from rig.batch.plan.settings import BatchFile
 from rig.core.errors import ExitCode
 
 SPEEDS = [0.2, 0.5, 1.0]

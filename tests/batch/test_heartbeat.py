@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.batch.heartbeat import EVERY_S, Beat, Heartbeat
+from rig.batch.report.heartbeat import EVERY_S, Beat, Heartbeat
 
 
 class Hours:

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from rig.batch import notification
-from rig.batch.notification import Notifier, require_usable
-from rig.batch.settings import Notify
+from rig.batch.plan.settings import Notify
+from rig.batch.report import notify as notification
+from rig.batch.report.notify import Notifier, require_usable
 from rig.core.errors import ConfigurationError
 
 KEEPS = (

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from rig.batch.plan.settings import BatchSettings
 from rig.batch.policy import (
     Kind,
     Verdict,
@@ -16,7 +17,6 @@ from rig.batch.policy import (
     reason_to_end,
     window,
 )
-from rig.batch.settings import BatchSettings
 from rig.core.errors import (
     ConfigurationError,
     ExitCode,

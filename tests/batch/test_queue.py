@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rig.batch.plan import Condition, Plan, PlannedRun
+from rig.batch.plan.conditions import Condition, Plan, PlannedRun
 from rig.batch.queue import Ended, Estimate, Queue
 from rig.core.errors import ConfigurationError, RigError
 

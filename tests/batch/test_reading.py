@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from rig.batch.positions import lines_of
-from rig.batch.reading import parse_batch, read_batch
+from rig.batch.plan.positions import lines_of
+from rig.batch.plan.read import parse_batch, read_batch
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.toml_files import MAX_TOML_BYTES, MAX_TOML_LINE
 

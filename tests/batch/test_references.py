@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from procedures import roll_trial, slip_trial, sweep
-from rig.batch.references import (
+from rig.batch.execute.drift import (
     Finding,
     ReferenceRun,
     disk_space,

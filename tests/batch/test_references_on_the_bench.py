@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from procedures import roll_trial, slip_trial, sweep
-from rig.batch.references import ReferenceRun, judge, part_names, zero_drift
+from rig.batch.execute.drift import ReferenceRun, judge, part_names, zero_drift
 from rig.bench.bench import BenchSettings
 
 PARTS = part_names(BenchSettings(name="b", fixture={"mounted": "plate"}, film={"name": "F12"}))

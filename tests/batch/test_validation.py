@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from rig.batch.expansion import expand
-from rig.batch.findings import RefusedBatchError
-from rig.batch.plan import Plan
-from rig.batch.settings import BatchFile
-from rig.batch.validation import Checked, Connected, validate
+from rig.batch.plan.conditions import Plan
+from rig.batch.plan.expand import expand
+from rig.batch.plan.findings import RefusedBatchError
+from rig.batch.plan.settings import BatchFile
+from rig.batch.plan.validate import Checked, Connected, validate
 from rig.bench.bench import Bench, BenchPlan, Fixture, InstrumentPlan, parse_bench
 from rig.core.clock import WallClock
 from rig.core.errors import ConfigurationError, ExitCode

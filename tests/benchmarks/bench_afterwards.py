@@ -1,7 +1,7 @@
 """What the work on earlier runs costs the tick loop: lateness of its ticks with and without.
 
 The loop of `rig.control.tick_loop` on the wall clock, 100 ticks a second with a millisecond's work in
-each, in windows that take turns: alone; with `rig.batch.afterwards` at work; with it held; and, to
+each, in windows that take turns: alone; with `rig.batch.execute.postprocess` at work; with it held; and, to
 compare, with the same worker at ordinary priority. On all processors, and with everything on one.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_afterwards.py``.
@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
 
 import recorded_trials as trials
 
-from rig.batch.afterwards import Afterwards, Job
+from rig.batch.execute.postprocess import Afterwards, Job
 from rig.control.tick_loop import LATE, tick_loop
 from rig.core.clock import WallClock
 
@@ -69,7 +69,7 @@ def lateness_ms() -> np.ndarray:
 def at_ordinary_priority(journals: list[Path]) -> Iterator[None]:
     """The worker itself, given the same."""
     worker = subprocess.Popen(
-        [sys.executable, "-m", "rig.batch.afterwork"],
+        [sys.executable, "-m", "rig.batch.execute.postprocess_worker"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

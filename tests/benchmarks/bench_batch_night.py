@@ -27,7 +27,7 @@ from nights import ask, folder_of, taken
 from soak.trials import SWEEP_WORLD, as_toml, fault
 
 from drivers.simulated.fault_plan import ROTARY, STAGE_X
-from rig.batch.reading import parse_batch
+from rig.batch.plan.read import parse_batch
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 

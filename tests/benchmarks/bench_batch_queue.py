@@ -20,9 +20,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks.measured import machine
 
 from rig.batch.folder import BatchFolder
-from rig.batch.plan import Condition, Plan, PlannedRun
+from rig.batch.plan.conditions import Condition, Plan, PlannedRun
 from rig.batch.queue import Ended, Estimate, Queue
-from rig.batch.status import status_of
+from rig.batch.report.status import status_of
 
 RUNS = int(os.environ.get("RIG_RUNS", "100000"))
 CONDITIONS = 1000

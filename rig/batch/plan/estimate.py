@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.batch.plan import Condition, Plan, PlannedRun
+from rig.batch.plan.conditions import Condition, Plan, PlannedRun
+from rig.batch.plan.procedures import installed
+from rig.batch.plan.settings import BatchSettings
 from rig.batch.policy import window
-from rig.batch.procedures import installed
-from rig.batch.settings import BatchSettings
 from rig.bench.bench import BenchPlan, FixtureSettings
 from rig.instruments.calibration import (
     FilmCalibration,

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.batch.procedures import installed
+from rig.batch.plan.procedures import installed
 from rig.batch.queue import Ended
 from rig.core.errors import RigError
 from rig.files.errors import JournalError

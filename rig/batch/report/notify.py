@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from rig.batch.settings import Notify, Occasion
+from rig.batch.plan.settings import Notify, Occasion
 from rig.core.errors import ConfigurationError
 
 PATIENCE_S = 10.0
@@ -130,7 +130,7 @@ class Notifier:
             if settings.command:
                 self._run("notify.command", (*settings.command, told.title, told.text), told)
             if settings.urls:
-                program = (sys.executable, "-P", "-m", "rig.batch.apprising")
+                program = (sys.executable, "-P", "-m", "rig.batch.report.apprise_sender")
                 self._run("notify.urls", program, told, urls=settings.urls)
 
     def _run(self, what: str, program: Sequence[str], told: Notification, **more: Any) -> None:

@@ -7,10 +7,7 @@ import shutil
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from rig.batch.estimates import records_of
-from rig.batch.procedures import installed
-from rig.batch.queue import Claim, Ended, Queue
-from rig.batch.references import (
+from rig.batch.execute.drift import (
     Finding,
     ReferenceRun,
     disk_space,
@@ -20,7 +17,10 @@ from rig.batch.references import (
     watched_figures,
     zero_drift,
 )
-from rig.batch.settings import BatchFile
+from rig.batch.plan.estimate import records_of
+from rig.batch.plan.procedures import installed
+from rig.batch.plan.settings import BatchFile
+from rig.batch.queue import Claim, Ended, Queue
 from rig.bench.bench import BenchPlan, BenchSettings, read_bench
 
 ZERO = "force_zero_N"

@@ -1,6 +1,6 @@
-"""The worker behind `rig.batch.afterwards`: one run after the other.
+"""The worker behind `rig.batch.execute.postprocess`: one run after the other.
 
-``python -m rig.batch.afterwork`` takes the steward's jobs on its standard input and answers each on
+``python -m rig.batch.execute.postprocess_worker`` takes the steward's jobs on its standard input and answers each on
 its standard output. It ends with its input. Priority and threads are what the steward gives it.
 """
 
@@ -14,7 +14,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from rig.batch.afterwards import Answer, Job, job_of
+from rig.batch.execute.postprocess import Answer, Job, job_of
 from rig.core.errors import RigError
 
 

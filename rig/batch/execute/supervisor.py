@@ -1,9 +1,9 @@
 """The supervisor: keeps a worker at work, hears people, and outlives what the worker dies of.
 
 It holds no bench. A worker that dies is followed by another one, once the guard of the first has
-made the bench safe (`rig.batch.worker`). It tells people (`rig.batch.notification`) and outside
-monitors (`rig.batch.heartbeat`), and has runs worked on that have been taken
-(`rig.batch.afterwards`). What people ask for from other terminals lies in the queue; signals of
+made the bench safe (`rig.batch.execute.worker`). It tells people (`rig.batch.report.notify`) and outside
+monitors (`rig.batch.report.heartbeat`), and has runs worked on that have been taken
+(`rig.batch.execute.postprocess`). What people ask for from other terminals lies in the queue; signals of
 this terminal are its stop requests. Its word to the worker goes through a pipe, whose end tells the
 worker that the supervisor has died.
 """
@@ -21,12 +21,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rig.batch.afterwards import Afterwards, Answer, Job
+from rig.batch.execute.postprocess import Afterwards, Answer, Job
 from rig.batch.folder import BatchFolder
-from rig.batch.heartbeat import Beat, Heartbeat, State
-from rig.batch.notification import Notifier
+from rig.batch.plan.settings import BatchFile, Occasion
 from rig.batch.queue import Queue
-from rig.batch.settings import BatchFile, Occasion
+from rig.batch.report.heartbeat import Beat, Heartbeat, State
+from rig.batch.report.notify import Notifier
 from rig.core.errors import ExitCode
 from rig.run.stopping import StopFlag
 
@@ -137,7 +137,7 @@ class Supervisor:
     def _one_worker(self) -> int:
         """Start a worker and listen to it until it has ended; its exit code."""
         worker = subprocess.Popen(
-            [sys.executable, "-P", "-m", "rig.batch.worker", str(self._folder.path)],
+            [sys.executable, "-P", "-m", "rig.batch.execute.worker", str(self._folder.path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,

@@ -1,8 +1,8 @@
 """The worker: the one process that holds the bench and takes the runs of a queue, one by one.
 
-    python -m rig.batch.worker FOLDER
+    python -m rig.batch.execute.worker FOLDER
 
-It is started by the supervisor (`rig.batch.supervisor`), which tells it words on its standard input
+It is started by the supervisor (`rig.batch.execute.supervisor`), which tells it words on its standard input
 ("stop-now", "stop-after-point", "stop-after-run", "pause", "go", "signal 2") and gets one object of
 JSON a line on its standard output. When its input ends the supervisor has died: it stops in order,
 as it does when it is told to.
@@ -26,21 +26,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rig
+from rig.batch.execute.batch_clock import Night, SlavedNight, WallNight
+from rig.batch.execute.crash_recovery import put_away, to_continue, what_became_of
+from rig.batch.execute.drift_watch import Watch
 from rig.batch.folder import BatchFolder
-from rig.batch.night import Night, SlavedNight, WallNight
+from rig.batch.plan.procedures import installed
+from rig.batch.plan.settings import BatchFile
 from rig.batch.policy import after_failure, does_not_fit, kind_of, reason_to_end, window
-from rig.batch.procedures import installed
 from rig.batch.queue import Claim, Ended, Queue
-from rig.batch.settings import BatchFile
-from rig.batch.settling import put_away, to_continue, what_became_of
-from rig.batch.watching import Watch
 from rig.core.errors import ExitCode, RigError
 from rig.run.bench_selector import BenchRequest, Choosing, ChosenBench, start_simulated
 from rig.run.holds import PAUSE
 from rig.run.stopping import StopFlag, StopRequestedError
 
 if TYPE_CHECKING:
-    from rig.batch.references import Finding
+    from rig.batch.execute.drift import Finding
     from rig.bench.bench import BenchSettings, Fixture, RunningBench
     from rig.run.outcome import Outcome
     from rig.run.points import Point, Reading

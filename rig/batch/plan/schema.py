@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from rig.batch.procedures import installed, known
-from rig.batch.settings import BatchFile
+from rig.batch.plan.procedures import installed, known
+from rig.batch.plan.settings import BatchFile
 from rig.core.settings import unit_of
 
 TEXT_WITH_UNIT = {"type": "string", "description": "text as on the command line, with its unit"}

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
-from rig.batch.findings import Finding, Where
-from rig.batch.plan import Condition, Plan
-from rig.batch.procedures import installed
+from rig.batch.plan.conditions import Condition, Plan
+from rig.batch.plan.findings import Finding, Where
+from rig.batch.plan.procedures import installed
 from rig.bench.bench import Bench, BenchPlan, Fixture, FixtureSettings
 from rig.core.errors import RigError
 from rig.run.points import refusals, require_roles

@@ -9,10 +9,10 @@ from datetime import datetime
 from pathlib import Path
 
 import rig
+from rig.batch.execute.prepare import Prepared
 from rig.batch.folder import BatchFolder, new_folder
-from rig.batch.preparation import Prepared
+from rig.batch.plan.settings import BatchFile, Simulation
 from rig.batch.queue import Queue
-from rig.batch.settings import BatchFile, Simulation
 from rig.core.errors import ConfigurationError
 from rig.core.settings import fingerprint
 from rig.run.source_state import source_state

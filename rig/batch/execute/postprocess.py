@@ -1,13 +1,13 @@
 """What is made of runs while the bench waits: compiled files, detector, figures.
 
-``python -m rig.batch.afterwards`` takes one JSON object a line on its standard input and gives one
+``python -m rig.batch.execute.postprocess`` takes one JSON object a line on its standard input and gives one
 a line on its standard output:
 
     {"journal": PATH, "figures": true, "detect": true}
     {"journal": PATH, "file": PATH, "processed": PATH, "figures": [PATH, ...], "warnings": [],
      "error": ""}
 
-Jobs are done one after the other, each in its turn by a worker process (`rig.batch.afterwork`) of
+Jobs are done one after the other, each in its turn by a worker process (`rig.batch.execute.postprocess_worker`) of
 the lowest priority. The lines ``hold`` and ``go`` have the worker stand still, in the middle of
 whatever it is at, and go on: it costs nothing while a run needs the computer. A worker that dies
 over a file costs that file, and the next one gets another worker.
@@ -128,7 +128,7 @@ class Afterwards:
         """`held`: files that steward and worker keep open as long as they live, the batch's lock:
         two of them would disturb each other over one file."""
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "rig.batch.afterwards"],
+            [sys.executable, "-P", "-m", "rig.batch.execute.postprocess"],
             pass_fds=held,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -234,7 +234,7 @@ class _Worker:
 
     def __init__(self) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "rig.batch.afterwork"],
+            [sys.executable, "-P", "-m", "rig.batch.execute.postprocess_worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | ONE_THREAD,

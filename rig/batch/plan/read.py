@@ -1,7 +1,7 @@
 """The batch file as people write it: read whole, and all its errors told at once with their lines.
 
 What the file says of itself and what the settings of its procedures make of it are told together;
-what a bench makes of it is in `rig.batch.validation`.
+what a bench makes of it is in `rig.batch.plan.validate`.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from rig.batch.expansion import Expansion, check_defaults, expand, labels
-from rig.batch.findings import Finding, RefusedBatchError, Source, Where
-from rig.batch.plan import Plan
-from rig.batch.positions import lines_of
-from rig.batch.settings import BatchFile, Experiment
+from rig.batch.plan.conditions import Plan
+from rig.batch.plan.expand import Expansion, check_defaults, expand, labels
+from rig.batch.plan.findings import Finding, RefusedBatchError, Source, Where
+from rig.batch.plan.positions import lines_of
+from rig.batch.plan.settings import BatchFile, Experiment
 from rig.core.errors import finding
 from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
 

@@ -1,6 +1,6 @@
-"""One notification to addresses that apprise serves (see `rig.batch.notification`).
+"""One notification to addresses that apprise serves (see `rig.batch.report.notify`).
 
-``python -m rig.batch.apprising`` reads it as JSON from its standard input. Exit 1 where an address
+``python -m rig.batch.report.apprise_sender`` reads it as JSON from its standard input. Exit 1 where an address
 did not take it; standard error then says which and why, without the address, which may hold a
 password.
 """

@@ -7,7 +7,7 @@
                          befalls it
 
 Here are the values and what can be said of each by itself. What they expand to is in
-`rig.batch.expansion`; what instruments make of them in `rig.batch.validation`.
+`rig.batch.plan.expand`; what instruments make of them in `rig.batch.plan.validate`.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import tree_sitter_toml
 from tree_sitter import Language, Node, Parser
 
-from rig.batch.findings import Where
+from rig.batch.plan.findings import Where
 
 
 def lines_of(text: str) -> dict[Where, int]:

@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from rig.batch.estimates import Expected, Forecast, expect, forecast, homing_s, records_of
-from rig.batch.findings import Finding, RefusedBatchError, Where
-from rig.batch.notification import require_usable
-from rig.batch.plan import Plan
+from rig.batch.plan.conditions import Plan
+from rig.batch.plan.estimate import Expected, Forecast, expect, forecast, homing_s, records_of
+from rig.batch.plan.findings import Finding, RefusedBatchError, Where
+from rig.batch.plan.read import read_batch
+from rig.batch.plan.settings import BatchFile
+from rig.batch.plan.validate import Checked, Connected, validate
 from rig.batch.queue import Estimate
-from rig.batch.reading import read_batch
-from rig.batch.settings import BatchFile
-from rig.batch.validation import Checked, Connected, validate
+from rig.batch.report.notify import require_usable
 from rig.bench import bench as benches
 from rig.bench.bench import Bench, BenchPlan, Fixture, read_bench
 from rig.core.errors import ConfigurationError

@@ -16,10 +16,10 @@ from typing import Any, get_args, get_origin
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
-from rig.batch.findings import Finding, RefusedBatchError, Where
-from rig.batch.plan import Condition, Plan, PlannedRun
-from rig.batch.procedures import installed
-from rig.batch.settings import MOST_RUNS, BatchFile, Experiment, Sample
+from rig.batch.plan.conditions import Condition, Plan, PlannedRun
+from rig.batch.plan.findings import Finding, RefusedBatchError, Where
+from rig.batch.plan.procedures import installed
+from rig.batch.plan.settings import MOST_RUNS, BatchFile, Experiment, Sample
 from rig.core.errors import MOST_FINDINGS, ConfigurationError, finding, shortened
 from rig.core.settings import Settings, name_without_unit, unit_of
 from rig.core.units import parse

@@ -1,0 +1,1 @@
+"""Executing a batch: supervisor, worker, crash recovery, drift checks, post-processing."""

@@ -1,0 +1,1 @@
+"""Reporting on a batch: status, heartbeat file, notifications."""
