@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from procedures.sweep_summary import figures
+from procedures.sweep.summary import figures
 
 
 def reading(frequency_Hz: float) -> dict[str, float]:

@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 from measured import heading, row, target
 
-from procedures import pressed_trial, slip_trial
+from procedures import slip_trial
+from procedures.pressed import trial as pressed_trial
 from rig.bench.bench import read_bench
 from rig.control import tick_loop as loop
 from rig.core.clock import WallClock

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from procedures.sweep_layout import LAYOUT
+from procedures.sweep.layout import LAYOUT
 from rig.analysis.estimate import with_error
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from procedures import preload
+from procedures.sweep import preload
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import Reach
 

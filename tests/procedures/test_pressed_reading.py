@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from procedures.pressed_reading import Taken, reading_of
+from procedures.pressed.reading import Taken, reading_of
 from procedures.slip_trial import Settings
 from rig.control.tick_loop import LoopStatistics
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from procedures.roll_profile import Curve, ThereAndBack
 from procedures.roll_trial import Settings
+from procedures.roll_trial.profile import Curve, ThereAndBack
 
 WAYS = [
     ThereAndBack(3.5, 12.0, 60.0, 0.3),  # reaches its speed

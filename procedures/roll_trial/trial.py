@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.contact import TRAVEL_mm_s
-from procedures.pressed import AFTER_S
-from procedures.pressed_trial import PressedSeries, PressedTrial
-from procedures.roll_reading import RollTaken, reading_of
+from procedures.pressed.contact import TRAVEL_mm_s
+from procedures.pressed.settings import AFTER_S
+from procedures.pressed.trial import PressedSeries, PressedTrial
 from procedures.roll_trial import NUDGED_S, NUDGES, SETTLED_S
+from procedures.roll_trial.reading import RollTaken, reading_of
 from rig.analysis.trial.axis_offset import Look, axis_offset
 from rig.core.errors import LimitError
 from rig.run.aside import Aside
 
 if TYPE_CHECKING:
-    from procedures.roll_profile import Turn
     from procedures.roll_trial import Settings
+    from procedures.roll_trial.profile import Turn
     from rig.analysis.estimate import Estimate
     from rig.control.tick_loop import Tick
     from rig.run.context import Run

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.contact import (
+from procedures.pressed.contact import (
     BOTTOM_mm,
     CLEAR_mm,
     TRAVEL_mm_s,
@@ -22,9 +22,9 @@ from procedures.contact import (
     refuse_early_contact,
     tare_in_free_air,
 )
-from procedures.pressed import FORCE_RATE_S_S, TAP_S, NEAR_mm, PressedSettings
-from procedures.pressed_reading import CONTACT_N, DECIMATED_Hz, Taken
-from procedures.strip_record import StripRecord
+from procedures.pressed.reading import CONTACT_N, DECIMATED_Hz, Taken
+from procedures.pressed.settings import FORCE_RATE_S_S, TAP_S, NEAR_mm, PressedSettings
+from procedures.pressed.strips import StripRecord
 from rig.analysis.trial.load_rate import LoadScale, amplifier_dB, load_scale, load_scale_of_record
 from rig.bench.bench import STRIPS, require
 from rig.control.approach import Approach, search_speed_mm_s
@@ -34,7 +34,7 @@ from rig.core.errors import InstrumentError, RigError
 from rig.run.aside import Aside
 
 if TYPE_CHECKING:
-    from procedures.pressed_pace import Pace
+    from procedures.pressed.rates import Pace
     from rig.control.tick_loop import Tick
     from rig.instruments.roles import LinearStage
     from rig.run.context import Run

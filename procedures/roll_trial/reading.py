@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures import pressed_reading
-from procedures.pressed_reading import DECIMATED_Hz, Taken, frame_times_s
+from procedures.pressed import reading as pressed_reading
+from procedures.pressed.reading import DECIMATED_Hz, Taken, frame_times_s
 from rig.analysis.response.spectrum import share_above
 
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from procedures.pressed_layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED
+from procedures.pressed.layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED
 from rig.files.journal.layout import Column, Layout, Plot, Trace
 
 LAYOUT = Layout(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from procedures.pressed import DELAY_S, LINK_S, LOOKS_Hz, PressedSettings, TICK_Hz
+from procedures.pressed.settings import DELAY_S, LINK_S, LOOKS_Hz, PressedSettings, TICK_Hz
 
 if TYPE_CHECKING:
     from rig.run.context import Run

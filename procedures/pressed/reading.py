@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.contact import ForceZero
-from procedures.pressed import AFTER_S, FORCE_RATE_S_S, PressedSettings
-from procedures.pressed_layout import TOUCHED
+from procedures.pressed.contact import ForceZero
+from procedures.pressed.layout import TOUCHED
+from procedures.pressed.settings import AFTER_S, FORCE_RATE_S_S, PressedSettings
 from rig.analysis.trial.clock_offset import clock_offset
 from rig.analysis.trial.touch_down import Series, TouchDownError
 from rig.analysis.trial.touch_gain import touch_gain

@@ -10,7 +10,7 @@ from procedures.sweep import CHANNELS
 from rig.analysis.response.levelling import LearnedGain, LearnedMains
 
 if TYPE_CHECKING:
-    from procedures.preload import Preload
+    from procedures.sweep.preload import Preload
     from rig.analysis.response.sine_fit import SineFit
     from rig.run.context import Run
     from rig.run.points import Reading

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, model_validator
 
-from procedures import roll_layout
-from procedures.contact import contact_range_mm
-from procedures.pressed import (
+from procedures.pressed.contact import contact_range_mm
+from procedures.pressed.settings import (
     TOUCH_DRIFT,
     PressedSettings,
     arm_pressed,
@@ -29,7 +28,8 @@ from procedures.pressed import (
     trial_points,
     why_invalid,
 )
-from procedures.roll_profile import Curve, Profile, ThereAndBack
+from procedures.roll_trial import layout as roll_layout
+from procedures.roll_trial.profile import Curve, Profile, ThereAndBack
 from rig.bench.bench import Fixture, FixtureSettings
 from rig.core.errors import ConfigurationError
 from rig.run.points import Move, Point, Reading
@@ -195,15 +195,15 @@ def check(settings: Settings, bench: Bench) -> None:
 def import_ahead() -> None:
     """See `rig.run.procedure`."""
     import_what_a_trial_needs()
-    import procedures.roll_taking  # noqa: F401
+    import procedures.roll_trial.trial  # noqa: F401
 
 
 def arm(run: Run) -> None:
     """Watch the force; have the end of everything known before it begins; park, then find the
     object's reference, the skin being clear of it."""
-    from procedures.pressed_pace import pace_on
-    from procedures.pressed_trial import scales_on
-    from procedures.roll_taking import Series
+    from procedures.pressed.rates import pace_on
+    from procedures.pressed.trial import scales_on
+    from procedures.roll_trial.trial import Series
 
     run.state = run.state or Series(pace_on(run), scales_on(run))
     if run.settings.alignment == "none":
@@ -226,7 +226,7 @@ def _stand(run: Run) -> None:
 def take(run: Run, point: Point) -> Reading:
     """One trial: down, hold, rest, roll there and back, up; then what it shows. Before the first
     the axis is measured."""
-    from procedures.roll_taking import AlignTrial, Series, Trial
+    from procedures.roll_trial.trial import AlignTrial, Series, Trial
 
     series: Series = run.state
     if run.settings.alignment != "none" and series.offset is None:

@@ -29,7 +29,7 @@ from rig.run.trip import TripError
 
 if TYPE_CHECKING:
     from procedures.sweep import Condition, Settings
-    from procedures.sweep_memory import Memory
+    from procedures.sweep.memory import Memory
     from rig.run.context import Run
 
 NO_SIGNAL_ERRORS = 5.0

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from procedures import pressed_layout
-from procedures.pressed_layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED
+from procedures.pressed import layout as pressed_layout
+from procedures.pressed.layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED
 from rig.files.journal.layout import Column, Layout, Plot, Trace
 from rig.run.procedure import StreamPlan
 

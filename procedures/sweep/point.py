@@ -11,16 +11,16 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from procedures.contact import felt_N
+from procedures.pressed.contact import felt_N
 from procedures.sweep import LONG_RECORD_S
-from procedures.sweep_layout import reading_of
-from procedures.sweep_sampling import Sampled, Sampling, refuse_silence, warn_of_mains
+from procedures.sweep.layout import reading_of
+from procedures.sweep.sampling import Sampled, Sampling, refuse_silence, warn_of_mains
 from rig.analysis.response.levelling import AGREEMENT_SIGMAS, RecordNeeds, agreement, combined
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
     from procedures.sweep import Condition, Settings
-    from procedures.sweep_memory import Memory
+    from procedures.sweep.memory import Memory
     from rig.analysis.response.sine_fit import SineFit
     from rig.run.context import Run
     from rig.run.points import Reading

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from procedures.pressed import AFTER_S
-from procedures.pressed_trial import PressedSeries, PressedTrial
-from procedures.slip_reading import SlipTaken, reading_of
+from procedures.pressed.settings import AFTER_S
+from procedures.pressed.trial import PressedSeries, PressedTrial
 from procedures.slip_trial import SLID_ON_mm
+from procedures.slip_trial.reading import SlipTaken, reading_of
 from rig.control.force_ramp import ForceRamp
 from rig.control.force_servo import ContactShift
 

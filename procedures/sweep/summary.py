@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from procedures.sweep_layout import LAYOUT
+from procedures.sweep.layout import LAYOUT
 from rig.analysis.response.curve import CurveError, ResponseCurve, points_of
 from rig.run.points import Reading
 

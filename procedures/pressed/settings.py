@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, model_validator
 
-from procedures.contact import (
+from procedures.pressed.contact import (
     HOMING_S,
     TARE_S,
     expected_contact_mm,

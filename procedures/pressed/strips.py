@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures.pressed_reading import DECIMATED_Hz, Taken
+from procedures.pressed.reading import DECIMATED_Hz, Taken
 from rig.analysis.trial.decimation import Decimator
 from rig.bench.bench import STRIPS
 from rig.run.aside import Aside
@@ -17,7 +17,7 @@ from rig.run.sample_stream import SampleStream
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from procedures.pressed import PressedSettings
+    from procedures.pressed.settings import PressedSettings
     from rig.instruments.roles import Record
     from rig.run.context import Run
 

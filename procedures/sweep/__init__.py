@@ -6,8 +6,8 @@ film's complex response. The load is held constant over frequency ("data1"), or 
 levels at each ("data2", paper 3.2). After a scan of the whole range come further points in the
 drops that it shows.
 
-A point is taken in `procedures.sweep_taking`, a record in `procedures.sweep_sampling`; what is
-carried from one point to the next is in `procedures.sweep_memory`.
+A point is taken in `procedures.sweep.point`, a record in `procedures.sweep.sampling`; what is
+carried from one point to the next is in `procedures.sweep.memory`.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pydantic import Field, field_validator, model_validator
 
-from procedures import contact, preload, sweep_layout
-from procedures.contact import contact_range_mm
+from procedures.pressed import contact
+from procedures.pressed.contact import contact_range_mm
+from procedures.sweep import layout as sweep_layout
+from procedures.sweep import preload
 from rig.bench.bench import Fixture, FixtureSettings
 from rig.core.settings import Settings as BaseSettings
 from rig.instruments.roles import Acquisition, InputChannel
@@ -28,7 +30,7 @@ from rig.run.points import Move, Point, Reading
 from rig.run.procedure import DriftFigure, StreamPlan
 
 if TYPE_CHECKING:
-    from procedures.sweep_memory import Memory
+    from procedures.sweep.memory import Memory
     from rig.analysis.response.frequency_plan import FrequencyPlanSettings
     from rig.bench.bench import Bench
     from rig.run.context import Run
@@ -188,7 +190,7 @@ def refine(settings: Settings, readings: Sequence[Reading]) -> tuple[Point, ...]
     """The second plan: further frequencies in the drops that the grid has shown."""
     if settings.frequencies_Hz or not settings.points_per_half_width:
         return ()
-    from procedures.sweep_summary import curve_of
+    from procedures.sweep.summary import curve_of
     from rig.analysis.response.curve import CurveError
     from rig.analysis.response.frequency_plan import refine_Hz
 
@@ -304,8 +306,8 @@ def import_ahead() -> None:
 def arm(run: Run) -> None:
     """Preload the film and listen; then the vibrator, barely moving. Each off is known before its
     on."""
-    from procedures.sweep_memory import Memory
-    from procedures.sweep_sampling import listen
+    from procedures.sweep.memory import Memory
+    from procedures.sweep.sampling import listen
 
     generator, settings = run.bench.generator, run.settings
     pressed = preload.press(run, settings.preload_N)
@@ -334,7 +336,7 @@ def arm(run: Run) -> None:
 
 def take(run: Run, point: Point) -> Reading:
     """Hold the load at this frequency and measure until the gain is known well enough."""
-    from procedures.sweep_taking import Taking
+    from procedures.sweep.point import Taking
 
     taking = Taking(run, point.condition)
     taking.follow_preload()
@@ -350,7 +352,7 @@ def take(run: Run, point: Point) -> Reading:
 
 def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, Any]:
     """Range, typical gain, how well it is known, and the film's model where there is enough."""
-    from procedures.sweep_summary import figures, model
+    from procedures.sweep.summary import figures, model
 
     if not readings:
         return {"points": 0}

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, model_validator
 
-from procedures import pressed_layout, slip_layout
-from procedures.contact import contact_range_mm
-from procedures.pressed import (
+from procedures.pressed import layout as pressed_layout
+from procedures.pressed.contact import contact_range_mm
+from procedures.pressed.settings import (
     AFTER_S,
     DELAY_S,
     TOUCH_DRIFT,
@@ -31,6 +31,7 @@ from procedures.pressed import (
     trial_points,
     why_invalid,
 )
+from procedures.slip_trial import layout as slip_layout
 from rig.bench.bench import Fixture, FixtureSettings
 from rig.run.points import Move, Point, Reading
 
@@ -179,14 +180,14 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
 def import_ahead() -> None:
     """See `rig.run.procedure`."""
     import_what_a_trial_needs()
-    import procedures.slip_taking  # noqa: F401
+    import procedures.slip_trial.trial  # noqa: F401
 
 
 def arm(run: Run) -> None:
     """Watch the force; have the end of everything known before it begins; park."""
-    from procedures.pressed_pace import pace_on
-    from procedures.pressed_trial import scales_on
-    from procedures.slip_taking import Series
+    from procedures.pressed.rates import pace_on
+    from procedures.pressed.trial import scales_on
+    from procedures.slip_trial.trial import Series
 
     run.state = run.state or Series(pace_on(run), scales_on(run))
     x = run.bench.stage_x
@@ -195,7 +196,7 @@ def arm(run: Run) -> None:
 
 def take(run: Run, point: Point) -> Reading:
     """One trial: down, hold, rest, slide, up; then what it shows."""
-    from procedures.slip_taking import Series, Trial
+    from procedures.slip_trial.trial import Series, Trial
 
     series: Series = run.state
     pace = series.pace

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from procedures.contact import (
+from procedures.pressed.contact import (
     HOMING_S,
     TARE_S,
     BOTTOM_mm,

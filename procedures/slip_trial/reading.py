@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from procedures import pressed_reading
-from procedures.pressed_reading import Taken, frame_times_s
+from procedures.pressed import reading as pressed_reading
+from procedures.pressed.reading import Taken, frame_times_s
 from rig.analysis.trial.friction import FrictionError, friction
 
 if TYPE_CHECKING:
