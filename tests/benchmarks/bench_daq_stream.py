@@ -80,7 +80,7 @@ def test_a_minute_of_a_million_samples_a_second_loses_none(tmp_path: Path) -> No
     import recorded_run
     from measured import heading, row
 
-    from drivers import keysight_u2300a
+    from drivers.keysight_u2300a import driver as keysight_u2300a
     from rig.core.clock import WallClock
     from rig.files.journal.format import Block
     from rig.files.journal.reader import read_journal

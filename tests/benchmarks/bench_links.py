@@ -25,8 +25,11 @@ from typing import Any
 import pytest
 from measured import heading, row, target
 
-from drivers import festo_cmmt, keysight_33500b, me_gsv8, oriental_az, zaber_rst
-from drivers.gsv_frames import request as gsv_request
+from drivers.festo_cmmt import driver as festo_cmmt
+from drivers.keysight_33500b import driver as keysight_33500b
+from drivers.me_gsv8 import driver as me_gsv8
+from drivers.me_gsv8.frames import request as gsv_request
+from drivers.oriental_az import driver as oriental_az
 from drivers.simulated.fault_plan import FaultPlan, ReplyFault, WireFault
 from drivers.simulated.faults import WireFaults
 from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
@@ -40,6 +43,7 @@ from drivers.simulated.serial_server import PtyServer
 from drivers.simulated.serial_tcp import SerialTcpServer
 from drivers.simulated.servers import HislipServer, ScpiSocketServer
 from drivers.simulated.zaber_rst import ZABER_DIALECT, RotaryStage, StageSettings
+from drivers.zaber_rst import driver as zaber_rst
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
 

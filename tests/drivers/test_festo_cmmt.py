@@ -16,8 +16,8 @@ from pydantic import ValidationError
 from simulated.axis_bench import AxisBench
 from simulated.ideal import serving
 
-from drivers import festo_cmmt
-from drivers.festo_cmmt import Axis, Settings
+from drivers.festo_cmmt import driver as festo_cmmt
+from drivers.festo_cmmt.driver import Axis, Settings
 from drivers.simulated.fault_plan import AxisFault, FaultPlan
 from drivers.simulated.faults import WireFaults
 from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings

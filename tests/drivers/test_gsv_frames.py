@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.gsv_frames import (
+from drivers.me_gsv8.frames import (
     FLOAT32,
     INT16,
     INT24,

@@ -6,7 +6,7 @@ import pytest
 from pydantic import ValidationError
 from transcript import playing
 
-from drivers.keysight_33500b import Generator, Settings, connect, make_safe
+from drivers.keysight_33500b.driver import Generator, Settings, connect, make_safe
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
 

@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 from transcript import playing
 
-from drivers.keysight_u2300a import Daq, Settings, connect, make_safe
+from drivers.keysight_u2300a.driver import Daq, Settings, connect, make_safe
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError, LimitError
 from rig.instruments.roles import Acquisition, InputChannel

@@ -15,7 +15,7 @@ import pytest
 from pydantic import ValidationError
 from simulated.ideal import serving
 
-from drivers.me_gsv8 import ForceAmplifier, Settings, connect, make_safe
+from drivers.me_gsv8.driver import ForceAmplifier, Settings, connect, make_safe
 from drivers.simulated.fault_plan import FaultPlan
 from drivers.simulated.faults import WireFaults
 from drivers.simulated.me_gsv8 import Gsv8, Memory, Sensor

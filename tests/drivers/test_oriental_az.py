@@ -16,10 +16,10 @@ from pydantic import ValidationError
 from simulated.axis_bench import AxisBench
 from simulated.ideal import serving
 
-from drivers import oriental_az
-from drivers.az_link import RtuLine as DriverLine
-from drivers.az_settings import Settings
-from drivers.oriental_az import Axis
+from drivers.oriental_az import driver as oriental_az
+from drivers.oriental_az.driver import Axis
+from drivers.oriental_az.link import RtuLine as DriverLine
+from drivers.oriental_az.settings import Settings
 from drivers.simulated.fault_plan import FaultPlan, MoveFault
 from drivers.simulated.faults import WireFaults
 from drivers.simulated.modbus_rtu import RTU_DIALECT, RtuLine

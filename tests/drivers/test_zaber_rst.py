@@ -14,13 +14,13 @@ from elsewhere import elsewhere
 from pydantic import ValidationError
 from simulated.ideal import IdealBench, serving
 
-from drivers import zaber_rst
 from drivers.simulated.fault_plan import FaultPlan, RotaryFault
 from drivers.simulated.faults import WireFaults
 from drivers.simulated.serial_server import Exchange, PtyServer
 from drivers.simulated.zaber_rst import ZABER_DIALECT, ChainLine, RotaryStage, StageSettings
-from drivers.zaber_frames import FrameError, command, reply
-from drivers.zaber_rst import RotaryAxis, Settings
+from drivers.zaber_rst import driver as zaber_rst
+from drivers.zaber_rst.driver import RotaryAxis, Settings
+from drivers.zaber_rst.frames import FrameError, command, reply
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
 

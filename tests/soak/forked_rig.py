@@ -16,12 +16,16 @@ for name in (
     *("h5py", "numpy", "pymodbus.client", "pyvisa_py.highlevel", "serial", "scipy.optimize"),
     *("rig.cli.procedures", "rig.cli.report", "rig.files.runfile.compile", "rig.run.execute"),
     *("procedures.sweep", "procedures.slip_trial", "procedures.roll_trial"),
-    *("drivers.festo_cmmt", "drivers.keysight_33500b", "drivers.keysight_u2300a"),
     *(
-        "drivers.me_gsv8",
+        "drivers.festo_cmmt.driver",
+        "drivers.keysight_33500b.driver",
+        "drivers.keysight_u2300a.driver",
+    ),
+    *(
+        "drivers.me_gsv8.driver",
         "drivers.simulated.bench",
         "drivers.simulated.disk_faults",
-        "drivers.zaber_rst",
+        "drivers.zaber_rst.driver",
     ),
 ):
     importlib.import_module(name)

@@ -14,7 +14,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from drivers.visa_link import VisaLink
+from drivers.shared.visa_link import VisaLink
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError
 from rig.core.settings import Settings as BaseSettings

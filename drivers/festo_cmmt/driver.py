@@ -41,9 +41,9 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from drivers.cmmt_link import INPUT_IMAGE, OUTPUT_IMAGE, CmmtLink, ParameterRefusedError
-from drivers.cmmt_settings import FAULTS, Settings
-from drivers.telegram111 import (
+from drivers.festo_cmmt.link import INPUT_IMAGE, OUTPUT_IMAGE, CmmtLink, ParameterRefusedError
+from drivers.festo_cmmt.settings import FAULTS, Settings
+from drivers.festo_cmmt.telegram111 import (
     FULL_SCALE,
     IMAGE_REGISTERS,
     Inputs,

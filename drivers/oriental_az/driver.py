@@ -42,8 +42,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntFlag
 
-from drivers.az_link import AzLink, RefusedError, RtuLine, halves, reading, signed, writing
-from drivers.az_settings import ALARMS, Settings
+from drivers.oriental_az.link import AzLink, RefusedError, RtuLine, halves, reading, signed, writing
+from drivers.oriental_az.settings import ALARMS, Settings
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments.roles import Identity, Reach

@@ -32,8 +32,8 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from drivers import gsv_frames
-from drivers.gsv_frames import Layout, Measurements, Response
+from drivers.me_gsv8 import frames as gsv_frames
+from drivers.me_gsv8.frames import Layout, Measurements, Response
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.core.settings import Settings as BaseSettings

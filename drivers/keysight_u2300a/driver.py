@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, field_validator
 
-from drivers.visa_link import VisaLink
+from drivers.shared.visa_link import VisaLink
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, LimitError
 from rig.core.settings import Settings as BaseSettings

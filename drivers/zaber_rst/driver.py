@@ -29,9 +29,9 @@ import math
 import re
 from collections.abc import Callable, Mapping
 
-from drivers.zaber_frames import Reply
-from drivers.zaber_link import ZaberLink
-from drivers.zaber_settings import (
+from drivers.zaber_rst.frames import Reply
+from drivers.zaber_rst.link import ZaberLink
+from drivers.zaber_rst.settings import (
     FLAGS,
     NOT_REFERENCED,
     NOTES,

@@ -18,8 +18,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 from urllib.parse import urlsplit
 
-from drivers import zaber_frames
-from drivers.zaber_frames import FrameError, Reply
+from drivers.zaber_rst import frames as zaber_frames
+from drivers.zaber_rst.frames import FrameError, Reply
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""Festo CMMT-AS and CMMT-ST servo drives, over Modbus TCP."""

@@ -1,0 +1,1 @@
+"""Keysight 33500B waveform generators, SCPI over LAN or USB."""

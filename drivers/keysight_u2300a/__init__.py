@@ -1,0 +1,1 @@
+"""Keysight U2300A data acquisition units, SCPI over USBTMC."""

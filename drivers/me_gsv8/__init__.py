@@ -1,0 +1,1 @@
+"""ME-Messsysteme GSV-8 measuring amplifier, over a serial line."""

@@ -1,0 +1,1 @@
+"""Oriental Motor AZ drives, over Modbus RTU."""

@@ -1,0 +1,1 @@
+"""Protocol code that several drivers share."""

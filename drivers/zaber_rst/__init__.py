@@ -1,0 +1,1 @@
+"""Zaber X-RST rotary stages, in Zaber ASCII."""
