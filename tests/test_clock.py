@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 import pytest
 
 import rig.core.clock
-from drivers.simulated.control import ControlServer
-from drivers.simulated.world import World, WorldSettings
+from drivers.simulated.bench.control import ControlServer
+from drivers.simulated.world.world import World, WorldSettings
 from rig.core.clock import Clock, ControlLink, SlavedClock, WallClock
 from rig.core.errors import InstrumentError
 from rig.run.stream_reader import StreamReader

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.simulated.fault_plan import FaultPlan
-from drivers.simulated.world import read_world
+from drivers.simulated.faults.plan import FaultPlan
+from drivers.simulated.world.world import read_world
 from rig.bench.bench import parse_bench, read_bench
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.core.toml_files import MAX_TOML_BYTES, MAX_TOML_LINE
@@ -256,7 +256,7 @@ def test_a_bench_cannot_name_a_place_outside_the_results(name: str) -> None:
         parse_bench(BENCH.replace("bench-3", name), "bench.toml")
 
 
-@pytest.mark.parametrize("driver", ["os", "../x", "drivers.simulated.bench", "rig.cli", ""])
+@pytest.mark.parametrize("driver", ["os", "../x", "drivers.simulated.bench.start", "rig.cli", ""])
 def test_a_bench_file_cannot_have_just_any_module_imported(driver: str) -> None:
     with pytest.raises(ConfigurationError, match="is unknown"):
         parse_bench(BENCH.replace("keysight-33500b", driver), "bench.toml")

@@ -26,7 +26,7 @@ from benchmarks.measured import machine
 from nights import ask, folder_of, taken
 from soak.trials import SWEEP_WORLD, as_toml, fault
 
-from drivers.simulated.fault_plan import ROTARY, STAGE_X
+from drivers.simulated.faults.plan import ROTARY, STAGE_X
 from rig.batch.plan.read import parse_batch
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify

@@ -22,8 +22,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from drivers.simulated.keysight_u2300a import KeysightU2300A
-from drivers.simulated.servers import HislipServer
+from drivers.simulated.instruments.keysight_u2300a import KeysightU2300A
+from drivers.simulated.transports.scpi_servers import HislipServer
 
 MODEL, BITS_FULL_SCALE, RANGE_V = "U2541A", 32768, 10.0
 RATE_S_S, SECONDS = 250e3, float(os.environ.get("RIG_SECONDS", "60"))

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from measured import heading
 
-from drivers.simulated.keysight_u2300a import MODELS, codes_of_volts, volts_of_codes
+from drivers.simulated.instruments.keysight_u2300a import MODELS, codes_of_volts, volts_of_codes
 from drivers.simulated.ports import Excitation
-from drivers.simulated.world import FILM_TERMINAL, LOAD_CELL_TERMINAL, World, WorldSettings
+from drivers.simulated.world.world import FILM_TERMINAL, LOAD_CELL_TERMINAL, World, WorldSettings
 from procedures.sweep import Settings
 from rig.analysis.response.complex_response import quantisation_rms
 from rig.analysis.response.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz

@@ -30,19 +30,19 @@ from drivers.keysight_33500b import driver as keysight_33500b
 from drivers.me_gsv8 import driver as me_gsv8
 from drivers.me_gsv8.frames import request as gsv_request
 from drivers.oriental_az import driver as oriental_az
-from drivers.simulated.fault_plan import FaultPlan, ReplyFault, WireFault
-from drivers.simulated.faults import WireFaults
-from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
-from drivers.simulated.keysight_33500b import Keysight33500B
-from drivers.simulated.me_gsv8 import Gsv8
-from drivers.simulated.modbus_rtu import RtuLine
-from drivers.simulated.modbus_tcp import ModbusTcpServer
-from drivers.simulated.oriental_az import POSITION, AzDrive
-from drivers.simulated.oriental_az import DriveSettings as AzDriveSettings
-from drivers.simulated.serial_server import PtyServer
-from drivers.simulated.serial_tcp import SerialTcpServer
-from drivers.simulated.servers import HislipServer, ScpiSocketServer
-from drivers.simulated.zaber_rst import ZABER_DIALECT, RotaryStage, StageSettings
+from drivers.simulated.faults.plan import FaultPlan, ReplyFault, WireFault
+from drivers.simulated.faults.wire import WireFaults
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.instruments.keysight_33500b import Keysight33500B
+from drivers.simulated.instruments.me_gsv8 import Gsv8
+from drivers.simulated.instruments.oriental_az import POSITION, AzDrive
+from drivers.simulated.instruments.oriental_az import DriveSettings as AzDriveSettings
+from drivers.simulated.instruments.zaber_rst import ZABER_DIALECT, RotaryStage, StageSettings
+from drivers.simulated.transports.modbus_rtu import RtuLine
+from drivers.simulated.transports.modbus_tcp import ModbusTcpServer
+from drivers.simulated.transports.scpi_servers import HislipServer, ScpiSocketServer
+from drivers.simulated.transports.serial_server import PtyServer
+from drivers.simulated.transports.serial_tcp import SerialTcpServer
 from drivers.zaber_rst import driver as zaber_rst
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError

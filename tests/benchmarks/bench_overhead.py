@@ -22,9 +22,9 @@ import pytest
 from measured import heading, row, target
 
 from drivers.shared.visa_link import VisaLink
-from drivers.simulated import bench as simulated
-from drivers.simulated.keysight_u2300a import codes_of_volts
-from drivers.simulated.world import World, WorldSettings
+from drivers.simulated.bench import start as simulated
+from drivers.simulated.instruments.keysight_u2300a import codes_of_volts
+from drivers.simulated.world.world import World, WorldSettings
 from procedures import sweep
 from rig.analysis.response import complex_response as response
 from rig.analysis.response import sine_fit

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from measured import heading, row, target
 
-from drivers.simulated.bench import StartedBench, start
+from drivers.simulated.bench.start import StartedBench, start
 from rig.bench.bench import connect, parse_bench
 from rig.core.clock import ControlLink, SlavedClock
 from rig.instruments.roles import Acquisition, InputChannel

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.simulated import bench as simulated
+from drivers.simulated.bench import start as simulated
 from rig.cli import beginning
 from rig.core.errors import ConfigurationError
 
@@ -52,7 +52,7 @@ def test_a_bench_file_here_begins_none(benches: list[str]) -> None:
 
 def test_one_that_is_never_told_how_to_be_ends_with_its_owner() -> None:
     ended = subprocess.run(
-        [sys.executable, "-m", "drivers.simulated.process"],
+        [sys.executable, "-m", "drivers.simulated.bench.process"],
         input=b"",
         capture_output=True,
         timeout=PATIENCE_S,

@@ -12,7 +12,7 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-from drivers.simulated.options import Options
+from drivers.simulated.bench.options import Options
 from rig.files.journal.reader import read_journal
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
@@ -172,7 +172,7 @@ def test_a_run_killed_while_it_starts_leaves_no_bench_behind(rig):
 def test_a_bench_whose_owner_died_before_it_listened_ends_by_itself(rig):
     options = Options(slaved=True, world_log=str(rig.world_log), linger_s=0.1)
     bench = subprocess.Popen(
-        [sys.executable, "-m", "drivers.simulated.process"],
+        [sys.executable, "-m", "drivers.simulated.bench.process"],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
     )

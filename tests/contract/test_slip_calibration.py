@@ -11,7 +11,7 @@ from multiprocessing import get_context
 import numpy as np
 import pytest
 
-from drivers.simulated.bench import start
+from drivers.simulated.bench.start import start
 from procedures import slip_trial
 from rig.bench.bench import parse_bench
 from rig.core.clock import ControlLink, SlavedClock

@@ -18,10 +18,10 @@ from simulated.ideal import serving
 
 from drivers.festo_cmmt import driver as festo_cmmt
 from drivers.festo_cmmt.driver import Axis, Settings
-from drivers.simulated.fault_plan import AxisFault, FaultPlan
-from drivers.simulated.faults import WireFaults
-from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
-from drivers.simulated.modbus_tcp import ModbusError, ModbusTcpServer
+from drivers.simulated.faults.plan import AxisFault, FaultPlan
+from drivers.simulated.faults.wire import WireFaults
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.transports.modbus_tcp import ModbusError, ModbusTcpServer
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
 

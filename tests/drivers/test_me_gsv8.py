@@ -16,10 +16,10 @@ from pydantic import ValidationError
 from simulated.ideal import serving
 
 from drivers.me_gsv8.driver import ForceAmplifier, Settings, connect, make_safe
-from drivers.simulated.fault_plan import FaultPlan
-from drivers.simulated.faults import WireFaults
-from drivers.simulated.me_gsv8 import Gsv8, Memory, Sensor
-from drivers.simulated.serial_server import Exchange, PtyServer
+from drivers.simulated.faults.plan import FaultPlan
+from drivers.simulated.faults.wire import WireFaults
+from drivers.simulated.instruments.me_gsv8 import Gsv8, Memory, Sensor
+from drivers.simulated.transports.serial_server import Exchange, PtyServer
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments.roles import ForceFrames

@@ -20,10 +20,9 @@ from drivers.oriental_az import driver as oriental_az
 from drivers.oriental_az.driver import Axis
 from drivers.oriental_az.link import RtuLine as DriverLine
 from drivers.oriental_az.settings import Settings
-from drivers.simulated.fault_plan import FaultPlan, MoveFault
-from drivers.simulated.faults import WireFaults
-from drivers.simulated.modbus_rtu import RTU_DIALECT, RtuLine
-from drivers.simulated.oriental_az import (
+from drivers.simulated.faults.plan import FaultPlan, MoveFault
+from drivers.simulated.faults.wire import WireFaults
+from drivers.simulated.instruments.oriental_az import (
     HIGH_LIMIT,
     LOW_LIMIT,
     SLAVE_ERROR_RESPONSE,
@@ -31,7 +30,8 @@ from drivers.simulated.oriental_az import (
     DriveSettings,
     LINE_TIMEOUT_ms,
 )
-from drivers.simulated.serial_server import Exchange, PtyServer
+from drivers.simulated.transports.modbus_rtu import RTU_DIALECT, RtuLine
+from drivers.simulated.transports.serial_server import Exchange, PtyServer
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
 

@@ -14,10 +14,15 @@ from elsewhere import elsewhere
 from pydantic import ValidationError
 from simulated.ideal import IdealBench, serving
 
-from drivers.simulated.fault_plan import FaultPlan, RotaryFault
-from drivers.simulated.faults import WireFaults
-from drivers.simulated.serial_server import Exchange, PtyServer
-from drivers.simulated.zaber_rst import ZABER_DIALECT, ChainLine, RotaryStage, StageSettings
+from drivers.simulated.faults.plan import FaultPlan, RotaryFault
+from drivers.simulated.faults.wire import WireFaults
+from drivers.simulated.instruments.zaber_rst import (
+    ZABER_DIALECT,
+    ChainLine,
+    RotaryStage,
+    StageSettings,
+)
+from drivers.simulated.transports.serial_server import Exchange, PtyServer
 from drivers.zaber_rst import driver as zaber_rst
 from drivers.zaber_rst.driver import RotaryAxis, Settings
 from drivers.zaber_rst.frames import FrameError, command, reply

@@ -13,7 +13,7 @@ from typing import Any
 
 from simulated.ideal import serving
 
-from drivers.simulated.servers import HislipServer, ScpiSocketServer
+from drivers.simulated.transports.scpi_servers import HislipServer, ScpiSocketServer
 
 Reply = str | bytes | None
 

@@ -9,9 +9,9 @@ import time
 import pytest
 from clients import python_with, seen_by, serving
 
-from drivers.simulated.beginnings import Beginnings
-from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
-from drivers.simulated.modbus_tcp import ModbusTcpServer
+from drivers.simulated.faults.task_log import Beginnings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.transports.modbus_tcp import ModbusTcpServer
 
 SCRIPT = """
 import functools, json, sys, time

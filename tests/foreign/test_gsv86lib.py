@@ -10,8 +10,8 @@ import numpy.typing as npt
 import pytest
 from clients import python_with, seen_by, serving
 
-from drivers.simulated.me_gsv8 import Gsv8, Sensor
-from drivers.simulated.serial_server import PtyServer
+from drivers.simulated.instruments.me_gsv8 import Gsv8, Sensor
+from drivers.simulated.transports.serial_server import PtyServer
 
 SCRIPT = """
 import json, sys, time

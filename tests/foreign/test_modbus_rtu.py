@@ -17,12 +17,12 @@ from typing import Any
 import pytest
 from clients import python_with, seen_by, serving
 
-from drivers.simulated.beginnings import Beginnings
-from drivers.simulated.fault_plan import FaultPlan
-from drivers.simulated.faults import WireFaults
-from drivers.simulated.modbus_rtu import RtuLine
-from drivers.simulated.oriental_az import AzDrive, DriveSettings
-from drivers.simulated.serial_server import PtyServer
+from drivers.simulated.faults.plan import FaultPlan
+from drivers.simulated.faults.task_log import Beginnings
+from drivers.simulated.faults.wire import WireFaults
+from drivers.simulated.instruments.oriental_az import AzDrive, DriveSettings
+from drivers.simulated.transports.modbus_rtu import RtuLine
+from drivers.simulated.transports.serial_server import PtyServer
 
 pytestmark = pytest.mark.foreign
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from clients import Terminals, python_with, seen_by, serving
 
-from drivers.simulated.keysight_33500b import Keysight33500B
-from drivers.simulated.servers import ScpiSocketServer
+from drivers.simulated.instruments.keysight_33500b import Keysight33500B
+from drivers.simulated.transports.scpi_servers import ScpiSocketServer
 
 SCRIPT = """
 import json, sys

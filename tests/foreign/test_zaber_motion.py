@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from clients import python_with, seen_by, serving
 
-from drivers.simulated.beginnings import Beginnings
-from drivers.simulated.serial_server import PtyServer
-from drivers.simulated.serial_tcp import SerialTcpServer
-from drivers.simulated.zaber_rst import RotaryStage, StageSettings
+from drivers.simulated.faults.task_log import Beginnings
+from drivers.simulated.instruments.zaber_rst import RotaryStage, StageSettings
+from drivers.simulated.transports.serial_server import PtyServer
+from drivers.simulated.transports.serial_tcp import SerialTcpServer
 
 REQUIREMENTS = ["zaber-motion==10.2.0"]
 OPEN = """

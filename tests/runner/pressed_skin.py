@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.simulated.axis import Axis, Command, Mechanics
+from drivers.simulated.world.axis import Axis, Command, Mechanics
 from rig.control.approach import Approach
 from rig.control.force_servo import ContactShift, ForceServo, settings_from
 from rig.physics.contact.settings import ContactSettings, FrictionSettings, Plate

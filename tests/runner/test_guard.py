@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from drivers.simulated.bench import start
+from drivers.simulated.bench.start import start
 from rig.bench.bench import BenchPlan, parse_bench
 from rig.core.clock import ControlLink, WallClock
 from rig.core.errors import InstrumentError, UnsafeError

@@ -23,8 +23,8 @@ for name in (
     ),
     *(
         "drivers.me_gsv8.driver",
-        "drivers.simulated.bench",
-        "drivers.simulated.disk_faults",
+        "drivers.simulated.bench.start",
+        "drivers.simulated.faults.disk",
         "drivers.zaber_rst.driver",
     ),
 ):

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.simulated.fault_plan import CLOCK, DISK, FORCE_STREAM
+from drivers.simulated.faults.plan import CLOCK, DISK, FORCE_STREAM
 from rig.core.errors import RigError
 from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from drivers.simulated.fault_plan import BEFALLEN, DEVICES, FORCE_STREAM, ROTARY, STAGE_X
+from drivers.simulated.faults.plan import BEFALLEN, DEVICES, FORCE_STREAM, ROTARY, STAGE_X
 
 Fault = dict[str, Any]
 

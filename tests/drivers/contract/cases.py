@@ -20,22 +20,22 @@ from typing import Any
 from simulated.axis_bench import AxisBench
 from simulated.ideal import IdealBench, serving
 
-from drivers.simulated.axis import Mechanics
-from drivers.simulated.fault_plan import FaultPlan, ReplyFault
-from drivers.simulated.faults import FaultyLink, WireFaults
-from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
-from drivers.simulated.keysight_33500b import Keysight33500B
-from drivers.simulated.keysight_u2300a import KeysightU2300A
-from drivers.simulated.me_gsv8 import Gsv8
-from drivers.simulated.modbus_rtu import RtuLine
-from drivers.simulated.modbus_tcp import ILLEGAL_ADDRESS, ModbusError, ModbusTcpServer
-from drivers.simulated.oriental_az import AzDrive
-from drivers.simulated.oriental_az import DriveSettings as AzDriveSettings
-from drivers.simulated.scpi import ScpiInstrument
-from drivers.simulated.serial_server import PtyServer
-from drivers.simulated.serial_tcp import SerialTcpServer
-from drivers.simulated.servers import HislipServer, ScpiSocketServer
-from drivers.simulated.zaber_rst import RotaryStage, StageSettings
+from drivers.simulated.faults.plan import FaultPlan, ReplyFault
+from drivers.simulated.faults.wire import FaultyLink, WireFaults
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.instruments.keysight_33500b import Keysight33500B
+from drivers.simulated.instruments.keysight_u2300a import KeysightU2300A
+from drivers.simulated.instruments.me_gsv8 import Gsv8
+from drivers.simulated.instruments.oriental_az import AzDrive
+from drivers.simulated.instruments.oriental_az import DriveSettings as AzDriveSettings
+from drivers.simulated.instruments.zaber_rst import RotaryStage, StageSettings
+from drivers.simulated.transports.modbus_rtu import RtuLine
+from drivers.simulated.transports.modbus_tcp import ILLEGAL_ADDRESS, ModbusError, ModbusTcpServer
+from drivers.simulated.transports.scpi import ScpiInstrument
+from drivers.simulated.transports.scpi_servers import HislipServer, ScpiSocketServer
+from drivers.simulated.transports.serial_server import PtyServer
+from drivers.simulated.transports.serial_tcp import SerialTcpServer
+from drivers.simulated.world.axis import Mechanics
 from rig.core.clock import Clock
 
 from .roles import carried, pressed

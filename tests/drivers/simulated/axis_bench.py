@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
 
 from .ideal import IdealBench
 

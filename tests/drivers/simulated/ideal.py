@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drivers.simulated.beginnings import Beginnings
+from drivers.simulated.faults.task_log import Beginnings
 from drivers.simulated.ports import Excitation
-from drivers.simulated.scpi import ScpiInstrument
+from drivers.simulated.transports.scpi import ScpiInstrument
 
 
 @dataclass

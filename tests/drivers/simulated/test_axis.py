@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.simulated.axis import Axis, Command, Event, Mechanics, stopping_distance
+from drivers.simulated.world.axis import Axis, Command, Event, Mechanics, stopping_distance
 
 MECHANICS = Mechanics(start_mm=10.0, low_switch_mm=-1000.0, high_switch_mm=1000.0)
 RATES = st.floats(200.0, 5000.0)

@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 
-from drivers.simulated.bench import start
-from drivers.simulated.control import LONGEST_ADVANCE_US, ControlServer
-from drivers.simulated.options import Options
-from drivers.simulated.world import World, WorldSettings
+from drivers.simulated.bench.control import LONGEST_ADVANCE_US, ControlServer
+from drivers.simulated.bench.options import Options
+from drivers.simulated.bench.start import start
+from drivers.simulated.world.world import World, WorldSettings
 
 PATIENCE_S = 30.0
 

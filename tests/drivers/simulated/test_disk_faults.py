@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.simulated.disk_faults import FaultyDisk
-from drivers.simulated.fault_plan import FaultPlan, FileFault
+from drivers.simulated.faults.disk import FaultyDisk
+from drivers.simulated.faults.plan import FaultPlan, FileFault
 
 
 @contextmanager

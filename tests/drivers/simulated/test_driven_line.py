@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from drivers.simulated import driven_line
-from drivers.simulated.driven_line import DrivenLine
 from drivers.simulated.ports import Excitation
+from drivers.simulated.world import driven_line
+from drivers.simulated.world.driven_line import DrivenLine
 from rig.physics.modal import ModalSystem, lag, resonance
 
 LINE = ModalSystem.from_chains(

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.simulated.fault_plan import BEFALLEN, DEVICES, FaultPlan
-from drivers.simulated.faults import Delivery, Dialect, WireFaults, WireReply
+from drivers.simulated.faults.plan import BEFALLEN, DEVICES, FaultPlan
+from drivers.simulated.faults.wire import Delivery, Dialect, WireFaults, WireReply
 from rig.core.errors import ConfigurationError
 
 from .ideal import IdealBench

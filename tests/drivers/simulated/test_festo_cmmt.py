@@ -6,8 +6,8 @@ import struct
 
 import pytest
 
-from drivers.simulated.fault_plan import AxisFault, DriveFault, MoveFault, SlowAxis
-from drivers.simulated.modbus_tcp import ModbusError
+from drivers.simulated.faults.plan import AxisFault, DriveFault, MoveFault, SlowAxis
+from drivers.simulated.transports.modbus_tcp import ModbusError
 
 from .axis_bench import ACK, HOME, ON, PLC, RUN, TASK, Controller
 

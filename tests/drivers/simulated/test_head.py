@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.simulated.meeting import Where
-from drivers.simulated.plate_world import HeadWorldSettings, hang_skin
-from drivers.simulated.world import World
+from drivers.simulated.world.contact_geometry import Where
+from drivers.simulated.world.plate_world import HeadWorldSettings, hang_skin
+from drivers.simulated.world.world import World
 from rig.core.cache import DiskCache
 from rig.physics.contact.settings import Sphere
 from rig.physics.contact.slices import SlicedStepper, hertz_force

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.simulated.hislip import (
+from drivers.simulated.transports.hislip import (
     HEADER,
     MAX_MESSAGE_SIZE,
     Close,

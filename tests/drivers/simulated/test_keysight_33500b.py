@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from drivers.simulated.keysight_33500b import Keysight33500B
-from drivers.simulated.scpi import block
+from drivers.simulated.instruments.keysight_33500b import Keysight33500B
+from drivers.simulated.transports.scpi import block
 
 from .ideal import IdealBench, Talk
 

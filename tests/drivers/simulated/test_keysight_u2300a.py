@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.simulated.keysight_u2300a import (
+from drivers.simulated.instruments.keysight_u2300a import (
     BUFFER_SAMPLES,
     MODELS,
     KeysightU2300A,

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from drivers.simulated.me_gsv8 import GSV_DIALECT, NOISE_MV_V, Gsv8, Memory, Sensor
+from drivers.simulated.instruments.me_gsv8 import GSV_DIALECT, NOISE_MV_V, Gsv8, Memory, Sensor
 
 OK = "AA 50 00 85"
 PLAIN = Sensor(matrix=((100, 0, 0), (0, 100, 0), (0, 0, 100)), zero_mV_V=(0, 0, 0))

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
-from drivers.simulated.fault_plan import FaultPlan
-from drivers.simulated.faults import WireFaults
-from drivers.simulated.modbus_tcp import (
+from drivers.simulated.faults.plan import FaultPlan
+from drivers.simulated.faults.wire import WireFaults
+from drivers.simulated.transports.modbus_tcp import (
     MODBUS_DIALECT,
     FrameError,
     FrameSplitter,

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from drivers.simulated.modbus_rtu import RtuLine, crc16, frame
-from drivers.simulated.oriental_az import (
+from drivers.simulated.instruments.oriental_az import (
     COMMAND_POSITION,
     FEEDBACK_POSITION,
     OUTPUT_STATUS,
@@ -16,6 +15,7 @@ from drivers.simulated.oriental_az import (
     AzDrive,
     DriveSettings,
 )
+from drivers.simulated.transports.modbus_rtu import RtuLine, crc16, frame
 
 from .axis_bench import AxisBench
 

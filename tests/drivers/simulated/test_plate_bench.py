@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.simulated.axis import Axis, Command, Mechanics
-from drivers.simulated.bench import start
-from drivers.simulated.me_gsv8 import NOISE_MV_V, Sensor
-from drivers.simulated.options import Options
+from drivers.simulated.bench.options import Options
+from drivers.simulated.bench.start import start
+from drivers.simulated.instruments.me_gsv8 import NOISE_MV_V, Sensor
+from drivers.simulated.world.axis import Axis, Command, Mechanics
 from rig.bench.bench import Bench, connect, parse_bench
 from rig.core.cache import DiskCache
 from rig.core.clock import ControlLink, SlavedClock

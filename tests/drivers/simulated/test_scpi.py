@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.simulated.scpi import (
+from drivers.simulated.transports.scpi import (
     Block,
     Boolean,
     ChannelList,

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 import serial
 
-from drivers.simulated.fault_plan import FaultPlan
-from drivers.simulated.faults import WireFaults
-from drivers.simulated.serial_server import LONGEST_BACKLOG, Exchange, PtyServer
+from drivers.simulated.faults.plan import FaultPlan
+from drivers.simulated.faults.wire import WireFaults
+from drivers.simulated.transports.serial_server import LONGEST_BACKLOG, Exchange, PtyServer
 from simulated.ideal import serving
 
 

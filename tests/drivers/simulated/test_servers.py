@@ -14,11 +14,11 @@ from pyvisa.constants import StatusCode
 from pyvisa.resources import MessageBasedResource
 from pyvisa_py.protocols.hislip import Instrument as PyvisaHislip
 
-from drivers.simulated.fault_plan import FaultPlan
-from drivers.simulated.faults import WireFaults
-from drivers.simulated.keysight_33500b import Keysight33500B
-from drivers.simulated.keysight_u2300a import KeysightU2300A
-from drivers.simulated.servers import SCPI_DIALECT, HislipServer, ScpiSocketServer
+from drivers.simulated.faults.plan import FaultPlan
+from drivers.simulated.faults.wire import WireFaults
+from drivers.simulated.instruments.keysight_33500b import Keysight33500B
+from drivers.simulated.instruments.keysight_u2300a import KeysightU2300A
+from drivers.simulated.transports.scpi_servers import SCPI_DIALECT, HislipServer, ScpiSocketServer
 
 from .ideal import IdealBench, serving
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.simulated import skin_contact
-from drivers.simulated.axis import Command, Event
-from drivers.simulated.control import ControlServer
-from drivers.simulated.festo_cmmt import CmmtDrive, DriveSettings
-from drivers.simulated.plate_world import PlateWorldSettings, hang_skin
-from drivers.simulated.world import STAGE_X, STAGE_Z, World, WorldSettings, read_world
+from drivers.simulated.bench.control import ControlServer
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.world import skin_contact
+from drivers.simulated.world.axis import Command, Event
+from drivers.simulated.world.plate_world import PlateWorldSettings, hang_skin
+from drivers.simulated.world.world import STAGE_X, STAGE_Z, World, WorldSettings, read_world
 from rig.core.cache import DiskCache
 from rig.core.errors import ConfigurationError
 from rig.physics.contact.settings import ContactSettings, Plate

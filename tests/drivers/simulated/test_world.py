@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.simulated.fault_plan import FaultPlan, TimedFault
+from drivers.simulated.faults.plan import FaultPlan, TimedFault
 from drivers.simulated.ports import Excitation
-from drivers.simulated.world import (
+from drivers.simulated.world.world import (
     AMPLIFIER_CLIP_V,
     FILM_TERMINAL,
     LOAD_CELL_TERMINAL,

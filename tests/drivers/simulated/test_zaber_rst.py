@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.simulated.fault_plan import FaultPlan, RotaryFault
-from drivers.simulated.zaber_rst import RotaryStage, StageSettings
+from drivers.simulated.faults.plan import FaultPlan, RotaryFault
+from drivers.simulated.instruments.zaber_rst import RotaryStage, StageSettings
 
 from .ideal import IdealBench
 

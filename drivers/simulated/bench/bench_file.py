@@ -1,0 +1,164 @@
+"""The bench file that drives a simulated bench, and the figures that both sides have to know."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.simulated.bench.options import HEAD, Options, drive_kind
+from rig.core.toml_files import toml_value
+
+LINK_TIMEOUT_S = 1.5
+"""Wall time the bench file gives every link: a loaded machine may let a process wait for long."""
+
+AZ_STEPS_PER_MM = 3000.0
+"""9000 steps a revolution at a lead of 3 mm (assumed): 0.33 um, a fine one of the series."""
+
+SKIN_UNIT_MM = 0.0001
+"""A count of the stages that carry the skin: 1 um would be 0.15 N of normal force (assumed)."""
+
+ROTARY_REACH_deg = 30.0
+"""How far the rotary stage may turn."""
+
+
+@dataclass(frozen=True)
+class Endpoints:
+    """Where the bench listens."""
+
+    daq: str
+    stages: tuple[int | str, ...]
+    """Of z and x: ports of drives on TCP, or the serial line that both are on."""
+    force_sensor: str
+    generator: str = ""
+    rotary: str = ""
+
+
+def bench_toml(options: Options, world: dict[str, Any], endpoints: Endpoints) -> str:
+    """The bench file that drives this bench."""
+    from drivers.simulated.instruments.me_gsv8 import Sensor
+
+    stages = {} if options.stages == "festo" else {"stages": options.stages}
+    simulation = {"seed": options.seed, **stages, **world}
+    lines = "".join(f"{key} = {toml_value(value)}\n" for key, value in simulation.items())
+    own = _film_tables if options.fixture == "film-clamp" else _skin_tables
+    return f"""# A simulated bench: whatever is measured on it is computed, not measured.
+name = "simulated"
+
+[simulation]
+{lines}
+[fixture]
+mounted = "{options.fixture}"
+contact_from_mm = 12.0
+contact_to_mm = {13.6 if options.fixture == HEAD else 13.0}
+{_head_lines(options)}
+{own(options, endpoints)}
+[force_sensor]
+driver = "me-gsv8"
+port = "{endpoints.force_sensor}"
+timeout_s = {LINK_TIMEOUT_S}
+nominal_force_N = 50.0
+max_force_N = 40.0
+matrix_N_mV_V = {json.dumps(Sensor().matrix)}
+"""
+
+
+def _head_lines(options: Options) -> str:
+    """Where the head is, in the table of the fixture."""
+    if options.fixture != HEAD:
+        return ""
+    from drivers.simulated.world.contact_geometry import HeadSettings
+
+    head = HeadSettings()
+    return f"centre_mm = {head.centre_mm}\nupright_deg = {head.upright_deg}\n"
+
+
+def _film_tables(options: Options, endpoints: Endpoints) -> str:
+    return f"""[film]
+name = "simulated film {options.seed}"
+amplifier_gain = 1.0
+area_mm2 = 8.0
+
+[load_cell]
+name = "simulated cell {options.seed}"
+sensitivity_V_N = 0.1
+max_load_N = 20.0
+
+[generator]
+driver = "keysight-33500b"
+resource = "{endpoints.generator}"
+timeout_s = {LINK_TIMEOUT_S}
+max_amplitude_V = 10.0
+
+{_daq_table(endpoints, "load_cell = 101, film = 102")}
+
+{_stage_table(options, endpoints, "z", 14.0, 45.0)}"""
+
+
+def _skin_tables(options: Options, endpoints: Endpoints) -> str:
+    return f"""[skin]
+name = "simulated skin {options.seed}"
+amplifier_gain = 1000.0
+ridge = 3
+
+{_daq_table(endpoints, "strip_1 = 101, strip_2 = 102")}
+
+{_stage_table(options, endpoints, "z", 14.0, 45.0)}
+{_stage_table(options, endpoints, "x", 40.0, 30.0)}{_rotary_table(options, endpoints)}"""
+
+
+def _daq_table(endpoints: Endpoints, channels: str) -> str:
+    return f"""[daq]
+driver = "keysight-u2300a"
+resource = "{endpoints.daq}"
+timeout_s = {LINK_TIMEOUT_S}
+channels = {{ {channels} }}"""
+
+
+def _rotary_table(options: Options, endpoints: Endpoints) -> str:
+    if options.fixture != HEAD:
+        return ""
+    from drivers.simulated.instruments.zaber_rst import StageSettings
+
+    return f"""
+[rotary]
+driver = "zaber-rst"
+port = "{endpoints.rotary}"
+timeout_s = {LINK_TIMEOUT_S}
+microstep_deg = {StageSettings().microstep_deg}
+low_limit_deg = 0.0
+high_limit_deg = {ROTARY_REACH_deg}
+max_speed_deg_s = 20.0
+max_acceleration_deg_s2 = 500.0
+"""
+
+
+def _stage_table(
+    options: Options, endpoints: Endpoints, axis: str, high_limit_mm: float, torque_percent: float
+) -> str:
+    number = "zx".index(axis)
+    where = endpoints.stages[number]
+    if drive_kind(options.stages, f"stage_{axis}") == "az":
+        link = f"""driver = "oriental-az"
+axis = "{axis}"
+port = "{where}"
+parity = "N"
+unit_id = {number + 1}
+steps_per_mm = {AZ_STEPS_PER_MM}
+"""
+    else:
+        link = f"""driver = "festo-cmmt"
+axis = "{axis}"
+host = "127.0.0.1"
+port = {where}
+"""
+        if options.fixture != "film-clamp":
+            link += f"position_unit_mm = {SKIN_UNIT_MM}\n"
+    return f"""[stage_{axis}]
+{link}timeout_s = {LINK_TIMEOUT_S}
+low_limit_mm = 0.0
+high_limit_mm = {high_limit_mm}
+max_speed_mm_s = 20.0
+communication_timeout_ms = 1000
+torque_limit_percent = {torque_percent}
+"""

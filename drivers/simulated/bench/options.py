@@ -1,0 +1,81 @@
+"""How a simulated bench is to be: what a command line or a caller chooses of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from drivers.simulated.faults.plan import FaultPlan
+    from drivers.simulated.world.world import WorldSettings
+
+LINGER_S = 10.0
+"""How long a bench whose owner died goes on in real time: time for the guard to come and act."""
+
+Fixture = Literal["film-clamp", "plate", "semi-spherical-object"]
+HEAD: Fixture = "semi-spherical-object"
+Stages = Literal["festo", "az", "festo-az", "az-festo"]
+"""Drives on Modbus TCP, on one Modbus RTU line, or z of the first kind and x of the second."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to run the bench."""
+
+    fixture: Fixture = "film-clamp"
+    """What is mounted: the film in its clamp, or the skin above a plate or a head that rolls."""
+    stages: Stages = "festo"
+    """What moves it."""
+    seed: int = 0
+    slaved: bool = False
+    world: str | None = None
+    """TOML file with World settings."""
+    fault: str | None = None
+    """TOML file with a fault plan."""
+    world_log: str | None = None
+    """File to which the World's log is appended."""
+    linger_s: float = LINGER_S
+    results: str | None = None
+    """Folder in which the owner records: where the fault plan's disk is."""
+
+
+def drive_kind(stages: Stages, name: str) -> str:
+    """Of the drive of one stage."""
+    z, _, x = stages.partition("-")
+    return z if name == "stage_z" or not x else x
+
+
+def world_settings(options: Options) -> WorldSettings:
+    from drivers.simulated.world.world import read_world
+
+    if options.fixture == "film-clamp":
+        return read_world(options.world)
+    from drivers.simulated.world.plate_world import HeadWorldSettings, PlateWorldSettings
+
+    kind = HeadWorldSettings if options.fixture == HEAD else PlateWorldSettings
+    return read_world(options.world, kind)
+
+
+def fault_plan(options: Options) -> FaultPlan:
+    from drivers.simulated.faults.plan import (
+        DEVICES,
+        DISK,
+        GENERATOR,
+        ROTARY,
+        STAGE_X,
+        STAGES,
+        FaultPlan,
+        befallen_with,
+    )
+
+    if options.fault is None:
+        return FaultPlan()
+    missing = {GENERATOR} if options.fixture == HEAD else {ROTARY}
+    missing |= {"film-clamp": {STAGE_X}, "plate": {GENERATOR}}.get(options.fixture, set())
+    if not options.slaved:
+        missing.add(DISK)  # whoever records is another process
+    on_a_line = [name for name in STAGES if drive_kind(options.stages, name) == "az"]
+    befallen = befallen_with(on_a_line)
+    there = [name for name in DEVICES if name not in missing]
+    return FaultPlan.read(Path(options.fault), there, befallen)

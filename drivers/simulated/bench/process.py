@@ -1,0 +1,163 @@
+"""The process of a simulated bench: a World, what is mounted, the control socket, until the end.
+
+``python -m drivers.simulated.bench.process`` is a bench whose time is slaved to whoever started it and
+holds its standard input, the first line of which says how it is to be: until that comes, it imports
+what every bench needs. `serve` runs one here, in real time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any, get_args
+
+from drivers.simulated.bench.bench_file import bench_toml
+from drivers.simulated.bench.options import Fixture, Options, Stages, fault_plan, world_settings
+from rig.core.errors import ConfigurationError, InstrumentError, RigError
+from rig.core.imports import importing
+
+SETTLE_EVERY_S = 0.02
+"""How often drives in real time look at what has befallen them."""
+
+
+async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> None:
+    """Until it is stopped; `ready` gets ``control_port``, ``bench_toml`` and ``recorded_toml``."""
+    for asked, known in ((options.fixture, Fixture), (options.stages, Stages)):
+        if asked not in get_args(known):
+            raise ConfigurationError(
+                f"the simulated bench has no {asked} to mount",
+                f"it has {' and '.join(get_args(known))}",
+            )
+    _import_what_every_bench_needs()
+    from drivers.simulated.bench.control import ControlServer
+    from drivers.simulated.bench.mounted import Instruments
+    from drivers.simulated.faults.plan import FORCE_SENSOR, TimedFault
+    from drivers.simulated.world.world import World
+
+    with importing():
+        settings = world_settings(options)
+        faults = fault_plan(options)
+        log = Path(options.world_log) if options.world_log else None
+        world = World(settings, options.seed, options.slaved, log, faults.of(TimedFault))
+        bench = Instruments(world, options, faults)
+    monitor = bench.monitor(settings.watch)
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+
+    def settle() -> None:
+        for drive in bench.drives:
+            drive.settle(world.now_us)
+        if bench.rotary is not None:
+            bench.rotary.settle(world.now_us)
+        world.settle()
+
+    def after_time_passed() -> None:
+        settle()
+        bench.force.pump()
+        if monitor is not None:
+            monitor.look(world.now_us)
+
+    async def follow_real_time() -> None:
+        while True:
+            settle()
+            if world.failure is not None:
+                ended.set()
+            await asyncio.sleep(SETTLE_EVERY_S)
+
+    free: list[asyncio.Task[None]] = []
+
+    def set_free() -> None:
+        free.append(loop.create_task(follow_real_time()))
+
+    def orphaned() -> None:
+        if not world.timeline.slaved:
+            return
+        world.timeline.set_free()
+        world.log("world", "owner-gone", None, "world")
+        for server in bench.serial:
+            server.set_free()
+        set_free()
+        loop.call_later(options.linger_s, ended.set)
+
+    streams = {FORCE_SENSOR: lambda: bench.force.bytes_sent}
+    control = ControlServer(world, streams, ended.set, orphaned, after_time_passed)
+    if not options.slaved:
+        set_free()
+    for number in (signal.SIGTERM,) if options.slaved else (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ended.set)
+    try:
+        for server in bench.servers:
+            await server.start()
+        port = await control.start()
+        if options.slaved:  # its end is seen however early it was: what it sets free has started
+            await loop.connect_read_pipe(lambda: _OwnersPipe(orphaned), sys.stdin)
+        overrides = settings.model_dump(mode="json", exclude_unset=True)
+        ready(
+            {
+                "control_port": port,
+                "bench_toml": bench_toml(options, overrides, bench.listening()),
+                "recorded_toml": bench_toml(options, overrides, bench.anywhere()),
+            }
+        )
+        await ended.wait()
+    finally:
+        control.close()
+        for task in free:
+            task.cancel()
+        for server in bench.servers:
+            await server.close()
+        settle()
+        if monitor is not None:
+            monitor.over()
+        world.close()
+    if world.failure is not None:
+        raise InstrumentError("simulated bench", "contact", world.failure)
+
+
+class _OwnersPipe(asyncio.Protocol):
+    """The owner's end of our stdin: closed when the owner is gone, however early it dies."""
+
+    def __init__(self, gone: Callable[[], None]):
+        self._gone = gone
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._gone()
+
+
+def _import_what_every_bench_needs() -> None:
+    with importing():
+        for name in ("control", "fault_plan", "mounted", "world"):
+            import_module(f"drivers.simulated.{name}")
+
+
+def main() -> None:
+    """The process behind `start`: a line of JSON in, the options, and one out when it listens.
+
+    Where the options never come, its owner has no need of it any more.
+    """
+    for number in (signal.SIGHUP, signal.SIGINT):
+        signal.signal(number, signal.SIG_IGN)
+
+    def say(what: dict[str, Any]) -> None:
+        with contextlib.suppress(BrokenPipeError):  # the owner died first: its pipe will tell
+            os.write(sys.stdout.fileno(), json.dumps(what).encode() + b"\n")
+
+    _import_what_every_bench_needs()
+    options = sys.stdin.readline()
+    if not options:
+        return
+    try:
+        asyncio.run(serve(Options(**json.loads(options)), say))
+    except RigError as error:
+        say({"error": error.message, "hint": error.hint})
+
+
+if __name__ == "__main__":
+    main()

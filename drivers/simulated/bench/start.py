@@ -1,0 +1,129 @@
+"""The simulated bench as its users start it.
+
+Entry point ``simulated`` of group ``rig.benches``. `serve` runs the bench here until it is stopped
+(``rig simulate``); `start` runs it as a process of its own with its time slaved to the caller,
+which is what a run without a bench file does: one that was begun earlier, when nobody knew yet how
+it was to be, or its own. Both end up in the same few lines: there is no other way to be a simulated
+bench. Those are in `drivers.simulated.bench.process`, which whoever starts one need not import.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from drivers.simulated.bench.options import Options, fault_plan
+from rig.core.errors import ConfigurationError, InstrumentError
+from rig.core.processor import Turns, let_run_anywhere
+
+if TYPE_CHECKING:
+    from drivers.simulated.faults.disk import FaultyDisk
+
+ABANDONED_S = 0.5
+"""How long a bench that nobody has connected to may take to end by itself."""
+
+
+class StartedBench:
+    """A bench that was started as a process of its own, and how to drive it."""
+
+    def __init__(self) -> None:
+        self._disk: FaultyDisk | None = None
+        self._turns: Turns | None = None
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "drivers.simulated.bench.process"],
+            stdin=subprocess.PIPE,  # its end tells the bench that we died
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,  # a terminal's Ctrl-C is the run's business, not the bench's
+        )
+        let_run_anywhere(self._process.pid)
+
+    def be(self, options: Options) -> None:
+        """Tell it, once, how it is to be; then `ready` may be asked."""
+        self._disk = _faulty_disk(options)
+        if self._disk is not None:
+            self._disk.install()
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # one that has died is told by `ready`
+            self._process.stdin.write(json.dumps(asdict(options)).encode() + b"\n")
+            self._process.stdin.flush()
+
+    def ready(self) -> dict[str, Any]:
+        """Wait until the bench listens: ``control_port``, ``bench_toml``, ``recorded_toml``."""
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        answer: dict[str, Any] = json.loads(line) if line else {}
+        if "error" in answer:
+            raise ConfigurationError(answer["error"], answer["hint"])
+        if "control_port" not in answer:
+            assert self._process.stderr is not None
+            words = self._process.stderr.read().decode(errors="replace").strip().splitlines()
+            raise InstrumentError(
+                "simulated bench", "start", words[-1] if words else "the process ended at once"
+            )
+        self._turns = Turns(self._process.pid)
+        return answer
+
+    def wait(self, timeout_s: float = 5.0) -> None:
+        """Wait for the process to end; one that does not is ended. With it end the faults of the
+        disk."""
+        if self._turns is not None:
+            self._turns.close()
+        if self._disk is not None:
+            self._disk.remove()
+        try:
+            self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
+            if pipe is not None:
+                pipe.close()
+
+    def abandon(self) -> None:
+        """End the process, which nobody needs: it may still be making its skin, or know nothing."""
+        self._process.terminate()
+        self.wait(ABANDONED_S)
+
+
+def begin() -> StartedBench:
+    """Start a slaved bench that is to be told later how it is to be, by `start`."""
+    return StartedBench()
+
+
+def start(options: dict[str, Any], begun: StartedBench | None = None) -> StartedBench:
+    """Start a slaved bench, or go on with one that has `begun`; `options` are fields of `Options`.
+    A fault plan's disk is this process's, until the bench has been waited for."""
+    bench = begun or begin()
+    try:
+        bench.be(Options(**{**options, "slaved": True}))
+    except BaseException:
+        bench.abandon()
+        raise
+    return bench
+
+
+def serve(options: dict[str, Any], ready: Callable[[str], None]) -> None:
+    """Run a bench here in real time until SIGINT or SIGTERM; `ready` gets the bench file's text."""
+    import asyncio
+
+    from drivers.simulated.bench import process
+
+    asyncio.run(process.serve(Options(**options), lambda said: ready(said["bench_toml"])))
+
+
+def _faulty_disk(options: Options) -> FaultyDisk | None:
+    """The disk of the owner's results, where the fault plan has something for it."""
+    if options.fault is None or options.results is None:
+        return None
+    from drivers.simulated.faults.disk import FaultyDisk
+    from drivers.simulated.faults.plan import FileFault
+
+    faults: tuple[FileFault, ...] = fault_plan(options).of(FileFault)
+    return FaultyDisk(faults, Path(options.results)) if faults else None

@@ -1,0 +1,381 @@
+"""Fault plans: what is to go wrong on a simulated bench, as a TOML file that is checked at once.
+
+    [[fault]]
+    device = "daq"
+    kind = "silence"        # at the wire: keyed to the device's requests
+    at = 3                  # the third request that matches
+    count = 1               # 0: from then on, for ever
+    command = "WAV:DATA"    # only requests with a command that begins so
+    acquisition = 2         # only requests from a moment on, given as in the World
+
+    [[fault]]
+    device = "stage_z"
+    kind = "stuck"          # in the World: keyed to a move, an acquisition, or bench time
+    move = 3
+    of = "stage_x"          # whose move it is, where it is another axis's
+    after_s = 0.5
+
+    [[fault]]
+    device = "disk"
+    kind = "disk-full"      # under the recording's file calls: keyed to bytes written
+    after_bytes = 50000
+
+This module may say what a plan can ask for, of whom, and why not. It may not do it: `faults` acts
+at the wire, `schedule` in the World, `disk_faults` under the file calls. Nothing is drawn at
+random: in slaved time the same plan does the same at the same instant. All kinds are described in
+docs/fault-plans.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar, get_args
+
+from pydantic import Field, ValidationError
+
+from drivers.simulated.faults.task_log import Beginning
+from rig.core.errors import ConfigurationError, shortened
+from rig.core.settings import Settings
+from rig.core.toml_files import read_toml
+
+GENERATOR, DAQ, STAGE_Z, STAGE_X = "generator", "daq", "stage_z", "stage_x"
+ROTARY = "rotary"
+FORCE_SENSOR, FORCE_STREAM = "force_sensor", "force_sensor.stream"
+"""The amplifier's answers, and the frames that it sends of its own accord."""
+CLOCK, DISK = "clock", "disk"
+STAGES = (STAGE_Z, STAGE_X)
+ON_TCP = (GENERATOR, DAQ, *STAGES)
+ON_A_WIRE = (*ON_TCP, ROTARY, FORCE_SENSOR, FORCE_STREAM)
+DEVICES = (*ON_A_WIRE, CLOCK, DISK)
+LONGEST_AFTER_s = 36_000.0
+
+
+class Placed(Settings):
+    """What begins at a moment that repeats exactly."""
+
+    device: str
+    """The device's name in the simulated bench."""
+    move: int | None = Field(default=None, ge=1)
+    """During which task of the drive, or turn of the rotary stage, since the World began; homing
+    and changes under way do not count."""
+    of: str | None = None
+    """Whose task; None: the device's own."""
+    acquisition: int | None = Field(default=None, ge=1)
+    """During which acquisition of the DAQ since the World began. None, and no `move` either:
+    `after_s` counts from the World's beginning."""
+    after_s: float = Field(default=0.0, ge=0, le=LONGEST_AFTER_s)
+    """How long after that began."""
+
+    @property
+    def beginning(self) -> Beginning | None:
+        """What `after_s` counts from; None: the World's beginning."""
+        if self.acquisition is not None:
+            return DAQ, self.acquisition
+        return None if self.move is None else (self.of or self.device, self.move)
+
+
+# --- at the wire ------------------------------------------------------------------------------
+
+
+class ReplyFault(Placed):
+    """What befalls a device's replies from its moment on."""
+
+    at: int = Field(default=1, ge=1)
+    """The first matching request it befalls, counted from 1 over all connections. Counted are only
+    requests from its moment on whose reply can be disturbed so: it has a checksum, can carry an
+    error."""
+    count: int = Field(default=1, ge=0)
+    """How many matching requests it befalls; 0 is for ever."""
+    for_s: float | None = Field(default=None, gt=0, le=LONGEST_AFTER_s)
+    """How long it befalls them instead, from the first one on."""
+    command: str = ""
+    """Beginning of a command in the request (upper or lower case, without its leading colon)."""
+
+    def matches(self, request: bytes) -> bool:
+        """Whether a command of the request begins as asked."""
+        prefix = self.command.encode().upper()
+        units = request.upper().split(b";")
+        return any(unit.strip().lstrip(b":").startswith(prefix) for unit in units)
+
+    def befalls(self, occurrence: int, since_us: int) -> bool:
+        """Whether the n-th matching request is disturbed, so long after the first one was."""
+        if occurrence < self.at:
+            return False
+        if self.for_s is not None:
+            return since_us < round(self.for_s * 1e6)
+        return self.count == 0 or occurrence < self.at + self.count
+
+
+class WireFault(ReplyFault):
+    """A reply that is lost, spoilt, late, doubled, or ends its connection."""
+
+    kind: Literal[
+        "silence",
+        "garbage",
+        "truncate",
+        "double",
+        "stale",
+        "checksum",
+        "close",
+        "reset",
+        "half-open",
+    ]
+    """``silence`` loses the reply; ``garbage`` makes it unreadable; ``truncate`` sends its first
+    half; ``double`` sends it twice; ``stale`` holds it back until the connection's next reply, in
+    front of which it arrives late; ``checksum`` spoils its check; ``close`` ends the connection in
+    its place, ``reset`` breaks it; ``half-open`` leaves it standing with nobody behind it."""
+
+
+class ErrorReply(ReplyFault):
+    """The device answers with an error of its protocol although it has obeyed: an exception code of
+    Modbus, an error code of the amplifier, an entry of a SCPI error queue."""
+
+    kind: Literal["error"]
+    code: int = Field(ge=-32768, le=32767)
+    """Its number; 1 to 255 where it is not a SCPI instrument's."""
+
+
+class Rejection(ReplyFault):
+    """The rotary stage rejects a command although it has obeyed."""
+
+    kind: Literal["rejected"]
+    reason: str = Field(default="BADDATA", pattern="^[A-Z]{1,20}$")
+    """What it gives as its reason."""
+
+
+class RefusedConnections(Settings):
+    """Nobody listens any more for new connections; those that stand are not disturbed."""
+
+    device: str
+    kind: Literal["refused"]
+    at: int = Field(default=1, ge=1)
+    """The first TCP connection refused, from 1; a HiSLIP session is made of two."""
+
+
+# --- in the World -----------------------------------------------------------------------------
+
+
+class AxisFault(Placed):
+    """What befalls an axis without further ado."""
+
+    kind: Literal["stuck", "runaway", "limit-switch", "reference-lost"]
+    """No force moves the carriage any more; it runs past its target until it is stopped; the limit
+    switch that it moves towards closes; the drive forgets where it is."""
+
+
+class DriveFault(Placed):
+    """The drive reports a fault and brakes."""
+
+    kind: Literal["drive-fault"]
+    code: int | None = Field(default=None, ge=1, le=0xFFFF)
+    """The fault's number; None: the drive's own for an axis that did not follow."""
+
+
+class SlowAxis(Placed):
+    """The axis does not reach the speed that it is told, from then on."""
+
+    kind: Literal["slow"]
+    share: float = Field(default=0.1, gt=0, lt=1)
+    """Of the speed that it is told."""
+
+
+class RaisedFlag(Placed):
+    """The rotary stage raises a warning flag; with a fault it brakes."""
+
+    kind: Literal["warning-flag"]
+    flag: str = Field(default="FS", pattern="^[A-Z]{2}$")
+
+
+class TurnedKnob(Placed):
+    """Somebody turns the rotary stage by its knob."""
+
+    kind: Literal["knob"]
+    by_deg: float = Field(default=1.0, ge=-360, le=360)
+
+
+class Spike(Placed):
+    """Somebody or something pushes on the probe for a while."""
+
+    kind: Literal["spike"]
+    for_s: float = Field(default=0.05, gt=0)
+    force_N: float = 30.0
+    """Along z, on top of everything else."""
+
+
+class SensorFault(Placed):
+    """The amplifier's converter stands at its end, or gives the same values again and again."""
+
+    kind: Literal["saturated", "frozen"]
+    for_s: float = Field(default=0.5, gt=0)
+
+
+class Clipped(Placed):
+    """What drives the vibrator gives no more than this amplitude, from then on."""
+
+    kind: Literal["clipped"]
+    amplitude_V: float = Field(gt=0)
+    """Peak."""
+
+
+class Overrun(Placed):
+    """The DAQ's buffer overruns where an acquisition is running."""
+
+    kind: Literal["overrun"]
+
+
+class ClockJump(Placed):
+    """Time goes on without the run, as it does while a computer is suspended."""
+
+    kind: Literal["clock-jump"]
+    by_s: float = Field(gt=0, le=60)
+
+
+# --- under the file calls ---------------------------------------------------------------------
+
+
+class DiskFault(Settings):
+    """The file system takes no more."""
+
+    device: str
+    kind: Literal["disk-full", "read-only"]
+    after_bytes: int = Field(default=0, ge=0)
+    """Written below the folder of results since the command began."""
+
+
+class SlowSync(Settings):
+    """Every synchronisation with the disk takes this much longer, in wall time."""
+
+    device: str
+    kind: Literal["slow-sync"]
+    delay_s: float = Field(gt=0, le=10)
+
+
+# --- the plan ---------------------------------------------------------------------------------
+
+MoveFault = AxisFault | DriveFault | SlowAxis
+RotaryFault = AxisFault | SlowAxis | RaisedFlag | TurnedKnob
+TimedFault = Spike | SensorFault | Clipped | Overrun | ClockJump
+FileFault = DiskFault | SlowSync
+WireKind = WireFault | ErrorReply | Rejection | RefusedConnections
+Fault = WireKind | MoveFault | RotaryFault | TimedFault | FileFault
+
+BEFALLEN: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("silence", "garbage", "truncate", "stale", "close"), ON_A_WIRE),
+    "double": (DAQ, *STAGES, ROTARY, FORCE_SENSOR),
+    "checksum": (ROTARY, FORCE_SENSOR, FORCE_STREAM),
+    "error": (*ON_TCP, FORCE_SENSOR),
+    "rejected": (ROTARY,),
+    **dict.fromkeys(("reset", "half-open", "refused"), ON_TCP),
+    **dict.fromkeys(
+        ("slow", *get_args(AxisFault.model_fields["kind"].annotation)), (*STAGES, ROTARY)
+    ),
+    "drive-fault": STAGES,
+    **dict.fromkeys(("warning-flag", "knob"), (ROTARY,)),
+    **dict.fromkeys(("spike", "saturated", "frozen"), (FORCE_SENSOR,)),
+    "clipped": (GENERATOR,),
+    "overrun": (DAQ,),
+    "clock-jump": (CLOCK,),
+    **dict.fromkeys(("disk-full", "read-only", "slow-sync"), (DISK,)),
+}
+"""Whom each kind may befall, where the stages are on Modbus TCP."""
+
+
+def befallen_with(on_a_line: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """The same where these stages are on a serial line."""
+    tcp_only = ("reset", "half-open", "refused")
+    there = {kind: tuple(d for d in ON_TCP if d not in on_a_line) for kind in tcp_only}
+    return {**BEFALLEN, "checksum": (*BEFALLEN["checksum"], *on_a_line), **there}
+
+
+_WHY_NOT = {
+    "double": "nothing in its protocol tells a doubled message from the next one",
+    "checksum": "its protocol has no checksum of its own",
+    "error": "it answers with no error numbers",
+    **dict.fromkeys(("reset", "half-open", "refused"), "it is on no TCP connection"),
+}
+F = TypeVar("F")
+
+
+class FaultPlan(Settings):
+    """All faults of a simulated bench; empty by default."""
+
+    fault: tuple[Annotated[Fault, Field(discriminator="kind")], ...] = ()
+
+    @classmethod
+    def read(
+        cls,
+        path: Path,
+        devices: Iterable[str] = DEVICES,
+        befallen: Mapping[str, tuple[str, ...]] = BEFALLEN,
+    ) -> FaultPlan:
+        """The plan in a TOML file; `devices` are the names that exist on this bench, `befallen`
+        says whom each kind may befall there.
+
+        Raises ConfigurationError for an unreadable file, unknown keys, kinds or devices, and for a
+        kind that cannot befall its device.
+        """
+        tables = read_toml(path, "fault plan")
+        try:
+            plan = cls.model_validate(tables)
+        except ValidationError as error:
+            hint = f"a fault has a device, a kind ({', '.join(BEFALLEN)}), and what its kind needs"
+            raise ConfigurationError.from_validation(error, str(path), hint) from error
+        known = tuple(devices)
+        for index, fault in enumerate(plan.fault):
+            _require_device(f"{path}: fault.{index}", fault, known, befallen)
+        return plan
+
+    def of(self, kind: type[F] | object, device: str | None = None) -> tuple[F, ...]:
+        """Its faults of a class or union of classes, in order; of one device where it is named."""
+        return tuple(
+            fault
+            for fault in self.fault
+            if isinstance(fault, kind) and device in (None, fault.device)  # type: ignore[arg-type]
+        )
+
+
+def _require_device(
+    where: str, fault: Fault, known: tuple[str, ...], befallen: Mapping[str, tuple[str, ...]]
+) -> None:
+    device, able = fault.device, befallen[fault.kind]
+    if device not in known:
+        raise ConfigurationError(
+            f"{where}: device = {shortened(device)!r}: no such device on this bench",
+            f"it has {', '.join(known)}",
+        )
+    if device not in able:
+        why = f": {_WHY_NOT[fault.kind]}" if fault.kind in _WHY_NOT else ""
+        raise ConfigurationError(
+            f"{where}: kind = {fault.kind!r} cannot befall {device}{why}",
+            f"it befalls {', '.join(able)}",
+        )
+    if isinstance(fault, Placed):
+        _require_moment(where, fault, known)
+    if isinstance(fault, ErrorReply):
+        low, high = (-32768, 32767) if device in (GENERATOR, DAQ) else (1, 255)
+        if not low <= fault.code <= high or fault.code == 0:
+            raise ConfigurationError(
+                f"{where}: code = {fault.code} is no error of the {device}'s protocol, which has "
+                f"{low} to {high} without 0",
+                "give a number of its manual",
+            )
+
+
+def _require_moment(where: str, fault: Placed, known: tuple[str, ...]) -> None:
+    if fault.move is not None and fault.acquisition is not None:
+        raise ConfigurationError(
+            f"{where}: move = {fault.move} and acquisition = {fault.acquisition}",
+            "a fault has one moment: give one of them",
+        )
+    if fault.of is not None and fault.move is None:
+        raise ConfigurationError(
+            f"{where}: of = {shortened(fault.of)!r}, and no move", "say which: move = 1"
+        )
+    mover = fault.of or fault.device
+    movers = [name for name in (*STAGES, ROTARY) if name in known]
+    if fault.move is not None and mover not in movers:
+        raise ConfigurationError(
+            f"{where}: move = {fault.move}: {shortened(mover)!r} does not move on this bench",
+            f"say whose move: of = one of {', '.join(movers)}",
+        )

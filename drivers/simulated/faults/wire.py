@@ -1,0 +1,220 @@
+"""Faults on the wire between a simulated instrument and its client, as a fault plan has them.
+
+This module may decide what becomes of a reply on its way. It may not touch an instrument or a
+client: the instrument always receives the request and acts on it, as one does whose answer is lost;
+only behind a half-open connection nobody is left who could. What a reply looks like is its
+protocol's to know (`Dialect`).
+
+A new kind is one more function in `_KINDS`, and a line in `fault_plan`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from drivers.simulated.faults.plan import (
+    ErrorReply,
+    FaultPlan,
+    RefusedConnections,
+    Rejection,
+    ReplyFault,
+    WireFault,
+)
+from drivers.simulated.faults.task_log import Beginnings
+from drivers.simulated.ports import BeginningsPort, Timeline
+
+
+class MomentPort(Timeline, BeginningsPort, Protocol):
+    """What tells moments."""
+
+
+class _Standing:
+    """A bench on which no time passes and nothing begins."""
+
+    now_us = 0
+    beginnings = Beginnings()
+
+
+def _never(reply: bytes, code: object = None) -> bytes | None:
+    return None
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a protocol says that something went wrong; each None where the reply cannot."""
+
+    error: Callable[[bytes, int], bytes | None] = _never
+    """The reply with an error code in it instead of success."""
+    rejection: Callable[[bytes, str], bytes | None] = _never
+    """The reply as a rejection for a reason in words."""
+    checksum: Callable[[bytes], bytes | None] = _never
+    """The reply with a wrong check."""
+
+
+@dataclass(frozen=True)
+class WireReply:
+    """Bytes for the client, and the tag that their exchange was given."""
+
+    data: bytes
+    tag: int = 0
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """What the server does after a request: send these, in order, then perhaps close."""
+
+    replies: tuple[WireReply, ...] = ()
+    close: bool = False
+    reset: bool = False
+    """Close it as a broken connection is."""
+
+
+class WireFaults:
+    """The faults of one device; counts requests over all its connections.
+
+    `tell` hears the kind of every fault when it befalls something; `bench` knows the time and what
+    has begun.
+    """
+
+    def __init__(
+        self,
+        plan: FaultPlan,
+        device: str,
+        dialect: Dialect | None = None,
+        tell: Callable[[str], None] = lambda kind: None,
+        bench: MomentPort | None = None,
+    ):
+        self.dialect = dialect or Dialect()
+        self.tell = tell
+        self._bench = bench or _Standing()
+        refused: tuple[RefusedConnections, ...] = plan.of(RefusedConnections, device)
+        self.refused_from = min((fault.at for fault in refused), default=None)
+        """The first TCP connection that is refused, from 1."""
+        self._faults: tuple[ReplyFault, ...] = plan.of(ReplyFault, device)
+        self._matched = [0] * len(self._faults)
+        self._first_us: dict[int, int] = {}
+        """When each befell its first request."""
+
+    def link(self) -> FaultyLink:
+        """The faults as one connection meets them."""
+        return FaultyLink(self)
+
+    def befalling(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
+        """Count a request; the first fault of the plan that befalls its reply."""
+        befallen: ReplyFault | None = None
+        now_us = self._bench.now_us
+        for index, fault in enumerate(self._faults):
+            come = self._bench.beginnings.is_past(fault.beginning, fault.after_s, now_us)
+            if come and fault.matches(request) and self._can_carry(fault, reply):
+                self._matched[index] += 1
+                since_us = now_us - self._first_us.get(index, now_us)
+                if fault.befalls(self._matched[index], since_us):
+                    self._first_us.setdefault(index, now_us)
+                    befallen = befallen or fault
+        if befallen is not None:
+            self.tell(_name(befallen))
+        return befallen
+
+    def _can_carry(self, fault: ReplyFault, reply: bytes | None) -> bool:
+        if isinstance(fault, ErrorReply):
+            return reply is not None and self.dialect.error(reply, fault.code) is not None
+        if isinstance(fault, Rejection):
+            return reply is not None and self.dialect.rejection(reply, fault.reason) is not None
+        if _name(fault) == "checksum":
+            return reply is not None and self.dialect.checksum(reply) is not None
+        return True
+
+
+class FaultyLink:
+    """One connection's exchanges, disturbed as planned."""
+
+    def __init__(self, faults: WireFaults):
+        self.faults = faults
+        self.withheld: list[WireReply] = []
+        self.half_open = False
+        """Whether nobody is behind it any more: what is sent on it reaches no instrument."""
+
+    def exchange(self, request: bytes, reply: bytes | None, tag: int = 0) -> Delivery:
+        """What becomes of a request's reply (None: it has none); ``tag`` comes back with it."""
+        fault = self.faults.befalling(request, reply)
+        whole = None if reply is None else WireReply(reply, tag)
+        if isinstance(fault, ErrorReply):
+            code = fault.code
+            return _spoilt(whole, lambda data: self.faults.dialect.error(data, code))
+        if isinstance(fault, Rejection):
+            reason = fault.reason
+            return _spoilt(whole, lambda data: self.faults.dialect.rejection(data, reason))
+        if fault is not None:
+            return _KINDS[_name(fault)](self, whole)
+        if whole is None:
+            return Delivery()
+        late, self.withheld = self.withheld, []
+        return Delivery((*late, whole))
+
+
+def _name(fault: ReplyFault) -> str:
+    assert isinstance(fault, WireFault | ErrorReply | Rejection), "there is no other"
+    return fault.kind
+
+
+def _spoilt(reply: WireReply | None, spoil: Callable[[bytes], bytes | None]) -> Delivery:
+    """The reply, made into something else where there is one."""
+    if reply is None:
+        return Delivery()
+    return Delivery((WireReply(spoil(reply.data) or b"", reply.tag),))
+
+
+def _silence(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    return Delivery()
+
+
+def _garbage(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    """Every byte but the last turned over: same length, same end, no ASCII."""
+    return _spoilt(reply, lambda data: data[:-1].translate(_TURNED_OVER) + data[-1:])
+
+
+def _truncate(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    return _spoilt(reply, lambda data: data[: len(data) // 2])
+
+
+def _double(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    return Delivery() if reply is None else Delivery((reply, reply))
+
+
+def _stale(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    if reply is not None:
+        link.withheld.append(reply)
+    return Delivery()
+
+
+def _checksum(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    return _spoilt(reply, link.faults.dialect.checksum)
+
+
+def _close(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    return Delivery(close=True)
+
+
+def _reset(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    return Delivery(close=True, reset=True)
+
+
+def _half_open(link: FaultyLink, reply: WireReply | None) -> Delivery:
+    link.half_open = True
+    return Delivery()
+
+
+_TURNED_OVER = bytes(byte ^ 0xA5 for byte in range(256))
+_KINDS: dict[str, Callable[[FaultyLink, WireReply | None], Delivery]] = {
+    "silence": _silence,
+    "garbage": _garbage,
+    "truncate": _truncate,
+    "double": _double,
+    "stale": _stale,
+    "checksum": _checksum,
+    "close": _close,
+    "reset": _reset,
+    "half-open": _half_open,
+}

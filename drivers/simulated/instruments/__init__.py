@@ -1,0 +1,1 @@
+"""Simulated instruments: protocol cores without I/O, one module a model."""

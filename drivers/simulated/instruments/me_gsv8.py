@@ -1,0 +1,702 @@
+"""Simulated ME-Messsysteme GSV-8 amplifier with a three-axis force sensor, as a core without I/O.
+
+It may keep its settings, ask the World for the force on the sensor at given instants, and send what
+its converter makes of it. It may not wait, and it knows no serial port: bytes come in through
+`Gsv8.receive`, responses go out of it, and measurement frames come out of `Gsv8.frames_until`.
+
+The sensor's bridges sit on channels 1 to 3; channels 4 to 8 are open and carry noise. The converter
+runs at 48 kS/s; a frame carries the mean of the conversions since the frame before it, whose -3 dB
+point is 0.443 of the frame rate (the maker states about 0.4). At most 48 conversions a frame are
+computed, evenly spread, so that slow rates stay cheap.
+
+Sources: ME-Messsysteme, GSV Communication Protocol Specification (ba-gsvcom_en, 11/2022) and GSV-8
+manual (ba-gsv8_en). What they leave open is marked UNCONFIRMED, each in one place.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.simulated.faults.wire import Dialect
+from drivers.simulated.ports import LogPort, Timeline
+from drivers.simulated.transports.serial_server import Exchange
+
+CHANNELS = 8
+CONVERSIONS_PER_S = 48_000
+CONVERSIONS_COMPUTED = 48
+"""Most conversions of one frame that are computed."""
+INPUT_RANGE_MV_V = 3.5
+OVERRANGE = 1.05
+"""The converter's end, in input ranges."""
+NOISE_MV_V = 2e-5
+"""Standard deviation of a value at 1000 frames/s, as the root of the rate (UNCONFIRMED)."""
+NOISE_CHUNK = 256
+MODEL = 0x08
+DIVISORS = tuple(d for d in range(1, CONVERSIONS_PER_S + 1) if CONVERSIONS_PER_S % d == 0)
+"""Frame rates are the conversion rate by one of these."""
+FASTEST_FLOATS_S_s = 12_000.0
+FASTEST_S_s, SLOWEST_S_s = 48_000.0, 1.0
+
+INT16, INT24, FLOAT32 = 1, 2, 3
+
+MULTI_AXIS, AUTO_FILTER, MIN_MAX, WRITE_LOCK = 0x01, 0x02, 0x04, 0x80
+KNOWN_MODE = MULTI_AXIS | AUTO_FILTER | MIN_MAX | WRITE_LOCK
+
+TX_OFF_NOW, TX_OFF_ALWAYS, TX_CRC16 = 0x0001, 0x0002, 0x0020
+WRITABLE_TX_FLAGS = 0x002E
+
+UNSERVED = frozenset(
+    {0x00, *range(0x08, 0x0B), *range(0x0F, 0x13), *range(0x17, 0x1F), *range(0x20, 0x23), 0x25}
+    | {0x2A, *range(0x32, 0x3A), 0x3C, 0x44, 0x45, 0x47, 0x48, *range(0x4B, 0x63)}
+    | {*range(0x64, 0x78), *range(0x7A, 0x80), *range(0x86, 0x8A), *range(0x8C, 0x8E)}
+    | {*range(0x90, 0xA2)}
+)
+"""Commands of the protocol that this simulator answers with "not implemented"."""
+
+
+class ForcePort(Timeline, Protocol):
+    """What a force sensor in the World feels."""
+
+    @property
+    def noise_key(self) -> tuple[int, ...]:
+        """Keys the amplifier's noise from now on: seed, run and point, for instance."""
+        ...
+
+    def force_N(  # noqa: N802 - the unit keeps its capital
+        self, times_s: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """The true force on the sensor at past or present World times: (n,) to (n, 3)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A three-axis sensor: force in N is `matrix` times the bridges' mV/V after `zero_mV_V`.
+
+    The default is a K3D40 of 50 N: a calibrated one of 10 N, scaled (UNCONFIRMED).
+    """
+
+    matrix: tuple[tuple[float, float, float], ...] = (
+        (83.198, 0.354, -0.552),
+        (0.375, 79.864, 0.828),
+        (1.516, 0.452, 83.675),
+    )
+    zero_mV_V: tuple[float, float, float] = (0.012, -0.007, 0.021)
+
+    def bridges(self, force_N: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """What the three bridges put out in mV/V under forces (n, 3)."""
+        inverse, zero, *_ = _inverse(self.matrix, self.zero_mV_V)
+        return np.asarray(force_N @ inverse.T + zero)
+
+    def largest_bridge(self, force_N: npt.NDArray[np.float64]) -> float:
+        """What no bridge exceeds in mV/V while no component exceeds these, (3,) in N."""
+        *_, sizes, zero_sizes = _inverse(self.matrix, self.zero_mV_V)
+        return float((sizes @ force_N + zero_sizes).max())
+
+
+@cache
+def _inverse(
+    matrix: tuple[tuple[float, ...], ...], zero: tuple[float, ...]
+) -> tuple[npt.NDArray[np.float64], ...]:
+    """The inverse and the zero, and the sizes of both."""
+    of, at = np.linalg.inv(np.array(matrix)), np.array(zero)
+    return of, at, np.abs(of), np.abs(at)
+
+
+@dataclass
+class Memory:
+    """The settings that survive a power cycle, as they leave the factory."""
+
+    rate_S_s: float = 10.0
+    mode: int = AUTO_FILTER
+    """UNCONFIRMED; multi-axis is off as delivered."""
+    data_type: int = FLOAT32
+    tx_flags: int = 0
+    values: int = CHANNELS
+    user_scale: list[float] = field(default_factory=lambda: [INPUT_RANGE_MV_V] * CHANNELS)
+    zero: list[float] = field(default_factory=lambda: [0.0] * CHANNELS)
+    """In input ranges."""
+    input_type: list[int] = field(default_factory=lambda: [0] * CHANNELS)
+    output_type: list[int] = field(default_factory=lambda: [1] * CHANNELS)
+    output_offset: list[float] = field(default_factory=lambda: [0.0] * CHANNELS)
+    output_scale: list[float] = field(default_factory=lambda: [1.0] * CHANNELS)
+
+
+class RefusedError(Exception):
+    """A request that is answered with an error code."""
+
+    def __init__(self, code: int):
+        super().__init__(f"error {code:02X}")
+        self.code = code
+
+
+UNKNOWN, NOT_IMPLEMENTED, BAD_FRAME, BAD_CRC = 0x40, 0x41, 0x42, 0x43
+BAD_ADDRESS, BAD_DATA, BAD_BITS, TOO_LARGE, TOO_SMALL = 0x51, 0x52, 0x53, 0x54, 0x55
+NO_SUCH_PARAMETER, WRONG_COUNT, RATE_TOO_HIGH, LOCKED = 0x59, 0x5B, 0x64, 0x71
+DONE, DONE_CHANGED = 0x00, 0x01
+
+
+@dataclass(frozen=True)
+class Request:
+    """One request frame as it came."""
+
+    number: int
+    parameters: bytes
+    crc: bool
+    by: str
+
+    @property
+    def label(self) -> bytes:
+        """The request as fault plans name it: ``8B 44 7A 00 00``."""
+        return bytes((self.number, *self.parameters)).hex(" ").upper().encode()
+
+
+Answer = tuple[int, bytes]
+"""Error code and data."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command: what it does, which numbers of parameter bytes it takes, whether it writes."""
+
+    act: Callable[[Request], Answer | None]
+    lengths: tuple[int, ...] = (0,)
+    writes: bool = False
+
+
+class Gsv8:
+    """The amplifier's protocol core; ``name`` is its name in the World's log.
+
+    ``memory`` is what an earlier user left in it. Streaming is on when it is switched on.
+    """
+
+    def __init__(
+        self,
+        port: ForcePort,
+        log: LogPort,
+        name: str = "force_sensor",
+        sensor: Sensor | None = None,
+        memory: Memory | None = None,
+        serial_number: str = "SIM00001",
+        firmware: tuple[int, int] = (1, 60),
+    ):
+        self.sensor = sensor or Sensor()
+        self.memory = memory or Memory()
+        self.serial_number = serial_number
+        self.firmware = firmware
+        self.model = MODEL
+        self._port = port
+        self._log = log
+        self._name = name
+        self._input = bytearray()
+        self._origin_us, self._sent = 0, 0
+        self._divisor, self._period_s = 1, 0.0
+        self._back_s = np.zeros(1)
+        """From the end of a frame to each of its conversions that is computed."""
+        self._crc16 = self._streaming = False
+        self._last_error = 0
+        self._noise_key: tuple[int, ...] | None = None
+        self._noise_at = 0
+        self._noise: dict[int, npt.NDArray[np.float64]] = {}
+        self._disturbed: list[tuple[str, float, float]] = []
+        """Kind, begin and end in World seconds."""
+        self._last = np.zeros(CHANNELS)
+        """What the converters gave last, in input ranges."""
+        self._commands = self._command_table()
+        self._switch_on()
+
+    # --- what the servers use ----------------------------------------------------------------
+
+    def receive(self, data: bytes, by: str) -> bytes:
+        """Take bytes from a client; the responses, and the frame of a single value."""
+        return b"".join(exchange.reply or b"" for exchange in self.exchanges(data, by))
+
+    def exchanges(self, data: bytes, by: str) -> Iterable[Exchange]:
+        """The same, request by request."""
+        self._input += data
+        while (taken := self._take_request(by)) is not None:
+            if isinstance(taken, Request):
+                yield Exchange(taken.label, self._answer(taken))
+            else:
+                self._last_error = taken
+                yield Exchange(b"", _response(taken, b"", crc=False))
+
+    def frames_until(self, now_us: int) -> bytes:
+        """The measurement frames that fell due since the last call, up to ``now_us``."""
+        if not self.streaming:
+            return b""
+        due = (now_us - self._origin_us) * CONVERSIONS_PER_S // (self._divisor * 1_000_000)
+        first, self._sent = self._sent, max(due, self._sent)
+        if first == self._sent:
+            return b""
+        indices = np.arange(first + 1, self._sent + 1, dtype=np.float64)
+        return self._frames(self._origin_us * 1e-6 + indices * self._period_s)
+
+    def disturb(self, kind: Literal["saturated", "frozen"], begin_s: float, for_s: float) -> None:
+        """A fault plan's doing: from this World time on, the z channel's converter stands at its
+        end, or all of them give what they gave last."""
+        self._disturbed.append((kind, begin_s, begin_s + for_s))
+
+    @property
+    def streaming(self) -> bool:
+        """Whether measurement frames are being sent."""
+        return self._streaming
+
+    @property
+    def rate(self) -> float:
+        """In frames a second."""
+        return CONVERSIONS_PER_S / self._divisor
+
+    # --- frames in ---------------------------------------------------------------------------
+
+    def _take_request(self, by: str) -> Request | int | None:
+        """The next request, the error code of a broken one, or None until more has come."""
+        while True:
+            start = self._input.find(0xAA)
+            del self._input[: len(self._input) if start < 0 else start]
+            if len(self._input) < 2 or self._input[1] & 0xF0 in (0x90, 0xB0):
+                break
+            del self._input[0]
+        if len(self._input) < 4:
+            return None
+        count, crc = self._input[1] & 15, self._input[1] & 0xF0 == 0xB0
+        length = 4 + count + crc
+        if len(self._input) < length:
+            return None
+        frame = bytes(self._input[:length])
+        if frame[-1] != 0x85:
+            del self._input[0]
+            return BAD_FRAME
+        del self._input[:length]
+        if crc and _crc8(frame[1:-1]) != 0:
+            return BAD_CRC
+        return Request(frame[2], frame[3 : 3 + count], crc, by)
+
+    def _answer(self, request: Request) -> bytes | None:
+        try:
+            answer = self._command(request).act(request)
+        except RefusedError as refused:
+            self._last_error = refused.code
+            answer = refused.code, b""
+        if answer is None:
+            return self._frames(np.array([self._now_s()])) if request.number == 0x3B else None
+        return _response(*answer, request.crc)
+
+    def _command(self, request: Request) -> Command:
+        """The table's entry for a request that may be carried out."""
+        command = self._commands.get(request.number)
+        if command is None:
+            raise RefusedError(NOT_IMPLEMENTED if request.number in UNSERVED else UNKNOWN)
+        if len(request.parameters) not in command.lengths:
+            raise RefusedError(WRONG_COUNT)
+        if command.writes and self.memory.mode & WRITE_LOCK:
+            raise RefusedError(LOCKED)  # UNCONFIRMED code
+        return command
+
+    # --- the command table -------------------------------------------------------------------
+
+    def _command_table(self) -> dict[int, Command]:
+        return {
+            0x01: Command(self._get_interface, (0, 1)),
+            0x0C: Command(self._set_zero, (1,), writes=True),
+            0x1F: Command(lambda _: (DONE, self.serial_number.encode())),
+            0x23: Command(self._stop_transmission),
+            0x24: Command(self._start_transmission),
+            0x26: Command(lambda _: (DONE, struct.pack(">I", self.memory.mode))),
+            0x27: Command(self._set_mode, (4,)),
+            0x2B: Command(lambda _: (DONE, struct.pack(">HH", *self.firmware))),
+            0x3A: Command(self._get_raw_value, (1,)),
+            0x3B: Command(lambda _: None),
+            0x42: Command(lambda _: (DONE, struct.pack(">I", self._last_error)), (0, 1)),
+            0x43: Command(lambda _: (DONE, bytes(4)), (0, 1)),
+            0x49: Command(self._get_mapping, (1,)),
+            0x4A: Command(self._set_mapping, (3,), writes=True),
+            0x63: Command(self._rate_range, (1,)),
+            0x78: Command(self._reset),
+            0x80: Command(self._get_tx_mode, (1,)),
+            0x81: Command(self._set_tx_mode, (3,), writes=True),
+            0x8A: Command(lambda _: (DONE, struct.pack(">f", self.rate))),
+            0x8B: Command(self._write_rate, (4,), writes=True),
+            0xA2: Command(self._get_input_type, (2,)),
+            0xA3: Command(self._set_input_type, (2,), writes=True),
+            **self._by_channel(0x14, 0x15, ">f", "user_scale"),
+            **self._by_channel(0x0D, 0x0E, ">B", "output_type"),
+            **self._by_channel(0x04, 0x05, ">f", "output_offset"),
+            **self._by_channel(0x06, 0x07, ">f", "output_scale"),
+        }
+
+    def _by_channel(self, read: int, write: int, form: str, name: str) -> dict[int, Command]:
+        """A setting that every channel has: one command reads it, another writes it."""
+
+        def get(request: Request) -> Answer:
+            return DONE, struct.pack(form, getattr(self.memory, name)[_channel(request)])
+
+        def put(request: Request) -> Answer:
+            (value,) = struct.unpack(form, request.parameters[1:])
+            if not math.isfinite(value) or (form == ">B" and value > 7):
+                raise RefusedError(BAD_DATA)
+            getattr(self.memory, name)[_channel(request)] = value
+            self._tell(f"{name}.{request.parameters[0]}", value, request.by)
+            return DONE, b""
+
+        return {
+            read: Command(get, (1,)),
+            write: Command(put, (1 + struct.calcsize(form),), writes=True),
+        }
+
+    def _get_interface(self, request: Request) -> Answer:
+        """Flags, where there are any: 01 stream off, 10 on; bit 2 fast frames; bit 3 CRC-16.
+
+        That a request without bit 3 switches the CRC off, and the last two bytes of the reply, are
+        UNCONFIRMED.
+        """
+        if request.parameters:
+            flags = request.parameters[0]
+            if flags & 0xF4:
+                raise RefusedError(BAD_BITS)
+            if flags & 3 == 3:
+                raise RefusedError(BAD_DATA)
+            if flags & 3:
+                self._stream(flags & 3 == 2, request.by)
+            self._crc16 = bool(flags & 8)
+        state = self.memory.values - 1 << 4 | self._streaming << 3 | self.memory.data_type
+        return DONE, bytes((self.model, state, 0, 0))
+
+    def _set_zero(self, request: Request) -> Answer:
+        """The mean since the last frame becomes zero; channel 0 means all."""
+        which = request.parameters[0]
+        if which > CHANNELS:
+            raise RefusedError(BAD_ADDRESS)
+        ranges, _ = self._input_ranges(np.array([self._now_s()]))
+        for channel in range(CHANNELS) if which == 0 else (which - 1,):
+            self.memory.zero[channel] = float(ranges[0, channel])
+        self._tell("zero", which, request.by)
+        return DONE, b""
+
+    def _stop_transmission(self, request: Request) -> Answer:
+        self._stream(False, request.by)
+        return DONE, b""
+
+    def _start_transmission(self, request: Request) -> Answer:
+        self._stream(True, request.by)
+        return DONE, b""
+
+    def _set_mode(self, request: Request) -> Answer:
+        """Answered although the lock is on, for nothing else could take it off (UNCONFIRMED)."""
+        (mode,) = struct.unpack(">I", request.parameters)
+        if mode & ~KNOWN_MODE:
+            raise RefusedError(BAD_BITS)
+        if self.memory.mode & mode & WRITE_LOCK:
+            raise RefusedError(LOCKED)
+        self.memory.mode = mode
+        self._tell("mode", mode, request.by)
+        return DONE, b""
+
+    def _get_raw_value(self, request: Request) -> Answer:
+        """One channel as 24-bit offset binary (UNCONFIRMED form)."""
+        channel = _channel(request)
+        ranges, _ = self._input_ranges(np.array([self._now_s()]))
+        return DONE, _offset_binary(float(ranges[0, channel]), 3)
+
+    def _get_mapping(self, request: Request) -> Answer:
+        if request.parameters[0] != 0:
+            raise RefusedError(NO_SUCH_PARAMETER)
+        return DONE, struct.pack(">H", self.memory.values)
+
+    def _set_mapping(self, request: Request) -> Answer:
+        """Index 0: the number of values in a frame, channels 1 to that number."""
+        index, values = struct.unpack(">BH", request.parameters)
+        if index != 0:
+            raise RefusedError(NO_SUCH_PARAMETER)
+        if not 1 <= values <= CHANNELS:
+            raise RefusedError(BAD_DATA)
+        self.memory.values = values
+        self._tell("values", values, request.by)
+        return DONE, b""
+
+    def _rate_range(self, request: Request) -> Answer:
+        """Index 0: the largest rate as things are set, 1: the smallest."""
+        index = request.parameters[0]
+        if index > 1:
+            raise RefusedError(BAD_ADDRESS)
+        return DONE, struct.pack(">f", SLOWEST_S_s if index else self._fastest())
+
+    def _reset(self, request: Request) -> None:
+        self._tell("reset", None, request.by)
+        self._switch_on()
+
+    def _get_tx_mode(self, request: Request) -> Answer:
+        now = 0 if self._streaming else TX_OFF_NOW
+        crc = TX_CRC16 if self._crc16 else 0
+        values = {0: self.memory.tx_flags & ~TX_CRC16 | now | crc, 1: self.memory.data_type}
+        if request.parameters[0] not in values:
+            raise RefusedError(NO_SUCH_PARAMETER)  # UNCONFIRMED: index 2, the channel range
+        return DONE, struct.pack(">H", values[request.parameters[0]])
+
+    def _set_tx_mode(self, request: Request) -> Answer:
+        index, value = struct.unpack(">BH", request.parameters)
+        if index == 0:
+            self.memory.tx_flags = value & WRITABLE_TX_FLAGS
+            self._crc16 = bool(value & TX_CRC16)
+        elif index == 1 and value in (INT16, INT24, FLOAT32):
+            if value == FLOAT32 and self.rate > FASTEST_FLOATS_S_s:
+                raise RefusedError(RATE_TOO_HIGH)
+            self.memory.data_type = value
+        else:
+            raise RefusedError(BAD_DATA if index == 1 else NO_SUCH_PARAMETER)
+        self._tell(f"tx_mode.{index}", value, request.by)
+        return DONE, b""
+
+    def _write_rate(self, request: Request) -> Answer:
+        (asked,) = struct.unpack(">f", request.parameters)
+        if not asked >= SLOWEST_S_s:  # NaN too
+            raise RefusedError(TOO_SMALL)
+        if asked > FASTEST_S_s:
+            raise RefusedError(TOO_LARGE)
+        if asked > self._fastest():
+            raise RefusedError(RATE_TOO_HIGH)
+        divisor = min(DIVISORS, key=lambda d: abs(CONVERSIONS_PER_S / d - asked))
+        self.memory.rate_S_s = CONVERSIONS_PER_S / divisor
+        self._divisor = divisor
+        self._begin()
+        self._tell("rate", self.rate, request.by)
+        return (DONE if self.rate == asked else DONE_CHANGED), b""
+
+    def _get_input_type(self, request: Request) -> Answer:
+        """Type and its input range in hundredths of a mV/V."""
+        kind = self.memory.input_type[_channel(request)]
+        return DONE, struct.pack(">BI", kind, round(100 * _input_range(kind)))
+
+    def _set_input_type(self, request: Request) -> Answer:
+        channel, kind = _channel(request), request.parameters[1]
+        if kind >= len(BRIDGE_RANGES_MV_V):
+            raise RefusedError(BAD_DATA)
+        self.memory.input_type[channel] = kind
+        self._tell(f"input_type.{channel + 1}", kind, request.by)
+        return DONE, b""
+
+    # --- state -------------------------------------------------------------------------------
+
+    def _switch_on(self) -> None:
+        self._divisor = round(CONVERSIONS_PER_S / self.memory.rate_S_s)
+        self._crc16 = bool(self.memory.tx_flags & TX_CRC16)
+        self._streaming = not self.memory.tx_flags & TX_OFF_ALWAYS
+        self._begin()
+
+    def _begin(self) -> None:
+        """Frames are counted from here."""
+        self._origin_us, self._sent = self._port.now_us, 0
+        self._period_s = self._divisor / CONVERSIONS_PER_S
+        count = min(self._divisor, CONVERSIONS_COMPUTED)
+        self._back_s = self._period_s * np.arange(count)[::-1] / count
+
+    def _stream(self, on: bool, by: str) -> None:
+        if on != self._streaming:
+            self._streaming = on
+            if on:
+                self._begin()
+            self._tell("streaming", on, by)
+
+    def _fastest(self) -> float:
+        return FASTEST_FLOATS_S_s if self.memory.data_type == FLOAT32 else FASTEST_S_s
+
+    def _tell(self, what: str, value: object, by: str) -> None:
+        self._log.log(self._name, what, value, by)
+
+    def _now_s(self) -> float:
+        return self._port.now_us * 1e-6
+
+    # --- measuring ---------------------------------------------------------------------------
+
+    def _frames(self, ends_s: npt.NDArray[np.float64]) -> bytes:
+        """Measurement frames whose conversions end at these instants."""
+        ranges, saturated = self._input_ranges(ends_s)
+        values = ranges - np.array(self.memory.zero)
+        if self.memory.mode & MULTI_AXIS:  # the amplifier applies the sensor's matrix itself
+            values[:, :3] = values[:, :3] * INPUT_RANGE_MV_V @ np.array(self.sensor.matrix).T
+        elif self.memory.data_type == FLOAT32:
+            values *= np.array(self.memory.user_scale)
+        kept = values[:, : self.memory.values]
+        return self._encoded(kept, np.asarray(saturated[:, : self.memory.values].any(axis=1)))
+
+    def _encoded(self, values: npt.NDArray[np.float64], saturated: npt.NDArray[np.bool_]) -> bytes:
+        """Frames of values (n, k): floats in user units, integers in input ranges."""
+        (count, width), kind = values.shape, self.memory.data_type
+        flat = values.ravel().tolist()
+        if kind == FLOAT32:
+            data = struct.pack(f">{len(flat)}f", *flat)
+        else:
+            data = b"".join(_offset_binary(value, kind + 1) for value in flat)
+        end = 3 + len(data) // count
+        frames = np.empty((count, end + 2 * self._crc16 + 1), np.uint8)
+        frames[:, 0], frames[:, -1] = 0xAA, 0x85
+        frames[:, 1] = (0x30 if self._crc16 else 0x10) | width - 1
+        frames[:, 2] = saturated | (0x80 | kind << 4)
+        frames[:, 3:end] = np.frombuffer(data, np.uint8).reshape(count, -1)
+        if self._crc16:
+            frames[:, end:-1] = _crc16(frames[:, 1:end])
+        return frames.tobytes()
+
+    def _input_ranges(
+        self, ends_s: npt.NDArray[np.float64]
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+        """Each channel's mean over the frame period that ends at each instant, in input ranges,
+        and whether the converter stood at its end within it: both (n, 8)."""
+        count, per_frame = len(ends_s), len(self._back_s)
+        times = np.maximum(ends_s[:, None] - self._back_s, 0.0)
+        force = self._port.force_N(times.ravel()).reshape(count, per_frame, 3)
+        full = _input_range_of_each(tuple(self.memory.input_type))
+        saturated = np.zeros((count, CHANNELS), bool)
+        ranges = self._noise_of(count) / full
+        if self._all_below(OVERRANGE * min(full[:3].tolist()), np.abs(force)):
+            by_conversion = force.swapaxes(0, 1).reshape(per_frame, -1)
+            mean = np.add.reduce(by_conversion).reshape(count, 3) / per_frame
+            ranges[:, :3] += self.sensor.bridges(mean) / full[:3]  # of the mean: it is linear
+        else:
+            converted = self.sensor.bridges(force.reshape(-1, 3)).reshape(force.shape) / full[:3]
+            saturated[:, :3] = (np.abs(converted) >= OVERRANGE).any(axis=1)
+            ranges[:, :3] += np.clip(converted, -OVERRANGE, OVERRANGE).mean(axis=1)
+        np.minimum(np.maximum(ranges, -OVERRANGE, out=ranges), OVERRANGE, out=ranges)
+        for kind, begin_s, end_s in self._disturbed:
+            befallen = (ends_s >= begin_s) & (ends_s < end_s)
+            if kind == "saturated":
+                ranges[befallen, 2], saturated[befallen, 2] = OVERRANGE, True
+            elif befallen.any():
+                before = ranges[ends_s < begin_s]
+                ranges[befallen] = before[-1] if len(before) else self._last
+        self._last = ranges[-1]
+        return ranges, saturated
+
+    def _all_below(self, bridge_mV_V: float, sizes_N: npt.NDArray[np.float64]) -> bool:
+        """Whether no bridge can reach this under forces of these sizes (n, m, 3): mostly all three
+        components may be as large as the largest, which is found sooner than each one's."""
+        most = self.sensor.largest_bridge
+        return (
+            most(np.full(3, sizes_N.max())) < bridge_mV_V
+            or most(sizes_N.max(axis=(0, 1))) < bridge_mV_V
+        )
+
+    def _noise_of(self, count: int) -> npt.NDArray[np.float64]:
+        """Noise of the next frames in mV/V, (n, 8): by key and by number of frames since it came,
+        made in whole chunks, so that neither batches nor earlier points matter."""
+        if self._noise_key != (key := self._port.noise_key):
+            self._noise_key, self._noise_at = key, 0
+            self._noise.clear()
+        first, self._noise_at = self._noise_at, self._noise_at + count
+        chunks = range(first // NOISE_CHUNK, (self._noise_at - 1) // NOISE_CHUNK + 1)
+        drawn = [self._noise_chunk(chunk) for chunk in chunks]
+        begin = first - chunks[0] * NOISE_CHUNK
+        rms = NOISE_MV_V * math.sqrt(self.rate / 1000)
+        noise = drawn[0] if len(drawn) == 1 else np.concatenate(drawn)
+        return rms * noise[begin : begin + count]
+
+    def _noise_chunk(self, chunk: int) -> npt.NDArray[np.float64]:
+        if chunk not in self._noise:
+            assert self._noise_key is not None
+            source = np.random.default_rng([*self._noise_key, chunk])
+            self._noise = {chunk: source.standard_normal((NOISE_CHUNK, CHANNELS))}
+        return self._noise[chunk]
+
+
+# --- bytes -----------------------------------------------------------------------------------
+
+BRIDGE_RANGES_MV_V = (INPUT_RANGE_MV_V, 7.0, 14.0)
+"""Input range by input type: bridge at 5, 2.5 and 1.25 V (UNCONFIRMED beyond the first)."""
+
+
+def _input_range(input_type: int) -> float:
+    """In mV/V."""
+    return BRIDGE_RANGES_MV_V[input_type]
+
+
+@cache
+def _input_range_of_each(input_types: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    return np.array([_input_range(kind) for kind in input_types])
+
+
+def _channel(request: Request) -> int:
+    """The channel that a request names first, from 0."""
+    channel = request.parameters[0]
+    if not 1 <= channel <= CHANNELS:
+        raise RefusedError(BAD_ADDRESS)
+    return channel - 1
+
+
+def _offset_binary(ranges: float, width: int) -> bytes:
+    """A value in input ranges as an integer of `width` bytes: 1.05 ranges are its end."""
+    half = 1 << 8 * width - 1
+    counts = round(ranges / OVERRANGE * half)
+    return (min(max(counts, -half), half - 1) + half).to_bytes(width, "big")
+
+
+def _response(code: int, data: bytes, crc: bool) -> bytes:
+    assert len(data) < 15, "no command here answers with more"
+    body = bytes(((0x70 if crc else 0x50) | len(data), code)) + data
+    return b"\xaa" + body + (bytes((_crc8(body),)) if crc else b"") + b"\x85"
+
+
+def _refusal(reply: bytes, code: int) -> bytes | None:
+    """A response made into one with an error code; measurements carry none."""
+    return _response(code, b"", bool(reply[1] & 0x20)) if reply[1] >> 6 == 1 else None
+
+
+def _wrong_check(reply: bytes) -> bytes | None:
+    """A response, or the last of some measurements, with a wrong CRC where it has one."""
+    if not reply[1] & 0x20:
+        return None
+    return reply[:-2] + bytes((reply[-2] ^ 0xFF, reply[-1]))
+
+
+GSV_DIALECT = Dialect(error=_refusal, checksum=_wrong_check)
+
+
+def _crc8(data: bytes) -> int:
+    """Polynomial x8 + x2 + x + 1, start 0: of a message and its own check it is 0."""
+    remainder = 0
+    for byte in data:
+        remainder ^= byte
+        for _ in range(8):
+            remainder = (remainder << 1 ^ 0x107) if remainder & 0x80 else remainder << 1
+    return remainder
+
+
+def _crc16(rows: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """CRC-16 of each row as Modbus has it, (n, 2) with the low byte first: x16 + x15 + x2 + 1
+    reflected, start FFFF. It is the exclusive or of what each byte brings in at its place."""
+    start, places, brought = _crc16_by_place(rows.shape[1])
+    remainders = np.bitwise_xor.reduce(brought[places + rows], axis=1) ^ start
+    return np.asarray(remainders, "<u2").view(np.uint8).reshape(-1, 2)
+
+
+@cache
+def _crc16_by_place(
+    length: int,
+) -> tuple[np.uint16, npt.NDArray[np.intp], npt.NDArray[np.uint16]]:
+    """What the start brings in, where each place's bytes begin, and what they bring in."""
+
+    def passed_on(remainders: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
+        return np.asarray(remainders >> 8 ^ one_byte[remainders & 0xFF])
+
+    one_byte = np.array(_BYTES, np.uint16)
+    start, brought = np.array([0xFFFF], np.uint16), [one_byte]
+    for _ in range(length - 1):
+        brought.append(passed_on(brought[-1]))
+    for _ in range(length):
+        start = passed_on(start)
+    return start[0], np.arange(length) * 256, np.concatenate(brought[::-1])
+
+
+_NIBBLES = (
+    *(0x0000, 0xCC01, 0xD801, 0x1400, 0xF001, 0x3C00, 0x2800, 0xE401),
+    *(0xA001, 0x6C00, 0x7800, 0xB401, 0x5000, 0x9C01, 0x8801, 0x4400),
+)
+_BYTES = tuple((byte := _NIBBLES[n & 15] ^ n >> 4) >> 4 ^ _NIBBLES[byte & 15] for n in range(256))
+"""A byte's two nibbles in one."""

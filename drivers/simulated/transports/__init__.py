@@ -1,0 +1,1 @@
+"""Transports of simulated instruments: HiSLIP, SCPI, Modbus, serial lines, TCP."""

@@ -1,0 +1,221 @@
+"""A pseudo-terminal that puts a simulated instrument on a serial port.
+
+It may move bytes between a client and a core, let `WireFaults` disturb them, and count them. It may
+not know an instrument, and never waits for one: the core answers at once. Everything runs in the
+event loop that called ``start``.
+
+A kernel buffer of a pseudo-terminal holds about 20 kB; what it does not take is queued here and
+follows as the client reads. A client that does not read loses measurements, as on a real line:
+beyond `LONGEST_BACKLOG` bytes of queue, what an instrument sends of its own accord is thrown away,
+whole batches at a time, and counted in ``bytes_lost``. Answers are never thrown away.
+
+``bytes_sent`` counts what was handed to the kernel or stands in the queue, since the server was
+made: all of it reaches a client that reads on. A slaved clock waits for exactly that.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import tempfile
+import tty
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from drivers.simulated.faults.plan import FaultPlan
+from drivers.simulated.faults.wire import Delivery, WireFaults
+from drivers.simulated.ports import Timeline
+
+LONGEST_BACKLOG = 64 * 1024
+TICK_S = 0.001
+"""How often a server in real time looks whether its instrument has something to say, and whether
+the kernel takes more of the queue."""
+READ_BYTES = 65536
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """One request, as a fault plan names it, and its reply; None where there is none."""
+
+    request: bytes
+    reply: bytes | None
+    device: str = ""
+    """Who of several on the line replies."""
+    delay_s: float = 0.0
+    """When the reply has arrived in real time, wire time included. In slaved time it comes at
+    once: a client that minds the line's time lets it pass itself."""
+
+
+class SerialInstrument(Protocol):
+    """What a simulated instrument on a serial line has to do."""
+
+    def exchanges(self, data: bytes, by: str) -> Iterable[Exchange]:
+        """Take bytes from the line; the requests that they complete, with their replies."""
+        ...
+
+    def frames_until(self, now_us: int) -> bytes:
+        """What it has to say of its own accord since the last call; empty for most."""
+        ...
+
+
+class PtyServer:
+    """One instrument on a pseudo-terminal whose path stays the same over disconnections.
+
+    `faults` disturb replies, request by request, by device where several are on the line;
+    `stream_faults` what the instrument says of its
+    own accord, one `pump` that has something counting as one request named ``STREAM``. A fault of
+    kind ``close`` unplugs the port: clients see it vanish, and the path leads to a new one.
+
+    In slaved time the owner of the time calls `pump` after every advance. In real time, from
+    `start` or from `set_free` on, the server does that by itself.
+    """
+
+    def __init__(
+        self,
+        instrument: SerialInstrument,
+        timeline: Timeline,
+        slaved: bool = False,
+        faults: WireFaults | Mapping[str, WireFaults] | None = None,
+        stream_faults: WireFaults | None = None,
+        name: str = "serial",
+    ):
+        self.instrument = instrument
+        self.bytes_sent = 0
+        """Bytes handed to the kernel or queued, of answers and stream."""
+        self.bytes_lost = 0
+        """Bytes of the stream thrown away because nobody read."""
+        none = FaultPlan()
+        by_device = faults if isinstance(faults, Mapping) else {"": faults or WireFaults(none, "")}
+        self._links = {device: own.link() for device, own in by_device.items()}
+        self._stream_link = (stream_faults or WireFaults(none, "")).link()
+        self._timeline = timeline
+        self._slaved = slaved
+        self._name = name
+        self._queue = bytearray()
+        self._master = self._slave = -1
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._ticking: asyncio.Task[None] | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._retry: asyncio.TimerHandle | None = None
+
+    @property
+    def path(self) -> str:
+        """What a client opens as its serial port."""
+        assert self._folder is not None, "the server has been started"
+        return str(Path(self._folder.name) / self._name)
+
+    @property
+    def backlog(self) -> int:
+        """Bytes that wait for the kernel to take them."""
+        return len(self._queue)
+
+    async def start(self) -> None:
+        """Open the port."""
+        self._loop = asyncio.get_running_loop()
+        self._folder = tempfile.TemporaryDirectory(prefix="tactile-rig-")
+        self._plug_in()
+        if not self._slaved:
+            self.set_free()
+
+    async def close(self) -> None:
+        """Close the port; clients see it vanish."""
+        if self._ticking is not None:
+            self._ticking.cancel()
+        if self._master >= 0:
+            self._unplug()
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    def set_free(self) -> None:
+        """Follow the timeline without being told, from the event loop's thread."""
+        assert self._loop is not None, "the server has been started"
+        if self._ticking is None:
+            self._ticking = self._loop.create_task(self._tick())
+
+    def pump(self) -> None:
+        """Send what the instrument has to say up to now."""
+        data = self.instrument.frames_until(self._timeline.now_us)
+        if data:
+            self._deliver(self._stream_link.exchange(b"STREAM", data), may_be_lost=True)
+
+    async def _tick(self) -> None:
+        while True:
+            self.pump()
+            await asyncio.sleep(TICK_S)
+
+    # --- the port ----------------------------------------------------------------------------
+
+    def _plug_in(self) -> None:
+        """A new pseudo-terminal, raw; a descriptor of its own keeps it open without a client."""
+        assert self._loop is not None
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        link = Path(self.path)
+        fresh = link.with_suffix(".new")
+        fresh.symlink_to(os.ttyname(self._slave))
+        fresh.replace(link)
+        self._loop.add_reader(self._master, self._readable)
+
+    def _unplug(self, plug_in: bool = False) -> None:
+        """Clients see the port vanish; `plug_in` has another ready before they do."""
+        assert self._loop is not None
+        old = self._master, self._slave
+        self._loop.remove_reader(self._master)
+        if self._retry is not None:
+            self._retry.cancel()
+            self._retry = None
+        self._queue.clear()
+        self._master = self._slave = -1
+        if plug_in:
+            self._plug_in()
+        for descriptor in old:
+            os.close(descriptor)
+
+    def _readable(self) -> None:
+        try:
+            data = os.read(self._master, READ_BYTES)
+        except (BlockingIOError, InterruptedError):
+            return
+        self.pump()  # what fell due before the request goes out before its reply
+        for exchange in self.instrument.exchanges(data, self._name):
+            delivery = self._links[exchange.device].exchange(exchange.request, exchange.reply)
+            if exchange.delay_s and self._ticking is not None:
+                assert self._loop is not None
+                self._loop.call_later(exchange.delay_s, self._deliver, delivery)
+            else:
+                self._deliver(delivery)
+            if delivery.close:
+                return  # and with the port went what had been sent after it
+
+    def _deliver(self, delivery: Delivery, may_be_lost: bool = False) -> None:
+        for reply in delivery.replies:
+            self._send(reply.data, may_be_lost)
+        if delivery.close:
+            self._unplug(plug_in=True)
+
+    def _send(self, data: bytes, may_be_lost: bool) -> None:
+        if self._master < 0:  # a reply that took its time finds the port closed
+            return
+        if may_be_lost and len(self._queue) + len(data) > LONGEST_BACKLOG:
+            self.bytes_lost += len(data)
+            return
+        self.bytes_sent += len(data)
+        self._queue += data
+        if self._retry is None:
+            self._flush()
+
+    def _flush(self) -> None:
+        """Hand the queue to the kernel; what it does not take is tried again in a moment."""
+        assert self._loop is not None
+        self._retry = None
+        while self._queue:
+            try:
+                written = os.write(self._master, self._queue)
+            except (BlockingIOError, InterruptedError):
+                self._retry = self._loop.call_later(TICK_S, self._flush)
+                return
+            del self._queue[:written]

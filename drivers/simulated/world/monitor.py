@@ -1,0 +1,118 @@
+"""The World's own watch over whoever drives it: what must not happen, looked for after every step.
+
+It may look at forces, axes and outputs and write to the World's log; it may not change anything.
+What it finds is logged as ``violation``. It is there only where the World's settings ask for it.
+
+- The force by which the stages press stays below its limit but for what a sensor cannot know yet:
+  beyond the limit it never gets further than it has risen within one `reaction_s`.
+- Where the World ends, because its run has said so or has died, nothing moves or is driven.
+
+It also writes down a checksum of every frame that the force sensor sends, so that a record can be
+held against what was sent; the DAQ logs its blocks by itself.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterable
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from drivers.simulated.transports.serial_server import Exchange, SerialInstrument
+from rig.core.settings import Settings
+
+STEP_us = 1000
+"""Of the instants at which the force is looked at."""
+FRAME_VALUES = slice(3, 15)
+"""Bytes of a frame of three floats."""
+FRAME_BYTES = (16, 18)
+"""Without and with a CRC."""
+
+Tell = Callable[[str, object], None]
+
+
+class WatchSettings(Settings):
+    """What a watched World is measured by."""
+
+    force_limit_N: float = Field(gt=0)
+    """Along any axis, of what the stages press with."""
+    reaction_s: float = Field(default=0.015, gt=0, le=1)
+    """Within which a force over the limit has to stop rising: one delivery of frames, which is the
+    longest advance of a slaved bench, and the axis's braking."""
+
+
+class Monitor:
+    """Looks at one World. `force_N` gives what the stages press with, (n,) World seconds to (n, 3);
+    `active` names what moves or is driven now."""
+
+    def __init__(
+        self,
+        settings: WatchSettings,
+        force_N: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]],
+        active: Callable[[], Iterable[str]],
+        tell: Tell,
+    ):
+        self._settings, self._force_N, self._active, self._tell = settings, force_N, active, tell
+        self._before = max(1, round(settings.reaction_s * 1e6 / STEP_us))
+        self._recent = np.zeros(self._before)
+        """Of the steps before the next one."""
+        self._next_us = 0
+        self._allowed_N = 0.0
+        """Largest rise within one reaction since the force went over its limit."""
+        self._told = False
+
+    def look(self, now_us: int) -> None:
+        """At everything since the last look."""
+        times = np.arange(self._next_us, now_us + 1, STEP_us)
+        if not times.size:
+            return
+        self._next_us = int(times[-1]) + STEP_us
+        force = np.abs(self._force_N(np.asarray(times * 1e-6, np.float64))).max(axis=1)
+        history = np.concatenate([self._recent, force])
+        self._recent = history[-self._before :]
+        if force.max() <= self._settings.force_limit_N:
+            self._allowed_N, self._told = 0.0, False
+            return
+        for after, before in zip(force.tolist(), history.tolist(), strict=False):
+            self._judge(after, after - before)
+
+    def over(self) -> None:
+        """The World ends, and with it the run."""
+        for what in self._active():
+            self._tell("violation", f"{what} although no run is active")
+
+    def _judge(self, force_N: float, rise_N: float) -> None:
+        excess = force_N - self._settings.force_limit_N
+        if excess <= 0:
+            self._allowed_N, self._told = 0.0, False
+            return
+        self._allowed_N = max(self._allowed_N, rise_N)
+        if excess > self._allowed_N and not self._told:
+            self._told = True
+            self._tell(
+                "violation",
+                f"force of {force_N:.3g} N, {excess:.3g} N over its limit, which it rose by "
+                f"{self._allowed_N:.3g} N at most in {self._settings.reaction_s:g} s",
+            )
+
+
+class WatchedLine:
+    """A serial instrument whose frames are written down, each by the CRC-32 of its values."""
+
+    def __init__(self, instrument: SerialInstrument, tell: Tell):
+        self._instrument, self._tell = instrument, tell
+
+    def exchanges(self, data: bytes, by: str) -> Iterable[Exchange]:
+        """Those of the instrument."""
+        return self._instrument.exchanges(data, by)
+
+    def frames_until(self, now_us: int) -> bytes:
+        """Those of the instrument, written down where they are three floats."""
+        sent = self._instrument.frames_until(now_us)
+        size = FRAME_BYTES[bool(sent and sent[1] & 0x20)]
+        if sent and sent[1] & 15 == 2 and len(sent) % size == 0:
+            frames = (sent[at : at + size] for at in range(0, len(sent), size))
+            self._tell("frames", [zlib.crc32(frame[FRAME_VALUES]) for frame in frames])
+        return sent

@@ -1,0 +1,368 @@
+"""The World: one simulated physics behind all simulated instruments of a bench.
+
+It holds time, the log, what is mounted, and what the force sensor and the DAQ's input terminals
+carry: the film in its clamp with the stage and the vibrator that press on it, or the skin that two
+stages press and slide on a plate. Instruments see it through the narrow
+ports of `ports.py`; only here do they meet. Random numbers are keyed, never continued: the noise of
+a point depends on the seed, the run, the point and the stream, and not on what came before it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, ValidationError
+
+from drivers.simulated.faults.plan import (
+    DAQ,
+    STAGE_X,
+    STAGE_Z,
+    Clipped,
+    ClockJump,
+    Spike,
+    TimedFault,
+)
+from drivers.simulated.faults.task_log import Beginnings
+from drivers.simulated.ports import Excitation
+from drivers.simulated.world.driven_line import DrivenLine
+from drivers.simulated.world.film_clamp import ClampedFilm
+from drivers.simulated.world.log import WorldLog
+from drivers.simulated.world.monitor import WatchSettings
+from drivers.simulated.world.schedule import Schedule
+from drivers.simulated.world.timeline import Timeline
+from rig.core.errors import ConfigurationError
+from rig.core.settings import Settings
+from rig.core.toml_files import read_toml
+from rig.physics import film_clamp, front_end, pvdf, vibrator
+from rig.physics.film_clamp import FilmClampSettings
+from rig.physics.front_end import FrontEndSettings
+
+if TYPE_CHECKING:
+    from drivers.simulated.world.contact_geometry import Where
+    from drivers.simulated.world.skin_contact import SkinContact
+
+LOAD_CELL_TERMINAL = 101
+FILM_TERMINAL = 102
+STRIP_TERMINALS = {101: 1, 102: 2}
+"""Where the strips' amplifiers end while the skin is mounted."""
+VIBRATOR_CHANNEL = 1
+AMPLIFIER_CLIP_V = 10.0
+NOISE_CHUNK = 4096
+TERMINALS_SAMPLED = 4
+"""At most at once."""
+FORCE_NOISE = 900
+"""Stream number that keys the force sensor's noise; terminals are the DAQ's streams."""
+FORCE_SENSOR_FOLLOWS_Hz = 1000.0
+"""Vibration beyond does not reach the force sensor's bridges: its probe is too heavy (assumed)."""
+
+
+class WorldSettings(Settings):
+    """What the simulated bench is like; everything a real one would not let you choose."""
+
+    film: Literal["drawn", "nominal", "open-circuit"] = "drawn"
+    """A film drawn from the seed, the default film of the model, or none connected."""
+    film_gain: float = 1.0
+    """Gain of the film's amplifier: a large one saturates the input."""
+    film_input: FrontEndSettings = FrontEndSettings()
+    """Noise and hum of the film's channel."""
+    load_cell_input: FrontEndSettings = FrontEndSettings()
+    """Noise and hum of the load cell's channel."""
+    clamp: FilmClampSettings = FilmClampSettings()
+    """Where the film is met, how stiff it is and how it creeps."""
+    load_cell_sensitivity_V_N: float = Field(default=0.1, gt=0)
+    """True sensitivity of the load cell."""
+    load_cell_zero_V: float = 0.0
+    """Its output under no load."""
+    force_sensor_zero_mV_V: tuple[float, float, float] = (0.012, -0.007, 0.021)
+    """Bridge outputs of the force sensor under no load."""
+    daq_model: Literal["U2331A", "U2542A"] = "U2331A"
+    """Which DAQ the bench has."""
+    daq_buffer_samples: int = Field(default=8_000_000, ge=1)
+    """What its buffer holds, all channels together."""
+    generator_link: Literal["socket", "hislip"] = "socket"
+    """How the generator is reached."""
+    watch: WatchSettings | None = None
+    """What the World looks for by itself, and tells its log of; None: nothing."""
+
+
+W = TypeVar("W", bound=WorldSettings)
+
+
+def read_world(path: str | None, kind: type[W] = WorldSettings) -> W:  # type: ignore[assignment]
+    """World settings from a TOML file; defaults where there is none."""
+    if path is None:
+        return kind()
+    tables = read_toml(Path(path), "file of World settings")
+    try:
+        return kind.model_validate(tables)
+    except ValidationError as error:
+        raise ConfigurationError.from_validation(error, path) from error
+
+
+class World:
+    """One bench's physics; implements the instruments' ports."""
+
+    def __init__(
+        self,
+        settings: WorldSettings,
+        seed: int,
+        slaved: bool,
+        log: Path | None = None,
+        faults: Iterable[TimedFault] = (),
+    ):
+        self.settings = settings
+        self.timeline = Timeline(slaved)
+        self._log = WorldLog(log, self.timeline)
+        self._seed = seed
+        self._point_key = (0, 0)
+        self._acquisitions_of_point = 0
+        self._acquisition_keys: dict[int, tuple[int, int, int]] = {}
+        mechanics, circuit = (
+            vibrator.drawn_film(seed)
+            if settings.film == "drawn"
+            else (vibrator.VibratorSettings(), pvdf.SWEEP_FILM)
+        )
+        circuit = circuit.model_copy(update={"gain": settings.film_gain})
+        mechanics = mechanics.model_copy(
+            update={"cell_sensitivity_V_N": settings.load_cell_sensitivity_V_N}
+        )
+        self._line = DrivenLine(vibrator.vibrator_line(mechanics, circuit))
+        self._clamp: ClampedFilm | None = None
+        self._skin: SkinContact | None = None
+        self._strip_input = FrontEndSettings()
+        self._weight_N = np.zeros(3)
+        self._pushes: list[tuple[float, float, float]] = []
+        """Begin and end in s, force in N."""
+        self._schedule = Schedule(faults)
+        self.beginnings = Beginnings()
+        """Of tasks and acquisitions."""
+        self.beginnings.listen(self._schedule.hear)
+        self._elsewhere: dict[str, Callable[[TimedFault, int], None]] = {}
+        self._excitation: Excitation | None = None
+        self._clip_V = math.inf
+
+    @property
+    def now_us(self) -> int:
+        """World time in microseconds."""
+        return self.timeline.now_us
+
+    @property
+    def noise_key(self) -> tuple[int, ...]:
+        """Keys the force sensor's noise."""
+        return (self._seed, *self._point_key, FORCE_NOISE)
+
+    def mount(self, stage_z_mm: Where) -> None:
+        """The z stage carries the vibrator: where its carriage is or was."""
+        self._clamp = ClampedFilm(self.settings.clamp, stage_z_mm)
+
+    def hang(self, skin: SkinContact, strips: FrontEndSettings) -> None:
+        """The stages carry a skin above the plate; `strips` are its channels' noise and hum."""
+        self._skin, self._strip_input = skin, strips
+
+    @property
+    def failure(self) -> str | None:
+        """Why this World can no longer be believed, if so; it goes on only to be brought to
+        rest."""
+        return None if self._skin is None else self._skin.failure
+
+    def befall(self, device: str, act: Callable[[TimedFault, int], None]) -> None:
+        """Leave a device's faults to it: what is told of each, and of its World time in us."""
+        self._elsewhere[device] = act
+
+    def settle(self) -> None:
+        """Bring what is mounted up to the present, faults included."""
+        self._befall()
+        if self._skin is not None:
+            self._skin.catch_up(self.now_us)
+
+    def truth(self) -> dict[str, Any]:
+        """What really happened since the point was announced, as JSON; nothing where the World
+        keeps no such record."""
+        if self._skin is None:
+            return {}
+        self.settle()
+        return self._skin.truth()
+
+    def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
+        """Force along an axis on its carriage: the film, or the plate, pushes back."""
+        if self._skin is not None:  # the carriage stands where the skin will ask for it
+            tangential_N, normal_N = self._skin.push_N(t_us)
+            return {STAGE_Z: -normal_N, STAGE_X: -tangential_N}.get(axis, 0.0)
+        if axis != STAGE_Z or self._clamp is None:
+            return 0.0
+        return -self._clamp.push_N(position_mm, t_us)
+
+    def force_N(  # noqa: N802
+        self, times_s: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """Force on the sensor under film or plate, (n,) to (n, 3): weights, pushes, contact."""
+        self._befall()  # in real time frames come more often than `settle`
+        weight_N = self._weight_N if np.count_nonzero(self._weight_N) else 0.0
+        force = self.pressed_N(times_s) + weight_N
+        for begin_s, end_s, push_N in self._pushes:
+            force[:, 2] += push_N * ((times_s >= begin_s) & (times_s < end_s))
+        return force
+
+    def pressed_N(  # noqa: N802
+        self, times_s: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """The part of it by which the stages press and the vibrator shakes."""
+        if self._skin is not None:
+            return self._skin.force_N(times_s)
+        force = np.zeros((len(times_s), 3))
+        force[:, 2] = self._film_N(times_s)
+        return force
+
+    def _film_N(  # noqa: N802
+        self, times_s: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """Preload and vibration."""
+        along_z = self._preload(times_s)
+        if self._line.frequency_Hz <= FORCE_SENSOR_FOLLOWS_Hz and along_z.any():
+            shaken = self._line.output(vibrator.Output.LOAD, times_s)
+            along_z = np.maximum(along_z + shaken, 0.0) * (along_z > 0)
+        return along_z
+
+    def weigh(self, force_N: tuple[float, float, float]) -> None:
+        """Somebody puts weights on the sensors, along x, y and z."""
+        self._weight_N = np.array(force_N, float)
+        self.log("world", "weights", list(force_N), "world")
+
+    def announce(self, run: int, point: int) -> None:
+        """The run says which point comes next: it keys the noise."""
+        self._point_key = (run, point)
+        self._acquisitions_of_point = 0
+        if self._skin is not None:
+            self.settle()
+            self._skin.record.begin(self.now_us)
+
+    def log(self, device: str, what: str, value: object, by: str) -> None:
+        """Write to the World's log."""
+        self._log.log(device, what, value, by)
+
+    @property
+    def driven(self) -> bool:
+        """Whether the vibrator's terminals carry anything."""
+        return self._excitation is not None and self._excitation.on
+
+    def excite(self, channel: int, excitation: Excitation, by: str) -> None:
+        """A generator channel's terminals change from now on."""
+        if channel == VIBRATOR_CHANNEL:
+            self._excitation = excitation
+            self._drive()
+
+    def _drive(self) -> None:
+        if self._excitation is not None:
+            given_V = min(self._excitation.amplitude_V, self._clip_V)
+            self._line.excite(self.now_us, replace(self._excitation, amplitude_V=given_V))
+
+    def _befall(self) -> None:
+        """Begin the faults that are due by now, in their order."""
+        while (t_us := self._schedule.due(self.now_us)) is not None:
+            self._begin(self._schedule.take(), t_us)
+
+    def _begin(self, fault: TimedFault, t_us: int) -> None:
+        """A fault's time has come."""
+        self.log(fault.device, "injected", fault.kind, "plan")
+        if isinstance(fault, Spike):
+            begin_s = t_us * 1e-6
+            self._pushes.append((begin_s, begin_s + fault.for_s, fault.force_N))
+        elif isinstance(fault, Clipped):
+            self._clip_V = fault.amplitude_V
+            self._drive()
+        elif isinstance(fault, ClockJump):
+            self.timeline.jump(round(fault.by_s * 1e6))
+        else:
+            self._elsewhere[fault.device](fault, t_us)
+
+    def begin_acquisition(self) -> int:
+        """A fresh acquisition number; its noise is keyed by the point and its place in it."""
+        number = len(self._acquisition_keys)
+        self._acquisition_keys[number] = (*self._point_key, self._acquisitions_of_point)
+        self._acquisitions_of_point += 1
+        self.beginnings.begin(DAQ, self.now_us)
+        return number
+
+    def volts(
+        self,
+        acquisition: int,
+        terminals: tuple[int, ...],
+        start_us: int,
+        rate_S_s: float,
+        first: int,
+        count: int,
+        skew_s: tuple[float, ...],
+    ) -> npt.NDArray[np.float64]:
+        """What the terminals carry at the samples' instants: (count, len(terminals)) volts."""
+        nominal = start_us * 1e-6 + (first + np.arange(count)) / rate_S_s
+        result = np.empty((count, len(terminals)))
+        for k, terminal in enumerate(terminals):
+            times = nominal + skew_s[k]
+            noise = self._noise(acquisition, terminal, rate_S_s, first, count)
+            result[:, k] = self._signal(terminal, times) + noise
+        return result
+
+    def close(self) -> None:
+        """End the World; its log says so."""
+        self.log("world", "end", None, "world")
+        self._log.close()
+
+    def _signal(self, terminal: int, times: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        hum = front_end.mains_hum(self._front_end(terminal), times)
+        if self._skin is not None:
+            strip = STRIP_TERMINALS.get(terminal)
+            return hum if strip is None else self._skin.strip_V(strip, times) + hum
+        preload = self._preload(times)
+        if terminal == LOAD_CELL_TERMINAL:
+            own = self.settings
+            still = own.load_cell_zero_V + own.load_cell_sensitivity_V_N * self._weight_N[2]
+            # Zeroed under the preload: only what vibrates is seen, and only if there is contact.
+            seen: npt.NDArray[np.float64] = self._line.output(vibrator.Output.CELL, times)
+            seen = seen * (preload > 0) + still
+        elif terminal == FILM_TERMINAL and self.settings.film != "open-circuit":
+            film: npt.NDArray[np.float64] = self._line.output(vibrator.Output.FILM, times)
+            film = film * film_clamp.preload_gain(self.settings.clamp, preload)
+            seen = np.clip(film, -AMPLIFIER_CLIP_V, AMPLIFIER_CLIP_V)
+        else:
+            seen = np.zeros(times.shape)
+        result: npt.NDArray[np.float64] = seen + hum
+        return result
+
+    def _preload(self, times: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Static force on the film; the nominal one where no stage is mounted."""
+        if self._clamp is None:
+            return np.full(times.shape, self.settings.clamp.nominal_preload_N)
+        return self._clamp.preload_N(times)
+
+    def _front_end(self, terminal: int) -> FrontEndSettings:
+        if self._skin is not None:
+            return self._strip_input
+        if terminal == LOAD_CELL_TERMINAL:
+            return self.settings.load_cell_input
+        return self.settings.film_input
+
+    def _noise(
+        self, acquisition: int, terminal: int, rate_S_s: float, first: int, count: int
+    ) -> npt.NDArray[np.float64]:
+        """White noise by sample index, made in whole chunks so that blocks do not matter."""
+        key = (self._seed, *self._acquisition_keys[acquisition], terminal)
+        chunks = range(first // NOISE_CHUNK, (first + count - 1) // NOISE_CHUNK + 1)
+        drawn = [_noise_chunk((*key, chunk)) for chunk in chunks]
+        begin = first - chunks[0] * NOISE_CHUNK
+        rms = front_end.noise_rms(self._front_end(terminal), rate_S_s)
+        return rms * np.concatenate(drawn)[begin : begin + count]
+
+
+@lru_cache(maxsize=2 * TERMINALS_SAMPLED)
+def _noise_chunk(key: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    """Standard normal, (NOISE_CHUNK,): a block often wants the same as the one before."""
+    drawn = np.random.default_rng(key).standard_normal(NOISE_CHUNK)
+    drawn.flags.writeable = False
+    return drawn
