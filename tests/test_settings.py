@@ -100,7 +100,10 @@ def test_leaves_are_all_plain_values_with_dotted_names_and_units() -> None:
 
 
 def test_a_fingerprint_is_the_same_in_every_process_and_order() -> None:
-    program = "from rig.core.settings import fingerprint; print(fingerprint({'b': [1, 2.5], 'a': None}, 'x'))"
+    program = (
+        "from rig.core.settings import fingerprint; "
+        "print(fingerprint({'b': [1, 2.5], 'a': None}, 'x'))"
+    )
     other = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )

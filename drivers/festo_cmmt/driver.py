@@ -41,9 +41,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from drivers.festo_cmmt.link import INPUT_IMAGE, OUTPUT_IMAGE, CmmtLink, ParameterRefusedError
-from drivers.festo_cmmt.settings import FAULTS, Settings
-from drivers.festo_cmmt.telegram111 import (
+from drivers.festo_cmmt.frames import (
     FULL_SCALE,
     IMAGE_REGISTERS,
     Inputs,
@@ -56,6 +54,8 @@ from drivers.festo_cmmt.telegram111 import (
     Stw2,
     Zsw1,
 )
+from drivers.festo_cmmt.link import INPUT_IMAGE, OUTPUT_IMAGE, CmmtLink, ParameterRefusedError
+from drivers.festo_cmmt.settings import FAULTS, Settings
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments.roles import Identity, Reach

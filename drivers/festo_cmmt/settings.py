@@ -12,7 +12,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from drivers.festo_cmmt.telegram111 import FULL_SCALE
+from drivers.festo_cmmt.frames import FULL_SCALE
 from rig.core.settings import Settings as BaseSettings
 
 LARGEST_COUNT = 2**31 - 1

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from drivers.simulated.faults.task_log import Beginnings
+from drivers.simulated.task_log import Beginnings
 
 
 @dataclass(frozen=True)

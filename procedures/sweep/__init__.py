@@ -31,7 +31,7 @@ from rig.run.procedure import DriftFigure, StreamPlan
 
 if TYPE_CHECKING:
     from procedures.sweep.memory import Memory
-    from rig.analysis.response.frequency_plan import FrequencyPlanSettings
+    from rig.analysis.film.frequency_plan import FrequencyPlanSettings
     from rig.bench.bench import Bench
     from rig.run.context import Run
 
@@ -180,7 +180,7 @@ def points(settings: Settings) -> tuple[Point, ...]:
     preload.refuse_impossible(settings.preload_N, max(settings.levels_N), LARGEST_SHARE_OF_PRELOAD)
     frequencies = settings.frequencies_Hz
     if not frequencies:
-        from rig.analysis.response.frequency_plan import scan_frequencies_Hz
+        from rig.analysis.film.frequency_plan import scan_frequencies_Hz
 
         frequencies = scan_frequencies_Hz(_grid(settings))
     return _points_at(settings, frequencies)
@@ -191,8 +191,8 @@ def refine(settings: Settings, readings: Sequence[Reading]) -> tuple[Point, ...]
     if settings.frequencies_Hz or not settings.points_per_half_width:
         return ()
     from procedures.sweep.summary import curve_of
+    from rig.analysis.film.frequency_plan import refine_Hz
     from rig.analysis.response.curve import CurveError
-    from rig.analysis.response.frequency_plan import refine_Hz
 
     grid = {point.id for point in points(settings)}
     scanned = [reading for reading in readings if _id_of(reading) in grid]
@@ -213,7 +213,7 @@ def check(settings: Settings, bench: Bench) -> None:
 
 
 def _grid(settings: Settings) -> FrequencyPlanSettings:
-    from rig.analysis.response.frequency_plan import FrequencyPlanSettings
+    from rig.analysis.film.frequency_plan import FrequencyPlanSettings
 
     return FrequencyPlanSettings(
         lowest_Hz=settings.lowest_Hz,

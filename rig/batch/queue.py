@@ -3,7 +3,8 @@
 The plan is written once, whole, before anything begins. From then on a run changes its state only
 in a transaction that is on the disk (write-ahead log, full sync) before anybody acts on it: a run
 is claimed before its first motion, and finished after its data are safe. Whoever dies in between
-leaves a claim, which the next worker settles from the run's own journal (`rig.batch.execute.crash_recovery`).
+leaves a claim, which the next worker settles from the run's own journal
+(`rig.batch.execute.crash_recovery`).
 
     queued -> running -> done | failed
        ^         |

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from rig.detector.events import EventKind
     from rig.files.processed.reader import ProcessedFile
-    from rig.files.processed.writer import DetectedTrial
+    from rig.files.processed.values import DetectedTrial
 
 MARKS: dict[EventKind, tuple[str, str]] = {
     "predictive": ("C1", ":"),

@@ -21,12 +21,8 @@ from rig.detector.settings import DetectorSettings
 from rig.files.errors import RunFileError
 from rig.files.naming import checksum_path
 from rig.files.processed.reader import ProcessedFile, is_processed
-from rig.files.processed.writer import (
-    DetectedTrial,
-    Source,
-    processed_path,
-    write_processed,
-)
+from rig.files.processed.values import DetectedTrial, Source, processed_path
+from rig.files.processed.writer import write_processed
 from rig.files.runfile.compile import sha256_of
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import checksum_findings, verify_apart

@@ -19,13 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.analysis.estimate import Estimate
-from rig.analysis.film.gain_curve import ResponseCurve, SweepAnalysis, analyse
-from rig.analysis.response.complex_response import DB_PER_RELATIVE
-from rig.analysis.response.frequency_plan import (
+from rig.analysis.film.frequency_plan import (
     FrequencyPlanSettings,
     refine_Hz,
     scan_frequencies_Hz,
 )
+from rig.analysis.film.gain_curve import ResponseCurve, SweepAnalysis, analyse
+from rig.analysis.response.complex_response import DB_PER_RELATIVE
 from rig.physics import pvdf
 from rig.physics.front_end import FrontEndSettings, noise_rms
 from rig.physics.vibrator import drawn_film, true_response

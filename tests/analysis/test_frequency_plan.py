@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from rig.analysis.film.gain_curve import CurveError, ResponseCurve
-from rig.analysis.film.model import FilmModel, Notch
-from rig.analysis.response.frequency_plan import (
+from rig.analysis.film.frequency_plan import (
     FrequencyPlanSettings,
     refine_Hz,
     scan_frequencies_Hz,
 )
+from rig.analysis.film.gain_curve import CurveError, ResponseCurve
+from rig.analysis.film.model import FilmModel, Notch
 
 PLAN = FrequencyPlanSettings()
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from recorded_film import PLAN, judge, line_slope, record, recorded_sweep
 
+from rig.analysis.film.frequency_plan import refine_Hz, scan_frequencies_Hz
 from rig.analysis.film.gain_curve import CurveError, ResponseCurve, analyse
 from rig.analysis.film.model import FilmModel, Notch
-from rig.analysis.response.frequency_plan import refine_Hz, scan_frequencies_Hz
 from rig.physics import pvdf
 from rig.physics.pvdf import SWEEP_FILM
 from rig.physics.vibrator import VibratorSettings, drawn_film, true_response

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from rig.batch.plan.settings import BatchSettings
-from rig.batch.policy import (
+from rig.batch.plan.policy import (
     Kind,
     Verdict,
     after_failure,
@@ -17,6 +16,7 @@ from rig.batch.policy import (
     reason_to_end,
     window,
 )
+from rig.batch.plan.settings import BatchSettings
 from rig.core.errors import (
     ConfigurationError,
     ExitCode,

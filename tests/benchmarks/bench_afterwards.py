@@ -1,8 +1,9 @@
 """What the work on earlier runs costs the tick loop: lateness of its ticks with and without.
 
-The loop of `rig.control.tick_loop` on the wall clock, 100 ticks a second with a millisecond's work in
-each, in windows that take turns: alone; with `rig.batch.execute.postprocess` at work; with it held; and, to
-compare, with the same worker at ordinary priority. On all processors, and with everything on one.
+The loop of `rig.control.tick_loop` on the wall clock, 100 ticks a second with a millisecond's work
+in each, in windows that take turns: alone; with `rig.batch.execute.postprocess` at work; with it
+held; and, to compare, with the same worker at ordinary priority. On all processors, and with
+everything on one.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_afterwards.py``.
 """

@@ -21,8 +21,8 @@ from drivers.simulated.instruments.keysight_u2300a import MODELS, codes_of_volts
 from drivers.simulated.ports import Excitation
 from drivers.simulated.world.world import FILM_TERMINAL, LOAD_CELL_TERMINAL, World, WorldSettings
 from procedures.sweep import Settings
+from rig.analysis.film.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz
 from rig.analysis.response.complex_response import quantisation_rms
-from rig.analysis.response.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz
 from rig.analysis.response.sine_fit import fit_sine, mains_lines, record_length
 from rig.physics.front_end import FrontEndSettings, noise_rms
 from rig.physics.modal import SineDrive

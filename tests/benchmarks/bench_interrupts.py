@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 from measured import heading, row
 
-from rig.analysis.response.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz
+from rig.analysis.film.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.festo_cmmt.telegram111 import (
+from drivers.festo_cmmt.frames import (
     FULL_SCALE,
     Inputs,
     Outputs,

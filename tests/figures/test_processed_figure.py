@@ -11,7 +11,7 @@ from rig.detector.events import Event
 from rig.detector.low_pass import NAMED_LOW_PASSES, design_low_pass
 from rig.figures.low_pass import draw_low_pass
 from rig.figures.processed import draw_trial, draw_trials
-from rig.files.processed.writer import DetectedTrial
+from rig.files.processed.values import DetectedTrial
 
 PROCESSED = SimpleNamespace(
     title="SIMULATED Slips detected: slide",

@@ -9,8 +9,8 @@ import time
 import pytest
 from clients import python_with, seen_by, serving
 
-from drivers.simulated.faults.task_log import Beginnings
 from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.task_log import Beginnings
 from drivers.simulated.transports.modbus_tcp import ModbusTcpServer
 
 SCRIPT = """

@@ -18,9 +18,9 @@ import pytest
 from clients import python_with, seen_by, serving
 
 from drivers.simulated.faults.plan import FaultPlan
-from drivers.simulated.faults.task_log import Beginnings
 from drivers.simulated.faults.wire import WireFaults
 from drivers.simulated.instruments.oriental_az import AzDrive, DriveSettings
+from drivers.simulated.task_log import Beginnings
 from drivers.simulated.transports.modbus_rtu import RtuLine
 from drivers.simulated.transports.serial_server import PtyServer
 

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from clients import python_with, seen_by, serving
 
-from drivers.simulated.faults.task_log import Beginnings
 from drivers.simulated.instruments.zaber_rst import RotaryStage, StageSettings
+from drivers.simulated.task_log import Beginnings
 from drivers.simulated.transports.serial_server import PtyServer
 from drivers.simulated.transports.serial_tcp import SerialTcpServer
 

@@ -1,8 +1,8 @@
 """The process of a simulated bench: a World, what is mounted, the control socket, until the end.
 
-``python -m drivers.simulated.bench.process`` is a bench whose time is slaved to whoever started it and
-holds its standard input, the first line of which says how it is to be: until that comes, it imports
-what every bench needs. `serve` runs one here, in real time.
+``python -m drivers.simulated.bench.process`` is a bench whose time is slaved to whoever started it
+and holds its standard input, the first line of which says how it is to be: until that comes, it
+imports what every bench needs. `serve` runs one here, in real time.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class _OwnersPipe(asyncio.Protocol):
 
 def _import_what_every_bench_needs() -> None:
     with importing():
-        for name in ("control", "fault_plan", "mounted", "world"):
+        for name in ("bench.control", "faults.plan", "bench.mounted", "world.world"):
             import_module(f"drivers.simulated.{name}")
 
 

@@ -34,7 +34,7 @@ from typing import Annotated, Literal, TypeVar, get_args
 
 from pydantic import Field, ValidationError
 
-from drivers.simulated.faults.task_log import Beginning
+from drivers.simulated.task_log import Beginning
 from rig.core.errors import ConfigurationError, shortened
 from rig.core.settings import Settings
 from rig.core.toml_files import read_toml

@@ -22,8 +22,8 @@ from drivers.simulated.faults.plan import (
     ReplyFault,
     WireFault,
 )
-from drivers.simulated.faults.task_log import Beginnings
 from drivers.simulated.ports import BeginningsPort, Timeline
+from drivers.simulated.task_log import Beginnings
 
 
 class MomentPort(Timeline, BeginningsPort, Protocol):

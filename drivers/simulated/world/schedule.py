@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from typing import Generic, TypeVar
 
 from drivers.simulated.faults.plan import Placed
-from drivers.simulated.faults.task_log import Beginning
+from drivers.simulated.task_log import Beginning
 
 F = TypeVar("F", bound=Placed)
 

@@ -29,8 +29,8 @@ from drivers.simulated.faults.plan import (
     Spike,
     TimedFault,
 )
-from drivers.simulated.faults.task_log import Beginnings
 from drivers.simulated.ports import Excitation
+from drivers.simulated.task_log import Beginnings
 from drivers.simulated.world.driven_line import DrivenLine
 from drivers.simulated.world.film_clamp import ClampedFilm
 from drivers.simulated.world.log import WorldLog

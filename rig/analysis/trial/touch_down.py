@@ -7,7 +7,8 @@ takes its share of the force later or sooner than the others, so that the volts 
 
 with a share P that is a function of the force alone: a broken line between some forces. Both
 records are first smoothed by the same Gaussian, so that rates and frame times do not matter.
-`rig.analysis.trial.clock_offset` finds when the two were taken, `rig.analysis.trial.touch_gain` how large P is.
+`rig.analysis.trial.clock_offset` finds when the two were taken, `rig.analysis.trial.touch_gain` how
+large P is.
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 
 A film that wears, tears or comes off its amplifier shows here from trial to trial, without a
 vibrator and whatever moves afterwards. The strip's own share P of the touch-down
-(`rig.analysis.trial.touch_down`) depends on the force, since the ridge takes its part of it sooner or
-later than the others; its mean over the force, from none to the largest, is the gain: the integral
-of the volts over time by the force that was brought up. It belongs to this skin on this object
-under this force: compared is like with like.
+(`rig.analysis.trial.touch_down`) depends on the force, since the ridge takes its part of it sooner
+or later than the others; its mean over the force, from none to the largest, is the gain: the
+integral of the volts over time by the force that was brought up. It belongs to this skin on this
+object under this force: compared is like with like.
 """
 
 from __future__ import annotations

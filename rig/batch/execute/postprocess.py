@@ -1,16 +1,17 @@
 """What is made of runs while the bench waits: compiled files, detector, figures.
 
-``python -m rig.batch.execute.postprocess`` takes one JSON object a line on its standard input and gives one
-a line on its standard output:
+``python -m rig.batch.execute.postprocess`` takes one JSON object a line on its standard input and
+gives one a line on its standard output:
 
     {"journal": PATH, "figures": true, "detect": true}
     {"journal": PATH, "file": PATH, "processed": PATH, "figures": [PATH, ...], "warnings": [],
      "error": ""}
 
-Jobs are done one after the other, each in its turn by a worker process (`rig.batch.execute.postprocess_worker`) of
-the lowest priority. The lines ``hold`` and ``go`` have the worker stand still, in the middle of
-whatever it is at, and go on: it costs nothing while a run needs the computer. A worker that dies
-over a file costs that file, and the next one gets another worker.
+Jobs are done one after the other, each in its turn by a worker process
+(`rig.batch.execute.postprocess_worker`) of the lowest priority. The lines ``hold`` and ``go`` have
+the worker stand still, in the middle of whatever it is at, and go on: it costs nothing while a run
+needs the computer. A worker that dies over a file costs that file, and the next one gets another
+worker.
 
 The input's end: what was given is still done. SIGTERM, or a parent that has died: the file under
 way is still done. The worker of a steward that was killed goes on to its file's end, too. Nothing

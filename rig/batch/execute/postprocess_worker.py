@@ -1,7 +1,8 @@
 """The worker behind `rig.batch.execute.postprocess`: one run after the other.
 
-``python -m rig.batch.execute.postprocess_worker`` takes the steward's jobs on its standard input and answers each on
-its standard output. It ends with its input. Priority and threads are what the steward gives it.
+``python -m rig.batch.execute.postprocess_worker`` takes the steward's jobs on its standard input
+and answers each on its standard output. It ends with its input. Priority and threads are what the
+steward gives it.
 """
 
 from __future__ import annotations

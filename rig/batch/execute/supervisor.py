@@ -1,11 +1,11 @@
 """The supervisor: keeps a worker at work, hears people, and outlives what the worker dies of.
 
 It holds no bench. A worker that dies is followed by another one, once the guard of the first has
-made the bench safe (`rig.batch.execute.worker`). It tells people (`rig.batch.report.notify`) and outside
-monitors (`rig.batch.report.heartbeat`), and has runs worked on that have been taken
-(`rig.batch.execute.postprocess`). What people ask for from other terminals lies in the queue; signals of
-this terminal are its stop requests. Its word to the worker goes through a pipe, whose end tells the
-worker that the supervisor has died.
+made the bench safe (`rig.batch.execute.worker`). It tells people (`rig.batch.report.notify`) and
+outside monitors (`rig.batch.report.heartbeat`), and has runs worked on that have been taken
+(`rig.batch.execute.postprocess`). What people ask for from other terminals lies in the queue;
+signals of this terminal are its stop requests. Its word to the worker goes through a pipe, whose
+end tells the worker that the supervisor has died.
 """
 
 from __future__ import annotations

@@ -2,12 +2,13 @@
 
     python -m rig.batch.execute.worker FOLDER
 
-It is started by the supervisor (`rig.batch.execute.supervisor`), which tells it words on its standard input
-("stop-now", "stop-after-point", "stop-after-run", "pause", "go", "signal 2") and gets one object of
-JSON a line on its standard output. When its input ends the supervisor has died: it stops in order,
-as it does when it is told to.
+It is started by the supervisor (`rig.batch.execute.supervisor`), which tells it words on its
+standard input ("stop-now", "stop-after-point", "stop-after-run", "pause", "go", "signal 2") and
+gets one object of JSON a line on its standard output. When its input ends the supervisor has died:
+it stops in order, as it does when it is told to.
 
-What it decides is in `rig.batch.policy`; that nothing is lost or doubled, in `rig.batch.queue`.
+What it decides is in `rig.batch.plan.policy`; that nothing is lost or doubled, in
+`rig.batch.queue`.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ from rig.batch.execute.batch_clock import Night, SlavedNight, WallNight
 from rig.batch.execute.crash_recovery import put_away, to_continue, what_became_of
 from rig.batch.execute.drift_watch import Watch
 from rig.batch.folder import BatchFolder
+from rig.batch.plan.policy import after_failure, does_not_fit, kind_of, reason_to_end, window
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchFile
-from rig.batch.policy import after_failure, does_not_fit, kind_of, reason_to_end, window
 from rig.batch.queue import Claim, Ended, Queue
 from rig.core.errors import ExitCode, RigError
 from rig.run.bench_selector import BenchRequest, Choosing, ChosenBench, start_simulated

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from rig.batch.plan.conditions import Condition, Plan, PlannedRun
+from rig.batch.plan.policy import window
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchSettings
-from rig.batch.policy import window
 from rig.bench.bench import BenchPlan, FixtureSettings
 from rig.instruments.calibration import (
     FilmCalibration,

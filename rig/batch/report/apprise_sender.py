@@ -1,8 +1,8 @@
 """One notification to addresses that apprise serves (see `rig.batch.report.notify`).
 
-``python -m rig.batch.report.apprise_sender`` reads it as JSON from its standard input. Exit 1 where an address
-did not take it; standard error then says which and why, without the address, which may hold a
-password.
+``python -m rig.batch.report.apprise_sender`` reads it as JSON from its standard input. Exit 1 where
+an address did not take it; standard error then says which and why, without the address, which may
+hold a password.
 """
 
 from __future__ import annotations

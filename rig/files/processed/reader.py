@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 from rig.core.settings import fingerprint
 from rig.detector.events import Event, EventKind
@@ -20,10 +20,7 @@ from rig.files.file_kind import TOLD, kind_of
 from rig.files.hdf5.open_file import OpenFile
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
 from rig.files.journal.values import SIMULATED
-from rig.files.processed.writer import DEFINITION, DetectedTrial, Source, processed_path
-
-if TYPE_CHECKING:
-    pass
+from rig.files.processed.values import DEFINITION, DetectedTrial, Source, processed_path
 
 
 def is_processed(path: Path) -> bool:

@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.settings import fingerprint, leaves, unit_of
-from rig.detector.events import Event
 from rig.detector.settings import DetectorSettings
 from rig.files.errors import RecordingError, RunFileError
 from rig.files.hdf5.guarded_file import GuardedFile
@@ -29,80 +27,15 @@ from rig.files.hdf5.nexus import (
     texts_field,
 )
 from rig.files.hdf5.publishing import publish
-from rig.files.naming import RUN_SUFFIX
+from rig.files.processed.reader import ProcessedFile
+from rig.files.processed.values import DEFINITION, LAYOUT_VERSION, DetectedTrial, Source
 from rig.files.runfile.compile import sha256_of
 from rig.files.runfile.write_entry import write_note, write_values
 
 if TYPE_CHECKING:
     import h5py
-    import numpy as np
-    from numpy.typing import NDArray
 
-DEFINITION, LAYOUT_VERSION = "NXrig_processed", "1"
-FOLDER = "processed"
-"""Of the results, in the folder of their run."""
-FINGERPRINT_LENGTH = 12
-"""Characters of the parameters' fingerprint in a file's name."""
 PROGRAM = "rig detect"
-
-
-@dataclass(frozen=True)
-class Source:
-    """The run file that was processed, as it said itself; times are ISO 8601."""
-
-    file_name: str
-    sha256: str
-    definition: str
-    title: str
-    """With its mark."""
-    run_uuid: str
-    start_time: str | None
-    end_time: str | None
-    simulated: bool | None
-    """None where nobody knows."""
-    mark: str
-    """What every title has to begin with: that the run was simulated or imported, or nothing."""
-
-
-@dataclass(frozen=True)
-class DetectedTrial:
-    """What a detector made of one trial."""
-
-    id: str
-    rate_Hz: float
-    sample: NDArray[np.int64]
-    """(n,), the rows that were recorded, counted from the first; gaps are missing rows."""
-    v_d: NDArray[np.float64]
-    """v_1 - v_2 in V, (n,)."""
-    predictive: NDArray[np.float64]
-    """v_d behind the detector's low-pass, in V, (n,)."""
-    events: tuple[Event, ...]
-
-    @property
-    def time_s(self) -> NDArray[np.float64]:
-        """Since the first row, (n,)."""
-        return self.sample / self.rate_Hz
-
-    def same(self, other: DetectedTrial) -> bool:
-        """Equal bit for bit."""
-        return (
-            (self.id, self.rate_Hz, self.events) == (other.id, other.rate_Hz, other.events)
-            and self.sample.tobytes() == other.sample.tobytes()
-            and self.v_d.tobytes() == other.v_d.tobytes()
-            and self.predictive.tobytes() == other.predictive.tobytes()
-        )
-
-
-def processed_path(
-    run_file: Path, settings: DetectorSettings, version: str, folder: Path | None = None
-) -> Path:
-    """Where the result belongs: in `folder`, or in ``processed`` beside the run file.
-
-    ``<run>.<detector>-<version>-<hash of the parameters>.h5``
-    """
-    folder = run_file.parent / FOLDER if folder is None else folder
-    shown = fingerprint(settings)[:FINGERPRINT_LENGTH]
-    return folder / f"{run_file.stem}.{settings.logic}-{version}-{shown}{RUN_SUFFIX}"
 
 
 def write_processed(
@@ -117,8 +50,6 @@ def write_processed(
     Raises RecordingError where the disk does not take it, RunFileError where it does not read back
     equal.
     """
-    from rig.files.processed.reader import ProcessedFile
-
     part = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
     try:
         try:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drivers.simulated.faults.task_log import Beginnings
 from drivers.simulated.ports import Excitation
+from drivers.simulated.task_log import Beginnings
 from drivers.simulated.transports.scpi import ScpiInstrument
 
 

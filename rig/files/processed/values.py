@@ -1,0 +1,81 @@
+"""The values of a processed file, and the name under which it is stored; no file is opened here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.core.settings import fingerprint
+from rig.detector.events import Event
+from rig.detector.settings import DetectorSettings
+from rig.files.naming import RUN_SUFFIX
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+DEFINITION, LAYOUT_VERSION = "NXrig_processed", "1"
+FOLDER = "processed"
+"""Of the results, in the folder of their run."""
+FINGERPRINT_LENGTH = 12
+"""Characters of the parameters' fingerprint in a file's name."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """The run file that was processed, as it said itself; times are ISO 8601."""
+
+    file_name: str
+    sha256: str
+    definition: str
+    title: str
+    """With its mark."""
+    run_uuid: str
+    start_time: str | None
+    end_time: str | None
+    simulated: bool | None
+    """None where nobody knows."""
+    mark: str
+    """What every title has to begin with: that the run was simulated or imported, or nothing."""
+
+
+@dataclass(frozen=True)
+class DetectedTrial:
+    """What a detector made of one trial."""
+
+    id: str
+    rate_Hz: float
+    sample: NDArray[np.int64]
+    """(n,), the rows that were recorded, counted from the first; gaps are missing rows."""
+    v_d: NDArray[np.float64]
+    """v_1 - v_2 in V, (n,)."""
+    predictive: NDArray[np.float64]
+    """v_d behind the detector's low-pass, in V, (n,)."""
+    events: tuple[Event, ...]
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Since the first row, (n,)."""
+        return self.sample / self.rate_Hz
+
+    def same(self, other: DetectedTrial) -> bool:
+        """Equal bit for bit."""
+        return (
+            (self.id, self.rate_Hz, self.events) == (other.id, other.rate_Hz, other.events)
+            and self.sample.tobytes() == other.sample.tobytes()
+            and self.v_d.tobytes() == other.v_d.tobytes()
+            and self.predictive.tobytes() == other.predictive.tobytes()
+        )
+
+
+def processed_path(
+    run_file: Path, settings: DetectorSettings, version: str, folder: Path | None = None
+) -> Path:
+    """Where the result belongs: in `folder`, or in ``processed`` beside the run file.
+
+    ``<run>.<detector>-<version>-<hash of the parameters>.h5``
+    """
+    folder = run_file.parent / FOLDER if folder is None else folder
+    shown = fingerprint(settings)[:FINGERPRINT_LENGTH]
+    return folder / f"{run_file.stem}.{settings.logic}-{version}-{shown}{RUN_SUFFIX}"
