@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "recording"))
+sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
 
 import recorded_run
 import recorded_trials as trials

@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 from measured import heading
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
 
 import recorded_trials as trials
 

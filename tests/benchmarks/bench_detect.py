@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from measured import heading, row
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
 
 import recorded_trials as trials
 

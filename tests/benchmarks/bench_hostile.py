@@ -20,7 +20,7 @@ from rig.files.runfile.compile import compile_run
 from rig.files.runfile.recover import recover
 from rig.files.verify import verify, verify_apart
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
 import recorded_run as run
 from hostile import damaged, journals
 

@@ -24,7 +24,7 @@ from rig.core.errors import RigError
 from rig.files.journal.recorder import Recorder
 from rig.files.journal.writer import JournalWriter
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
 import recorded_run
 from power_cut import JournalStates, Sync, Tally, hdf5_power_cuts, recovered_samples, trace_rig
 

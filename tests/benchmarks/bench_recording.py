@@ -16,7 +16,7 @@ from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run, journal_equals_file
 from rig.files.verify import verify
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
 import recorded_run as run
 
 pytestmark = pytest.mark.benchmark
