@@ -75,10 +75,11 @@ def _kind_of(file: Path) -> tuple[str, bool, bool]:
 
 def _detect(file: Path) -> tuple[Path | None, list[str]]:
     """The processed file beside a run file, as ``rig detect`` makes it, and what is to be told."""
+    from rig.detector import DEFAULT_DETECTOR
     from rig.detector.settings import named_detectors
     from rig.recording import detection
 
-    found = detection.detect_file(detection.Job(file, named_detectors()["rig"]))
+    found = detection.detect_file(detection.Job(file, named_detectors()[DEFAULT_DETECTOR]))
     if isinstance(found, detection.Failure):
         return None, [found.error().one_line()]
     return found.file, list(found.warnings)
