@@ -66,6 +66,7 @@ class Running:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            process_group=0,  # as a shell starts it; what a terminal sends can be sent to it alone
         )
         self.name = arguments[0]
         self._lines: list[str] = []
@@ -90,6 +91,11 @@ class Running:
     def send(self, number: signal.Signals) -> None:
         """Send a signal to the command."""
         self.process.send_signal(number)
+
+    def send_as_the_terminal_does(self, number: signal.Signals) -> None:
+        """Send a signal to every process of the command's group, which is its own."""
+        assert os.getpgid(self.process.pid) == self.process.pid, "never to this program's group"
+        os.killpg(self.process.pid, number)
 
     def finish(self) -> Finished:
         """Wait for the end."""

@@ -10,13 +10,14 @@ from types import FrameType
 
 from rig.core.imports import importing
 
-SIGINT_CODE, SIGTERM_CODE, SIGHUP_CODE = 130, 143, 129
+SIGNALS_THAT_END = (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Beside SIGINT, which Python turns into KeyboardInterrupt."""
 
 
 def main() -> None:
     """Entry point of the command ``rig``."""
-    signal.signal(signal.SIGTERM, _leave)
-    signal.signal(signal.SIGHUP, _leave)
+    for number in SIGNALS_THAT_END:
+        signal.signal(number, _leave)
     # One thread of linear algebra: the products here are small, and a second thread would only
     # disturb the loop that holds a force.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -32,10 +33,10 @@ def main() -> None:
 
         perform(sys.argv[1:], begun)
     except KeyboardInterrupt:
-        sys.exit(SIGINT_CODE)
+        sys.exit(_code(signal.SIGINT))
     finally:  # what Python still clears away would answer an exception with a complaint
-        signal.signal(signal.SIGTERM, _leave_at_once)
-        signal.signal(signal.SIGHUP, _leave_at_once)
+        for number in SIGNALS_THAT_END:
+            signal.signal(number, _leave_at_once)
 
 
 def _leave(number: int, _: FrameType | None) -> None:
@@ -51,4 +52,5 @@ def _leave_at_once(number: int, _: FrameType | None) -> None:
 
 
 def _code(number: int) -> int:
-    return SIGTERM_CODE if number == signal.SIGTERM else SIGHUP_CODE
+    """The exit code of a command that a signal has ended, as a shell reports it."""
+    return 128 + number

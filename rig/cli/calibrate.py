@@ -18,7 +18,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rig.cli.outcome import reported, say
-from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError, LimitError, RigError
+from rig.core.errors import (
+    STOPPED_BY_SIGNAL,
+    ConfigurationError,
+    FoundWrongError,
+    LimitError,
+    RigError,
+)
 
 if TYPE_CHECKING:
     from rig.analysis.weighing import CellFit, ForceFit
@@ -374,7 +380,7 @@ def _stoppable(as_json: bool) -> Iterator[None]:
     try:
         yield
     except RigError as stopped:
-        if stopped.code not in (ExitCode.SIGINT, ExitCode.SIGTERM, ExitCode.SIGHUP):
+        if stopped.code not in STOPPED_BY_SIGNAL:
             raise
         say(f"{stopped.message}; nothing was written, the sensor is at rest")
         if as_json:

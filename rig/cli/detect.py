@@ -11,6 +11,7 @@ import typer
 
 from rig.cli.outcome import printable, reported, say, tell_failure
 from rig.core.errors import ExitCode, RigError
+from rig.detector import DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -23,8 +24,13 @@ if TYPE_CHECKING:
 def detect(
     files: Annotated[list[Path], typer.Argument(help="Run files (.h5) with the strips' signals.")],
     detector: Annotated[
-        str, typer.Option(help="rig, paper-literal or paper-hp.", metavar="NAME")
-    ] = "rig",
+        str,
+        typer.Option(
+            help="rig, paper-literal or paper-hp. The default is paper-hp because rig was trained "
+            "on the skin model alone and alarms in most holds recorded through the bench's servo.",
+            metavar="NAME",
+        ),
+    ] = DEFAULT_DETECTOR,
     settings: Annotated[
         Path | None,
         typer.Option(help="Parameters of the detector that are to be otherwise.", metavar="TOML"),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from rig.cli.outcome import log, reported, say, start_log, tell_failure
-from rig.core.errors import ConfigurationError, ExitCode, RigError
+from rig.core.errors import STOPPED_BY_SIGNAL, ConfigurationError, RigError
 
 if TYPE_CHECKING:
     from rig.cli.terminal import Terminal
@@ -131,7 +131,7 @@ def _perform(
             )
         ended = _at_the_bench(chosen, request, settings, axis, stop, terminal, stack)
         for failure in ended.failures:
-            if failure.code in (ExitCode.SIGINT, ExitCode.SIGTERM, ExitCode.SIGHUP):
+            if failure.code in STOPPED_BY_SIGNAL:
                 say(failure.one_line())
             else:
                 tell_failure(failure, debug)

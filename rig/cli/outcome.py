@@ -11,7 +11,7 @@ from pathlib import Path
 
 import typer
 
-from rig.core.errors import ExitCode, RigError
+from rig.core.errors import STOPPED_BY_SIGNAL, ExitCode, RigError
 
 log = logging.getLogger("rig")
 log.addHandler(logging.NullHandler())
@@ -53,7 +53,7 @@ def reported(debug: bool = False, as_json: bool = False) -> Iterator[None]:
 
 def report(error: RigError, debug: bool = False, as_json: bool = False) -> int:
     """Tell why a command has not begun; its exit code."""
-    stopped = error.code in (ExitCode.SIGHUP, ExitCode.SIGINT, ExitCode.SIGTERM)
+    stopped = error.code in STOPPED_BY_SIGNAL
     if stopped:
         say(error.one_line())
     else:

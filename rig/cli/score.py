@@ -20,6 +20,7 @@ from rig.cli.model_errors import model_errors
 from rig.cli.outcome import reported, say
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import MAX_JSON_BYTES, read_text
+from rig.detector import DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
     from rig.core.settings import Settings
@@ -51,7 +52,9 @@ Files = Annotated[
 Detectors = Annotated[
     list[str] | None,
     typer.Option(
-        "--detector", help="rig, paper-literal or paper-hp; repeatable [rig].", metavar="NAME"
+        "--detector",
+        help=f"rig, paper-literal or paper-hp; repeatable [{DEFAULT_DETECTOR}].",
+        metavar="NAME",
     ),
 ]
 DetectorFile = Annotated[
@@ -145,7 +148,7 @@ def score(
             typer.echo((ranges if show_population else front).model_dump_json(indent=2))
             return
         _check_new(out)
-        contenders = _detectors(detectors or ["rig"], settings)
+        contenders = _detectors(detectors or [DEFAULT_DETECTOR], settings)
         beside = _baselines(baselines or tune is not None, baseline_settings)
         if files is not None:
             if tune is not None or tuning:

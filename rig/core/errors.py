@@ -35,7 +35,14 @@ class ExitCode(IntEnum):
     FOUND_WRONG = 8
     SIGHUP = 129
     SIGINT = 130
+    SIGQUIT = 131
     SIGTERM = 143
+
+
+STOPPED_BY_SIGNAL = frozenset(
+    {ExitCode.SIGHUP, ExitCode.SIGINT, ExitCode.SIGQUIT, ExitCode.SIGTERM}
+)
+"""Exit codes of what a signal has ended: 128 and the signal's number."""
 
 
 class RigError(Exception):

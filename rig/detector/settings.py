@@ -76,7 +76,7 @@ class DetectorSettings(Settings):
 
 @lru_cache(maxsize=1)
 def named_detectors() -> dict[str, DetectorSettings]:
-    """The detectors that have a name; ``rig`` is the default."""
+    """The detectors that have a name; `rig.detector.DEFAULT_DETECTOR` names the default."""
     return {
         "rig": DetectorSettings(network=trained_network()),
         "paper-literal": DetectorSettings(logic="paper-literal", fire_mV=30.0),

@@ -192,8 +192,9 @@ _inherited: _Work[Any] | None = None
 
 
 def _begin_worker() -> None:
-    """Ctrl-C is the parent's to answer."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Ctrl-C and Ctrl-\\ are the parent's to answer."""
+    for number in (signal.SIGINT, signal.SIGQUIT):
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _work_inherited(drawn: tuple[Kind, int]) -> Any:

@@ -86,8 +86,9 @@ def _forked(processes: int) -> Executor:
 
 
 def _serve() -> None:
-    """A worker leaves Ctrl-C to the command, and does not outlive it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """A worker leaves Ctrl-C and Ctrl-\\ to the command, and does not outlive it."""
+    for number in (signal.SIGINT, signal.SIGQUIT):  # the terminal sends them to both
+        signal.signal(number, signal.SIG_IGN)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
     threading.Thread(target=_end_with_the_command, daemon=True).start()

@@ -194,7 +194,7 @@ class _Watch:
 
 def main() -> None:
     """Listen until the run is done, died or hangs; act in the latter cases."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     pipe = sys.stdin.fileno()
     buffer = b""

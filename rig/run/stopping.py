@@ -16,6 +16,7 @@ from rig.core.errors import ExitCode, RigError
 
 STOP_SIGNALS = {
     signal.SIGINT: ExitCode.SIGINT,
+    signal.SIGQUIT: ExitCode.SIGQUIT,
     signal.SIGTERM: ExitCode.SIGTERM,
     signal.SIGHUP: ExitCode.SIGHUP,
 }

@@ -35,7 +35,8 @@ def test_files_side_by_side(tmp_path):
     for repeat in range(REPEATS + 1):  # the first compiles the detector
         for jobs in walls:
             to = f"by-{jobs}-{repeat}"
-            command = [RUN, "rig", "detect", "--jobs", str(jobs), "--to", to, *names]
+            options = ("--detector", "rig", "--jobs", str(jobs), "--to", to)
+            command = [RUN, "rig", "detect", *options, *names]
             start = time.perf_counter()
             subprocess.run(command, cwd=tmp_path, capture_output=True, check=True)
             if repeat:

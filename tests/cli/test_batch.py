@@ -135,6 +135,17 @@ def test_ctrl_c_stops_a_batch_safely_and_resume_goes_on_at_the_point(
     same(taken(folder), uninterrupted)
 
 
+def test_ctrl_backslash_stops_a_batch_as_ctrl_c_does(rig) -> None:
+    running = begin(rig, SIX_POINTS)
+    folder = folder_of(rig.results)
+    await_point(folder, 1)
+    running.send_as_the_terminal_does(signal.SIGQUIT)
+    ended = running.finish()
+    assert ended.code == 131, ended.stderr
+    assert "go on with: rig batch resume" in ended.stderr
+    assert ask(folder, "SELECT ending, code FROM attempt WHERE run = 1") == [("stopped", 131)]
+
+
 def test_other_terminals_pause_it_let_it_go_on_and_stop_it_after_a_point(rig) -> None:
     running = begin(rig, SIX_POINTS + "repeat = 50\n")
     folder = folder_of(rig.results)

@@ -414,6 +414,7 @@ def test_a_person_goes_on_with_enter_and_repeats_with_r(rig: Any, terminal: Any)
     [
         ("q", 130, "stopped with q"),
         (signal.SIGINT, 130, "stopped by SIGINT"),
+        (signal.SIGQUIT, 131, "stopped by SIGQUIT"),
         (signal.SIGTERM, 143, "stopped by SIGTERM"),
         (signal.SIGHUP, 129, "stopped by SIGHUP"),
     ],

@@ -225,7 +225,7 @@ def test_a_bench_in_real_time_is_driven_made_safe_and_ended(rig: Any) -> None:
     assert safe.code == 0
     assert safe.stderr == "simulated: generator, daq, stage_z, force_sensor made safe\n"
 
-    simulator.send(signal.SIGINT)
+    simulator.send(signal.SIGQUIT)  # as SIGINT, which ends it in most other tests
     ended = simulator.finish()
     assert ended.code == 0
     assert "the simulated bench has ended" in ended.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -49,6 +50,23 @@ def test_one_line_a_file_says_what_was_found(rig: Any, runs: list[str]) -> None:
 
     again = rig.run("detect", *HP, *runs)
     assert again.stdout == done.stdout.replace("; written ", "; kept ")
+
+
+def test_the_default_detector_is_paper_hp_and_the_help_says_why(rig: Any, runs: list[str]) -> None:
+    default = rig.run("detect", runs[0])
+    assert default.code == 0, default.stderr
+    assert f"written processed/r0.paper-hp-{DETECTOR_VERSION}-" in default.stdout
+    named = rig.run("detect", *HP, runs[0])
+    assert named.stdout == default.stdout.replace("; written ", "; kept ")
+    shown = " ".join(re.sub(r"[│╭╮╰╯─]", " ", rig.run("detect", "--help").stdout).split())
+    assert "[default: paper-hp]" in shown
+    assert "trained on the skin model alone" in shown
+
+
+def test_the_detector_rig_is_there_for_who_asks_for_it(rig: Any, runs: list[str]) -> None:
+    done = rig.run("detect", "--detector", "rig", runs[0])
+    assert done.code == 0, done.stderr
+    assert f"written processed/r0.rig-{DETECTOR_VERSION}-" in done.stdout
 
 
 def test_processes_and_one_after_the_other_give_the_same_bytes(rig: Any, runs: list[str]) -> None:

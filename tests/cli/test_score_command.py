@@ -252,6 +252,13 @@ def test_labelled_files_are_scored_by_their_list_or_by_what_a_simulated_bench_kn
     assert ("noise_mV", "below 0.2") in {(row["trait"], row["bin"]) for row in told["results"]}
 
 
+def test_without_a_name_the_default_detector_is_scored(tmp_path):
+    slip_file(tmp_path)
+    (tmp_path / "list.csv").write_text("file\nslip.h5\n")
+    given = ("--files", tmp_path / "list.csv", "--no-roc", "--json", "--out", tmp_path / "out")
+    assert [one["name"] for one in json.loads(run(*given))["detectors"]] == ["paper-hp"]
+
+
 @pytest.mark.parametrize(
     ("listing", "words"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from importlib import import_module
@@ -82,10 +83,13 @@ def test_a_command_that_does_not_exist_is_a_usage_error() -> None:
     assert "Traceback" not in shown.stderr
 
 
-def test_a_signal_while_python_clears_up_ends_the_command_without_a_complaint() -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_a_signal_while_python_clears_up_ends_the_command_without_a_complaint(
+    number: signal.Signals,
+) -> None:
     program = (
-        "import atexit, os, signal, sys\n"
-        "atexit.register(os.kill, os.getpid(), signal.SIGTERM)\n"
+        "import atexit, os, sys\n"
+        f"atexit.register(os.kill, os.getpid(), {number.value})\n"
         "sys.argv = ['rig', '--help']\n"
         "from rig.cli import main\n"
         "main()\n"
@@ -93,7 +97,7 @@ def test_a_signal_while_python_clears_up_ends_the_command_without_a_complaint() 
     ended = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=False
     )
-    assert ended.returncode == 143
+    assert ended.returncode == 128 + number
     assert ended.stderr == ""
     assert "Usage: rig" in ended.stdout
 

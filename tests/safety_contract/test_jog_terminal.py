@@ -231,6 +231,21 @@ def test_ctrl_c_at_a_held_key_ends_in_order_and_a_second_owner_is_refused(rig, j
     assert stage_log(rig, "move", "at-rest")[-1]["what"] == "at-rest"
 
 
+def test_ctrl_backslash_at_a_held_key_ends_in_order(rig, jogs, bench_file):
+    """The terminal turns it into SIGQUIT for every process of its foreground group."""
+    typist = jogs("--bench", bench_file, "--largest-force", "30N")
+    typist.sees(r"stage_z 10\.000 mm \|")
+    typist.holds(MORE, r"stage_z 10\.\d+ mm moving")
+    typist.types(b"\x1c")
+    code, shown = typist.ends()
+    assert code == 131, shown
+    assert "stopped by SIGQUIT" in shown
+    assert "every axis is at rest" in shown
+    assert termios.tcgetattr(typist.slave) == typist.before
+    rig.await_world("streaming", False, count=2)
+    assert stage_log(rig, "move", "at-rest")[-1]["what"] == "at-rest"
+
+
 def test_a_killed_program_leaves_at_most_a_step_and_the_guard_tells(rig, jogs, bench_file):
     typist = jogs("--bench", bench_file, "--largest-force", "30N")
     typist.sees(r"stage_z 10\.000 mm \|")

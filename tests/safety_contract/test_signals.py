@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import time
@@ -17,7 +18,7 @@ SIXTY_POINTS = (
 )  # fmt: skip
 """They take seconds: what is done to a run in the middle finds it there on a busy machine too."""
 PATIENCE_S = 120.0
-STOPS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
+STOPS = {signal.SIGINT: 130, signal.SIGQUIT: 131, signal.SIGTERM: 143, signal.SIGHUP: 129}
 
 
 @pytest.mark.parametrize("number", STOPS, ids=lambda number: number.name)
@@ -40,6 +41,24 @@ def test_a_signal_in_the_middle_ends_the_run_in_order(rig, number):
     with RunFile.open(file) as run:
         assert run.outcome.status == "stopped"
         assert len(run.point_ids()) == told["points_done"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGQUIT], ids=lambda number: number.name)
+def test_what_a_key_of_the_terminal_sends_ends_neither_the_bench_nor_the_guard(rig, number):
+    running = rig.start_sweep(*SIXTY_POINTS)
+    running.wait_for(r"^5/60 ")
+    tasks = Path(f"/proc/{running.process.pid}/task").glob("*/children")
+    started = {
+        int(pid): Path(f"/proc/{pid}/cmdline") for t in tasks for pid in t.read_text().split()
+    }
+    programs = {pid: cmdline.read_bytes().split(b"\0") for pid, cmdline in started.items()}
+    for program in (b"drivers.simulated.bench.process", b"rig.run.guard"):
+        (pid,) = [pid for pid, words in programs.items() if program in words]
+        os.kill(pid, number)
+    ended = running.finish()
+    assert ended.code == 0, ended.stderr
+    assert "the guard has died" not in ended.stderr
+    assert ended.object["points_done"] == 60
 
 
 def test_a_signal_before_the_bench_is_connected_switches_nothing_on(rig):

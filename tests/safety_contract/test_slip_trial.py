@@ -159,13 +159,24 @@ def test_the_same_seed_gives_the_same_samples(rig):
             assert (values == second[name]).all(), name
 
 
-def test_ctrl_c_in_a_slide_lifts_off_and_keeps_what_was_recorded(rig):
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [(signal.SIGINT, 130), (signal.SIGQUIT, 131)],
+    ids=["ctrl-c", "ctrl-backslash"],
+)
+def test_a_key_that_ends_it_in_a_slide_lifts_off_and_keeps_what_was_recorded(rig, number, code):
+    """The terminal sends it to the command and to every process that shares its group."""
     running = rig.start(*arguments(rig, "--distance", "5mm", "--speed", "0.3mm/s"))
     rig.await_world("slip")
-    running.send(signal.SIGINT)
+    running.send_as_the_terminal_does(number)
     ended = running.finish()
-    assert ended.code == 130, ended.stderr
+    assert ended.code == code, ended.stderr
+    assert ended.object["outcome"] == "stopped"
+    assert "resume with: rig resume" in ended.stderr
     assert_off_the_plate(rig)
+    assert [e["what"] for e in rig.log() if e["what"] in ("touch-down", "lift-off")][
+        -1
+    ] == "lift-off"
     with RunFile.open(rig.only("*.h5")) as run:
         kept = {w.stream: w for w in run.waveforms(status="unfinished")} or {
             w.stream: w for w in run.waveforms(status="discarded")

@@ -90,7 +90,8 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
     control = ControlServer(world, streams, ended.set, orphaned, after_time_passed)
     if not options.slaved:
         set_free()
-    for number in (signal.SIGTERM,) if options.slaved else (signal.SIGTERM, signal.SIGINT):
+    from_the_terminal = () if options.slaved else (signal.SIGINT, signal.SIGQUIT)
+    for number in (signal.SIGTERM, *from_the_terminal):
         loop.add_signal_handler(number, ended.set)
     try:
         for server in bench.servers:
@@ -142,7 +143,7 @@ def main() -> None:
 
     Where the options never come, its owner has no need of it any more.
     """
-    for number in (signal.SIGHUP, signal.SIGINT):
+    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)
 
     def say(what: dict[str, Any]) -> None:

@@ -110,7 +110,10 @@ def start(options: dict[str, Any], begun: StartedBench | None = None) -> Started
 
 
 def serve(options: dict[str, Any], ready: Callable[[str], None]) -> None:
-    """Run a bench here in real time until SIGINT or SIGTERM; `ready` gets the bench file's text."""
+    """Run a bench here in real time until SIGINT, SIGQUIT or SIGTERM.
+
+    `ready` gets the bench file's text.
+    """
     import asyncio
 
     from drivers.simulated.bench import process

@@ -308,7 +308,7 @@ class Steward:
 
     def serve(self) -> None:
         """Until everything given is done, or the end is asked for."""
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
             signal.signal(number, self._end_soon)
         while not self._is_over():
             self._begin_next()

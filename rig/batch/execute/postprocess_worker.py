@@ -76,10 +76,11 @@ def _kind_of(file: Path) -> tuple[str, bool, bool]:
 
 def _detect(file: Path) -> tuple[Path | None, list[str]]:
     """The processed file beside a run file, as ``rig detect`` makes it, and what is to be told."""
+    from rig.detector import DEFAULT_DETECTOR
     from rig.detector.settings import named_detectors
     from rig.processing import detection
 
-    found = detection.detect_file(detection.Job(file, named_detectors()["rig"]))
+    found = detection.detect_file(detection.Job(file, named_detectors()[DEFAULT_DETECTOR]))
     if isinstance(found, detection.Failure):
         return None, [found.error().one_line()]
     return found.file, list(found.warnings)
@@ -91,7 +92,7 @@ def _told(error: Exception) -> str:
 
 def main() -> None:
     """Serve jobs until there are no more."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever a library prints is no answer
