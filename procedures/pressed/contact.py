@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rig.core.errors import ConfigurationError, InstrumentError
+from rig.core.errors import ConfigurationError, InstrumentError, UnsafeError
 from rig.files.journal.layout import Column
 
 if TYPE_CHECKING:
@@ -24,6 +24,11 @@ CLEAR_mm = 0.3
 """Where the quick way ends, before the earliest contact."""
 BOTTOM_mm = 0.002
 """So near to the latest contact is there."""
+PRESSED_N = 0.4
+"""Mean force that is still pressed after the way back: far above the sensor's noise and its drift
+within a run."""
+SETTLED_S = 0.1
+"""From the end of the way back until the force is judged, and the stretch that is judged."""
 TARE_S = 0.2
 """Stretch of force that the zero is the mean of; the rest before it is twice as long."""
 UNLOAD_DEADLINE_S = 20.0
@@ -62,13 +67,23 @@ def force_zero_of(readings: Sequence[Reading]) -> dict[str, Any]:
 
 
 def contact_range_mm(bench: Bench) -> tuple[float, float]:
-    """Positions of the z stage between which contact has to be felt, in mm; ConfigurationError
-    where the bench file does not say."""
+    """Return the positions of the z stage between which contact has to be felt, in mm.
+
+    Raises ConfigurationError where the bench file does not say, or where the parking place is not
+    clear of the earliest contact: the run would press on its way there.
+    """
     fixture = bench.settings.fixture
     if fixture.contact_from_mm is None or fixture.contact_to_mm is None:
         raise ConfigurationError(
             f"{bench.plan.source}: [fixture] does not say where contact has to be felt",
             "add contact_from_mm and contact_to_mm, positions of the z stage",
+        )
+    highest_mm = fixture.contact_from_mm - CLEAR_mm
+    if fixture.parked_mm > highest_mm + 1e-9:  # the difference of two round numbers
+        raise ConfigurationError(
+            f"{bench.plan.source}: [fixture] parked_mm = {fixture.parked_mm:g} mm is not clear of "
+            f"contact, which may be felt from contact_from_mm = {fixture.contact_from_mm:g} mm on",
+            f"set parked_mm to {highest_mm:g} mm or less, or correct contact_from_mm",
         )
     return fixture.contact_from_mm, fixture.contact_to_mm
 
@@ -92,18 +107,19 @@ def travel_s(way_mm: float) -> float:
     return abs(way_mm) / TRAVEL_mm_s + ARRIVED_S if way_mm else 0.0
 
 
-def park(run: Run, name: str, way_back: Callable[[], None]) -> None:
+def park(run: Run, name: str, way_back: Callable[[float], None]) -> None:
     """Stop z, find its reference if that is not known, and go where it is clear of everything.
 
     `way_back` is armed as `name` once it has somewhere to go: a stage without a reference can only
-    be stopped, and has pressed nothing yet.
+    be stopped, and has pressed nothing yet. It is given the position in mm that z leaves here.
     """
     stage = run.bench.stage_z
     run.arm(name, stage.stop, at_once=stage.make_safe)
     stage.stop()
     if not stage.homed():
         stage.home()
-    run.arm(name, way_back, UNLOAD_DEADLINE_S, at_once=stage.make_safe)
+    came_from_mm = stage.position_mm()
+    run.arm(name, lambda: way_back(came_from_mm), UNLOAD_DEADLINE_S, at_once=stage.make_safe)
     stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
 
 
@@ -170,25 +186,29 @@ def not_there(run: Run, within_s: float) -> InstrumentError:
     )
 
 
-def unload(run: Run, pressed: str) -> None:
-    """Stop z, whatever happens; then away from what is pressed, if the drive still can.
+def unload(run: Run, pressed: str, came_from_mm: float) -> None:
+    """Stop z, whatever happens; then move it away from what is pressed, if the drive still can.
 
-    A watcher that stops it on the way has a reason that is told, and the way up is still the right
-    one: it is gone on with, once. A drive that has a fault or has lost its place stands where it
-    is. That is safe, and said: the run has failed (exit 3). What the stop itself raises is raised:
-    then it is not safe.
+    It never goes deeper than it stands. Where the parking place lies deeper, it goes back to
+    `came_from_mm`, from where it set out to park, or stays where it is if that lies deeper, too.
+
+    Where a watcher stops z on the way, the reason is recorded and the way continues, once. A drive
+    that has a fault or has lost its place stands where it is, and the run has failed (exit 3). What
+    the stop itself raises is raised: then the bench is not safe. A force that remains afterwards
+    fails the run; UnsafeError where it is over the limit that was watched.
     """
     stage = run.bench.stage_z
     stage.stop()
     try:
         try:
-            stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
+            _go_clear(run, came_from_mm)
         except InstrumentError:
             if (trip := run.tripped()) is None:
                 raise
             run.fail(trip)
             stage.stop()
-            stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
+            _go_clear(run, came_from_mm)
+        stands_mm = stage.position_mm()
     except InstrumentError as error:
         stage.stop()  # one answer lost on the way does not stop it
         run.fail(
@@ -199,3 +219,37 @@ def unload(run: Run, pressed: str) -> None:
                 "look at the stage; then start again, or move it away by hand",
             )
         )
+        return
+    _judge_what_remains(run, pressed, stands_mm)
+
+
+def _go_clear(run: Run, came_from_mm: float) -> None:
+    """Move z to its parking place, or back to where it came from; never deeper than it stands."""
+    stage = run.bench.stage_z
+    stands_mm = stage.position_mm()
+    target_mm = run.bench.settings.fixture.parked_mm
+    if target_mm > stands_mm + BOTTOM_mm:
+        lowest_mm = stage.reach()["position"].low
+        target_mm = max(min(came_from_mm, stands_mm), lowest_mm)
+    if target_mm <= stands_mm + BOTTOM_mm:
+        stage.move_to(target_mm, TRAVEL_mm_s)
+
+
+def _judge_what_remains(run: Run, pressed: str, stands_mm: float) -> None:
+    """Fail the run where z has gone as far as it can and the force sensor still reads a force.
+
+    A sensor that has not been zeroed reads its own zero as well: then the limit alone is judged,
+    as it is by the watcher.
+    """
+    run.clock.sleep(SETTLED_S)
+    force_N = run.force_from_now_N(SETTLED_S)
+    if force_N is None:
+        return  # what ended the stream is reported by itself
+    limit_N = run.force.limit_N
+    if force_N <= (min(PRESSED_N, limit_N) if run.force.tared else limit_N):
+        return
+    told = f"the {pressed} is still pressed with {force_N:.3g} N at {stands_mm:.3f} mm"
+    hint = "look what presses; move the stage away by hand"
+    if force_N > limit_N:
+        raise UnsafeError(f"stage_z: unload: {told}, over the limit of {limit_N:g} N", hint)
+    run.fail(InstrumentError("stage_z", "unload", told, hint))

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 
 from procedures.pressed.contact import (
     HOMING_S,
+    SETTLED_S,
     TARE_S,
     expected_contact_mm,
     force_zero_of,
@@ -192,7 +193,8 @@ def pressed_overhead_s(
     again_s = (searched_mm - near_mm) / quick + near_mm / slow
     ready_s = 0.0 if homed else 2 * HOMING_S + travel_s(parked_mm) + travel_s(x_mm)
     back_s = (presses - 1 + homed) * travel_s(slid_mm)
-    return ready_s + presses * ways_s + back_s + searched_mm / slow + (presses - 1) * again_s
+    searches_s = searched_mm / slow + (presses - 1) * again_s
+    return ready_s + presses * ways_s + back_s + searches_s + 2 * SETTLED_S
 
 
 def why_invalid(settings: PressedSettings, reading: Reading) -> str:
@@ -244,15 +246,15 @@ def arm_pressed(run: Run, what: str, stop: Callable[[], None], at_once: Callable
     run.arm("acquisition", bench.daq.stop)  # last: a DAQ that hangs keeps no skin pressed
     run.arm(what, stop, at_once=at_once)
     stop()
-    park(run, "normal force", lambda: _lift(run, what, stop))
+    park(run, "normal force", lambda came_from_mm: _lift(run, what, stop, came_from_mm))
     if not bench.stage_x.homed():  # only now: the skin is clear of everything
         bench.stage_x.home()
 
 
-def _lift(run: Run, what: str, stop: Callable[[], None]) -> None:
+def _lift(run: Run, what: str, stop: Callable[[], None], came_from_mm: float) -> None:
     """Stop, what moves first; then away from the object, if the drive still can."""
     try:
         stop()
     except RigError as error:  # its own off says so, too: up is what matters here
         run.event("warning", f"{what}-not-stopped", error.one_line())
-    unload(run, "skin")
+    unload(run, "skin", came_from_mm)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from procedures.pressed.contact import (
     HOMING_S,
+    SETTLED_S,
     TARE_S,
     BOTTOM_mm,
     ForceZero,
@@ -155,7 +156,7 @@ def press(run: Run, target_N: float) -> Preload:
     first_mm, last_mm = contact_range_mm(bench)
     run.stream_force(FORCE_RATE_S_S)
     run.force.watch(bench.force_sensor.reach()["force"].high)
-    park(run, "preload", lambda: unload(run, "film"))
+    park(run, "preload", lambda came_from_mm: unload(run, "film", came_from_mm))
     zero = tare_in_free_air(run)
     come_close(run, CONTACT_N, LOOK_S, LOOK_AROUND_S)
     while (pressed := _press_from(run, _approach(run, first_mm, last_mm), target_N)) is None:
@@ -177,6 +178,7 @@ def duration_s(fixture: FixtureSettings, target_N: float, homed: bool) -> float:
         + target_N / RISE_N_s
         + HOLD_S
         + travel_s(contact_mm - parked_mm)
+        + 2 * SETTLED_S
     )
 
 

@@ -106,6 +106,13 @@ class Run:
         self._force = monitor
         return monitor
 
+    def force_from_now_N(  # noqa: N802 - the unit keeps its capital
+        self, seconds: float
+    ) -> float | None:
+        """Wait for `seconds`; the largest mean force along any axis within them, in N. None where
+        the force sensor is not read, or tells nothing. For a clean-up, which it does not end."""
+        return None if self._force is None else self._force.largest_from_now_N(seconds)
+
     @contextlib.contextmanager
     def first_cause(self) -> Iterator[None]:
         """Around what may be disturbed: what a watcher made the bench safe over, and a hold during

@@ -305,7 +305,7 @@ class _Loop:
             self.run.event("error", "trip", trip.one_line())
             self.reporter.event("warning", f"{trip.one_line()}; retaking point {point.id} once")
             self._taking = False  # watchers are not looked at: the bench is being made safe
-            if self._switch_off():
+            if self._switch_off() or self.run.failures:  # what may still be pressed is left alone
                 raise
             self.run.check_stop()
         self._taking = True

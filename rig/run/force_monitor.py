@@ -47,7 +47,10 @@ class ForceMonitor:
         self, sensor: ForceSensor, clock: Clock, holds: Holds, act: Callable[[], list[str]]
     ):
         self._sensor, self._clock, self._holds, self._act = sensor, clock, holds, act
-        self._limit_N = float("inf")
+        self._limit_N = self.limit_N = float("inf")
+        """The former is what trips now, the latter what `watch` was given last."""
+        self.tared = False
+        """Whether the sensor has been zeroed since this stream was begun."""
         self._trip: RigError | None = None
         """Why the bench was made safe from the reader's thread."""
         self._rate = 0.0
@@ -88,7 +91,8 @@ class ForceMonitor:
 
     def watch(self, limit_N: float) -> None:
         """From now on a force over `limit_N` along any axis trips."""
-        self._limit_N, self.largest_N = limit_N, 0.0
+        self._limit_N = self.limit_N = limit_N
+        self.largest_N = 0.0
 
     def mean_N(  # noqa: N802 - the unit keeps its capital
         self, seconds: float
@@ -158,7 +162,20 @@ class ForceMonitor:
             if self._recent:
                 self._frames_before = self._recent[-1].first_index + len(self._recent[-1])
             self._recent.clear()
+        self.tared = True
         return zero_N
+
+    def largest_from_now_N(  # noqa: N802 - the unit keeps its capital
+        self, seconds: float
+    ) -> float | None:
+        """Wait for `seconds`; the largest mean force along any axis of the frames that come within
+        them, in N. None where none comes, or where they are so late that they are of before."""
+        begin = self.frames_seen
+        self._clock.sleep(seconds)
+        frames = self.frames_since(begin)
+        if frames is None or self.older_s > seconds / 2:
+            return None
+        return float(np.abs(frames.force_N.mean(axis=0)).max())
 
     def check(self) -> None:
         """Raise what the reader's thread met, once for a trip."""

@@ -88,7 +88,7 @@ def test_a_stage_that_stands_in_free_air_is_told_in_time() -> None:
     bench.position = bench.target = CONTACT_mm - 0.2
     bench.known = deque([0.0] * 6, maxlen=6)
     bench.start_move = lambda position_mm, speed_mm_s: None  # type: ignore[method-assign]
-    fixture = SimpleNamespace(contact_from_mm=12.0, contact_to_mm=13.0)
+    fixture = SimpleNamespace(parked_mm=5.0, contact_from_mm=12.0, contact_to_mm=13.0)
     settings = SimpleNamespace(fixture=fixture)
     run = SimpleNamespace(
         bench=SimpleNamespace(stage_z=bench, settings=settings), clock=bench, force=bench
