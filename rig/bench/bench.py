@@ -12,7 +12,6 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Literal, Protocol, Self, TypeVar
 
@@ -20,12 +19,12 @@ from pydantic import Field, ValidationError, model_validator
 
 from rig.bench.keep_alives import KeepAlives
 from rig.core.clock import Clock
+from rig.core.entry_points import DRIVERS, load
 from rig.core.errors import (
     ConfigurationError,
     LimitError,
     RigError,
     SeveralFailuresError,
-    shortened,
 )
 from rig.core.settings import Settings
 from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
@@ -390,7 +389,7 @@ def read_bench(path: Path) -> BenchPlan:
 def parse_bench(text: str, source: str) -> BenchPlan:
     """Validate the text of a bench file, all errors at once."""
     tables = parse_toml(text, source)
-    findings: list[str] = []
+    findings: list[ConfigurationError] = []
     plans = []
     described = [role for role in ROLES if role in tables]
     for role in described:
@@ -398,17 +397,62 @@ def parse_bench(text: str, source: str) -> BenchPlan:
             plans.append(_plan_instrument(role, tables.pop(role), source))
     settings = None
     with _collect(findings):
-        try:
-            settings = BenchSettings.model_validate(tables)
-        except ValidationError as error:
-            raise ConfigurationError.from_validation(error, source) from error
+        settings = _settings(tables, source)
     if settings is not None and ("daq" not in described or any(p.role == "daq" for p in plans)):
-        findings += _wiring_errors(settings, plans, source)
+        findings += map(ConfigurationError, _wiring_errors(settings, plans, source))
     if settings is not None:
-        findings += _impatience(settings, plans, source)
+        findings += map(ConfigurationError, _impatience(settings, plans, source))
     if findings or settings is None:
-        raise ConfigurationError("; ".join(findings), "correct the bench file")
+        hints = dict.fromkeys(finding.hint or "correct the bench file" for finding in findings)
+        raise ConfigurationError("; ".join(f.message for f in findings), "; ".join(hints))
     return BenchPlan(settings, tuple(plans), text, source)
+
+
+@dataclass(frozen=True)
+class Restable:
+    """What of a bench file can be made safe, and why the rest cannot."""
+
+    instruments: tuple[InstrumentPlan, ...]
+    failures: dict[str, str]
+    """By role, why an instrument is out of reach; under "bench file" what is wrong with the rest of
+    the file."""
+    settings: BenchSettings | None
+    """None where the rest of the file is wrong."""
+
+
+def parse_to_make_safe(text: str, source: str) -> Restable:
+    """What a bench file says of its instruments, for making them safe.
+
+    What is wrong with one instrument or its driver keeps no other from being made safe, so it is
+    returned and not raised. ConfigurationError where the text describes no instrument at all.
+    """
+    tables = parse_toml(text, source)
+    described = [role for role in ROLES if role in tables]
+    instruments = []
+    failures: dict[str, str] = {}
+    for role in described:
+        try:
+            instruments.append(_plan_instrument(role, tables.pop(role), source))
+        except RigError as error:
+            failures[role] = error.one_line()
+        except Exception as error:  # noqa: BLE001 - a driver's settings must not stop the others
+            failures[role] = f"{type(error).__name__}: {error}"
+    settings = None
+    try:
+        settings = _settings(tables, source)
+    except ConfigurationError as error:
+        if not described:
+            raise
+        failures["bench file"] = error.one_line()
+    return Restable(tuple(instruments), failures, settings)
+
+
+def _settings(tables: dict[str, Any], source: str) -> BenchSettings:
+    """A bench file's own part, what is left of it without its instruments."""
+    try:
+        return BenchSettings.model_validate(tables)
+    except ValidationError as error:
+        raise ConfigurationError.from_validation(error, source) from error
 
 
 def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
@@ -522,17 +566,12 @@ def _close_all(instruments: Mapping[str, Instrument]) -> None:
             instrument.close()
 
 
-def entry(group: str, name: str) -> EntryPoint | None:
-    """The entry point `name` of a group, or None."""
-    return next(iter(entry_points(group=group, name=name)), None)
-
-
 @contextlib.contextmanager
-def _collect(findings: list[str]) -> Iterator[None]:
+def _collect(findings: list[ConfigurationError]) -> Iterator[None]:
     try:
         yield
     except ConfigurationError as error:
-        findings.append(error.message)
+        findings.append(error)
 
 
 def _plan_instrument(role: str, table: Any, source: str) -> InstrumentPlan:
@@ -540,15 +579,10 @@ def _plan_instrument(role: str, table: Any, source: str) -> InstrumentPlan:
     if not isinstance(table, dict) or not isinstance(table.get("driver"), str):
         raise ConfigurationError(f"{where}: names no driver")
     name = table["driver"]
-    quoted = repr(shortened(name))
-    found = entry("rig.drivers", name)
-    if found is None:
-        known = ", ".join(sorted(e.name for e in entry_points(group="rig.drivers")))
-        raise ConfigurationError(f"{where}: driver {quoted} is unknown (known: {known})")
     try:
-        module: DriverModule = found.load()
-    except ImportError as error:
-        raise ConfigurationError(f"{where}: driver {quoted} cannot be loaded: {error}") from error
+        module: DriverModule = load(DRIVERS, name)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{where}: {error.message}", error.hint) from error
     if role not in module.ROLES:
         roles = " or ".join(module.ROLES)
         raise ConfigurationError(f"{where}: driver {name!r} is for the role {roles}")

@@ -7,19 +7,16 @@ expensive; the others show the first line of their module's docstring, read from
 
 from __future__ import annotations
 
-import ast
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
-from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
-from rig.cli.outcome import report
-from rig.core.errors import ConfigurationError
+from rig.cli.outcome import printable, report, say
+from rig.core.entry_points import PROCEDURES, BrokenPackageError, names, summary
+from rig.core.errors import ConfigurationError, RigError
 from rig.core.imports import importing
 
 if TYPE_CHECKING:
@@ -116,11 +113,16 @@ def perform(arguments: Sequence[str], begun: RunningBench | None = None) -> None
 
     With ``--json`` stdout carries an object for one that cannot be understood, too.
     """
-    if "--json" not in arguments:
-        build(arguments, begun)(arguments)
+    as_json = "--json" in arguments
+    try:
+        app = build(arguments, begun)
+    except RigError as error:
+        sys.exit(report(error, "--debug" in arguments, as_json))
+    if not as_json:
+        app(arguments)
         return
     try:
-        code = build(arguments, begun)(arguments, standalone_mode=False)
+        code = app(arguments, standalone_mode=False)
     except typer.TyperException as error:
         hint = "see rig --help"
         code = report(ConfigurationError(error.format_message(), hint), as_json=True)
@@ -128,7 +130,8 @@ def perform(arguments: Sequence[str], begun: RunningBench | None = None) -> None
 
 
 def build(arguments: Sequence[str], begun: RunningBench | None = None) -> typer.Typer:
-    """The application for this command line."""
+    """The application for this command line; ConfigurationError where the procedure that it asks
+    for cannot be used. Procedures that are broken and not asked for are listed as unavailable."""
     app = typer.Typer(
         name="rig",
         help=HELP,
@@ -138,17 +141,24 @@ def build(arguments: Sequence[str], begun: RunningBench | None = None) -> typer.
         pretty_exceptions_enable=False,
     )
     asked = next((word for word in arguments if not word.startswith("-")), None)
-    for procedure in entry_points(group="rig.procedures"):
+    installed = names(PROCEDURES)
+    own = (*COMMANDS, *GROUPS)
+    listed = asked not in own and asked not in installed
+    for name in installed:
+        if name in own:  # a package does not replace a command of the program
+            if asked is None:
+                say(f"warning: a procedure {name!r} is installed, which is the name of a command")
+            continue
         function: Callable[..., None] = _not_asked
-        if procedure.name == asked:
+        if name == asked:
             with importing():
                 from rig.cli.procedures import command
 
-                function = command(procedure, begun)
-        _add(app, procedure.name, summary(procedure), function)
+                function = command(name, begun)
+        _add(app, name, _summary(name) if listed or name == asked else "", function)
     for name, (module, function_name, text) in COMMANDS.items():
-        own = getattr(import_module(module), function_name) if name == asked else _not_asked
-        _add(app, name, text, own)
+        function = getattr(import_module(module), function_name) if name == asked else _not_asked
+        _add(app, name, text, function)
     for name, (module, text) in GROUPS.items():
         if name == asked:
             app.add_typer(import_module(module).app, name=name, short_help=text)
@@ -161,13 +171,14 @@ def _add(app: typer.Typer, name: str, text: str, function: Callable[..., None]) 
     app.command(name, help=text, short_help=text)(function)
 
 
-def summary(procedure: EntryPoint) -> str:
-    """First line of the docstring of a procedure's module, without importing the module."""
-    spec = find_spec(procedure.module)
-    if spec is None or spec.origin is None:
-        return ""
-    docstring = ast.get_docstring(ast.parse(Path(spec.origin).read_text(encoding="utf-8")))
-    return (docstring or "").strip().split("\n", 1)[0]
+def _summary(name: str) -> str:
+    """What the list of commands says of a procedure, without importing it."""
+    try:
+        return summary(PROCEDURES, name)
+    except BrokenPackageError as error:
+        return printable(f"(unavailable: {error.package}: {error.reason})")
+    except ConfigurationError as error:
+        return printable(f"(unavailable: {error.message})")
 
 
 def _not_asked() -> None:

@@ -48,7 +48,7 @@ def schema() -> None:
     """Print the JSON schema of the batch file, with the settings of the installed procedures."""
     from rig.batch.plan.schema import batch_schema
 
-    print(json.dumps(batch_schema(), indent=2))  # noqa: T201 - stdout carries data
+    print(json.dumps(batch_schema(lambda text: say(f"warning: {text}")), indent=2))  # noqa: T201 - stdout carries data
 
 
 def as_object(prepared: Prepared, free_B: int) -> dict[str, Any]:

@@ -9,8 +9,10 @@ that turns out to mean something else leaves it, and it ends by itself.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
+
+from rig.core.entry_points import PROCEDURES, names
+from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.bench.bench import RunningBench
@@ -19,9 +21,14 @@ if TYPE_CHECKING:
 def begin_bench(arguments: Sequence[str]) -> RunningBench | None:
     """The simulated bench of a procedure; None where a command line has no use for one."""
     asked = next((word for word in arguments if not word.startswith("-")), None)
-    if asked not in entry_points(group="rig.procedures").names:
+    if asked not in names(PROCEDURES):
         return None
     from rig.run.bench_selector import begin_simulated, bench_file
 
     elsewhere = any(word.startswith(("--bench", "--help")) for word in arguments)
-    return None if elsewhere or bench_file(None) is not None else begin_simulated()
+    if elsewhere or bench_file(None) is not None:
+        return None
+    try:
+        return begin_simulated()
+    except ConfigurationError:  # the command says so where it turns out to need one
+        return None

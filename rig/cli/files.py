@@ -42,17 +42,17 @@ def resume(
     with reported(debug, as_json):
         from pydantic import ValidationError
 
-        from rig.bench.bench import entry
         from rig.cli.procedures import Request, perform
+        from rig.core.entry_points import PROCEDURES, load
         from rig.files.naming import results_of
         from rig.files.runfile.recover import interrupted
 
         contents = interrupted(file)
         header = contents.header
-        found = entry("rig.procedures", header.procedure)
-        if found is None:
-            raise ConfigurationError(f"{file}: procedure {header.procedure!r} is not installed")
-        procedure = found.load()
+        try:
+            procedure = load(PROCEDURES, header.procedure)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{file}: {error.message}", error.hint) from error
         try:
             settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
         except ValidationError as error:
@@ -152,15 +152,19 @@ def recover(files: Files, debug: Debug = False) -> None:
 
 
 def _results(header: RunHeader, readings: Sequence[Reading]) -> dict[str, Any]:
-    """The procedure's own summary of the readings, where it is installed and still takes them."""
+    """The procedure's own summary of the readings, where it is installed and still takes them; one
+    that is broken costs a line, not the command."""
     from pydantic import ValidationError
 
-    from rig.bench.bench import entry
+    from rig.core.entry_points import PROCEDURES, load, names
 
-    found = entry("rig.procedures", header.procedure)
-    if found is None or not readings:
+    if header.procedure not in names(PROCEDURES) or not readings:
         return {}
-    procedure = found.load()
+    try:
+        procedure = load(PROCEDURES, header.procedure)
+    except ConfigurationError as error:
+        say(f"warning: no summary: {error.one_line()}")
+        return {}
     try:
         settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
         return dict(procedure.summarise(settings, readings))

@@ -7,7 +7,6 @@ import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +14,7 @@ import typer
 
 from rig.cli.options import parameters, settings_from
 from rig.cli.outcome import reported, say, start_log
+from rig.core.entry_points import PROCEDURES, load
 from rig.run.bench_selector import BenchRequest, Choosing, Stages, bench_file
 
 if TYPE_CHECKING:
@@ -73,10 +73,10 @@ def _common(
     """Signature of the common options."""
 
 
-def command(entry: EntryPoint, begun: RunningBench | None = None) -> Callable[..., None]:
+def command(name: str, begun: RunningBench | None = None) -> Callable[..., None]:
     """The command function of a procedure, with an option for each of its settings; `begun` is its
-    simulated bench, if it needs one."""
-    procedure: Procedure = entry.load()
+    simulated bench, if it needs one. ConfigurationError where the procedure cannot be used."""
+    procedure: Procedure = load(PROCEDURES, name)
 
     def run(**given: Any) -> None:
         options = {name: given.pop(name) for name in Request.__dataclass_fields__}

@@ -34,9 +34,7 @@ def simulate(
 ) -> None:
     """Serve the simulated bench in real time and print the bench file that drives it."""
     with reported(debug):
-        from importlib.metadata import entry_points
-
-        (entry,) = entry_points(group="rig.benches", name="simulated")
+        from rig.core.entry_points import BENCHES, load
 
         def ready(text: str) -> None:
             if write is None:
@@ -48,7 +46,7 @@ def simulate(
 
         options = {"world": world, "fault": fault, "world_log": world_log}
         paths = {name: None if path is None else str(path) for name, path in options.items()}
-        factory: BenchFactory = entry.load()
+        factory: BenchFactory = load(BENCHES, "simulated")
         factory.serve({"fixture": fixture, "stages": stages, "seed": seed, **paths}, ready)
         say("the simulated bench has ended")
 
@@ -75,13 +73,15 @@ def make_safe(
 ) -> None:
     """Bring every instrument of a bench to rest, whatever state it was left in.
 
+    One whose driver is broken, or whose table in the bench file is wrong, keeps no other from it.
     A run on it is not waited for: it fails when its instruments do what it has not told them.
     Ctrl-C ends nothing half-way.
     """
     from rig.run.stopping import StopFlag
 
     with reported(debug), StopFlag():
-        from rig.bench.bench import read_bench
+        from rig.bench.bench import parse_to_make_safe
+        from rig.core.toml_files import MAX_TOML_BYTES, read_text
         from rig.run.guard import make_bench_safe, report_path
         from rig.run.lock import in_use
 
@@ -91,14 +91,18 @@ def make_safe(
                 "name the one of the bench with --bench; the simulated bench that a command starts "
                 "for itself makes itself safe",
             )
-        plan = read_bench(bench)
-        if (user := in_use(plan)) is not None:
+        text = read_text(bench, "bench file", MAX_TOML_BYTES)
+        described = parse_to_make_safe(text, str(bench))
+        if (user := in_use(described)) is not None:
             say(f"{user}; it is made safe all the same, and what runs on it will fail")
-        failures = make_bench_safe(plan.text, plan.source)
-        if failures:
+        failures = make_bench_safe(text, str(bench))
+        roles = [part.role for part in described.instruments if part.role not in failures]
+        name = str(bench) if described.settings is None else described.settings.name
+        if roles:
+            say(f"{name}: {', '.join(roles)} made safe")
+        if failures or described.settings is None:
             raise UnsafeError(
                 "; ".join(f"{role}: {why}" for role, why in failures.items()),
                 "switch the bench off by hand and find out why",
             )
-        report_path(results, plan.settings.name).unlink(missing_ok=True)
-        say(f"{plan.settings.name}: {', '.join(p.role for p in plan.instruments)} made safe")
+        report_path(results, name).unlink(missing_ok=True)

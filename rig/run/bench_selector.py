@@ -14,6 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from rig.core.entry_points import BENCHES, load
 from rig.core.imports import importing
 from rig.instruments.visa_library import import_visa
 
@@ -189,10 +190,7 @@ def start_simulated(
 
 
 def _simulated_benches() -> BenchFactory:
-    from importlib.metadata import entry_points
-
-    (entry,) = entry_points(group="rig.benches", name="simulated")
-    factory: BenchFactory = entry.load()
+    factory: BenchFactory = load(BENCHES, "simulated")
     return factory
 
 

@@ -219,7 +219,7 @@ def main() -> None:
 
 def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[str, Any]:
     """Make the bench safe, compile the journal, write the report; returns the report."""
-    failures = {} if already_safe else make_bench_safe(order["bench_toml"], order["bench_source"])
+    failures = {} if already_safe else _make_safe_as_ordered(order)
     report: dict[str, Any] = {
         "time": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "run_pid": order["run_pid"],
@@ -239,16 +239,30 @@ def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[s
 
 def make_bench_safe(bench_toml: str, source: str) -> dict[str, str]:
     """Call every driver's `make_safe` in the order of the roles, each isolated from the others'
-    failures and each with a deadline; returns what failed, by role."""
-    from rig.bench.bench import WAITS_PER_CALL, parse_bench
+    failures and each with a deadline; returns what failed, by role.
+
+    An instrument whose driver or settings cannot be used is among what failed; the others are made
+    safe. ConfigurationError where the text describes no instrument at all.
+    """
+    from rig.bench.bench import WAITS_PER_CALL, parse_to_make_safe
     from rig.run.arming import Arming
 
+    described = parse_to_make_safe(bench_toml, source)
     arming = Arming()
-    for part in reversed(parse_bench(bench_toml, source).instruments):
+    for part in reversed(described.instruments):
         waits_s = WAITS_PER_CALL * getattr(part.settings, "timeout_s", 0.0)
         off = partial(part.driver.make_safe, part.settings)
         arming.register(part.role, off, REST_S + waits_s)
-    return {f.name: f.reason.removeprefix(f"{f.name}: ") for f in arming.make_safe()}
+    failed = {f.name: f.reason.removeprefix(f"{f.name}: ") for f in arming.make_safe()}
+    return failed | described.failures
+
+
+def _make_safe_as_ordered(order: dict[str, Any]) -> dict[str, str]:
+    """What could not be made safe; whatever goes wrong has to get into the report."""
+    try:
+        return make_bench_safe(order["bench_toml"], order["bench_source"])
+    except Exception as error:  # noqa: BLE001 - the report keeps the next run from starting
+        return {"bench": f"{type(error).__name__}: {error}"}
 
 
 def _compile(journal: Path) -> str:

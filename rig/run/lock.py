@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Self
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from rig.bench.bench import BenchPlan
+    from rig.bench.bench import BenchPlan, Restable
 
 ADDRESS = ("resource", "host", "port", "unit_id")
 """Settings of a driver that tell one instrument from another."""
@@ -87,7 +87,7 @@ class BenchLock:
                 os.pwrite(file, text, 0)
 
 
-def in_use(plan: BenchPlan) -> str | None:
+def in_use(plan: BenchPlan | Restable) -> str | None:
     """Who has an instrument of this bench, in words; None where nobody has."""
     for path in lock_files(plan):
         file = _open(path)
@@ -99,7 +99,7 @@ def in_use(plan: BenchPlan) -> str | None:
     return None
 
 
-def lock_files(plan: BenchPlan) -> tuple[Path, ...]:
+def lock_files(plan: BenchPlan | Restable) -> tuple[Path, ...]:
     """The lock file of every address of a bench, each once, in the same order for everybody."""
     addresses = {_address(part.settings.model_dump()) for part in plan.instruments}
     digests = sorted(hashlib.sha256(address.encode()).hexdigest()[:16] for address in addresses)

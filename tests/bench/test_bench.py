@@ -168,20 +168,6 @@ def test_a_daq_that_is_wrong_itself_is_not_blamed_for_its_wiring() -> None:
     assert "wires no" not in message
 
 
-def test_a_driver_that_cannot_be_imported_is_a_configuration_error(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def load() -> Any:
-        raise ImportError("No module named 'acme_sdk'")
-
-    real = benches.entry
-    broken = SimpleNamespace(load=load)
-    monkeypatch.setattr(
-        benches, "entry", lambda g, n: broken if n == "keysight-33500b" else real(g, n)
-    )
-    assert "'keysight-33500b' cannot be loaded: No module named 'acme_sdk'" in refused(GOOD)
-
-
 @pytest.mark.parametrize(
     "make",
     [

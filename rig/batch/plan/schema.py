@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from rig.batch.plan.procedures import installed, known
 from rig.batch.plan.settings import BatchFile
+from rig.core.errors import ConfigurationError
 from rig.core.settings import unit_of
 
 TEXT_WITH_UNIT = {"type": "string", "description": "text as on the command line, with its unit"}
 
 
-def batch_schema() -> dict[str, Any]:
+def batch_schema(warn: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
     """JSON Schema 2020-12 of `BatchFile`; what an experiment may set and vary follows from its
-    procedure."""
+    procedure. A procedure that is broken is left out, and `warn` gets a line that says why."""
     schema = BatchFile.model_json_schema()
     definitions: dict[str, Any] = schema["$defs"]
-    procedures = known()
-    for name in procedures:
-        own = installed(name).Settings.model_json_schema()
+    procedures: list[str] = []
+    for name in known():
+        try:
+            own = installed(name).Settings.model_json_schema()
+        except ConfigurationError as error:
+            warn(error.one_line())
+            continue
+        procedures.append(name)
         definitions.update(own.pop("$defs", {}))
         properties = {field: _or_text(field, part) for field, part in own["properties"].items()}
         definitions[f"{name}.settings"] = {
@@ -41,7 +48,7 @@ def batch_schema() -> dict[str, Any]:
         "additionalProperties": False,
     }
     experiment = definitions["Experiment"]
-    experiment["properties"]["procedure"]["enum"] = list(procedures)
+    experiment["properties"]["procedure"]["enum"] = procedures
     experiment["allOf"] = [
         {
             "if": {"properties": {"procedure": {"const": name}}},

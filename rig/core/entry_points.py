@@ -1,0 +1,208 @@
+"""What installed packages register with this one: procedures, drivers and simulated benches.
+
+A package names its modules in the entry-point groups below. `load` is the one place where such a
+module is imported: it checks that the module has everything that its group demands, and names the
+package where it does not. So a broken package disables what it registers and nothing else.
+
+Only what is asked for is imported. `summary` reads the first line of a module's docstring from its
+source, for a list of commands that has to appear at once.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.metadata
+import sys
+import traceback
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from rig.core.errors import LONGEST_REASON, ConfigurationError, ExitCode, shortened
+
+PROCEDURES = "rig.procedures"
+DRIVERS = "rig.drivers"
+BENCHES = "rig.benches"
+
+KINDS = {PROCEDURES: "procedure", DRIVERS: "driver", BENCHES: "simulated bench"}
+"""What an entry point of each group is called in a message."""
+DATA = {
+    PROCEDURES: ("NAME", "FIXTURES", "Settings", "LAYOUT", "STREAMS", "FIGURE"),
+    DRIVERS: ("ROLES", "Settings"),
+    BENCHES: (),
+}
+"""Members, not functions, that a module of each group must have."""
+FUNCTIONS = {
+    PROCEDURES: ("points", "arm", "take", "summarise"),
+    DRIVERS: ("connect", "make_safe"),
+    BENCHES: ("begin", "start", "serve"),
+}
+"""Functions that a module of each group must have."""
+
+OWN_PACKAGE = "tactile-rig"
+"""Another package that registers one of this package's names does not replace it."""
+_MACHINERY = (__file__, importlib.__file__, importlib.metadata.__file__)
+"""Files that appear in the traceback of every import."""
+
+
+class BrokenPackageError(ConfigurationError):
+    """What a package registers cannot be used; the message names the package and entry point."""
+
+    def __init__(self, entry: EntryPoint, reason: str, hint: str | None = None):
+        self.package = package(entry)
+        self.reason = reason
+        super().__init__(
+            f"{KINDS[entry.group]} {entry.name!r} of the package {self.package} (entry point "
+            f"{entry.name} = {entry.value} of the group {entry.group}) {reason}",
+            hint or f"fix the package {self.package} or uninstall it",
+        )
+
+
+def names(group: str) -> tuple[str, ...]:
+    """The names registered in a group, each once, in order; nothing is imported."""
+    return tuple(sorted({entry.name for entry in _registered(group)}))
+
+
+def find(group: str, name: str) -> EntryPoint | None:
+    """The entry point of this name, or None; this package's own goes before another's.
+
+    ConfigurationError where two other packages register the name.
+    """
+    found = [entry for entry in _registered(group) if entry.name == name]
+    if len(found) > 1:
+        found = [entry for entry in found if package(entry) == OWN_PACKAGE] or found
+    if len(found) > 1:
+        packages = " and ".join(package(entry) for entry in found)
+        raise ConfigurationError(
+            f"{KINDS[group]} {name!r} is registered by the packages {packages}",
+            "uninstall all but one of them",
+        )
+    return found[0] if found else None
+
+
+def load(group: str, name: str) -> Any:
+    """Import the module registered under `name` and check that it has what its group demands.
+
+    ConfigurationError where nothing is registered under the name, BrokenPackageError where the
+    import fails or a member is missing. Whatever a foreign module raises is caught: making a bench
+    safe must not depend on it.
+    """
+    entry = find(group, name)
+    if entry is None:
+        raise ConfigurationError(
+            f"{KINDS[group]} {shortened(name)!r} is unknown", f"known are {', '.join(names(group))}"
+        )
+    if entry.pattern.match(entry.value) is None:
+        raise BrokenPackageError(entry, "does not name a module")
+    try:
+        module = entry.load()
+    except SystemExit as error:
+        if error.code in (ExitCode.SIGHUP, ExitCode.SIGTERM):  # a signal, not the module
+            raise
+        raise BrokenPackageError(entry, f"cannot be imported: {_cause(error)}") from error
+    except Exception as error:
+        raise BrokenPackageError(
+            entry, f"cannot be imported: {_cause(error)}", _remedy(entry, error)
+        ) from error
+    if (fault := _fault(entry, module)) is not None:
+        raise BrokenPackageError(entry, fault)
+    return module
+
+
+def summary(group: str, name: str) -> str:
+    """The first line of the docstring of a registered module, read from its source; "" where there
+    is no source to read.
+
+    Neither the module nor a package around it is imported. BrokenPackageError where there is no
+    such module, or where its source or that of a package around it does not parse.
+    """
+    entry = find(group, name)
+    if entry is None:
+        return ""
+    if entry.pattern.match(entry.value) is None:
+        raise BrokenPackageError(entry, "does not name a module")
+    try:
+        docstring = _docstring(entry.module)
+    except (SyntaxError, ModuleNotFoundError) as error:
+        raise BrokenPackageError(entry, f"cannot be imported: {_cause(error)}") from error
+    except Exception:  # noqa: BLE001 - a finder of another package; `load` tells what is wrong
+        return ""
+    return docstring.strip().split("\n", 1)[0]
+
+
+def package(entry: EntryPoint) -> str:
+    """The name of the package that registers an entry point, or where it is installed."""
+    if entry.dist is None:
+        return "without a name"
+    return entry.dist.metadata["Name"] or f"without a name in {entry.dist.locate_file('')}"
+
+
+@cache
+def _registered(group: str) -> tuple[EntryPoint, ...]:
+    """The entry points of a group; to look for them takes milliseconds, so it is done once."""
+    return tuple(entry_points(group=group))
+
+
+def _fault(entry: EntryPoint, module: Any) -> str | None:
+    """What a module does not have that its group demands; None where nothing is missing."""
+    missing = [name for name in DATA[entry.group] if not hasattr(module, name)]
+    missing += [
+        name for name in FUNCTIONS[entry.group] if not callable(getattr(module, name, None))
+    ]
+    if missing:
+        return f"lacks {', '.join(missing)}"
+    if "Settings" in DATA[entry.group]:
+        from rig.core.settings import Settings  # after the module, which has imported it already
+
+        if not (isinstance(module.Settings, type) and issubclass(module.Settings, Settings)):
+            return "has Settings that are not a subclass of rig.core.settings.Settings"
+    for name in ("ROLES", "FIXTURES", "STREAMS"):
+        if name in DATA[entry.group] and not isinstance(getattr(module, name), tuple):
+            return f"has {name} that are not a tuple"
+    if entry.group == PROCEDURES:
+        if entry.name != module.NAME:
+            return f"has the NAME {module.NAME!r}, which has to be that of the entry point"
+        if not module.FIXTURES:
+            return "has no FIXTURES"
+    return None
+
+
+def _docstring(module: str) -> str:
+    """The docstring of a module, found as an import would find it, but without one."""
+    docstring, name, folders = "", "", None
+    for part in module.split("."):
+        name = f"{name}.{part}" if name else part
+        found = (finder.find_spec(name, folders) for finder in sys.meta_path)
+        spec = next((one for one in found if one is not None), None)
+        if spec is None:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        get_source = getattr(spec.loader, "get_source", lambda _: None)
+        docstring = ast.get_docstring(ast.parse(get_source(name) or "", spec.origin or name)) or ""
+        folders = list(spec.submodule_search_locations or ())
+    return docstring
+
+
+def _cause(error: BaseException) -> str:
+    """What an import raised, in one line, with the file and the line where known."""
+    if isinstance(error, SyntaxError) and error.filename is not None:
+        place, message = f"{error.filename} line {error.lineno}: ", error.msg
+    else:
+        frames = traceback.extract_tb(error.__traceback__)
+        own = [
+            frame
+            for frame in frames
+            if frame.filename not in _MACHINERY and not frame.filename.startswith("<frozen")
+        ]
+        place = f"{own[-1].filename} line {own[-1].lineno}: " if own else ""
+        message = str(error)
+    return shortened(f"{place}{type(error).__name__}: {' '.join(message.split())}", LONGEST_REASON)
+
+
+def _remedy(entry: EntryPoint, error: Exception) -> str | None:
+    """What to install, where an import misses something that is not the package's own."""
+    if not isinstance(error, ModuleNotFoundError) or not error.name:
+        return None
+    if error.name.split(".")[0] == entry.module.split(".")[0]:
+        return None
+    return f"install {error.name}, which the package {package(entry)} needs, or uninstall it"
