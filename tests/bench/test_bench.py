@@ -70,7 +70,7 @@ def changed(old: str, new: str) -> str:
     return GOOD.replace(old, new)
 
 
-README = Path(__file__).parents[1] / "README.md"
+README = Path(__file__).parents[2] / "README.md"
 
 
 def examples() -> dict[str, str]:
@@ -117,7 +117,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "unknown table": (GOOD + "\n[oven]\nx = 1\n", "oven: unknown key"),
     "unknown driver": (
         changed("keysight-33500b", "keysight-1"),
-        "known: festo-cmmt, keysight-33500b",
+        "known are festo-cmmt, keysight-33500b",
     ),
     "driver of another role": (
         changed("keysight-33500b", "keysight-u2300a"),

@@ -208,7 +208,7 @@ def test_a_file_of_a_procedure_that_is_broken_now_is_shown_without_its_summary(
 
 DRIVER = """
 from typing import Literal
-from drivers import keysight_u2300a
+from drivers.keysight_u2300a import driver as keysight_u2300a
 from drivers.keysight_u2300a.driver import ROLES, connect, make_safe
 class Settings(keysight_u2300a.Settings):
     driver: Literal["acme-daq"]
