@@ -308,6 +308,19 @@ def test_a_driver_that_is_not_installed_or_set_wrongly_keeps_no_other_from_it(
     assert rig.outputs() == [True, False]
 
 
+def test_settings_of_a_driver_that_raise_keep_no_other_instrument_from_it(
+    rig: Any, acme: Path
+) -> None:
+    switch_on(rig)
+    validator = "    def model_post_init(self, _): raise RuntimeError('no licence')\n"
+    acme.write_text(DRIVERS["sound"] + validator)
+    made = rig.run("make-safe", "--bench", "sim.toml")
+    assert made.code == 7, made.stderr
+    (error,) = made.errors
+    assert "daq: RuntimeError: no licence" in error
+    assert rig.outputs() == [True, False]
+
+
 def test_the_guard_makes_safe_what_it_can_and_names_the_broken_driver(rig: Any, acme: Path) -> None:
     """A driver that broke while its run was under way, which then died."""
     frequencies = ",".join(str(f) for f in range(300, 2300, 100))
