@@ -226,9 +226,8 @@ def test_an_instrument_that_hangs_keeps_no_other_from_being_made_safe(
         part("daq", refuse),
         part("stage_z", lambda settings: done.append("stage_z")),
     )
-    monkeypatch.setattr(
-        "rig.bench.bench.parse_bench", lambda *_: SimpleNamespace(instruments=parts)
-    )
+    described = SimpleNamespace(instruments=parts, failures={})
+    monkeypatch.setattr("rig.bench.bench.parse_to_make_safe", lambda *_: described)
     monkeypatch.setattr("rig.run.guard.REST_S", 0.03)
     failures = make_bench_safe("", "bench.toml")
     release.set()
