@@ -70,12 +70,14 @@ def changed(old: str, new: str) -> str:
     return GOOD.replace(old, new)
 
 
-README = Path(__file__).parents[2] / "README.md"
+BENCH_FILE_PAGE = Path(__file__).parents[2] / "docs" / "bench-file.md"
 
 
 def examples() -> dict[str, str]:
-    """The bench files that the README shows, by what is mounted."""
-    blocks = re.findall(r"(?:^(?: {4}.*)?\n)+", README.read_text(encoding="utf-8"), re.MULTILINE)
+    """The bench files of docs/bench-file.md, by what is mounted."""
+    blocks = re.findall(
+        r"(?:^(?: {4}.*)?\n)+", BENCH_FILE_PAGE.read_text(encoding="utf-8"), re.MULTILINE
+    )
     found = [textwrap.dedent(block) for block in blocks if "[fixture]" in block]
     return {tomllib.loads(text)["fixture"]["mounted"]: text for text in found}
 
@@ -87,10 +89,10 @@ def examples() -> dict[str, str]:
         ("plate", {"daq", "stage_z", "stage_x", "force_sensor"}),
     ],
 )
-def test_the_readmes_bench_files_have_all_that_their_procedure_needs(
+def test_the_documented_bench_files_have_all_that_their_procedure_needs(
     fixture: str, roles: set[str]
 ) -> None:
-    plan = parse_bench(examples()[fixture], "README.md")
+    plan = parse_bench(examples()[fixture], "bench-file.md")
     assert {part.role for part in plan.instruments} == roles
     assert plan.settings.fixture.contact_from_mm is not None
     assert plan.settings.fixture.contact_to_mm is not None
