@@ -84,12 +84,12 @@ def show(
 ) -> None:
     """Say what a run file, processed file or journal holds; draw a file's figures again."""
     with reported(debug):
+        from rig.files.checksum import checksum_findings
         from rig.files.describe import describe, ending_of
         from rig.files.file_kind import kind_of
         from rig.files.journal.reader import read_journal
         from rig.files.processed.reader import is_processed
         from rig.files.runfile.reader import RunFile
-        from rig.files.verify import checksum_findings, verify_apart
 
         for path in files:
             if kind_of(path) == "journal":
@@ -98,8 +98,6 @@ def show(
                 _tell(_results(contents.header, [kept.reading for kept in contents.kept()]))
                 continue
             doubts = list(checksum_findings(path))
-            if doubts:
-                verify_apart(path)  # HDF5 may die of it, or hang
             if is_processed(path):
                 _show_processed(path, doubts, figures, figures_to)
                 continue

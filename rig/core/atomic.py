@@ -52,7 +52,9 @@ def write_text(target: Path, text: str, *, durable: bool = True, shared: bool = 
         part.write_text(text, encoding="utf-8")
 
 
-def write_bytes(target: Path, content: bytes, *, durable: bool = True, shared: bool = False) -> None:
+def write_bytes(
+    target: Path, content: bytes, *, durable: bool = True, shared: bool = False
+) -> None:
     """Write bytes to `target`, in place of an earlier file (see `replacing`)."""
     with replacing(target, durable=durable, shared=shared) as part:
         part.write_bytes(content)

@@ -9,16 +9,17 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import tempfile
 from pathlib import Path
 from typing import Protocol
+
+from rig.core.atomic import write_bytes
 
 _MAGIC = b"RIGCACHE1\n"
 _DIGEST_BYTES = 32
 
 
 class Cache(Protocol):
-    """Bytes by key; both calls may be ignored by an implementation that keeps nothing."""
+    """Bytes by key. An implementation may store nothing: then every `get` returns None."""
 
     def get(self, key: str) -> bytes | None:
         """The bytes stored under `key`, or None."""
@@ -68,14 +69,8 @@ class DiskCache:
         """Store `content` under `key`; a full or read-only disk leaves the cache as it was."""
         with contextlib.suppress(OSError):
             self.folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=self.folder, delete=False) as file:
-                try:
-                    file.write(_MAGIC + _digest(key, content) + content)
-                    file.close()
-                    Path(file.name).replace(self.path(key))
-                except OSError:
-                    Path(file.name).unlink(missing_ok=True)
-                    raise
+            entry = _MAGIC + _digest(key, content) + content
+            write_bytes(self.path(key), entry, durable=False, shared=True)
 
 
 def user_cache() -> DiskCache:

@@ -7,10 +7,9 @@ import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.files.journal.reader import JournalContents
+from rig.files.journal.reader import JournalContents, ending
 from rig.files.journal.values import Named, RunHeader
 from rig.files.runfile.reader import Outcome
-from rig.files.runfile.write_entry import ending
 
 if TYPE_CHECKING:
     from rig.detector.events import Event

@@ -18,14 +18,14 @@ from rig.detector.detector import DETECTOR_VERSION, IncipientSlipDetector
 from rig.detector.events import EVENT_KINDS, Event
 from rig.detector.fir import StreamingFir
 from rig.detector.settings import DetectorSettings
+from rig.files.checksum import checksum_findings, sha256_of
 from rig.files.errors import RunFileError
 from rig.files.naming import checksum_path
 from rig.files.processed.reader import ProcessedFile, is_processed
 from rig.files.processed.values import DetectedTrial, Source, processed_path
 from rig.files.processed.writer import write_processed
-from rig.files.runfile.compile import sha256_of
 from rig.files.runfile.reader import RunFile
-from rig.files.verify import checksum_findings, verify_apart
+from rig.files.verify import verify_in_child
 
 if TYPE_CHECKING:
     import numpy as np
@@ -159,7 +159,7 @@ def _refuse_damaged(run_file: Path) -> list[str]:
     if doubts and checksum_path(run_file).exists():
         raise RunFileError(run_file, "; ".join(doubts), "`rig verify` says more")
     if doubts:
-        verify_apart(run_file)  # HDF5 may die of it, or hang
+        verify_in_child(run_file)  # HDF5 may die of it, or hang
     return [f"{run_file.name}: {doubt}" for doubt in doubts]
 
 

@@ -77,7 +77,7 @@ def test_content_is_on_the_disk_before_the_name_and_the_folder_after_it(
     sync, rename = os.fsync, Path.replace
 
     def fsync(descriptor: int) -> None:
-        steps.append(f"sync {Path(os.readlink(f'/proc/self/fd/{descriptor}')).name}")
+        steps.append(f"sync {Path(f'/proc/self/fd/{descriptor}').readlink().name}")
         sync(descriptor)
 
     def replace(part: Path, target: Path) -> Path:

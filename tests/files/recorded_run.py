@@ -166,7 +166,8 @@ WRITER = """
 import sys
 sys.path.insert(0, sys.argv[2])
 import recorded_run as run
-from rig.files import JournalWriter, Recorder
+from rig.files.journal.recorder import Recorder
+from rig.files.journal.writer import JournalWriter
 recorder = Recorder(JournalWriter.create(sys.argv[1], run.header()))
 recorder.put_point_begin("p", {})
 for n in range(10**6):

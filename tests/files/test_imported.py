@@ -435,7 +435,7 @@ def test_structs_of_73_are_refused_by_name(tmp_path: Path) -> None:
 def test_damaged_matlab_files_are_refused(tmp_path: Path, make: Any) -> None:
     whole = make(a=np.arange(400.0), b=np.arange(400.0))
     for size in (19, 200, 600, len(whole) // 2):
-        with refused("no readable MATLAB file|no variable"):
+        with refused("not a readable MATLAB file|no variable"):
             read(whole[:size], tmp_path, {"v_1": "a", "v_2": "b"}, rate_Hz=1000.0)
 
 
@@ -446,7 +446,7 @@ def test_a_file_that_crashes_scipy_costs_a_sentence(tmp_path: Path) -> None:
         files.matlab_5(a=np.sin(t), b=np.cos(t)[:, None], s={"x": 1}, m=np.outer(t, [1, 2, 3]))
     )
     content[3617] = 126
-    with refused("no readable MATLAB file"):
+    with refused("not a readable MATLAB file"):
         read(bytes(content), tmp_path, {"v_1": "a", "v_2": "b", "F_n": "m:2"}, rate_Hz=1000.0)
 
 
@@ -603,7 +603,12 @@ def test_what_ends_an_import_leaves_nothing(
     def fail(*_: object) -> None:
         raise error
 
-    for place in ("compiled._write", "compiled.publish", "foreign.importing._record"):
+    for place in (
+        "runfile.compile._write",
+        "hdf5.publishing.sha256_of",
+        "hdf5.publishing.write_checksum",
+        "imported.import_file._record",
+    ):
         monkeypatch.setattr(f"rig.files.{place}", fail)
         with pytest.raises(failure):
             imported(tmp_path)

@@ -407,7 +407,8 @@ import resource, sys
 sys.path.insert(0, sys.argv[2])
 import recorded_run as run
 from rig.core.errors import RigError
-from rig.files import JournalWriter, Recorder
+from rig.files.journal.recorder import Recorder
+from rig.files.journal.writer import JournalWriter
 recorder = Recorder(JournalWriter.create(sys.argv[1], run.header()))
 recorder.put_block(0, 0, 0.0, run.samples(0, 1000))
 recorder.barrier()

@@ -18,10 +18,11 @@ from rig.detector.detector import DETECTOR_VERSION
 from rig.detector.fir import StreamingFir
 from rig.detector.low_pass import design_low_pass
 from rig.detector.settings import DetectorSettings
+from rig.files.checksum import sha256_of
 from rig.files.definitions import definition_path
 from rig.files.hdf5.nexus import array_field
 from rig.files.processed.reader import ProcessedFile, is_processed
-from rig.files.runfile.compile import compile_run, sha256_of
+from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verdict, verify
 from rig.processing.detection import Failure, Found, Job, detect_file, detect_trials
@@ -267,7 +268,10 @@ def test_a_run_file_that_has_changed_is_refused_and_one_without_checksum_told(
     beside = own_run.with_name(own_run.name + ".sha256")
     text = beside.read_text()
     beside.unlink()
-    assert "its checksum is missing" in detected(own_run, own_run.parent / "x").warnings[0]
+    assert (
+        "the file cannot be checked for corruption"
+        in detected(own_run, own_run.parent / "x").warnings[0]
+    )
     beside.write_text("0" * 64 + text[64:])
     answer = refused(own_run)
     assert "not the one that was written" in answer.message

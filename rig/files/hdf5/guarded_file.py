@@ -73,11 +73,6 @@ class GuardedFile:
     def flush(self) -> None:
         """Nothing is held back."""
 
-    def sync(self) -> None:
-        """Return when the file is on the disk; raises what failed before."""
-        self.check()
-        os.fsync(self._descriptor)
-
     def close(self) -> None:
         """Close the file."""
         os.close(self._descriptor)

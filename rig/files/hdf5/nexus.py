@@ -1,24 +1,22 @@
-"""NeXus in HDF5: groups with a class, fields with a unit, plots that open at the first click.
+"""NeXus in HDF5: groups with a class, fields with a unit and a name that viewers show.
 
-The conventions are those that h5web, silx, NeXpy and xarray each need: a plot's title is a field,
-``long_name`` shows the unit, logarithmic axes are written in two spellings, and dimension scales
-name the dimensions. h5py and numpy are imported only where something is written.
+Nothing here knows what a run is. h5py and numpy are imported only where something is written, since
+together they take a third of a second.
 """
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from rig.files.journal.format import to_json
+
 if TYPE_CHECKING:
     import h5py
     from numpy.typing import NDArray
 
-    from rig.files.journal.layout import Layout, Plot
-    from rig.files.runfile.table import PointTable
 
 CHUNK_ROWS = 1 << 18
 """Rows of a chunk: half a MiB of int16, which viewers read at a time."""
@@ -141,49 +139,52 @@ def label(field: h5py.Dataset, units: str, long_name: str) -> None:
     set_attributes(field, {"units": units} | ({"long_name": long_name} if long_name else {}))
 
 
-def plot_group(
-    entry: h5py.Group, plot: Plot, layout: Layout, table: PointTable, title: str
-) -> h5py.Group:
-    """An NXdata group of the table's columns, sorted by the plot's axes."""
-    data = group(entry, plot.group, "NXdata")
-    data.attrs["signal"] = plot.signal
-    data.attrs["axes"] = [plot.axes[0]]
-    for axis in plot.axes:
-        data.attrs[f"{axis}_indices"] = [0]
-    if plot.auxiliary:
-        data.attrs["auxiliary_signals"] = list(plot.auxiliary)
-    if plot.log_axes:
-        data.attrs["SILX_style"] = silx_style(plot)
-    text_field(data, "title", title)
-    order = table.order(plot.axes)
-    for name, source in plot_sources(plot).items():
-        column = layout.column(source)
-        array_field(data, name, table.numbers(source)[order], column.units, column.long_name)
-    _attach_scale(data, plot)
-    return data
+def write_values(
+    made: h5py.Group, values: Mapping[str, Any], units: Mapping[str, str], prefix: str = ""
+) -> None:
+    """Nested values as nested groups; ``units`` are those of the dotted names."""
+    names = UniqueNames(*made)
+    for key, value in values.items():
+        name, dotted = names.name(key), f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            write_values(group(made, name, "NXparameters"), value, units, f"{dotted}.")
+            continue
+        field = made.create_dataset(name, data=_field_value(value))
+        if dotted in units:
+            field.attrs["units"] = plain_text(units[dotted])
 
 
-def plot_sources(plot: Plot) -> dict[str, str]:
-    """Names of a plot's datasets, each with the column it comes from."""
-    sources = {name: name for name in (plot.signal, *plot.axes, *plot.auxiliary)}
-    if plot.errors:
-        sources[plot.errors_name] = plot.errors
-    return sources
+def _field_value(value: Any) -> Any:
+    """A number, text or list of numbers as it is, anything else as its JSON text."""
+    if isinstance(value, (bool, float)):
+        return value
+    if isinstance(value, int) and abs(value) < 2**63:
+        return value
+    if isinstance(value, str):
+        return plain_text(value)
+    if isinstance(value, (list, tuple)) and value and all(type(v) is float for v in value):
+        return list(value)
+    if isinstance(value, (list, tuple)) and value and all(type(v) in (int, float) for v in value):
+        return [float(v) for v in value] if all(abs(v) < 2**53 for v in value) else to_json(value)
+    if _is_matrix(value):
+        return [[float(number) for number in row] for row in value]
+    return to_json(value)
 
 
-def silx_style(plot: Plot) -> str:
-    """Scales of a plot's axes, in h5web's and in silx's spelling."""
-    axes = ["log" if plot.axes[0] in plot.log_axes else "linear"]
-    style: dict[str, object] = {"axes_scale_type": axes, "axes_scale_types": axes}
-    if plot.signal in plot.log_axes:
-        style["signal_scale_type"] = "log"
-    return json.dumps(style)
+def _is_matrix(value: Any) -> bool:
+    """Rows of equally many numbers, each exact as a float."""
+    rows = value if isinstance(value, (list, tuple)) else []
+    return (
+        bool(rows)
+        and all(isinstance(row, (list, tuple)) and row for row in rows)
+        and len({len(row) for row in rows}) == 1
+        and all(type(v) is float or (type(v) is int and abs(v) < 2**53) for r in rows for v in r)
+    )
 
 
-def _attach_scale(data: h5py.Group, plot: Plot) -> None:
-    """Give the dimension its name, for xarray and HDFView."""
-    scale = data[plot.axes[0]]
-    scale.make_scale(plot.axes[0])
-    for name in plot_sources(plot):
-        if name != plot.axes[0]:
-            data[name].dims[0].attach_scale(scale)
+def write_note(entry: h5py.Group, name: str, kind: str, file_name: str, data: str) -> None:
+    """A text of that media type as an NXnote."""
+    note = group(entry, name, "NXnote")
+    text_field(note, "type", kind)
+    text_field(note, "file_name", file_name)
+    text_field(note, "data", data)

@@ -98,6 +98,16 @@ class Plot:
         errors = (self.errors_name,) if self.errors else ()
         return (self.signal, *self.axes, *self.auxiliary, *errors)
 
+    def sources(self) -> dict[str, str]:
+        """Return the names of the group's datasets besides its title, each with its column's name.
+
+        The standard errors have the name that viewers look for, whatever their column's is.
+        """
+        sources = {name: name for name in (self.signal, *self.axes, *self.auxiliary)}
+        if self.errors:
+            sources[self.errors_name] = self.errors
+        return sources
+
     @property
     def errors_name(self) -> str:
         """The name by which viewers find the signal's standard errors."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -121,6 +122,33 @@ class JournalContents:
             except (BadRecord, StopIteration) as error:
                 reason = f"the journal changed while it was read: {error}"
                 raise JournalError(self.path, reader.offset, reason) from None
+
+
+NEVER_CLOSED = "the run ended without closing its journal"
+
+
+def ending(contents: JournalContents) -> End:
+    """How the run ended; of a journal that was never closed, what can be said about it."""
+    warnings = [contents.problem] if contents.problem else []
+    if contents.end is not None:
+        end = contents.end
+        if not warnings:
+            return end
+        return end.model_copy(update={"warnings": (*end.warnings, *warnings)})
+    lasted = timedelta(seconds=max(contents.last_time, 0.0))
+    start = contents.header.start_time
+    end_time = None if start is None else (datetime.fromisoformat(start) + lasted).isoformat()
+    damaged = contents.problem and not contents.torn
+    return End(
+        status="failed",
+        reason=f"the journal is damaged: {contents.problem}" if damaged else NEVER_CLOSED,
+        attempt=len(contents.ends) + 1,
+        end_time=end_time,
+        duration_s=lasted.total_seconds(),
+        points_done=len(contents.grouping.kept),
+        warnings=("end_time is the time of the last record", *warnings),
+        exit=1,
+    )
 
 
 def read_journal(path: Path | str) -> JournalContents:

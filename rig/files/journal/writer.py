@@ -18,6 +18,7 @@ from typing import Any, Self
 
 from pydantic import ValidationError
 
+from rig.core.atomic import sync_folder
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.files.errors import JournalError, RecordingError
 from rig.files.journal.format import (
@@ -351,15 +352,6 @@ def lock_journal(path: Path, descriptor: int, *, shared: bool = False) -> None:
         raise JournalError(
             path, None, "another process is using this journal", "wait for its run to end"
         ) from error
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the folder's entries durable: a new file, a rename."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _validated(path: Path, header: RunHeader | Mapping[str, Any]) -> RunHeader:

@@ -7,7 +7,6 @@ the same bytes (with the same libraries), whoever computes them and when.
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,12 +24,12 @@ from rig.files.hdf5.nexus import (
     set_attributes,
     text_field,
     texts_field,
+    write_note,
+    write_values,
 )
-from rig.files.hdf5.publishing import publish
+from rig.files.hdf5.publishing import publishing
 from rig.files.processed.reader import ProcessedFile
 from rig.files.processed.values import DEFINITION, LAYOUT_VERSION, DetectedTrial, Source
-from rig.files.runfile.compile import sha256_of
-from rig.files.runfile.write_entry import write_note, write_values
 
 if TYPE_CHECKING:
     import h5py
@@ -50,27 +49,33 @@ def write_processed(
     Raises RecordingError where the disk does not take it, RunFileError where it does not read back
     equal.
     """
-    part = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
     try:
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        # `shared`: workers of a cluster may process the same run file at the same time.
+        with publishing(target, shared=True) as part:
             _write(part, target.name, source, settings, version, trials)
-            with ProcessedFile.open(part) as written:
-                found = written.trials()
-                equal = written.settings == settings and written.source == source
-            if not equal or not all(
-                mine.same(own) for mine, own in zip(found, trials, strict=True)
-            ):
-                raise RunFileError(target, "does not read back equal", "run it again")
-            publish(part, target, sha256_of(part))
-        finally:
-            part.unlink(missing_ok=True)
+            _read_back(part, target, source, settings, trials)
     except OSError as error:
         raise RecordingError(
             target,
             f"cannot be written: {error.strerror or error}",
             "free space there, or name another folder with --to; the run file is untouched",
         ) from error
+
+
+def _read_back(
+    part: Path,
+    target: Path,
+    source: Source,
+    settings: DetectorSettings,
+    trials: Sequence[DetectedTrial],
+) -> None:
+    """RunFileError unless the file holds what it was made of, bit for bit."""
+    with ProcessedFile.open(part) as written:
+        found = written.trials()
+        equal = written.settings == settings and written.source == source
+    if not equal or not all(mine.same(own) for mine, own in zip(found, trials, strict=True)):
+        raise RunFileError(target, "does not read back equal", "run it again")
 
 
 def _write(
@@ -94,7 +99,7 @@ def _write(
             _write_process(entry, settings, version)
             _write_events(group(entry, "events", "NXcollection"), trials)
             _write_trials(entry, source, trials)
-        guarded.sync()
+        guarded.check()
     except RuntimeError:
         guarded.check()  # what HDF5 makes of a full disk
         raise

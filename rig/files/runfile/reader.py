@@ -17,8 +17,8 @@ from rig.files.errors import RunFileError, in_words
 from rig.files.file_kind import TOLD, kind_of
 from rig.files.hdf5.open_file import OpenFile
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
+from rig.files.journal.format import from_json
 from rig.files.journal.values import RunHeader
-from rig.files.runfile.write_entry import header_of
 
 if TYPE_CHECKING:
     import h5py
@@ -102,7 +102,7 @@ class RunFile(OpenFile):
     @cached_property
     def header(self) -> RunHeader:
         """What the run was to be: settings, points, instruments, layout."""
-        return header_of(self.entry)
+        return _header_of(self.entry)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -159,8 +159,6 @@ class RunFile(OpenFile):
 
     def readings(self) -> list[dict[str, Any]]:
         """The readings as the procedure gave them, in the order of ``point_ids``."""
-        from rig.files.journal.format import from_json
-
         with _naming(self.path):
             results = texts_of(self.entry["attempts/result"])
             return [from_json(results[n])["reading"] for n in whole(self.entry["points/attempt"])]
@@ -182,6 +180,11 @@ class RunFile(OpenFile):
                     and stream in (None, data.attrs["stream"])
                 ):
                     yield _waveform(data)
+
+
+def _header_of(entry: h5py.Group) -> RunHeader:
+    """The run's header as the file keeps it; ValueError if it is none."""
+    return RunHeader.model_validate(from_json(text_of(entry["journal_header/data"])))
 
 
 _NUMBERS = ("attempt", "points_planned", "points_done", "seed", "exit")
