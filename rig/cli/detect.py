@@ -16,9 +16,9 @@ from rig.detector import DEFAULT_DETECTOR
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-    from rig.processing.detection import Failure, Found
+    from rig.processing.detection import DetectionFailure, DetectionResult
 
-    Answer = Found | RigError
+    Answer = DetectionResult | RigError
 
 
 def detect(
@@ -59,14 +59,14 @@ def detect(
 
         wanted = detector_settings(detector, settings)
 
-        from rig.processing.detection import Job, detect_file, prepare
+        from rig.processing.detection import DetectionJob, detect_file, prepare
 
         if scheduler is None:
-            work = [Job(file, wanted, to) for file in files]
+            work = [DetectionJob(file, wanted, to) for file in files]
             prepare(wanted)
         else:  # workers are in folders of their own
             there = None if to is None else to.absolute()
-            work = [Job(file.absolute(), wanted, there) for file in files]
+            work = [DetectionJob(file.absolute(), wanted, there) for file in files]
         answers: dict[int, Answer] = {}
         told = 0
         with _Progress(len(files)) as progress:
@@ -85,10 +85,10 @@ def detect(
             raise typer.Exit(int(code))
 
 
-def _answer(result: Found | Failure | RigError, file: Path) -> Answer:
-    from rig.processing.detection import Failure
+def _answer(result: DetectionResult | DetectionFailure | RigError, file: Path) -> Answer:
+    from rig.processing.detection import DetectionFailure
 
-    if isinstance(result, Failure):
+    if isinstance(result, DetectionFailure):
         return result.error()
     if isinstance(result, RigError):
         named = RigError(f"{file}: {result.message}", result.hint, result.code)
@@ -115,7 +115,7 @@ def _tell(file: Path, answer: Answer, as_json: bool, debug: bool) -> None:
         print(printable(f"{file}: {_in_words(answer)}"))  # noqa: T201 - stdout carries data
 
 
-def _in_words(found: Found) -> str:
+def _in_words(found: DetectionResult) -> str:
     """``2 predictive, 1 incipient slip, first at 6.384 s of trial-001; in FILE``"""
     counts = [f"{count} {kind}" for kind, count in found.events.items() if count]
     told = ", ".join(counts) or "nothing found"

@@ -91,13 +91,13 @@ def import_(
         rate_Hz = None if rate is None else _quantity("--rate", rate, "Hz")
 
         import rig
-        from rig.files.imported.import_file import About, read_foreign, write_import
-        from rig.files.imported.series import Told
+        from rig.files.imported.import_file import RecordingNotes, read_foreign, write_import
+        from rig.files.imported.series import ChannelMap
         from rig.files.journal.values import Program
         from rig.run.job import PROGRAM
         from rig.run.source_state import source_state
 
-        about = About(
+        about = RecordingNotes(
             sensor=sensor,
             sample=sample,
             object=object_,
@@ -108,7 +108,7 @@ def import_(
         )
         start_log(results)
         foreign = read_foreign(file, delimiter, decimal, header_lines)
-        told = Told(columns, scales, rate_Hz)
+        told = ChannelMap(columns, scales, rate_Hz)
         program = Program(name=PROGRAM, version=rig.__version__, configuration=source_state())
         run_file, recording = write_import(foreign, told, about, results, program)
         for channel, column in recording.columns.items():

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.files.journal.reader import JournalContents, ending
-from rig.files.journal.values import Named, RunHeader
-from rig.files.runfile.reader import Outcome
+from rig.files.journal.values import PersonOrSample, RunHeader
+from rig.files.runfile.reader import RecordedOutcome
 
 if TYPE_CHECKING:
     from rig.detector.events import Event
     from rig.files.processed.reader import ProcessedFile
 
 
-def describe(file: Path, header: RunHeader, outcome: Outcome) -> dict[str, Any]:
+def describe(file: Path, header: RunHeader, outcome: RecordedOutcome) -> dict[str, Any]:
     """The run in JSON-able values; what is empty is left out. Settings carry their units."""
     told = {
         "file": str(file),
@@ -47,11 +47,11 @@ def describe(file: Path, header: RunHeader, outcome: Outcome) -> dict[str, Any]:
     return {name: value for name, value in told.items() if value not in ("", [], {}, None)}
 
 
-def ending_of(contents: JournalContents) -> Outcome:
+def ending_of(contents: JournalContents) -> RecordedOutcome:
     """How a journal's run ended, in the words of a run file."""
     header, end = contents.header, ending(contents)
     planned = end.points_planned
-    return Outcome(
+    return RecordedOutcome(
         status=end.status,
         reason=end.reason,
         attempt=end.attempt,
@@ -96,7 +96,7 @@ def _event(event: Event) -> str:
     return f"{event.kind} at {event.time_s:.3f} s, confidence {event.confidence:.2f}{reason}"
 
 
-def _named(who: Named) -> str:
+def _named(who: PersonOrSample) -> str:
     """A person's or sample's name with whatever else is known."""
     details = ", ".join(f"{name} {value}" for name, value in who.details().items())
     return f"{who.name} ({details})" if details else who.name

@@ -45,7 +45,7 @@ REQUIRED = (
 
 
 @dataclass(frozen=True)
-class Verdict:
+class FileVerdict:
     """What checking a file gave: findings, one sentence each, and how far the run came."""
 
     findings: tuple[str, ...]
@@ -67,7 +67,7 @@ def verify(file: Path | str) -> list[str]:
     return list(verdict(file).findings)
 
 
-def verdict(file: Path | str) -> Verdict:
+def verdict(file: Path | str) -> FileVerdict:
     """Check a run file, a processed file or a journal; raises nothing for a bad file, however
     damaged.
 
@@ -80,7 +80,7 @@ def verdict(file: Path | str) -> Verdict:
     if kind == "journal":
         return _verdict_on_journal(file)
     if kind != "hdf5":
-        return Verdict((TOLD[kind],), "")
+        return FileVerdict((TOLD[kind],), "")
     from rig.files.processed.reader import is_processed
 
     extent, findings = "", list(checksum_findings(file))
@@ -94,24 +94,24 @@ def verdict(file: Path | str) -> Verdict:
     except RunFileError as error:
         findings.append(error.reason)
     findings += _journal(file)
-    return Verdict(tuple(findings), extent)
+    return FileVerdict(tuple(findings), extent)
 
 
-def _verdict_on_journal(file: Path) -> Verdict:
+def _verdict_on_journal(file: Path) -> FileVerdict:
     try:
         contents = read_journal(file)
     except JournalError as error:
-        return Verdict((error.reason,), "")
+        return FileVerdict((error.reason,), "")
     extent = ending_of(contents).extent()
     if contents.end is None:
         extent += ", never closed: `rig recover` makes its run file"
     if contents.problem is None:
-        return Verdict((), extent)
+        return FileVerdict((), extent)
     where = "torn at its end" if contents.torn else "damaged, with sound records behind that"
-    return Verdict((f"{where}: {contents.problem}; what is before it can be used",), extent)
+    return FileVerdict((f"{where}: {contents.problem}; what is before it can be used",), extent)
 
 
-def _verdict_on_processed(file: Path, findings: list[str]) -> Verdict:
+def _verdict_on_processed(file: Path, findings: list[str]) -> FileVerdict:
     from rig.files.processed.reader import ProcessedFile
 
     extent = ""
@@ -122,7 +122,7 @@ def _verdict_on_processed(file: Path, findings: list[str]) -> Verdict:
             extent = processed.extent()
     except RunFileError as error:
         findings.append(error.reason)
-    return Verdict(tuple(findings), extent)
+    return FileVerdict(tuple(findings), extent)
 
 
 PATIENCE_S = 60.0
@@ -131,7 +131,7 @@ BYTES_PER_S = 1e6
 """Slower than any disk and computer that runs this."""
 
 
-def safe_verdict(file: Path | str) -> Verdict:
+def safe_verdict(file: Path | str) -> FileVerdict:
     """Check any file (see `verdict`), in a child process unless its checksum shows it is intact.
 
     Raises nothing for a bad file: a crash or an endless loop of HDF5 is a finding.
@@ -142,7 +142,7 @@ def safe_verdict(file: Path | str) -> Verdict:
     try:
         return verdict_in_child(file)
     except RunFileError as error:
-        return Verdict((error.reason,), "")
+        return FileVerdict((error.reason,), "")
 
 
 def verify_in_child(file: Path | str, patience_s: float = PATIENCE_S) -> list[str]:
@@ -153,7 +153,7 @@ def verify_in_child(file: Path | str, patience_s: float = PATIENCE_S) -> list[st
     return list(verdict_in_child(file, patience_s).findings)
 
 
-def verdict_in_child(file: Path | str, patience_s: float = PATIENCE_S) -> Verdict:
+def verdict_in_child(file: Path | str, patience_s: float = PATIENCE_S) -> FileVerdict:
     """Return `verdict`, made in a child process that may take `patience_s` and more for a large
     file.
 
@@ -168,7 +168,7 @@ def verdict_in_child(file: Path | str, patience_s: float = PATIENCE_S) -> Verdic
         hint = "compile it again if its journal is still there: rig recover"
         raise RunFileError(file, f"damaged: {what}", hint) from None
     found = json.loads(answer)
-    return Verdict(tuple(found["findings"]), found["extent"])
+    return FileVerdict(tuple(found["findings"]), found["extent"])
 
 
 def _guarded(check: Callable[[AnyFile], Iterator[str]], run: AnyFile) -> list[str]:

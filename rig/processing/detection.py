@@ -22,7 +22,7 @@ from rig.files.checksum import checksum_findings, sha256_of
 from rig.files.errors import RunFileError
 from rig.files.naming import checksum_path
 from rig.files.processed.reader import ProcessedFile, is_processed
-from rig.files.processed.values import DetectedTrial, Source, processed_path
+from rig.files.processed.values import DetectedTrial, ProcessedSource, processed_path
 from rig.files.processed.writer import write_processed
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify_in_child
@@ -39,7 +39,7 @@ STRIPS = ("v_1", "v_2")
 
 
 @dataclass(frozen=True)
-class Job:
+class DetectionJob:
     """A run file to be processed."""
 
     run_file: Path
@@ -51,7 +51,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Failure:
+class DetectionFailure:
     """Why a file was not processed, as a RigError would say it."""
 
     message: str
@@ -64,7 +64,7 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Found:
+class DetectionResult:
     """What was found in one run file."""
 
     file: Path
@@ -88,12 +88,12 @@ def prepare(settings: DetectorSettings) -> None:
     IncipientSlipDetector(settings, 1000.0).add(np.zeros((1, 2)))
 
 
-def detect_file(job: Job) -> Found | Failure:
+def detect_file(job: DetectionJob) -> DetectionResult | DetectionFailure:
     """Process one run file, or find that it was processed before."""
     try:
         return _detect(job)
     except RigError as error:
-        return Failure(error.message, error.hint, error.code)
+        return DetectionFailure(error.message, error.hint, error.code)
 
 
 def detect_trials(run: RunFile, settings: DetectorSettings) -> list[DetectedTrial]:
@@ -127,7 +127,7 @@ def stream_of_strips(layout: Layout) -> str | None:
     )
 
 
-def _detect(job: Job) -> Found:
+def _detect(job: DetectionJob) -> DetectionResult:
     run_file, settings = job.run_file, job.settings
     if job.version != DETECTOR_VERSION:
         raise ConfigurationError(
@@ -163,7 +163,9 @@ def _refuse_damaged(run_file: Path) -> list[str]:
     return [f"{run_file.name}: {doubt}" for doubt in doubts]
 
 
-def _already_there(target: Path, source: Source, warnings: list[str]) -> Found | None:
+def _already_there(
+    target: Path, source: ProcessedSource, warnings: list[str]
+) -> DetectionResult | None:
     """The result that exists, where it is sound and of just this file; of a run that has gone on
     since, or damaged, it is written again. RunFileError where it is another run's."""
     if not target.exists():
@@ -187,14 +189,14 @@ def _already_there(target: Path, source: Source, warnings: list[str]) -> Found |
 def _found(
     target: Path,
     kept: bool,
-    source: Source,
+    source: ProcessedSource,
     trials: int,
     events: list[tuple[str, Event]],
     warnings: list[str],
-) -> Found:
+) -> DetectionResult:
     counts = Counter(event.kind for _, event in events)
     slips = ((trial, event.time_s) for trial, event in events if event.kind == "incipient slip")
-    return Found(
+    return DetectionResult(
         file=target,
         kept=kept,
         simulated=source.simulated,
@@ -205,9 +207,9 @@ def _found(
     )
 
 
-def _source(run: RunFile, sha256: str) -> Source:
+def _source(run: RunFile, sha256: str) -> ProcessedSource:
     header: RunHeader = run.header
-    return Source(
+    return ProcessedSource(
         file_name=run.path.name,
         sha256=sha256,
         definition=header.layout.definition,

@@ -21,7 +21,7 @@ from rig.core.errors import RigError
 from rig.files.checksum import sha256_of
 from rig.files.describe import describe
 from rig.files.errors import RunFileError
-from rig.files.journal.format import MAGIC, Kind
+from rig.files.journal.format import MAGIC, RecordKind
 from rig.files.journal.reader import read_journal
 from rig.files.naming import results_of
 from rig.files.runfile.compile import compile_run
@@ -85,7 +85,7 @@ def test_a_header_beyond_sense_is_refused_before_anything_is_made_of_it(
     tmp_path: Path, changes: dict[str, Any], told: str
 ) -> None:
     path = tmp_path / "a.rigj"
-    path.write_bytes(MAGIC + json_record(Kind.HEADER, HEADER | changes))
+    path.write_bytes(MAGIC + json_record(RecordKind.HEADER, HEADER | changes))
     with pytest.raises(RigError, match=told) as caught:
         recover(path)
     assert len(caught.value.one_line()) < 3000

@@ -25,8 +25,8 @@ from rig.core.errors import RigError
 from rig.files.definitions import definition_path
 from rig.files.errors import ForeignFileError, RecordingError
 from rig.files.imported import import_file as importing
-from rig.files.imported.import_file import About, read_foreign, write_import
-from rig.files.imported.series import Recording, Told, recording_of
+from rig.files.imported.import_file import RecordingNotes, read_foreign, write_import
+from rig.files.imported.series import ChannelMap, Recording, recording_of
 from rig.files.imported.source import MAX_BYTES
 from rig.files.imported.text import read_text
 from rig.files.journal.format import to_json
@@ -50,7 +50,7 @@ def read(
     """The recording in a file of that content."""
     path = folder / "given.dat"
     path.write_bytes(content.encode() if isinstance(content, str) else content)
-    told = Told(columns or BY_NUMBER, scale or {}, rate_Hz)
+    told = ChannelMap(columns or BY_NUMBER, scale or {}, rate_Hz)
     return recording_of(read_foreign(path, **options).source, told, path.name)
 
 
@@ -453,7 +453,7 @@ def test_a_file_that_crashes_scipy_costs_a_sentence(tmp_path: Path) -> None:
 # The run file
 
 
-ABOUT = About(
+ABOUT = RecordingNotes(
     sensor="skin 9",
     sample="silicone",
     object="glass",
@@ -465,13 +465,16 @@ FORCED = BY_NUMBER | {"F_n": "4"}
 
 
 def imported(
-    folder: Path, about: About = ABOUT, columns: dict[str, str] = FORCED, name: str = "s.csv"
+    folder: Path,
+    about: RecordingNotes = ABOUT,
+    columns: dict[str, str] = FORCED,
+    name: str = "s.csv",
 ) -> Path:
     """A run file made of a text of four columns."""
     path = folder / name
     forced = files.signals() | {"F_n": np.linspace(1, 2, 40)}
     path.write_text(files.text(forced, header="t,S1,S2,Fn"))
-    told = Told(columns, {"v_2": -1e-3})
+    told = ChannelMap(columns, {"v_2": -1e-3})
     return write_import(read_foreign(path), told, about, folder / "results", PROGRAM)[0]
 
 
@@ -684,7 +687,7 @@ def accepted(content: str | bytes, columns: dict[str, str]) -> tuple[Any, Record
     raw = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
     try:
         source = read_text(raw, "x")
-        return source, recording_of(source, Told(columns, {}, 1000.0), "x")
+        return source, recording_of(source, ChannelMap(columns, {}, 1000.0), "x")
     except ForeignFileError as error:
         refusal = error.one_line()
     assert refusal.startswith("x: ")

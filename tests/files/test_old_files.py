@@ -6,7 +6,7 @@ sweep with its journal, an interrupted journal, and an imported recording with i
 
 from __future__ import annotations
 
-import tarfile
+import shutil
 from pathlib import Path
 
 import h5py
@@ -22,15 +22,14 @@ from rig.files.runfile.compile import compile_run, journal_equals_file
 from rig.files.runfile.reader import RunFile
 from rig.files.runfile.recover import interrupted, recover
 from rig.files.verify import verdict
-from rig.processing.detection import DetectionJob, FoundSlips, detect_file
+from rig.processing.detection import DetectionJob, DetectionResult, detect_file
 
 IMPORT = "2026-11-23T21-11-42_import_r001"
 
 
 @pytest.fixture
 def old(tmp_path: Path) -> Path:
-    with tarfile.open(Path(__file__).parent / "data" / "files-of-version-1.tar.xz") as archive:
-        archive.extractall(tmp_path, filter="data")
+    shutil.unpack_archive(Path(__file__).parent / "data" / "files-of-version-1.tar.xz", tmp_path)
     return tmp_path
 
 
@@ -107,6 +106,6 @@ def test_an_old_processed_file_is_read_and_found_again(old: Path) -> None:
         assert first.time_s == 0.832
         assert processed.source.file_name == f"{IMPORT}.h5"
     found = detect_file(DetectionJob(old / f"{IMPORT}.h5", named_detectors()["rig"]))
-    assert isinstance(found, FoundSlips)
+    assert isinstance(found, DetectionResult)
     assert found.kept
     assert found.file == target

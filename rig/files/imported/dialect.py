@@ -34,7 +34,7 @@ _OF_NUMBERS = re.compile(r"[-+.,;eE\s]*[0-9][-+0-9.,;eE\s]*")
 
 
 @dataclass(frozen=True)
-class Dialect:
+class TextDialect:
     """What separates cells, and what the decimal sign is."""
 
     delimiter: Delimiter
@@ -86,7 +86,7 @@ class Dialect:
 class Shape:
     """A dialect, and the rows of a file in it: how many cells, and which of them are numbers."""
 
-    dialect: Dialect
+    dialect: TextDialect
     width: int
     numbers: tuple[int, ...]
 
@@ -125,13 +125,13 @@ def recognised(
     return None if best is None else best[1]
 
 
-def _candidates(delimiter: Delimiter | None, decimal: Decimal | None) -> list[Dialect]:
+def _candidates(delimiter: Delimiter | None, decimal: Decimal | None) -> list[TextDialect]:
     delimiters: Sequence[Delimiter] = [delimiter] if delimiter else list(CHARACTER)
     decimals: Sequence[Decimal] = [decimal] if decimal else list(_NUMBER)
-    return [Dialect(d, p) for d in delimiters for p in decimals if (d, p) != ("comma", "comma")]
+    return [TextDialect(d, p) for d in delimiters for p in decimals if (d, p) != ("comma", "comma")]
 
 
-def _shape(sample: Sequence[str], dialect: Dialect) -> tuple[tuple[int, float], Shape] | None:
+def _shape(sample: Sequence[str], dialect: TextDialect) -> tuple[tuple[int, float], Shape] | None:
     rows = []
     for line in sample:
         cells = dialect.cells(line)

@@ -21,8 +21,8 @@ from rig.files.errors import ForeignFileError, RecordingError
 from rig.files.hdf5.nexus import CHUNK_ROWS, plain_text
 from rig.files.imported import lvm, matlab, matlab_variables
 from rig.files.imported.dialect import Decimal, Delimiter
-from rig.files.imported.series import FORCES, STRIPS, UNIT, Recording, Told, recording_of
-from rig.files.imported.source import MAX_BYTES, Source
+from rig.files.imported.series import FORCES, STRIPS, UNIT, ChannelMap, Recording, recording_of
+from rig.files.imported.source import MAX_BYTES, ImportSource
 from rig.files.imported.text import read_text
 from rig.files.journal.layout import Column, Layout, Trace
 from rig.files.journal.values import IMPORTED, Origin, Program
@@ -39,7 +39,7 @@ POINT = "recording"
 
 
 @dataclass(frozen=True)
-class About:
+class RecordingNotes:
     """What was told about a recording besides its numbers; all of it may be unknown."""
 
     sensor: str = ""
@@ -61,7 +61,7 @@ class ForeignFile:
     name: str
     sha256: str
     size: int
-    source: Source
+    source: ImportSource
 
 
 def read_foreign(
@@ -89,7 +89,7 @@ def read_foreign(
         raise ForeignFileError(
             name, f"longer than {MAX_BYTES >> 20} MiB", "cut it into several recordings"
         )
-    source: Source
+    source: ImportSource
     if content.startswith((matlab_variables.MAGIC_5, matlab_variables.MAGIC_73)):
         source = matlab.read_matlab(content, name)
     elif content.startswith(lvm.MAGIC):
@@ -106,7 +106,7 @@ def read_foreign(
 
 
 def write_import(
-    foreign: ForeignFile, told: Told, about: About, results: Path, program: Program
+    foreign: ForeignFile, told: ChannelMap, about: RecordingNotes, results: Path, program: Program
 ) -> tuple[Path, Recording]:
     """The run file, in the folder of today below `results`, and what it holds.
 
@@ -142,7 +142,7 @@ def _all_or_nothing(writer: JournalWriter, target: Path) -> Iterator[None]:
 
 
 def _header(
-    foreign: ForeignFile, recording: Recording, about: About, program: Program
+    foreign: ForeignFile, recording: Recording, about: RecordingNotes, program: Program
 ) -> dict[str, Any]:
     settings: dict[str, Any] = {
         "rate_Hz": recording.rate_Hz,
@@ -235,7 +235,7 @@ def layout_of(recording: Recording) -> Layout:
 
 
 def _record(
-    writer: JournalWriter, foreign: ForeignFile, recording: Recording, about: About
+    writer: JournalWriter, foreign: ForeignFile, recording: Recording, about: RecordingNotes
 ) -> None:
     """The journal of an import: one point, all samples, the end."""
     import numpy as np

@@ -21,7 +21,7 @@ from typing import TypeVar
 
 from rig.core.errors import shortened
 from rig.files.errors import ForeignFileError
-from rig.files.imported.dialect import CHARACTER, Decimal, Delimiter, Dialect, Shape
+from rig.files.imported.dialect import CHARACTER, Decimal, Delimiter, Shape, TextDialect
 from rig.files.imported.source import Format
 from rig.files.imported.text import UNITS, TextTable, lines_of
 
@@ -40,7 +40,7 @@ T = TypeVar("T")
 
 
 class LvmTable(TextTable):
-    """The segment of an LVM file (see `source.Source`)."""
+    """The segment of an LVM file (see `source.ImportSource`)."""
 
     format: Format = "LVM"
 
@@ -113,7 +113,7 @@ def read_lvm(content: bytes, name: str) -> LvmTable:
     lines = lines_of(content, name)
     ends = _ends_of_headers(lines, name)
     head, segment = _fields(lines[: ends[0]]), _fields(lines[ends[0] + 1 : ends[1]])
-    dialect = Dialect(
+    dialect = TextDialect(
         _stated(head, "Separator", _SEPARATORS, "tab", name),
         _stated(head, "Decimal_Separator", _DECIMALS, "point", name),
     )

@@ -33,7 +33,7 @@ _WANTED = re.compile(r"([A-Za-z]\w*)(?::([0-9]{1,9}))?\Z", re.ASCII)
 
 
 class MatlabTable:
-    """The numeric variables of a file (see `source.Source`)."""
+    """The numeric variables of a file (see `source.ImportSource`)."""
 
     told = ""
     rate_Hz: float | None = None

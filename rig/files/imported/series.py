@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rig.files.errors import ForeignFileError
-from rig.files.imported.source import Source
+from rig.files.imported.source import ImportSource
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,7 +39,7 @@ LATEST_S = 1e11
 
 
 @dataclass(frozen=True)
-class Told:
+class ChannelMap:
     """What was told about a file. Keys are v_1, v_2, F_n, F_t and time."""
 
     columns: Mapping[str, str]
@@ -73,7 +73,7 @@ class Recording:
         return self.raw[channel] * self.scale[channel]
 
 
-def recording_of(source: Source, told: Told, name: str) -> Recording:
+def recording_of(source: ImportSource, told: ChannelMap, name: str) -> Recording:
     """The channels that were told of, read and checked.
 
     ForeignFileError where a column is not there or named twice, is labelled in a unit that nothing
@@ -117,7 +117,7 @@ def recording_of(source: Source, told: Told, name: str) -> Recording:
     return recording
 
 
-def _check_size(source: Source, recording: Recording, channel: str, name: str) -> None:
+def _check_size(source: ImportSource, recording: Recording, channel: str, name: str) -> None:
     unit = UNIT[channel]
     limit = LARGEST[unit] / abs(recording.scale[channel])
     sizes = abs(recording.raw[channel])
@@ -133,7 +133,9 @@ def _check_size(source: Source, recording: Recording, channel: str, name: str) -
         )
 
 
-def _check_unit(source: Source, channel: str, column: int, told: Told, name: str) -> None:
+def _check_unit(
+    source: ImportSource, channel: str, column: int, told: ChannelMap, name: str
+) -> None:
     labelled, unit = source.unit(column), UNIT[channel]
     if labelled not in (None, unit) and channel not in told.scale:
         raise ForeignFileError(
@@ -144,7 +146,7 @@ def _check_unit(source: Source, channel: str, column: int, told: Told, name: str
 
 
 def _common_rate(
-    source: Source, told: Told, times_s: NDArray[np.float64] | None, name: str
+    source: ImportSource, told: ChannelMap, times_s: NDArray[np.float64] | None, name: str
 ) -> float:
     """The rate that was told, or the file's own; they have to agree."""
     known = [("--rate is", told.rate_Hz), ("the header says", source.rate_Hz)]
@@ -177,7 +179,7 @@ def _check_rate(whose: str, rate_Hz: float, name: str) -> None:
         )
 
 
-def uniform_rate(times_s: NDArray[np.float64], source: Source, name: str) -> float:
+def uniform_rate(times_s: NDArray[np.float64], source: ImportSource, name: str) -> float:
     """The rate of evenly spaced times, the roundest that agrees with them.
 
     ForeignFileError names the row where they are not even: STEP_TOLERANCE and LINE_TOLERANCE.

@@ -17,7 +17,7 @@ MAX_HEAD = 64 << 10
 """Characters of what stands before the numbers that are kept with them."""
 
 
-class Source(Protocol):
+class ImportSource(Protocol):
     """The columns of a file. Every error is a ForeignFileError that names the place."""
 
     format: Format

@@ -80,7 +80,7 @@ def _decoded(content: bytes, name: str) -> str:
 
 
 class TextTable:
-    """The rows of a text and the header above them (see `source.Source`)."""
+    """The rows of a text and the header above them (see `source.ImportSource`)."""
 
     format: Format = "text"
     rate_Hz: float | None = None

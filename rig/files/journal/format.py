@@ -23,7 +23,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from rig.core.errors import ConfigurationError
-from rig.files.journal.values import End, Event, RunHeader, StreamState
+from rig.files.journal.values import End, JournalEvent, RunHeader, StreamState
 
 MAGIC = b"RIGJ0001"
 MAX_PAYLOAD = 16 << 20
@@ -34,7 +34,7 @@ PREFIX = struct.Struct("<II")
 BLOCK_HEAD = struct.Struct("<BHQd")
 
 
-class Kind(IntEnum):
+class RecordKind(IntEnum):
     """First byte of a payload."""
 
     HEADER = 1
@@ -84,7 +84,9 @@ class PointDiscard:
     text: str
 
 
-Record = RunHeader | Block | Event | PointBegin | PointKeep | PointDiscard | End | StreamState
+JournalRecord = (
+    RunHeader | Block | JournalEvent | PointBegin | PointKeep | PointDiscard | End | StreamState
+)
 
 
 class BadRecord(ValueError):  # noqa: N818 - an intermediate finding, not an error anybody sees
@@ -157,7 +159,7 @@ def frame(payload: bytes) -> bytes:
     return PREFIX.pack(len(payload), zlib.crc32(payload)) + payload
 
 
-def json_record(kind: Kind, value: Any) -> bytes:
+def json_record(kind: RecordKind, value: Any) -> bytes:
     """A record of JSON; ValueError if it is longer than allowed, TypeError if it is no JSON."""
     text = to_json(value).encode("ascii")
     if len(text) > MAX_JSON:
@@ -167,18 +169,18 @@ def json_record(kind: Kind, value: Any) -> bytes:
 
 def block_record(stream: int, first_index: int, host_time: float, data: memoryview) -> bytes:
     """A record of sample rows."""
-    return frame(BLOCK_HEAD.pack(Kind.BLOCK, stream, first_index, host_time) + data)
+    return frame(BLOCK_HEAD.pack(RecordKind.BLOCK, stream, first_index, host_time) + data)
 
 
-def decode(payload: bytes, header: RunHeader | None) -> Record:
+def decode(payload: bytes, header: RunHeader | None) -> JournalRecord:
     """The record of a payload whose checksum is right; BadRecord if it makes no sense.
 
     Without a header only a HEADER is accepted, and with one everything but a HEADER.
     """
     kind = payload[0]
-    if (kind == Kind.HEADER) != (header is None):
+    if (kind == RecordKind.HEADER) != (header is None):
         raise BadRecord("a second HEADER" if header else f"type {kind} where HEADER is expected")
-    if header is not None and kind == Kind.BLOCK:
+    if header is not None and kind == RecordKind.BLOCK:
         return _decode_block(payload, header)
     if kind not in _JSON_KINDS:
         raise BadRecord(f"unknown record type {kind}")
@@ -188,11 +190,11 @@ def decode(payload: bytes, header: RunHeader | None) -> Record:
         raise BadRecord("not UTF-8") from None
     value = from_json(text)
     if not isinstance(value, dict):
-        raise BadRecord(f"{Kind(kind).name} is no JSON object")
-    return _decode_json(Kind(kind), value, text, header)
+        raise BadRecord(f"{RecordKind(kind).name} is no JSON object")
+    return _decode_json(RecordKind(kind), value, text, header)
 
 
-_JSON_KINDS = frozenset(Kind) - {Kind.BLOCK}
+_JSON_KINDS = frozenset(RecordKind) - {RecordKind.BLOCK}
 
 
 def _decode_block(payload: bytes, header: RunHeader) -> Block:
@@ -207,15 +209,17 @@ def _decode_block(payload: bytes, header: RunHeader) -> Block:
     return Block(stream, first_index, host_time, data)
 
 
-def _decode_json(kind: Kind, value: dict[str, Any], text: str, header: RunHeader | None) -> Record:
-    if kind in (Kind.POINT_BEGIN, Kind.POINT_KEEP, Kind.POINT_DISCARD):
+def _decode_json(
+    kind: RecordKind, value: dict[str, Any], text: str, header: RunHeader | None
+) -> JournalRecord:
+    if kind in (RecordKind.POINT_BEGIN, RecordKind.POINT_KEEP, RecordKind.POINT_DISCARD):
         return _decode_point(kind, value, text)
     try:
-        if kind == Kind.HEADER:
+        if kind == RecordKind.HEADER:
             return RunHeader.model_validate(value)
-        if kind == Kind.EVENT:
-            return Event.model_validate(value)
-        if kind == Kind.END:
+        if kind == RecordKind.EVENT:
+            return JournalEvent.model_validate(value)
+        if kind == RecordKind.END:
             return End.model_validate(value)
         state = StreamState.model_validate(value)
         if header is not None:
@@ -227,15 +231,15 @@ def _decode_json(kind: Kind, value: dict[str, Any], text: str, header: RunHeader
         raise BadRecord(f"{kind.name}: {error}") from None
 
 
-def _decode_point(kind: Kind, value: dict[str, Any], text: str) -> Record:
+def _decode_point(kind: RecordKind, value: dict[str, Any], text: str) -> JournalRecord:
     point_id = value.get("id")
     if not isinstance(point_id, str) or not 0 < len(point_id) <= 256:
         raise BadRecord(f"{kind.name}: id is not a text of 1 to 256 characters")
-    if kind == Kind.POINT_BEGIN:
+    if kind == RecordKind.POINT_BEGIN:
         fields = value.get("point", {})
         if isinstance(fields, dict):
             return PointBegin(point_id, fields, text)
-    elif kind == Kind.POINT_KEEP:
+    elif kind == RecordKind.POINT_KEEP:
         reading = value.get("reading")
         if isinstance(reading, dict):
             return PointKeep(point_id, reading, text)

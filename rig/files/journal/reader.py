@@ -21,14 +21,14 @@ from rig.files.journal.format import (
     PREFIX,
     BadRecord,
     Block,
-    Kind,
+    JournalRecord,
     PointBegin,
-    Record,
+    RecordKind,
     decode,
     from_json,
 )
 from rig.files.journal.segments import Attempt, Grouping, Segment
-from rig.files.journal.values import LONGEST_S, End, Event, RunHeader
+from rig.files.journal.values import LONGEST_S, End, JournalEvent, RunHeader
 
 MAX_REMEMBERED = 64 << 20
 """Bytes of points and events a journal may have; a real night has a twentieth of it. They grow some
@@ -53,7 +53,7 @@ class JournalContents:
     path: Path
     header: RunHeader
     grouping: Grouping
-    events: list[Event] = field(default_factory=list)
+    events: list[JournalEvent] = field(default_factory=list)
     ends: list[End] = field(default_factory=list)
     last_is_end: bool = False
     last_time: float = 0.0
@@ -109,7 +109,7 @@ class JournalContents:
         reading: dict[str, Any] = from_json(self.attempts[attempt].result)["reading"]
         return reading
 
-    def records(self) -> Iterator[Record]:
+    def records(self) -> Iterator[JournalRecord]:
         """Every record behind the header, in order; holds one record in memory at a time."""
         with self.path.open("rb") as file:
             file.seek(len(MAGIC))
@@ -179,7 +179,7 @@ def _read(file: BinaryIO, path: Path) -> JournalContents:
     remembered = 0
     try:
         for payload in reader.payloads():
-            remembered += 0 if payload[0] == Kind.BLOCK else len(payload)
+            remembered += 0 if payload[0] == RecordKind.BLOCK else len(payload)
             if remembered > MAX_REMEMBERED:
                 raise BadRecord(f"more than {MAX_REMEMBERED} bytes of points and events")
             _take(contents, decode(payload, header))
@@ -202,12 +202,12 @@ def _header(reader: _Reader, path: Path) -> RunHeader:
     return header
 
 
-def _take(contents: JournalContents, record: Record) -> None:
+def _take(contents: JournalContents, record: JournalRecord) -> None:
     contents.grouping.follow(record)
     contents.last_is_end = isinstance(record, End)
     if isinstance(record, Block):
         contents.last_time = max(contents.last_time, record.host_time)
-    elif isinstance(record, Event):
+    elif isinstance(record, JournalEvent):
         contents.events.append(record)
         contents.last_time = max(contents.last_time, record.time)
     elif isinstance(record, End):
@@ -264,7 +264,9 @@ def _is_torn(file: BinaryIO, offset: int) -> bool:
         length = sum(window[k : k + places].astype(np.uint32) << (8 * k) for k in range(4))
         kind = window[PREFIX.size :]
         fits = length + np.arange(start, start + places) + PREFIX.size <= len(tail)
-        likely = (length > 0) & (length <= MAX_PAYLOAD) & (kind > 0) & (kind <= max(Kind)) & fits
+        likely = (
+            (length > 0) & (length <= MAX_PAYLOAD) & (kind > 0) & (kind <= max(RecordKind)) & fits
+        )
         for place in np.flatnonzero(likely) + start:
             begin = int(place) + PREFIX.size
             size_here, checksum = PREFIX.unpack_from(tail, int(place))

@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, Self
 
 from rig.files.errors import RecordingError
-from rig.files.journal.values import End, Event, StreamState
-from rig.files.journal.writer import JournalWriter, refusing_nonsense
+from rig.files.journal.values import End, JournalEvent, StreamState
+from rig.files.journal.writer import JournalWriter, encode_or_raise
 
 SYNC_INTERVAL_S = 0.25
 """Longest wall time for which a record is written but not acknowledged."""
@@ -64,7 +64,7 @@ class Recorder:
         encoder = self._journal.encoder
         self._put_records(lambda: encoder.block(stream, first_index, host_time, data))
 
-    def put_event(self, fields: Mapping[str, Any] | Event) -> None:
+    def put_event(self, fields: Mapping[str, Any] | JournalEvent) -> None:
         """Something that happened: time (s since start), level, code, message."""
         self._put_records(lambda: [self._journal.encoder.event(fields)])
 
@@ -142,7 +142,7 @@ class Recorder:
             self.check()
             if self._closing:
                 raise RecordingError(self._journal.path, "the recorder is closed")
-            records = refusing_nonsense(self._journal.path, encode)
+            records = encode_or_raise(self._journal.path, encode)
             self._queue += records
             self._put += len(records)
             self._queued_bytes += sum(map(len, records))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from rig.files.journal.format import Block, PointBegin, PointDiscard, PointKeep, Record
+from rig.files.journal.format import Block, JournalRecord, PointBegin, PointDiscard, PointKeep
 from rig.files.journal.values import End, RunHeader, StreamState
 
 
@@ -53,7 +53,7 @@ class Grouping:
     _open: dict[int, int] = field(default_factory=dict)
     _current: int | None = None
 
-    def follow(self, record: Record) -> int | None:
+    def follow(self, record: JournalRecord) -> int | None:
         """Take the next record; of a block, the index of the segment it belongs to."""
         if isinstance(record, Block):
             return self._place(record)

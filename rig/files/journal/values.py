@@ -88,7 +88,7 @@ class Origin(Settings):
     """What stands in the file before its numbers."""
 
 
-class Named(Settings):
+class PersonOrSample(Settings):
     """A person or a sample: a name and whatever else is known."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=True)
@@ -96,7 +96,7 @@ class Named(Settings):
     name: Short = ""
 
     @model_validator(mode="after")
-    def _is_sane(self) -> Named:
+    def _is_sane(self) -> PersonOrSample:
         check_nesting(self.details())
         return self
 
@@ -105,7 +105,7 @@ class Named(Settings):
         return dict(self.model_extra or {})
 
 
-class Instrument(Settings):
+class InstrumentRecord(Settings):
     """One instrument of the bench, as it introduced itself."""
 
     name: Short
@@ -171,7 +171,7 @@ class StreamState(Settings):
     """Full scale, in ``units``."""
 
 
-class Event(Settings):
+class JournalEvent(Settings):
     """Something that happened: a state change, a limit trip, a hold, a retry."""
 
     time: Seconds
@@ -223,10 +223,10 @@ class RunHeader(Settings):
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
     points: tuple[PointId, ...]
     """Ids of the planned points, in the planned order."""
-    user: Named = Named()
-    sample: Named = Named()
+    user: PersonOrSample = PersonOrSample()
+    sample: PersonOrSample = PersonOrSample()
     notes: str = ""
-    instruments: Annotated[tuple[Instrument, ...], Field(max_length=MOST_PARTS)] = ()
+    instruments: Annotated[tuple[InstrumentRecord, ...], Field(max_length=MOST_PARTS)] = ()
     calibrations: Annotated[tuple[Tree, ...], Field(max_length=MOST_PARTS)] = ()
     streams: Annotated[tuple[Stream, ...], Field(max_length=MOST_PARTS)] = ()
     origin: Origin | None = None

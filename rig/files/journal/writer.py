@@ -25,12 +25,12 @@ from rig.files.journal.format import (
     BLOCK_HEAD,
     MAGIC,
     MAX_PAYLOAD,
-    Kind,
+    RecordKind,
     block_record,
     json_record,
 )
 from rig.files.journal.reader import JournalContents, KeptPoint, read_journal
-from rig.files.journal.values import End, Event, RunHeader, StreamState
+from rig.files.journal.values import End, JournalEvent, RunHeader, StreamState
 from rig.files.naming import journal_path, next_run_path
 
 __all__ = [
@@ -70,15 +70,15 @@ class JournalEncoder:
             for at in range(0, len(rows), most)
         ]
 
-    def event(self, fields: Mapping[str, Any] | Event) -> bytes:
+    def event(self, fields: Mapping[str, Any] | JournalEvent) -> bytes:
         """A record of an event: time (s since start), level, code, message."""
-        return json_record(Kind.EVENT, Event.model_validate(fields))
+        return json_record(RecordKind.EVENT, JournalEvent.model_validate(fields))
 
     def stream(self, fields: Mapping[str, Any] | StreamState) -> bytes:
         """A record of how a stream's counts read from here on."""
         state = StreamState.model_validate(fields)
         self.header.check_state(state)
-        return json_record(Kind.STREAM, state)
+        return json_record(RecordKind.STREAM, state)
 
     def point_begin(self, point_id: str, fields: Mapping[str, Any]) -> bytes:
         """A record that a point is taken from here on; ``time`` in the fields is s since start."""
@@ -88,14 +88,14 @@ class JournalEncoder:
             raise ValueError(f"point {point_id}: kept already")
         if not 0 < len(point_id) <= 256:
             raise ValueError(f"point {point_id[:40]!r}: an id has 1 to 256 characters")
-        record = json_record(Kind.POINT_BEGIN, {"id": point_id, "point": dict(fields)})
+        record = json_record(RecordKind.POINT_BEGIN, {"id": point_id, "point": dict(fields)})
         self._open = point_id
         return record
 
     def point_keep(self, point_id: str, reading: Mapping[str, Any]) -> bytes:
         """A record that the open point counts, with its reading."""
         self._check_open(point_id)
-        record = json_record(Kind.POINT_KEEP, {"id": point_id, "reading": dict(reading)})
+        record = json_record(RecordKind.POINT_KEEP, {"id": point_id, "reading": dict(reading)})
         self._kept.add(point_id)
         self._open = None
         return record
@@ -103,13 +103,13 @@ class JournalEncoder:
     def point_discard(self, point_id: str, reason: str) -> bytes:
         """A record that the open point does not count."""
         self._check_open(point_id)
-        record = json_record(Kind.POINT_DISCARD, {"id": point_id, "reason": reason})
+        record = json_record(RecordKind.POINT_DISCARD, {"id": point_id, "reason": reason})
         self._open = None
         return record
 
     def end(self, fields: Mapping[str, Any] | End) -> bytes:
         """A record of how the run ended."""
-        return json_record(Kind.END, End.model_validate(fields))
+        return json_record(RecordKind.END, End.model_validate(fields))
 
     def _check_open(self, point_id: str) -> None:
         if self._open != point_id:
@@ -152,7 +152,7 @@ class JournalWriter:
         """A new journal, its header on the disk; FileExistsError if there is a file already."""
         path = Path(path)
         header = _validated(path, header)
-        record = json_record(Kind.HEADER, header)
+        record = json_record(RecordKind.HEADER, header)
         try:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
         except FileExistsError:
@@ -200,7 +200,7 @@ class JournalWriter:
     def _close_open_point(self, point_id: str | None) -> None:
         if point_id is not None:
             fields = {"id": point_id, "reason": "the run was interrupted"}
-            self.append([json_record(Kind.POINT_DISCARD, fields)])
+            self.append([json_record(RecordKind.POINT_DISCARD, fields)])
 
     @property
     def header(self) -> RunHeader:
@@ -221,7 +221,7 @@ class JournalWriter:
         """Rows of a stream: ``first_index`` counts its rows, ``host_time`` is s since start."""
         self._record(lambda: self.encoder.block(stream, first_index, host_time, data))
 
-    def event(self, fields: Mapping[str, Any] | Event) -> None:
+    def event(self, fields: Mapping[str, Any] | JournalEvent) -> None:
         """Something that happened: time (s since start), level, code, message."""
         self._record(lambda: [self.encoder.event(fields)])
 
@@ -246,7 +246,7 @@ class JournalWriter:
         self._record(lambda: [self.encoder.end(fields)])
 
     def _record(self, encode: Any) -> None:
-        self.append(refusing_nonsense(self.path, encode))
+        self.append(encode_or_raise(self.path, encode))
 
     def append(self, records: Sequence[bytes]) -> None:
         """Write whole records, in one system call where the kernel takes them in one."""
@@ -330,7 +330,7 @@ def _beginning(place: Path) -> Iterator[None]:
         ) from error
 
 
-def refusing_nonsense(path: Path, encode: Any) -> Any:
+def encode_or_raise(path: Path, encode: Any) -> Any:
     """What ``encode()`` gives; its ValueError or TypeError becomes a RigError that names the file.
 
     Nothing was written then, and the journal can go on.

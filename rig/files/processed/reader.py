@@ -20,7 +20,7 @@ from rig.files.file_kind import TOLD, kind_of
 from rig.files.hdf5.open_file import OpenFile
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
 from rig.files.journal.values import SIMULATED
-from rig.files.processed.values import DEFINITION, DetectedTrial, Source, processed_path
+from rig.files.processed.values import DEFINITION, DetectedTrial, ProcessedSource, processed_path
 
 
 def is_processed(path: Path) -> bool:
@@ -63,11 +63,11 @@ class ProcessedFile(OpenFile):
         return opened
 
     @cached_property
-    def source(self) -> Source:
+    def source(self) -> ProcessedSource:
         """The run file that was processed."""
         with _naming(self.path):
             simulated = "source/simulated" in self.entry
-            return Source(
+            return ProcessedSource(
                 file_name=self._text("source/file_name"),
                 sha256=self._text("source/sha256"),
                 definition=self._text("source/definition"),

@@ -23,7 +23,7 @@ FINGERPRINT_LENGTH = 12
 
 
 @dataclass(frozen=True)
-class Source:
+class ProcessedSource:
     """The run file that was processed, as it said itself; times are ISO 8601."""
 
     file_name: str

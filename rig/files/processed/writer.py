@@ -29,7 +29,7 @@ from rig.files.hdf5.nexus import (
 )
 from rig.files.hdf5.publishing import publishing
 from rig.files.processed.reader import ProcessedFile
-from rig.files.processed.values import DEFINITION, LAYOUT_VERSION, DetectedTrial, Source
+from rig.files.processed.values import DEFINITION, LAYOUT_VERSION, DetectedTrial, ProcessedSource
 
 if TYPE_CHECKING:
     import h5py
@@ -39,7 +39,7 @@ PROGRAM = "rig detect"
 
 def write_processed(
     target: Path,
-    source: Source,
+    source: ProcessedSource,
     settings: DetectorSettings,
     version: str,
     trials: Sequence[DetectedTrial],
@@ -66,7 +66,7 @@ def write_processed(
 def _read_back(
     part: Path,
     target: Path,
-    source: Source,
+    source: ProcessedSource,
     settings: DetectorSettings,
     trials: Sequence[DetectedTrial],
 ) -> None:
@@ -81,7 +81,7 @@ def _read_back(
 def _write(
     path: Path,
     name: str,
-    source: Source,
+    source: ProcessedSource,
     settings: DetectorSettings,
     version: str,
     trials: Sequence[DetectedTrial],
@@ -107,7 +107,7 @@ def _write(
         guarded.close()
 
 
-def _write_root(file: h5py.File, name: str, source: Source) -> None:
+def _write_root(file: h5py.File, name: str, source: ProcessedSource) -> None:
     import h5py
 
     import rig
@@ -123,7 +123,7 @@ def _write_root(file: h5py.File, name: str, source: Source) -> None:
     file.attrs["h5py_version"] = h5py.version.version
 
 
-def _write_source(entry: h5py.Group, source: Source) -> None:
+def _write_source(entry: h5py.Group, source: ProcessedSource) -> None:
     text_field(entry, "definition", DEFINITION).attrs["version"] = LAYOUT_VERSION
     text_field(entry, "title", marked(source, f"Slips detected: {_unmarked(source)}"))
     for name in ("start_time", "end_time"):
@@ -137,12 +137,12 @@ def _write_source(entry: h5py.Group, source: Source) -> None:
         number_field(made, "simulated", source.simulated)
 
 
-def marked(source: Source, title: str) -> str:
+def marked(source: ProcessedSource, title: str) -> str:
     """A title of what was made of that file: it says first what the file said of itself."""
     return f"{source.mark} {title}" if source.mark else title
 
 
-def _unmarked(source: Source) -> str:
+def _unmarked(source: ProcessedSource) -> str:
     return source.title.removeprefix(source.mark).lstrip() or source.file_name
 
 
@@ -180,7 +180,9 @@ def _write_events(made: h5py.Group, trials: Sequence[DetectedTrial]) -> None:
         array_field(features, names.name(feature), values, unit_of(feature) or "1", feature)
 
 
-def _write_trials(entry: h5py.Group, source: Source, trials: Sequence[DetectedTrial]) -> None:
+def _write_trials(
+    entry: h5py.Group, source: ProcessedSource, trials: Sequence[DetectedTrial]
+) -> None:
     """An NXdata a trial, and the first one's again as the default plot."""
     made = group(entry, "trials", "NXcollection")
     texts_field(made, "id", [trial.id for trial in trials])
@@ -199,7 +201,9 @@ def _write_trials(entry: h5py.Group, source: Source, trials: Sequence[DetectedTr
 _PLOT = {"signal": "predictive", "auxiliary_signals": ["v_d"], "axes": ["time"]}
 
 
-def _write_trial(parent: h5py.Group, name: str, source: Source, trial: DetectedTrial) -> h5py.Group:
+def _write_trial(
+    parent: h5py.Group, name: str, source: ProcessedSource, trial: DetectedTrial
+) -> h5py.Group:
     data = group(parent, name, "NXdata")
     set_attributes(data, _PLOT)
     set_attributes(data, {"trial": plain_text(trial.id), "rate_Hz": trial.rate_Hz})

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RecordedOutcome:
     """How the run ended. ``duration`` in s; ``status`` complete, stopped or failed."""
 
     status: str
@@ -116,13 +116,13 @@ class RunFile(OpenFile):
             return text_of(self.entry["end_time"]) if "end_time" in self.entry else None
 
     @property
-    def outcome(self) -> Outcome:
+    def outcome(self) -> RecordedOutcome:
         """How the run ended."""
         with _naming(self.path):
             group = self.entry["outcome"]
             number = {name: int(whole(group[name])) for name in _NUMBERS}
             imported = "imported" in group and bool(whole(group["imported"]))
-            return Outcome(
+            return RecordedOutcome(
                 status=text_of(group["status"]),
                 reason=text_of(group["reason"]),
                 attempt=number["attempt"],

@@ -21,7 +21,14 @@ from rig.files.hdf5.nexus import (
 )
 from rig.files.journal.format import to_json
 from rig.files.journal.reader import JournalContents, ending
-from rig.files.journal.values import SIMULATED, End, Instrument, Named, Origin, RunHeader
+from rig.files.journal.values import (
+    SIMULATED,
+    End,
+    InstrumentRecord,
+    Origin,
+    PersonOrSample,
+    RunHeader,
+)
 from rig.files.runfile.table import PointTable
 from rig.files.runfile.write_plots import write_plot
 
@@ -87,7 +94,7 @@ def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable)
         write_plot(entry, plot, header.layout, table, title)
 
 
-def _write_named(made: h5py.Group, named: Named) -> None:
+def _write_named(made: h5py.Group, named: PersonOrSample) -> None:
     text_field(made, "name", named.name)
     if named.details():
         write_values(group(made, "details", "NXparameters"), named.details(), {})
@@ -165,7 +172,7 @@ def _write_instrument(made: h5py.Group, header: RunHeader) -> None:
         write_values(parameters, calibration, {})
 
 
-def _class_of(instrument: Instrument) -> str:
+def _class_of(instrument: InstrumentRecord) -> str:
     role = instrument.role.lower()
     if "stage" in role:
         return "NXpositioner"

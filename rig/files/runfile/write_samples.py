@@ -100,7 +100,7 @@ class SampleWriter:
         return marked(f"{attempt.id}{status}: {stream}")
 
     def _axis(self, data: h5py.Group, segment: Segment) -> str:
-        """Give a group its axis; returns its name: ``time``, or ``sample`` if the rate is unknown."""
+        """Give a group its axis; its name is ``time``, or ``sample`` without a rate."""
         import numpy as np
 
         rate = segment.state.rate_Hz if segment.state else None
