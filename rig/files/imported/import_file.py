@@ -225,9 +225,9 @@ def layout_of(recording: Recording) -> Layout:
         definition="NXrig_import",
         version="1",
         columns=(
-            Column("samples", "samples", "", "Samples of each channel"),
-            Column("rate", "rate_Hz", "Hz", "Rate (Hz)"),
-            Column("length", "length_s", "s", "Length (s)"),
+            Column("samples", "", "Samples of each channel"),
+            Column("rate", "Hz", "Rate"),
+            Column("length", "s", "Length"),
         ),
         plots=(),
         traces=tuple(traces),

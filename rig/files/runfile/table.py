@@ -58,7 +58,7 @@ def _table(ids: list[str], attempts: list[int], contents: JournalContents) -> Po
     warnings: list[str] = []
     columns: dict[str, NDArray[np.float64] | list[str]] = {}
     for column in contents.header.layout.columns:
-        values = [reading.get(column.source) for reading in readings]
+        values = [reading.get(column.key) for reading in readings]
         if column.kind == "text":
             columns[column.name] = ["" if value is None else str(value) for value in values]
         else:

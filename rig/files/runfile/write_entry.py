@@ -197,7 +197,9 @@ def _write_points(made: h5py.Group, contents: JournalContents, table: PointTable
             field = texts_field(made, column.name, values)
             field.attrs["long_name"] = plain_text(column.long_name)
         else:
-            array_field(made, column.name, values, column.units, column.long_name)
+            field = array_field(made, column.name, values, column.units, column.long_name)
+        if column.meaning:
+            field.attrs["description"] = plain_text(column.meaning)
 
 
 def _write_truth(entry: h5py.Group, contents: JournalContents, table: PointTable) -> None:
