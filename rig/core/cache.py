@@ -22,7 +22,7 @@ class Cache(Protocol):
     """Bytes by key. An implementation may store nothing: then every `get` returns None."""
 
     def get(self, key: str) -> bytes | None:
-        """The bytes stored under `key`, or None."""
+        """Return the bytes stored under `key`, or None."""
         ...
 
     def put(self, key: str, content: bytes) -> None:
@@ -31,28 +31,28 @@ class Cache(Protocol):
 
 
 class NoCache:
-    """Keeps nothing."""
+    """A cache that stores nothing, for when every value has to be computed."""
 
     def get(self, key: str) -> bytes | None:
-        """Nothing."""
+        """Return None."""
         return None
 
     def put(self, key: str, content: bytes) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 class DiskCache:
-    """One file an entry below a folder, written beside and renamed, checked when read."""
+    """One file for each entry, in one folder, checked when it is read."""
 
     def __init__(self, folder: Path):
         self.folder = folder
 
     def path(self, key: str) -> Path:
-        """The file of `key`; keys are hashed so that any text is a safe name."""
+        """Return the file for `key`; keys are hashed so that any text is a safe name."""
         return self.folder / (hashlib.sha256(key.encode()).hexdigest()[:40] + ".cache")
 
     def get(self, key: str) -> bytes | None:
-        """The bytes stored under `key`; None where there are none or they are damaged."""
+        """Return the bytes stored under `key`, or None if there are none or they are damaged."""
         try:
             raw = self.path(key).read_bytes()
         except OSError:
@@ -74,7 +74,7 @@ class DiskCache:
 
 
 def user_cache() -> DiskCache:
-    """The cache in the user's cache folder (``RIG_CACHE`` overrides the place)."""
+    """Return the cache in the user's cache folder; ``RIG_CACHE`` overrides the place."""
     from platformdirs import user_cache_path
 
     override = os.environ.get("RIG_CACHE")

@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 
 
 def describe(file: Path, header: RunHeader, outcome: RecordedOutcome) -> dict[str, Any]:
-    """The run in JSON-able values; what is empty is left out. Settings carry their units."""
-    told = {
+    """Return what a run file says about its run, as JSON-able values. Empty values are left out;
+    settings carry their units in their names.
+    """
+    values = {
         "file": str(file),
         "procedure": header.procedure,
         "title": header.marked(header.title),
@@ -44,11 +46,11 @@ def describe(file: Path, header: RunHeader, outcome: RecordedOutcome) -> dict[st
         "settings": header.settings,
         "warnings": list(outcome.warnings),
     }
-    return {name: value for name, value in told.items() if value not in ("", [], {}, None)}
+    return {name: value for name, value in values.items() if value not in ("", [], {}, None)}
 
 
 def ending_of(contents: JournalContents) -> RecordedOutcome:
-    """How a journal's run ended, in the words of a run file."""
+    """Return how a journal's run ended, in the form in which a run file says it."""
     header, end = contents.header, ending(contents)
     planned = end.points_planned
     return RecordedOutcome(
@@ -67,7 +69,7 @@ def ending_of(contents: JournalContents) -> RecordedOutcome:
 
 
 def describe_processed(file: ProcessedFile) -> dict[str, Any]:
-    """A processed file in JSON-able values: where it comes from, how, and what was found."""
+    """Return a processed file's source, detector, parameters and events as JSON-able values."""
     source, settings = file.source, file.settings
     parameters = settings.model_dump(exclude={"logic", "network"})
     if settings.network is not None:

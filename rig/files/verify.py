@@ -18,7 +18,7 @@ from rig.core.child import ChildError, run_module
 from rig.files.checksum import checksum_findings
 from rig.files.describe import ending_of
 from rig.files.errors import JournalError, RunFileError, in_words
-from rig.files.file_kind import TOLD, kind_of
+from rig.files.file_kind import IN_WORDS, kind_of
 from rig.files.hdf5.nexus import plain_text
 from rig.files.hdf5.safe_reading import DAMAGE, checked, text_of, whole
 from rig.files.journal.format import to_json
@@ -46,24 +46,28 @@ REQUIRED = (
 
 @dataclass(frozen=True)
 class FileVerdict:
-    """What checking a file gave: findings, one sentence each, and how far the run came."""
+    """What checking a file found, one sentence for each finding, and how far the run came."""
 
     findings: tuple[str, ...]
     extent: str
-    """``complete, 81 of 81 points``; nothing where the file does not tell."""
+    """``complete, 81 of 81 points``; empty if the file does not say."""
 
     @property
     def sound(self) -> bool:
-        """Nothing was found. A run that was stopped can be sound; ``extent`` says that it was."""
+        """Whether nothing was found. A run that was stopped can be sound; ``extent`` says that it
+        was.
+        """
         return not self.findings
 
     def __str__(self) -> str:
-        told = "; ".join(self.findings) or "sound"
-        return f"{told} ({self.extent})" if self.extent else told
+        findings = "; ".join(self.findings) or "sound"
+        return f"{findings} ({self.extent})" if self.extent else findings
 
 
 def verify(file: Path | str) -> list[str]:
-    """Findings about a run file or a journal, one sentence each; empty if it is sound."""
+    """Return findings about a run file, processed file or journal, one sentence each; empty if
+    sound.
+    """
     return list(verdict(file).findings)
 
 
@@ -80,7 +84,7 @@ def verdict(file: Path | str) -> FileVerdict:
     if kind == "journal":
         return _verdict_on_journal(file)
     if kind != "hdf5":
-        return FileVerdict((TOLD[kind],), "")
+        return FileVerdict((IN_WORDS[kind],), "")
     from rig.files.processed.reader import is_processed
 
     extent, findings = "", list(checksum_findings(file))
@@ -217,7 +221,8 @@ def _structure(run: RunFile) -> Iterator[str]:
     further = ("origin",) if header.origin is not None else ()
     for name in (*REQUIRED, *further):
         if (name in run.entry) == (name in unknown):
-            yield f"{name} is {'there, and nobody knew it' if name in unknown else 'missing'}"
+            wrong = "there, although it was not known" if name in unknown else "missing"
+            yield f"{name} is {wrong}"
     layout = run.header.layout
     if text_of(run.entry["definition"]) != layout.definition:
         yield "definition is not that of the layout"

@@ -40,7 +40,7 @@ STRIPS = ("v_1", "v_2")
 
 @dataclass(frozen=True)
 class DetectionJob:
-    """A run file to be processed."""
+    """A run file to be processed: everything that `detect_file` needs, as plain values."""
 
     run_file: Path
     settings: DetectorSettings
@@ -52,14 +52,14 @@ class DetectionJob:
 
 @dataclass(frozen=True)
 class DetectionFailure:
-    """Why a file was not processed, as a RigError would say it."""
+    """Why a file was not processed: the parts of a RigError, which can be pickled."""
 
     message: str
     hint: str | None
     code: ExitCode
 
     def error(self) -> RigError:
-        """It, to be raised or told."""
+        """Return the failure as a RigError, to be raised or reported."""
         return RigError(self.message, self.hint, self.code)
 
 
@@ -81,7 +81,7 @@ class DetectionResult:
 
 
 def prepare(settings: DetectorSettings) -> None:
-    """Have the detector compiled: processes that are forked afterwards have it, too."""
+    """Compile the detector now, so that processes that are forked afterwards need not."""
     import h5py  # noqa: F401
     import numpy as np
 
@@ -89,7 +89,9 @@ def prepare(settings: DetectorSettings) -> None:
 
 
 def detect_file(job: DetectionJob) -> DetectionResult | DetectionFailure:
-    """Process one run file, or find that it was processed before."""
+    """Process one run file, unless a sound result for the same bytes exists. Returns failures as
+    values; raises nothing that belongs to the file.
+    """
     try:
         return _detect(job)
     except RigError as error:
@@ -97,7 +99,7 @@ def detect_file(job: DetectionJob) -> DetectionResult | DetectionFailure:
 
 
 def detect_trials(run: RunFile, settings: DetectorSettings) -> list[DetectedTrial]:
-    """What the detector makes of every kept trial of a run, in the order of the trials.
+    """Return what the detector finds in every kept trial of a run, in the order of the trials.
 
     ConfigurationError where the run has no strips, or a trial cannot be judged.
     """
@@ -107,8 +109,8 @@ def detect_trials(run: RunFile, settings: DetectorSettings) -> list[DetectedTria
         pieces.setdefault(waveform.point, []).append(waveform)
     if not pieces:
         raise ConfigurationError(
-            f"{run.path}: no trial of it was kept ({run.outcome.extent()})",
-            "there is nothing to look for slips in",
+            f"{run.path}: no trial was recorded ({run.outcome.extent()})",
+            "record the run again, or name another file",
         )
     trials = []
     for point in run.point_ids():
@@ -121,7 +123,7 @@ def detect_trials(run: RunFile, settings: DetectorSettings) -> list[DetectedTria
 
 
 def stream_of_strips(layout: Layout) -> str | None:
-    """The stream that holds v_1 and v_2, as a file's own layout says; None where none does."""
+    """Return the stream that holds v_1 and v_2 according to the file's own layout, or None."""
     return next(
         (trace.stream for trace in layout.traces if set(STRIPS) <= set(trace.channels())), None
     )
@@ -131,7 +133,7 @@ def _detect(job: DetectionJob) -> DetectionResult:
     run_file, settings = job.run_file, job.settings
     if job.version != DETECTOR_VERSION:
         raise ConfigurationError(
-            f"{run_file}: detector version {job.version} is wanted, this computer has "
+            f"{run_file}: detector version {job.version} is needed, but this computer has "
             f"{DETECTOR_VERSION}",
             "install the same tactile-rig on all of them",
         )
@@ -152,14 +154,14 @@ def _detect(job: DetectionJob) -> DetectionResult:
 
 
 def _refuse_damaged(run_file: Path) -> list[str]:
-    """RunFileError where the file is not the one that was written; a warning where nobody knows."""
+    """RunFileError if the file is not the one that was written; a warning if that is not known."""
     if not run_file.is_file():
-        return []  # what it is instead is told when it is opened
+        return []  # RunFile.open says what it is instead
     doubts = list(checksum_findings(run_file))
     if doubts and checksum_path(run_file).exists():
         raise RunFileError(run_file, "; ".join(doubts), "`rig verify` says more")
     if doubts:
-        verify_in_child(run_file)  # HDF5 may die of it, or hang
+        verify_in_child(run_file)  # HDF5 may crash or hang on it; a child process takes that
     return [f"{run_file.name}: {doubt}" for doubt in doubts]
 
 

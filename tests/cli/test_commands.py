@@ -110,7 +110,7 @@ def nothing(path: Path) -> None:
         (Path.mkdir, "a folder"),
         (nothing, "an empty file"),
         (not_hdf5, "not a journal and not a run file"),
-        (of_another_program, "an HDF5 file, but not of a run"),
+        (of_another_program, "an HDF5 file, but not a run file"),
     ],
 )
 def test_every_command_says_what_kind_of_file_it_was_given(
@@ -151,7 +151,7 @@ def test_show_draws_where_it_is_told_to_and_lives_without_figures(rig: Any, run_
     assert refused.code == 0
     assert "status: complete" in refused.stdout
     (line,) = refused.stderr.splitlines()
-    assert "no figure was drawn: /proc/figures cannot be written to" in line
+    assert "no figure was drawn: /proc/figures cannot be written" in line
     assert "--figures-to" in line
 
 

@@ -112,7 +112,7 @@ def test_a_block_longer_than_a_record_is_split_and_stays_whole(tmp_path: Path) -
         (lambda j: j.point_keep("p", {}), "not the open point"),
         (lambda j: j.point_begin(run.POINTS[0], {}), "still open"),
         (lambda j: j.block(1, 0, 0.0, bytes(4)), "stream 1 of 1"),
-        (lambda j: j.block(0, 0, 0.0, bytes(5)), "no whole rows"),
+        (lambda j: j.block(0, 0, 0.0, bytes(5)), "not whole rows"),
         (lambda j: j.block(0, 0, 0.0, np.zeros((4, 2))), "expected rows of <i2"),
         (lambda j: j.block(0, 0, 0.0, np.zeros(4, np.int16)), "need 2 channels"),
         (lambda j: j.block(0, 0, math.nan, bytes(4)), "host_time"),
@@ -180,7 +180,7 @@ def test_resume_continues_and_counts_every_point_once(tmp_path: Path) -> None:
     assert before.problem.startswith(f"bad record at byte {before.end_offset}: torn")
 
     with JournalWriter.reopen(path) as journal:
-        with pytest.raises(RigError, match="kept already"):
+        with pytest.raises(RigError, match="recorded already"):
             journal.point_begin(run.POINTS[0], {})
         run.take_point(journal, 1)
         journal.end(run.end("stopped", 2, attempt=2))
@@ -321,7 +321,7 @@ def raw(kind: int, body: bytes) -> bytes:
         (HEADER, "a second HEADER"),
         (raw(RecordKind.EVENT, b"[" * 3_000_000), "not JSON"),
         (raw(RecordKind.EVENT, b'{"a":' * 500_000), "not JSON"),
-        (raw(RecordKind.EVENT, b'{"time": NaN}'), "NaN is no JSON"),
+        (raw(RecordKind.EVENT, b'{"time": NaN}'), "NaN is not JSON"),
         (raw(RecordKind.EVENT, b'{"time": ' + b"9" * 5000 + b"}"), "not JSON"),
         (raw(RecordKind.EVENT, b"\xff\xfe"), "not UTF-8"),
         (raw(RecordKind.EVENT, b"[]"), "no JSON object"),

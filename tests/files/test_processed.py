@@ -267,7 +267,7 @@ def test_a_value_that_is_no_number_is_named(tmp_path: Path) -> None:
 
 def test_a_run_of_which_nothing_was_kept_is_refused(tmp_path: Path) -> None:
     run_file = trials.write_trials(tmp_path / "a.rigj", {})
-    assert "no trial of it was kept (complete, 0 of 0 points)" in refused(run_file).message
+    assert "no trial was recorded (complete, 0 of 0 points)" in refused(run_file).message
 
 
 def test_a_run_file_that_has_changed_is_refused_and_one_without_checksum_told(
@@ -289,7 +289,7 @@ def test_a_run_file_that_has_changed_is_refused_and_one_without_checksum_told(
 def test_a_computer_with_another_detector_refuses(own_run: Path) -> None:
     answer = detect_file(DetectionJob(own_run, SETTINGS, version="0"))
     assert isinstance(answer, DetectionFailure)
-    assert f"version 0 is wanted, this computer has {DETECTOR_VERSION}" in answer.message
+    assert f"version 0 is needed, but this computer has {DETECTOR_VERSION}" in answer.message
 
 
 FULL_DISK = """

@@ -23,8 +23,10 @@ CHUNK_ROWS = 1 << 18
 
 
 def set_attributes(item: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -> None:
-    """New attributes, as ``item.attrs[name] = value`` makes them in twice the time: it writes each
-    one under another name first, and a run file has thousands. What may exist goes that way."""
+    """Set attributes that do not exist yet. ``item.attrs[name] = value`` takes twice the time,
+    since it writes each under a temporary name first, and a run file has thousands. Use that for
+    attributes that may exist.
+    """
     import numpy as np
     from h5py import h5a
 
@@ -52,19 +54,19 @@ def _attribute(kind: type, rows: int | None) -> tuple[Any, Any, Any]:
 
 
 def safe_name(text: str) -> str:
-    """A valid NeXus name that looks like the text: ``f=10.5 Hz`` gives ``f_10_5_Hz``."""
+    """Return a valid NeXus name that looks like the text: ``f=10.5 Hz`` gives ``f_10_5_Hz``."""
     return re.sub(r"[^A-Za-z0-9_]+", "_", text)[:100] or "_"
 
 
 class UniqueNames:
-    """Names for the items of one group, all different."""
+    """Gives names to the items of one group, all different."""
 
     def __init__(self, *taken: str) -> None:
         self._numbers = dict.fromkeys(taken, 1)
         """Of each name, the last number that was put behind it."""
 
     def name(self, text: str) -> str:
-        """``safe_name``, with a number behind it where it is taken."""
+        """Return ``safe_name`` of the text, with a number behind it if that name is in use."""
         name = base = safe_name(text)
         while name in self._numbers:
             self._numbers[base] += 1
@@ -74,24 +76,24 @@ class UniqueNames:
 
 
 def plain_text(text: object) -> str:
-    """Text as HDF5 can hold it: no NUL and no lone surrogates."""
+    """Return the text as HDF5 can hold it: without NUL and lone surrogates."""
     return str(text).replace("\0", "\ufffd").encode("utf-8", "replace").decode()
 
 
 def group(parent: h5py.Group, name: str, nx_class: str) -> h5py.Group:
-    """A new group of a NeXus class."""
+    """Create a group of a NeXus class and return it."""
     made = parent.create_group(name)
     set_attributes(made, {"NX_class": nx_class})
     return made
 
 
 def text_field(parent: h5py.Group, name: str, text: object) -> h5py.Dataset:
-    """A field of UTF-8 text."""
+    """Create a scalar dataset of UTF-8 text and return it."""
     return parent.create_dataset(name, data=plain_text(text))
 
 
 def texts_field(parent: h5py.Group, name: str, texts: Sequence[str]) -> h5py.Dataset:
-    """A field of several texts, shape (n,)."""
+    """Create a dataset of UTF-8 texts, shape (n,), and return it."""
     import h5py
 
     plain = [plain_text(text) for text in texts]
@@ -99,7 +101,7 @@ def texts_field(parent: h5py.Group, name: str, texts: Sequence[str]) -> h5py.Dat
 
 
 def number_field(parent: h5py.Group, name: str, value: Any, units: str = "") -> h5py.Dataset:
-    """A scalar field."""
+    """Create a scalar dataset of a number and return it."""
     field = parent.create_dataset(name, data=value)
     if units:
         field.attrs["units"] = units
@@ -109,7 +111,7 @@ def number_field(parent: h5py.Group, name: str, value: Any, units: str = "") -> 
 def array_field(
     parent: h5py.Group, name: str, values: NDArray[Any], units: str = "", long_name: str = ""
 ) -> h5py.Dataset:
-    """A compressed, checksummed field."""
+    """Create a compressed dataset with checksums from an array and return it."""
     field = empty_field(parent, name, values.shape, values.dtype)
     if values.size:
         field[...] = values
@@ -119,7 +121,9 @@ def array_field(
 
 
 def empty_field(parent: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
-    """A compressed, checksummed field to be filled: gzip 1, shuffle and fletcher32."""
+    """Create a compressed dataset with checksums, to be filled by the caller, and return it.
+    Filters: gzip 1, shuffle, fletcher32, which every HDF5 reader has.
+    """
     if 0 in shape:
         return parent.create_dataset(name, shape, dtype)
     return parent.create_dataset(
@@ -135,14 +139,14 @@ def empty_field(parent: h5py.Group, name: str, shape: tuple[int, ...], dtype: An
 
 
 def label(field: h5py.Dataset, units: str, long_name: str) -> None:
-    """Unit and name as viewers show them."""
+    """Set the unit and the name that viewers show."""
     set_attributes(field, {"units": units} | ({"long_name": long_name} if long_name else {}))
 
 
 def write_values(
     made: h5py.Group, values: Mapping[str, Any], units: Mapping[str, str], prefix: str = ""
 ) -> None:
-    """Nested values as nested groups; ``units`` are those of the dotted names."""
+    """Write nested values as nested groups. `units` maps dotted names to their units."""
     names = UniqueNames(*made)
     for key, value in values.items():
         name, dotted = names.name(key), f"{prefix}{key}"
@@ -183,7 +187,7 @@ def _is_matrix(value: Any) -> bool:
 
 
 def write_note(entry: h5py.Group, name: str, kind: str, file_name: str, data: str) -> None:
-    """A text of that media type as an NXnote."""
+    """Write a text of media type `kind` as an NXnote."""
     note = group(entry, name, "NXnote")
     text_field(note, "type", kind)
     text_field(note, "file_name", file_name)

@@ -40,7 +40,7 @@ POINT = "recording"
 
 @dataclass(frozen=True)
 class RecordingNotes:
-    """What was told about a recording besides its numbers; all of it may be unknown."""
+    """What the user stated about a recording besides its numbers; all of it may be unknown."""
 
     sensor: str = ""
     sample: str = ""
@@ -56,7 +56,7 @@ class RecordingNotes:
 
 @dataclass(frozen=True)
 class ForeignFile:
-    """A file as it was read once: whatever is made of it is made of these bytes."""
+    """A file that was read once: name, hash and columns are those of the same bytes."""
 
     name: str
     sha256: str
@@ -70,7 +70,7 @@ def read_foreign(
     decimal: Decimal | None = None,
     header_lines: int | None = None,
 ) -> ForeignFile:
-    """Open a text, LVM or MATLAB file, told by how it begins.
+    """Open a text, LVM or MATLAB file, recognised by its first bytes.
 
     The last three are for text, where they are not to be recognised. ForeignFileError for anything
     else, and for a file beyond MAX_BYTES.
@@ -87,7 +87,7 @@ def read_foreign(
         raise ForeignFileError(repr(str(path)), str(error)) from error
     if len(content) > MAX_BYTES:
         raise ForeignFileError(
-            name, f"longer than {MAX_BYTES >> 20} MiB", "cut it into several recordings"
+            name, f"larger than {MAX_BYTES >> 20} MiB", "cut it into several recordings"
         )
     source: ImportSource
     if content.startswith((matlab_variables.MAGIC_5, matlab_variables.MAGIC_73)):
@@ -99,21 +99,25 @@ def read_foreign(
     if source.format != "text" and (delimiter or decimal or header_lines is not None):
         raise ForeignFileError(
             name,
-            f"{source.format} says itself how it is written",
+            f"{source.format} files say themselves how they are written",
             "leave out --delimiter, --decimal and --header-lines",
         )
     return ForeignFile(name, hashlib.sha256(content).hexdigest(), len(content), source)
 
 
 def write_import(
-    foreign: ForeignFile, told: ChannelMap, about: RecordingNotes, results: Path, program: Program
+    foreign: ForeignFile,
+    stated: ChannelMap,
+    about: RecordingNotes,
+    results: Path,
+    program: Program,
 ) -> tuple[Path, Recording]:
     """The run file, in the folder of today below `results`, and what it holds.
 
-    ForeignFileError where the file cannot be understood as it was told (nothing was begun),
+    ForeignFileError if the file does not agree with what was stated (nothing was begun),
     RecordingError where the run file cannot be written (nothing is left).
     """
-    recording = recording_of(foreign.source, told, foreign.name)
+    recording = recording_of(foreign.source, stated, foreign.name)
     header = _header(foreign, recording, about, program)
     writer = begin_journal(results, PROCEDURE, header)
     target = writer.path.with_suffix(RUN_SUFFIX)
@@ -151,7 +155,7 @@ def _header(
     } | {
         name: text
         for name, text in (
-            ("written", foreign.source.told),
+            ("written", foreign.source.written_as),
             ("sensor", about.sensor),
             ("object", about.object),
         )
@@ -217,7 +221,7 @@ def _streams(recording: Recording) -> list[tuple[str, str, list[str], str, str]]
 
 
 def layout_of(recording: Recording) -> Layout:
-    """How the file shows a recording: the strips, and forces where there are some."""
+    """Return how the run file shows a recording: the strips, and the forces if there are any."""
     traces = [Trace("data", "signals", "v_d", STRIPS, title="Differential PVDF signal")]
     if forces := _forces(recording):
         traces.append(Trace("force", "force", forces[0], tuple(forces[1:]), title="Forces"))

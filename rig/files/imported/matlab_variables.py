@@ -30,7 +30,7 @@ BYTES_PER_S = 1e6
 """Slower than any computer that runs this reads a file."""
 
 Variables = dict[str, tuple[str, tuple[int, ...]]]
-"""Class, in MATLAB's word, and shape of each variable; no shape where it is no array."""
+"""Class, in MATLAB's word, and shape of each variable; an empty shape if it is not an array."""
 
 
 def variables_of(content: bytes, name: str) -> Variables:

@@ -35,7 +35,7 @@ BLOCK_HEAD = struct.Struct("<BHQd")
 
 
 class RecordKind(IntEnum):
-    """First byte of a payload."""
+    """First byte of a payload: what the record is."""
 
     HEADER = 1
     BLOCK = 2
@@ -49,7 +49,9 @@ class RecordKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Rows of one stream: ``data`` is their bytes, C order."""
+    """Rows of one stream. `data` is their bytes, C order; `host_time` is in s since the run's
+    start.
+    """
 
     stream: int
     first_index: int
@@ -59,7 +61,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class PointBegin:
-    """A point is taken from here on; ``fields`` is what the writer knows about it."""
+    """A point begins; `fields` is what the procedure knows about it."""
 
     id: str
     fields: dict[str, Any]
@@ -68,7 +70,7 @@ class PointBegin:
 
 @dataclass(frozen=True, slots=True)
 class PointKeep:
-    """The open point is kept, with its reading."""
+    """The open point is valid and has this reading."""
 
     id: str
     reading: dict[str, Any]
@@ -77,7 +79,7 @@ class PointKeep:
 
 @dataclass(frozen=True, slots=True)
 class PointDiscard:
-    """The open point does not count: what it recorded stays, marked as discarded."""
+    """The open point is not valid: what it recorded stays in the journal, marked as discarded."""
 
     id: str
     reason: str
@@ -89,12 +91,12 @@ JournalRecord = (
 )
 
 
-class BadRecord(ValueError):  # noqa: N818 - an intermediate finding, not an error anybody sees
-    """The bytes are no record; the message is the reason."""
+class BadRecord(ValueError):  # noqa: N818 - an intermediate finding, not an error that a user sees
+    """The bytes are not a record; the message is the reason."""
 
 
 def to_json(value: Any) -> str:
-    """JSON text of a value (see the module's text about NaN); TypeError for what JSON lacks."""
+    """Return the JSON text of a value, NaN as stated above. TypeError for what JSON lacks."""
     try:
         return json.dumps(value, allow_nan=False, separators=(",", ":"), default=_plain)
     except ValueError:
@@ -102,7 +104,7 @@ def to_json(value: Any) -> str:
 
 
 def from_json(text: str | bytes) -> Any:
-    """The value of a JSON text; BadRecord for anything else, however hostile."""
+    """Return the value of a JSON text. BadRecord for anything else, however hostile."""
     if len(text) > MAX_JSON:
         raise BadRecord(f"{len(text)} bytes of JSON, at most {MAX_JSON} are allowed")
     try:
@@ -144,23 +146,23 @@ def _untagged(value: dict[str, Any]) -> Any:
         number = value["$float"]
         if isinstance(number, str) and number in _NON_FINITE:
             return _NON_FINITE[number]
-        raise ValueError("$float is none of nan, inf, -inf")
+        raise ValueError("$float is not nan, inf or -inf")
     return value
 
 
 def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no JSON")
+    raise ValueError(f"{name} is not JSON")
 
 
 def frame(payload: bytes) -> bytes:
-    """A payload as a record: with its length and checksum."""
+    """Return a payload as a record, with its length and checksum. ValueError beyond MAX_PAYLOAD."""
     if len(payload) > MAX_PAYLOAD:
         raise ValueError(f"a record of {len(payload)} bytes; at most {MAX_PAYLOAD} are allowed")
     return PREFIX.pack(len(payload), zlib.crc32(payload)) + payload
 
 
 def json_record(kind: RecordKind, value: Any) -> bytes:
-    """A record of JSON; ValueError if it is longer than allowed, TypeError if it is no JSON."""
+    """Return a record of JSON. ValueError beyond MAX_JSON, TypeError for what JSON lacks."""
     text = to_json(value).encode("ascii")
     if len(text) > MAX_JSON:
         raise ValueError(f"{kind.name}: {len(text)} bytes of JSON; at most {MAX_JSON} are allowed")
@@ -168,7 +170,7 @@ def json_record(kind: RecordKind, value: Any) -> bytes:
 
 
 def block_record(stream: int, first_index: int, host_time: float, data: memoryview) -> bytes:
-    """A record of sample rows."""
+    """Return a record of sample rows."""
     return frame(BLOCK_HEAD.pack(RecordKind.BLOCK, stream, first_index, host_time) + data)
 
 
@@ -190,7 +192,7 @@ def decode(payload: bytes, header: RunHeader | None) -> JournalRecord:
         raise BadRecord("not UTF-8") from None
     value = from_json(text)
     if not isinstance(value, dict):
-        raise BadRecord(f"{RecordKind(kind).name} is no JSON object")
+        raise BadRecord(f"{RecordKind(kind).name} is not a JSON object")
     return _decode_json(RecordKind(kind), value, text, header)
 
 

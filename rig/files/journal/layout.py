@@ -161,7 +161,7 @@ class Plot:
             raise ValueError(f"plot {self.group!r}: log_axes names {sorted(strangers)}")
 
     def datasets(self) -> tuple[str, ...]:
-        """Names of the datasets in the group, besides its title."""
+        """Return the names of the group's datasets besides its title."""
         errors = (self.errors_name,) if self.errors else ()
         return (self.signal, *self.axes, *self.auxiliary, *errors)
 
@@ -177,7 +177,7 @@ class Plot:
 
     @property
     def errors_name(self) -> str:
-        """The name by which viewers find the signal's standard errors."""
+        """The name under which viewers look for the signal's standard errors."""
         return f"{self.signal}_errors"
 
 
@@ -206,7 +206,7 @@ class Trace:
             raise ValueError(f"trace {self.group!r}: two channels of one name")
 
     def channels(self) -> tuple[str, ...]:
-        """The channels shown, the signal first."""
+        """Return the channels that are shown, the signal first."""
         return (self.signal, *self.auxiliary)
 
 
@@ -244,30 +244,30 @@ class Layout:
 
     @property
     def order(self) -> tuple[str, ...]:
-        """The columns by which the table of points is sorted: the axes of the plot shown first."""
+        """The columns by which the table of points is sorted: the axes of the default plot."""
         shown = [plot for plot in self.plots if plot.group == self.default] or self.plots
         return shown[0].axes if shown else ()
 
     def column(self, name: str) -> Column:
-        """The column of that name; KeyError if there is none."""
+        """Return the column of that name. KeyError if there is none."""
         for column in self.columns:
             if column.name == name:
                 return column
         raise KeyError(name)
 
     def plot(self, group: str) -> Plot:
-        """The plot of that group; KeyError if there is none."""
+        """Return the plot of that group. KeyError if there is none."""
         for plot in self.plots:
             if plot.group == group:
                 return plot
         raise KeyError(group)
 
     def to_json(self) -> dict[str, Any]:
-        """The layout as JSON-able values, as it stands in the journal's header."""
+        """Return the layout as JSON-able values, as it stands in the journal's header."""
         plain: dict[str, Any] = TypeAdapter(Layout).dump_python(self, mode="json")
         return plain
 
     @classmethod
     def from_json(cls, value: Any) -> Layout:
-        """The layout of JSON values; ValueError (pydantic's) if they are none."""
+        """Return the layout of JSON values. ValueError (pydantic's) if they are not a layout."""
         return TypeAdapter(cls).validate_python(value)

@@ -40,7 +40,7 @@ _SEARCH_CRC_BYTES = 1 << 30
 
 @dataclass(frozen=True, slots=True)
 class KeptPoint:
-    """A point that counts, with its reading as it was written."""
+    """A valid point with its reading, as the procedure gave it."""
 
     id: str
     reading: dict[str, Any]
@@ -48,7 +48,9 @@ class KeptPoint:
 
 @dataclass
 class JournalContents:
-    """A journal's sound part. ``records()`` reads the samples from the file again, one by one."""
+    """What the sound part of a journal holds, without the samples: ``records()`` reads those from
+    the file again, one record at a time.
+    """
 
     path: Path
     header: RunHeader
@@ -78,16 +80,18 @@ class JournalContents:
 
     @property
     def end(self) -> End | None:
-        """The END that closed the journal; None if it was never closed, or opened again since."""
+        """The END that closed the journal. None if it was never closed, or was reopened since."""
         return self.ends[-1] if self.last_is_end and self.ends else None
 
     @property
     def complete(self) -> bool:
-        """The run finished, and the journal is sound to its last byte."""
+        """Whether the run finished and the journal is sound to its last byte."""
         return self.problem is None and self.end is not None and self.end.status == "complete"
 
     def require_continuable(self) -> None:
-        """JournalError where the journal is damaged before its end: nothing may be added to it."""
+        """Raise JournalError if sound records follow damage: then nothing may be added to the
+        journal.
+        """
         if self.problem and not self.torn:
             raise JournalError(
                 self.path,
@@ -97,20 +101,22 @@ class JournalContents:
             )
 
     def kept_ids(self) -> list[str]:
-        """Ids of the kept points in the order they were kept, each once."""
+        """Return the ids of the kept points, in the order in which they were kept, each once."""
         return list(self.grouping.kept)
 
     def kept(self) -> list[KeptPoint]:
-        """The kept points with their readings, in the order they were kept."""
+        """Return the kept points with their readings, in the order in which they were kept."""
         return [KeptPoint(i, self.reading(n)) for i, n in self.grouping.kept.items()]
 
     def reading(self, attempt: int) -> dict[str, Any]:
-        """The reading of a kept attempt."""
+        """Return the reading of a kept attempt, by its index."""
         reading: dict[str, Any] = from_json(self.attempts[attempt].result)["reading"]
         return reading
 
     def records(self) -> Iterator[JournalRecord]:
-        """Every record behind the header, in order; holds one record in memory at a time."""
+        """Read every record behind the header, in order, one at a time. JournalError if the file
+        changed since it was first read.
+        """
         with self.path.open("rb") as file:
             file.seek(len(MAGIC))
             reader = _Reader(file)
@@ -128,7 +134,7 @@ NEVER_CLOSED = "the run ended without closing its journal"
 
 
 def ending(contents: JournalContents) -> End:
-    """How the run ended; of a journal that was never closed, what can be said about it."""
+    """Return how the run ended; of a journal that was never closed, what its records show."""
     warnings = [contents.problem] if contents.problem else []
     if contents.end is not None:
         end = contents.end
@@ -152,10 +158,10 @@ def ending(contents: JournalContents) -> End:
 
 
 def read_journal(path: Path | str) -> JournalContents:
-    """What a journal holds. Reads the file once, with every checksum.
+    """Return what a journal holds. Reads the file once and checks every checksum.
 
-    Raises JournalError if it is no journal or its header is unusable; later damage is reported in
-    ``problem``, and what is before it is delivered.
+    Raises JournalError if it is not a journal or its header is unusable. Later damage is reported
+    in ``problem``, and what precedes it is returned.
     """
     path = Path(path)
     try:

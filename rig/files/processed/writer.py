@@ -138,7 +138,7 @@ def _write_source(entry: h5py.Group, source: ProcessedSource) -> None:
 
 
 def marked(source: ProcessedSource, title: str) -> str:
-    """A title of what was made of that file: it says first what the file said of itself."""
+    """Return a title that begins with the mark of the run file: SIMULATED, IMPORTED or nothing."""
     return f"{source.mark} {title}" if source.mark else title
 
 

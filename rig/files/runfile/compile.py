@@ -1,7 +1,15 @@
 """Compiling: a journal becomes a run file, HDF5 with NeXus attributes.
 
+The way of the data, each module once:
+
+1. ``journal.reader.read_journal`` indexes the journal: points, events, segments, no samples.
+2. ``table`` makes the columns; ``write_entry`` and ``write_plots`` write all but the samples.
+3. ``sample_walk`` reads the samples, ``write_samples`` writes them to where ``sample_groups`` says.
+4. ``read_back`` compares the file with what the steps before have seen.
+5. ``hdf5.publishing`` gives the file its name.
+
 The file appears under its name only when it is whole, on the disk, and has read back equal to the
-journal. Any earlier file of the same run is replaced by it. The same journal gives the same bytes.
+journal. An earlier file of the same run is replaced. The same journal gives the same bytes.
 """
 
 from __future__ import annotations
@@ -62,7 +70,7 @@ def compile_run(
 
 
 def journal_equals_file(journal: Path | str, file: Path | str) -> bool:
-    """Whether the file holds everything that the journal holds, sample by sample."""
+    """Return whether the file holds everything that the journal holds, sample by sample."""
     return not differences(SampleWalk(read_journal(journal)).exhaust(), Path(file))
 
 
@@ -116,8 +124,11 @@ def _write(contents: JournalContents, path: Path, name: str) -> SampleWalk:
 
 
 def _refuse_other_run(target: Path, contents: JournalContents) -> None:
-    """An existing file is replaced only by the same run's; a damaged one is not kept for that, and
-    one that its checksum shows to be damaged is not opened: HDF5 might not come to an end."""
+    """Raise RunFileError if the target exists and is another run's file.
+
+    A damaged file is replaced. One whose checksum shows that it is damaged is not even opened: HDF5
+    may loop for ever on it.
+    """
     if not target.exists():
         return
     with contextlib.suppress(OSError, UnicodeDecodeError):

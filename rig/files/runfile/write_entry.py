@@ -40,7 +40,9 @@ TRUTH = "simulated_truth"
 
 
 def write_root(file: h5py.File, contents: JournalContents, name: str) -> h5py.Group:
-    """The root's attributes, and the empty entry. Nothing in it depends on when this is done."""
+    """Write the root's attributes and return the new, empty entry. Nothing in it depends on the
+    time at which this is done: the same journal gives the same bytes.
+    """
     import h5py
 
     program = contents.header.program
@@ -57,7 +59,7 @@ def write_root(file: h5py.File, contents: JournalContents, name: str) -> h5py.Gr
 
 
 def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable) -> None:
-    """Everything in the entry but the samples."""
+    """Write everything in the entry except the samples."""
     header, end = contents.header, ending(contents)
     entry.attrs["default"] = header.layout.default
     text_field(entry, "definition", header.layout.definition).attrs["version"] = plain_text(
