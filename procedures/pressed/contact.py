@@ -52,8 +52,7 @@ class ForceZero(NamedTuple):
 
 
 ZERO_COLUMNS = tuple(
-    Column(f"force_zero_{axis}", f"force_zero_{axis}_N", "N", f"Force zero along {axis} (N)")
-    for axis in "xyz"
+    Column(f"force_zero_{axis}", "N", f"Force zero along {axis}") for axis in "xyz"
 )
 """Of a table of readings: where the force sensor's zero was found."""
 
@@ -61,7 +60,7 @@ ZERO_COLUMNS = tuple(
 def force_zero_of(readings: Sequence[Reading]) -> dict[str, Any]:
     """``force_zero_N`` of a run's summary: x, y, z of the last reading, whose drift from run to run
     shows a sensor that is overloaded, warm or touched by something."""
-    names = [column.source for column in ZERO_COLUMNS]
+    names = [column.key for column in ZERO_COLUMNS]
     found = [zero for r in readings if None not in (zero := [r.get(name) for name in names])]
     return {"force_zero_N": found[-1]} if found else {}
 

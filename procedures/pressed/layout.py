@@ -54,51 +54,51 @@ STREAMS = (
 )
 
 ASKED = (
-    Column("trial", "trial", "", "Trial"),
-    Column("normal_force_set", "normal_force_set_N", "N", "Normal force asked for (N)"),
+    Column("trial", "", "Trial"),
+    Column("normal_force_set", "N", "Normal force asked for"),
 )
 """What was asked for."""
 
 HELD = (
     *ZERO_COLUMNS,
-    Column("contact", "contact_mm", "mm", "z of the contact (mm)"),
-    Column("stiffness", "stiffness_N_mm", "N/mm", "Stiffness at the force (N/mm)"),
-    Column("overshoot", "overshoot_percent", "%", "Overshoot of the approach (%)"),
-    Column("normal_force", "normal_force_N", "N", "Mean normal force in the motion (N)"),
-    Column("force_error_rms", "force_error_rms_percent", "%", "Force error, rms (%)"),
-    Column("force_error_peak", "force_error_peak_percent", "%", "Force error, peak (%)"),
+    Column("contact", "mm", "z of the contact"),
+    Column("stiffness", "N/mm", "Stiffness at the force"),
+    Column("overshoot", "%", "Overshoot of the approach"),
+    Column("normal_force", "N", "Mean normal force in the motion"),
+    Column("force_error_rms", "%", "Force error, rms"),
+    Column("force_error_peak", "%", "Force error, peak"),
 )
 """How contact was found and the force held."""
 
 TOUCHED = (
-    Column("clock_offset", "clock_offset_s", "s", "DAQ's clock behind the force's (s)"),
-    Column("clock_offset_error", "clock_offset_error_s", "s", "Standard error (s)"),
-    Column("touch_gain_1", "touch_gain_1_V_s_N", "V s/N", "S1 by rate of force (V s/N)"),
-    Column("touch_gain_1_error", "touch_gain_1_error_V_s_N", "V s/N", "Standard error (V s/N)"),
-    Column("touch_gain_2", "touch_gain_2_V_s_N", "V s/N", "S2 by rate of force (V s/N)"),
-    Column("touch_gain_2_error", "touch_gain_2_error_V_s_N", "V s/N", "Standard error (V s/N)"),
+    Column("clock_offset", "s", "DAQ's clock behind the force's"),
+    Column("clock_offset_error", "s", "Standard error"),
+    Column("touch_gain_1", "V s/N", "S1 by rate of force"),
+    Column("touch_gain_1_error", "V s/N", "Standard error"),
+    Column("touch_gain_2", "V s/N", "S2 by rate of force"),
+    Column("touch_gain_2_error", "V s/N", "Standard error"),
 )
 """What touch-down and tap tell: the two clocks, and how much each strip gives."""
 
 CALIBRATED = (
-    Column("load_scale_1", "load_scale_1_N_s_V", "N/s/V", "Load rate of S1 by volt (N/s/V)"),
-    Column("load_scale_1_error", "load_scale_1_error_N_s_V", "N/s/V", "Standard error (N/s/V)"),
-    Column("load_scale_2", "load_scale_2_N_s_V", "N/s/V", "Load rate of S2 by volt (N/s/V)"),
-    Column("load_scale_2_error", "load_scale_2_error_N_s_V", "N/s/V", "Standard error (N/s/V)"),
-    Column("load_rate_flat_to", "load_rate_flat_to_Hz", "Hz", "Load rates flat up to (Hz)"),
+    Column("load_scale_1", "N/s/V", "Load rate of S1 by volt"),
+    Column("load_scale_1_error", "N/s/V", "Standard error"),
+    Column("load_scale_2", "N/s/V", "Load rate of S2 by volt"),
+    Column("load_scale_2_error", "N/s/V", "Standard error"),
+    Column("load_rate_flat_to", "Hz", "Load rates flat up to"),
 )
 """Volts as load rate."""
 
 RECORDED = (
-    Column("samples", "samples", "", "Rows of the strips"),
-    Column("frames", "frames", "", "Frames of the force sensor"),
-    Column("tick_rate", "tick_Hz", "Hz", "Ticks of the servo (Hz)"),
-    Column("ticks", "ticks", "", "Ticks"),
-    Column("late_ticks", "late_ticks", "", "Ticks that began late or were left out"),
-    Column("missed_ticks", "missed_ticks", "", "Ticks that were left out"),
-    Column("held_back_ticks", "held_back_ticks", "", "Ticks that told z nothing: it was busy"),
-    Column("largest_lateness", "largest_lateness_s", "s", "Largest lateness of a tick (s)"),
-    Column("invalid", "invalid", "", "Why the trial does not count", "text"),
-    Column("filter_delay", "filter_delay_s", "s", "Delay of the anti-alias filter (s)"),
+    Column("samples", "", "Rows of the strips"),
+    Column("frames", "", "Frames of the force sensor"),
+    Column("tick_rate", "Hz", "Ticks of the servo", key="tick_Hz"),
+    Column("ticks", "", "Ticks"),
+    Column("late_ticks", "", "Ticks that began late or were left out"),
+    Column("missed_ticks", "", "Ticks that were left out"),
+    Column("held_back_ticks", "", "Ticks that told z nothing: it was busy"),
+    Column("largest_lateness", "s", "Largest lateness of a tick"),
+    Column("invalid", "", "Why the trial does not count", "text"),
+    Column("filter_delay", "s", "Delay of the anti-alias filter"),
 )
 """How the record went."""

@@ -170,7 +170,7 @@ def _touch_down(run: Run, taken: Taken, force: npt.NDArray[np.float64]) -> Readi
         gains = [touch_gain(felt, seen(column), offset.value) for column in volts.T]
     except TouchDownError as error:
         run.event("warning", "touch-down", f"trial {taken.number}: {error.one_line()}")
-        return {column.source: None for column in TOUCHED}
+        return {column.key: None for column in TOUCHED}
     reading: Reading = {
         "clock_offset_s": offset.value,
         "clock_offset_error_s": offset.standard_error,

@@ -91,5 +91,5 @@ def _gain_near_200(readings: Sequence[Reading]) -> dict[str, Any]:
 
 def _column(readings: Sequence[Reading], name: str) -> npt.NDArray[np.float64]:
     """A column of the run's table, (n,)."""
-    source = LAYOUT.column(name).source
+    source = LAYOUT.column(name).key
     return np.array([float(reading[source] or 0) for reading in readings])

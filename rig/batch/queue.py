@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
 from rig.batch.plan.conditions import Condition, Plan
+from rig.core.atomic import replacing
 from rig.core.errors import ConfigurationError, RigError
 
 RunState = Literal["queued", "running", "done", "failed", "set-aside"]
@@ -146,9 +147,10 @@ class Queue:
     ) -> Self:
         """A new queue of all runs of a plan, with what is expected of a run by condition. It
         appears under its name when it is whole."""
-        beside = path.with_suffix(".new")
-        beside.unlink(missing_ok=True)
-        with contextlib.closing(sqlite3.connect(beside, isolation_level=None)) as sql:
+        with (
+            replacing(path) as beside,
+            contextlib.closing(sqlite3.connect(beside, isolation_level=None)) as sql,
+        ):
             sql.executescript("PRAGMA journal_mode = DELETE; PRAGMA synchronous = FULL;")
             sql.execute("BEGIN")
             for statement in filter(str.strip, SCHEMA.split(";")):
@@ -167,7 +169,6 @@ class Queue:
                 ((run.number, run.condition, run.repeat) for run in plan.runs),
             )
             sql.execute("COMMIT")
-        beside.rename(path)
         return cls.open(path)
 
     @classmethod

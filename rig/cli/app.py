@@ -26,32 +26,32 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "resume": (
         "rig.cli.files",
         "resume",
-        "Go on with an interrupted run at the point where it was interrupted.",
+        "Resume an interrupted run at the point where it was interrupted.",
     ),
     "show": (
         "rig.cli.files",
         "show",
-        "Say what a run file, processed file or journal holds; draw a file's figures again.",
+        "Show what a run file, processed file or journal holds, and draw its figures again.",
     ),
     "verify": (
         "rig.cli.files",
         "verify",
-        "Check run files, processed files and journals; exit 8 where something is wrong.",
+        "Check run files, processed files and journals; exit 8 if something is wrong.",
     ),
     "recover": (
         "rig.cli.files",
         "recover",
-        "Compile what a killed run left behind into its run file.",
+        "Rebuild the run file of a crashed run from its journal.",
     ),
     "import": (
         "rig.cli.imports",
         "import_",
-        "Make a run file of a recording from elsewhere: CSV, text in columns, LVM, MATLAB.",
+        "Make a run file of another program's recording: CSV, text in columns, LVM, MATLAB.",
     ),
     "detect": (
         "rig.cli.detect",
         "detect",
-        "Look for incipient slips in run files; what is found goes into processed files.",
+        "Find incipient slips in run files and write the results to processed files.",
     ),
     "filter": (
         "rig.cli.low_pass",

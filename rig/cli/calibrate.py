@@ -297,7 +297,7 @@ def load_cell(
 
 def _refuse_changed(file: Path) -> None:
     """FoundWrongError where the run file is not, byte by byte, the one that was written."""
-    from rig.files.verify import checksum_findings
+    from rig.files.checksum import checksum_findings
 
     if findings := list(checksum_findings(file)):
         raise FoundWrongError(

@@ -1,4 +1,4 @@
-"""``rig detect``: slips in run files. Parses, calls, prints; what is found is found elsewhere."""
+"""``rig detect``: parses the command, calls `rig.processing.detection`, prints the results."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from rig.detector import DEFAULT_DETECTOR
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-    from rig.processing.detection import Failure, Found
+    from rig.processing.detection import DetectionFailure, DetectionResult
 
-    Answer = Found | RigError
+    Answer = DetectionResult | RigError
 
 
 def detect(
@@ -33,50 +33,51 @@ def detect(
     ] = DEFAULT_DETECTOR,
     settings: Annotated[
         Path | None,
-        typer.Option(help="Parameters of the detector that are to be otherwise.", metavar="TOML"),
+        typer.Option(help="TOML file that overrides parameters of the detector.", metavar="TOML"),
     ] = None,
     to: Annotated[
         Path | None,
         typer.Option(help="Folder for the results [processed beside each file].", metavar="DIR"),
     ] = None,
     jobs: Annotated[
-        int | None, typer.Option(help="Files at a time [one a processor].", min=1)
+        int | None,
+        typer.Option(help="Number of files processed at once [one per processor].", min=1),
     ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
-            help="Dask cluster that does it: same program and same paths there.",
+            help="Address of a Dask cluster to run on; it needs the same program and file paths.",
             metavar="ADDRESS",
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Look for incipient slips in run files; what is found goes into processed files."""
+    """Find incipient slips in run files and write the results to processed files."""
     with reported(debug, as_json):
         from rig.cli.detector_settings import detector_settings
         from rig.processing.parallel import completed, processors
 
         wanted = detector_settings(detector, settings)
 
-        from rig.processing.detection import Job, detect_file, prepare
+        from rig.processing.detection import DetectionJob, detect_file, prepare
 
         if scheduler is None:
-            work = [Job(file, wanted, to) for file in files]
+            work = [DetectionJob(file, wanted, to) for file in files]
             prepare(wanted)
         else:  # workers are in folders of their own
             there = None if to is None else to.absolute()
-            work = [Job(file.absolute(), wanted, there) for file in files]
+            work = [DetectionJob(file.absolute(), wanted, there) for file in files]
         answers: dict[int, Answer] = {}
-        told = 0
+        reported_files = 0
         with _Progress(len(files)) as progress:
             results = completed(detect_file, work, jobs or processors(), scheduler)
             for number, result in results:
                 answers[number] = _answer(result, files[number])
                 progress.done(len(answers), files[number])
-                while told in answers:
-                    _tell(files[told], answers[told], as_json, debug)
-                    told += 1
+                while reported_files in answers:
+                    _tell(files[reported_files], answers[reported_files], as_json, debug)
+                    reported_files += 1
         code = _code(list(answers.values()))
         if as_json:
             ordered = [answers[number] for number in range(len(files))]
@@ -85,10 +86,10 @@ def detect(
             raise typer.Exit(int(code))
 
 
-def _answer(result: Found | Failure | RigError, file: Path) -> Answer:
-    from rig.processing.detection import Failure
+def _answer(result: DetectionResult | DetectionFailure | RigError, file: Path) -> Answer:
+    from rig.processing.detection import DetectionFailure
 
-    if isinstance(result, Failure):
+    if isinstance(result, DetectionFailure):
         return result.error()
     if isinstance(result, RigError):
         named = RigError(f"{file}: {result.message}", result.hint, result.code)
@@ -115,15 +116,15 @@ def _tell(file: Path, answer: Answer, as_json: bool, debug: bool) -> None:
         print(printable(f"{file}: {_in_words(answer)}"))  # noqa: T201 - stdout carries data
 
 
-def _in_words(found: Found) -> str:
+def _in_words(found: DetectionResult) -> str:
     """``2 predictive, 1 incipient slip, first at 6.384 s of trial-001; in FILE``"""
     counts = [f"{count} {kind}" for kind, count in found.events.items() if count]
-    told = ", ".join(counts) or "nothing found"
+    summary = ", ".join(counts) or "nothing found"
     if found.first_slip is not None:
         trial, time_s = found.first_slip
-        told += f", first slip at {time_s:.3f} s of {trial}"
+        summary += f", first slip at {time_s:.3f} s of {trial}"
     trials = "1 trial" if found.trials == 1 else f"{found.trials} trials"
-    return f"{told} in {trials}; {'kept' if found.kept else 'written'} {found.file}"
+    return f"{summary} in {trials}; {'already in' if found.kept else 'saved'} {found.file}"
 
 
 def _as_object(files: Sequence[Path], answers: Sequence[Answer], code: ExitCode) -> dict[str, Any]:

@@ -38,7 +38,7 @@ def resume(
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Go on with an interrupted run at the point where it was interrupted."""
+    """Resume an interrupted run at the point where it was interrupted."""
     with reported(debug, as_json):
         from pydantic import ValidationError
 
@@ -82,14 +82,14 @@ def show(
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Say what a run file, processed file or journal holds; draw a file's figures again."""
+    """Show what a run file, processed file or journal holds, and draw its figures again."""
     with reported(debug):
+        from rig.files.checksum import checksum_findings
         from rig.files.describe import describe, ending_of
         from rig.files.file_kind import kind_of
         from rig.files.journal.reader import read_journal
         from rig.files.processed.reader import is_processed
         from rig.files.runfile.reader import RunFile
-        from rig.files.verify import checksum_findings, verify_apart
 
         for path in files:
             if kind_of(path) == "journal":
@@ -98,8 +98,6 @@ def show(
                 _tell(_results(contents.header, [kept.reading for kept in contents.kept()]))
                 continue
             doubts = list(checksum_findings(path))
-            if doubts:
-                verify_apart(path)  # HDF5 may die of it, or hang
             if is_processed(path):
                 _show_processed(path, doubts, figures, figures_to)
                 continue
@@ -117,7 +115,7 @@ def show(
 
 
 def verify(files: Files, debug: Debug = False) -> None:
-    """Check run files, processed files and journals; exit 8 where something is wrong.
+    """Check run files, processed files and journals; exit 8 if something is wrong.
 
     Checksums, structure, and how complete they are.
     """
@@ -135,15 +133,15 @@ def verify(files: Files, debug: Debug = False) -> None:
 
 
 def recover(files: Files, debug: Debug = False) -> None:
-    """Compile what a killed run left behind into its run file."""
+    """Rebuild the run file of a crashed run from its journal."""
     with reported(debug):
         from rig.core.errors import RigError
-        from rig.files.runfile.recover import recover as compile_left_over
+        from rig.files.runfile.recover import recover as rebuild
 
         failed: RigError | None = None
         for path in files:
             try:
-                print(compile_left_over(path))  # noqa: T201 - stdout carries data
+                print(rebuild(path))  # noqa: T201 - stdout carries data
             except RigError as error:
                 say(f"error: {error.one_line()}")
                 failed = failed or error
@@ -191,7 +189,7 @@ def _show_processed(
 def _draw(
     draw: Callable[[Path, Path | None], list[Path]], run_file: Path, folder: Path | None
 ) -> None:
-    """Draw the figures; a folder that does not take them costs a line, not the command."""
+    """Draw the figures; a folder that cannot be written is a warning, not an error."""
     try:
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
@@ -199,7 +197,7 @@ def _draw(
             print(f"figure: {drawn}")  # noqa: T201 - stdout carries data
     except OSError as error:
         say(
-            f"warning: no figure was drawn: {folder or run_file.parent} cannot be written to "
+            f"warning: no figure was drawn: {folder or run_file.parent} cannot be written "
             f"({error.strerror or error}); name another folder with --figures-to, or leave figures "
             "out with --no-figures"
         )
@@ -212,16 +210,16 @@ def _tell(values: Mapping[str, Any], indent: str = "") -> None:
             print(printable(f"{indent}{name}:"))  # noqa: T201 - stdout carries data
             _tell(value, indent + "  ")
         else:
-            print(printable(f"{indent}{name}: {_told(value)}"))  # noqa: T201 - stdout carries data
+            print(printable(f"{indent}{name}: {_in_words(value)}"))  # noqa: T201 - stdout carries data
 
 
-def _told(value: Any) -> str:
+def _in_words(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, list | tuple):
-        shown = [_told(item) for item in value]
+        shown = [_in_words(item) for item in value]
         if len(shown) > LONGEST_LIST and not isinstance(value[0], str):
             return f"{len(shown)} values, {shown[0]} to {shown[-1]}"
         return "; ".join(shown) or "none"

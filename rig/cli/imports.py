@@ -1,4 +1,4 @@
-"""The command that makes a run file of a recording from elsewhere."""
+"""The command that makes a run file of another program's recording."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def import_(
         ),
     ],
     rate: Annotated[
-        str | None, typer.Option(help="Sampling rate, where the file does not say.", metavar="Hz")
+        str | None, typer.Option(help="Sampling rate, if the file does not state it.", metavar="Hz")
     ] = None,
     time: Annotated[
         str | None,
@@ -39,13 +39,13 @@ def import_(
     scale: Annotated[
         str,
         typer.Option(
-            help="What one unit of the file is; negative for reversed polarity [1V, 1N, 1s].",
+            help="Value of one unit of the file; negative for reversed polarity [1V, 1N, 1s].",
             metavar="v_1=1mV,F_n=-2N,…",
         ),
     ] = "",
     delimiter: Annotated[
         Literal["tab", "semicolon", "comma", "space"] | None,
-        typer.Option(help="Between the cells of a text [recognised]."),
+        typer.Option(help="Separator of a text's columns [recognised]."),
     ] = None,
     decimal: Annotated[
         Literal["point", "comma"] | None,
@@ -54,11 +54,11 @@ def import_(
     header_lines: Annotated[
         int | None, typer.Option(help="Lines above the numbers of a text [recognised].", min=0)
     ] = None,
-    sensor: Annotated[str, typer.Option(help="The sensor that was recorded.")] = "",
-    sample: Annotated[str, typer.Option(help="The sample that it was in.")] = "",
-    object_: Annotated[str, typer.Option("--object", help="What it touched.")] = "",
-    user: Annotated[str, typer.Option(help="Who recorded it.")] = "",
-    notes: Annotated[str, typer.Option(help="Anything worth keeping.")] = "",
+    sensor: Annotated[str, typer.Option(help="Sensor that was recorded.")] = "",
+    sample: Annotated[str, typer.Option(help="Sample (skin or film) that was used.")] = "",
+    object_: Annotated[str, typer.Option("--object", help="What the skin touched.")] = "",
+    user: Annotated[str, typer.Option(help="Name of the person who recorded it.")] = "",
+    notes: Annotated[str, typer.Option(help="Remarks.")] = "",
     start_time: Annotated[
         str | None,
         typer.Option(
@@ -71,7 +71,7 @@ def import_(
     figures: Annotated[bool, typer.Option(help="Draw the figure of the recording.")] = True,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Make a run file of a recording from elsewhere: CSV, text in columns, LVM, MATLAB."""
+    """Make a run file of another program's recording: CSV, text in columns, LVM, MATLAB."""
     texts = {
         "channels": channels,
         "rate": rate,
@@ -91,13 +91,13 @@ def import_(
         rate_Hz = None if rate is None else _quantity("--rate", rate, "Hz")
 
         import rig
-        from rig.files.imported.import_file import About, read_foreign, write_import
-        from rig.files.imported.series import Told
+        from rig.files.imported.import_file import RecordingNotes, read_foreign, write_import
+        from rig.files.imported.series import ChannelMap
         from rig.files.journal.values import Program
         from rig.run.job import PROGRAM
         from rig.run.source_state import source_state
 
-        about = About(
+        about = RecordingNotes(
             sensor=sensor,
             sample=sample,
             object=object_,
@@ -108,12 +108,12 @@ def import_(
         )
         start_log(results)
         foreign = read_foreign(file, delimiter, decimal, header_lines)
-        told = Told(columns, scales, rate_Hz)
+        stated = ChannelMap(columns, scales, rate_Hz)
         program = Program(name=PROGRAM, version=rig.__version__, configuration=source_state())
-        run_file, recording = write_import(foreign, told, about, results, program)
+        run_file, recording = write_import(foreign, stated, about, results, program)
         for channel, column in recording.columns.items():
             say(f"  {channel}: {column}, {recording.scale[channel]:g} {SCALED[channel]} a unit")
-        written = f" ({foreign.source.told})" if foreign.source.told else ""
+        written = f" ({foreign.source.written_as})" if foreign.source.written_as else ""
         say(
             f"IMPORTED {foreign.name}: {foreign.source.format}{written}, {recording.rows} samples "
             f"at {recording.rate_Hz:g} Hz"
@@ -147,7 +147,7 @@ def _as_object(run_file: Path, recording: Any, drawn: list[str]) -> dict[str, An
 
 
 def _draw(run_file: Path) -> list[str]:
-    """The figures; a folder that does not take them costs a line, not the command."""
+    """Draw the figures; a folder that cannot be written is a warning, not an error."""
     from rig.figures import draw
 
     try:
@@ -218,6 +218,6 @@ def _start(text: str) -> str:
         return TypeAdapter(IsoTime).validate_python(text)
     except ValidationError as error:
         raise ConfigurationError(
-            f"--start-time {text}: no ISO 8601 time with an offset from UTC",
+            f"--start-time {text}: not an ISO 8601 time with an offset from UTC",
             "such as 2026-11-22T09:30:00+01:00",
         ) from error

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from rig.cli.outcome import reported, say
+from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError, UnsafeError
 
 if TYPE_CHECKING:
@@ -52,11 +53,9 @@ def simulate(
 
 
 def _write_bench_file(path: Path, text: str) -> None:
-    """Whole or not at all: somebody may be waiting for the file to appear."""
-    beside = path.with_name(path.name + ".tmp")
+    """Write it whole or not at all: another program may be waiting for the file to appear."""
     try:
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(path)
+        write_text(path, text, durable=False)
     except OSError as error:
         raise ConfigurationError(
             f"the bench file {path} cannot be written: {error.strerror}",

@@ -7,13 +7,13 @@ the seeds it was learned from, and scoring refuses those.
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rig.cli.outcome import reported, say
+from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -51,10 +51,7 @@ def train(
             )
         network = _trained(drawn.first, drawn.end, units, epochs, seed, jobs)
         text = json.dumps(network.model_dump(mode="json"), indent=1) + "\n"
-        with out.open("x") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+        write_text(out, text)
         typer.echo(f"{out}: network of {units} units from simulated trials {drawn}")
 
 

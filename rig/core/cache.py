@@ -9,19 +9,20 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import tempfile
 from pathlib import Path
 from typing import Protocol
+
+from rig.core.atomic import write_bytes
 
 _MAGIC = b"RIGCACHE1\n"
 _DIGEST_BYTES = 32
 
 
 class Cache(Protocol):
-    """Bytes by key; both calls may be ignored by an implementation that keeps nothing."""
+    """Bytes by key. An implementation may store nothing: then every `get` returns None."""
 
     def get(self, key: str) -> bytes | None:
-        """The bytes stored under `key`, or None."""
+        """Return the bytes stored under `key`, or None."""
         ...
 
     def put(self, key: str, content: bytes) -> None:
@@ -30,28 +31,28 @@ class Cache(Protocol):
 
 
 class NoCache:
-    """Keeps nothing."""
+    """A cache that stores nothing, for when every value has to be computed."""
 
     def get(self, key: str) -> bytes | None:
-        """Nothing."""
+        """Return None."""
         return None
 
     def put(self, key: str, content: bytes) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 class DiskCache:
-    """One file an entry below a folder, written beside and renamed, checked when read."""
+    """One file for each entry, in one folder, checked when it is read."""
 
     def __init__(self, folder: Path):
         self.folder = folder
 
     def path(self, key: str) -> Path:
-        """The file of `key`; keys are hashed so that any text is a safe name."""
+        """Return the file for `key`; keys are hashed so that any text is a safe name."""
         return self.folder / (hashlib.sha256(key.encode()).hexdigest()[:40] + ".cache")
 
     def get(self, key: str) -> bytes | None:
-        """The bytes stored under `key`; None where there are none or they are damaged."""
+        """Return the bytes stored under `key`, or None if there are none or they are damaged."""
         try:
             raw = self.path(key).read_bytes()
         except OSError:
@@ -68,18 +69,12 @@ class DiskCache:
         """Store `content` under `key`; a full or read-only disk leaves the cache as it was."""
         with contextlib.suppress(OSError):
             self.folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=self.folder, delete=False) as file:
-                try:
-                    file.write(_MAGIC + _digest(key, content) + content)
-                    file.close()
-                    Path(file.name).replace(self.path(key))
-                except OSError:
-                    Path(file.name).unlink(missing_ok=True)
-                    raise
+            entry = _MAGIC + _digest(key, content) + content
+            write_bytes(self.path(key), entry, durable=False, shared=True)
 
 
 def user_cache() -> DiskCache:
-    """The cache in the user's cache folder (``RIG_CACHE`` overrides the place)."""
+    """Return the cache in the user's cache folder; ``RIG_CACHE`` overrides the place."""
     from platformdirs import user_cache_path
 
     override = os.environ.get("RIG_CACHE")

@@ -45,11 +45,13 @@ def read_text(path: Path, what: str, most_bytes: int, hint: str | None = None) -
     except ValueError as error:  # a NUL in the path
         raise ConfigurationError(f"cannot read the {what} {str(path)!r}: {error}", hint) from error
     if len(content) > most_bytes:
-        raise ConfigurationError(f"{path} is no {what}: longer than {most_bytes} bytes", hint)
+        raise ConfigurationError(f"{path} is not a {what}: larger than {most_bytes} bytes", hint)
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise ConfigurationError(f"{path} is no {what}: not UTF-8 text: {error}", hint) from error
+        raise ConfigurationError(
+            f"{path} is not a {what}: not UTF-8 text: {error}", hint
+        ) from error
 
 
 def read_toml(path: Path, what: str, hint: str | None = None) -> dict[str, Any]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
+
+from rig.core.atomic import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,7 +75,7 @@ def _save_png(figure: Figure, run_file: Path) -> Path:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas: Any = FigureCanvasAgg(figure)
-    with _whole(run_file.with_suffix(".png")) as part:
+    with replacing(run_file.with_suffix(".png"), durable=False, shared=True) as part:
         canvas.print_png(part)
     return run_file.with_suffix(".png")
 
@@ -84,20 +84,9 @@ def _save_svg(figure: Figure, run_file: Path) -> Path:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     canvas: Any = FigureCanvasSVG(figure)
-    with _whole(run_file.with_suffix(".svg")) as part:
+    with replacing(run_file.with_suffix(".svg"), durable=False, shared=True) as part:
         canvas.print_svg(part, metadata={"Date": None})
     return run_file.with_suffix(".svg")
-
-
-@contextlib.contextmanager
-def _whole(picture: Path) -> Iterator[Path]:
-    """A name to draw to: the picture appears under its own when it is whole."""
-    part = picture.with_name(f".{picture.name}.{os.getpid()}.part")
-    try:
-        yield part
-        part.replace(picture)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def get_ready() -> None:

@@ -7,19 +7,20 @@ import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.files.journal.reader import JournalContents
-from rig.files.journal.values import Named, RunHeader
-from rig.files.runfile.reader import Outcome
-from rig.files.runfile.write_entry import ending
+from rig.files.journal.reader import JournalContents, ending
+from rig.files.journal.values import PersonOrSample, RunHeader
+from rig.files.runfile.reader import RecordedOutcome
 
 if TYPE_CHECKING:
     from rig.detector.events import Event
     from rig.files.processed.reader import ProcessedFile
 
 
-def describe(file: Path, header: RunHeader, outcome: Outcome) -> dict[str, Any]:
-    """The run in JSON-able values; what is empty is left out. Settings carry their units."""
-    told = {
+def describe(file: Path, header: RunHeader, outcome: RecordedOutcome) -> dict[str, Any]:
+    """Return what a run file says about its run, as JSON-able values. Empty values are left out;
+    settings carry their units in their names.
+    """
+    values = {
         "file": str(file),
         "procedure": header.procedure,
         "title": header.marked(header.title),
@@ -45,14 +46,14 @@ def describe(file: Path, header: RunHeader, outcome: Outcome) -> dict[str, Any]:
         "settings": header.settings,
         "warnings": list(outcome.warnings),
     }
-    return {name: value for name, value in told.items() if value not in ("", [], {}, None)}
+    return {name: value for name, value in values.items() if value not in ("", [], {}, None)}
 
 
-def ending_of(contents: JournalContents) -> Outcome:
-    """How a journal's run ended, in the words of a run file."""
+def ending_of(contents: JournalContents) -> RecordedOutcome:
+    """Return how a journal's run ended, in the form in which a run file says it."""
     header, end = contents.header, ending(contents)
     planned = end.points_planned
-    return Outcome(
+    return RecordedOutcome(
         status=end.status,
         reason=end.reason,
         attempt=end.attempt,
@@ -68,7 +69,7 @@ def ending_of(contents: JournalContents) -> Outcome:
 
 
 def describe_processed(file: ProcessedFile) -> dict[str, Any]:
-    """A processed file in JSON-able values: where it comes from, how, and what was found."""
+    """Return a processed file's source, detector, parameters and events as JSON-able values."""
     source, settings = file.source, file.settings
     parameters = settings.model_dump(exclude={"logic", "network"})
     if settings.network is not None:
@@ -97,7 +98,7 @@ def _event(event: Event) -> str:
     return f"{event.kind} at {event.time_s:.3f} s, confidence {event.confidence:.2f}{reason}"
 
 
-def _named(who: Named) -> str:
+def _named(who: PersonOrSample) -> str:
     """A person's or sample's name with whatever else is known."""
     details = ", ".join(f"{name} {value}" for name, value in who.details().items())
     return f"{who.name} ({details})" if details else who.name

@@ -11,7 +11,7 @@ _MISSING = re.compile(r"object '([^']+)' doesn't exist")
 
 
 class JournalError(RigError):
-    """A journal that cannot be used: names the file, the byte offset and the reason."""
+    """A journal that cannot be used. Names the file, the byte offset and the reason."""
 
     code = ExitCode.USAGE
 
@@ -26,7 +26,7 @@ class JournalError(RigError):
 
 
 class RecordingError(RigError):
-    """The run can no longer be written down: names the file, the cause and the remedy."""
+    """The run can no longer be recorded. Names the file, the cause and the remedy."""
 
     def __init__(self, path: Path | str, cause: str, hint: str | None = None) -> None:
         super().__init__(f"{path}: {cause}", hint)
@@ -34,7 +34,7 @@ class RecordingError(RigError):
 
 
 class RunFileError(FoundWrongError):
-    """A file that is no sound run file."""
+    """A file that is not a sound run file or processed file. Names the file and the reason."""
 
     def __init__(self, path: Path | str, reason: str, hint: str | None = None) -> None:
         super().__init__(f"{path}: {reason}", hint)
@@ -43,7 +43,7 @@ class RunFileError(FoundWrongError):
 
 
 class ForeignFileError(ConfigurationError):
-    """A file from elsewhere that is not imported: names the file, the place and the reason."""
+    """A file of another program that cannot be imported; names file, place and reason."""
 
     def __init__(
         self, name: str, reason: str, hint: str | None = None, place: str | None = None
@@ -54,7 +54,7 @@ class ForeignFileError(ConfigurationError):
 
 
 def in_words(error: Exception) -> str:
-    """What a library's complaint about a damaged file means to the person who has the file."""
+    """Return what a library's error about a damaged file means to the person who has the file."""
     if isinstance(error, KeyError):
         named = _MISSING.search(str(error))
         return f"{named[1] if named else 'something that belongs there'} is missing"

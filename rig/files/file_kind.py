@@ -1,4 +1,4 @@
-"""What a file is, told by how it begins, before anything is made of it."""
+"""What kind of file a file is, by its first bytes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ FileKind = Literal[
     "missing", "folder", "special", "unreadable", "empty", "journal", "hdf5", "other"
 ]
 
-TOLD: dict[FileKind, str] = {
+IN_WORDS: dict[FileKind, str] = {
     "missing": "no such file",
     "folder": "a folder, not a file",
     "special": "not a regular file",
-    "unreadable": "it may not or cannot be read",
+    "unreadable": "it cannot be read",
     "empty": "an empty file",
     "journal": "a journal",
     "hdf5": "an HDF5 file",
@@ -28,7 +28,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def kind_of(path: Path) -> FileKind:
-    """What the file is, whatever its name says."""
+    """Return what the file is by its first bytes, whatever its name says. Raises nothing."""
     try:
         if not stat.S_ISREG(mode := path.stat().st_mode):  # a pipe would be waited for
             return "folder" if stat.S_ISDIR(mode) else "special"

@@ -27,18 +27,19 @@ def next_run_path(results: Path | str, procedure: str, when: datetime) -> Path:
 
 
 def results_of(journal: Path | str) -> Path:
-    """The results folder that a journal lies in: above its day's folder. A journal that lies
-    anywhere else, such as a copy, has its own folder for one."""
+    """Return the results folder of a journal: the folder above its day's folder. For a journal that
+    lies anywhere else, such as a copy, it is the journal's own folder.
+    """
     folder = Path(journal).parent
     return folder.parent if _DAY.match(folder.absolute().name) else folder
 
 
 def journal_path(run_file: Path | str) -> Path:
-    """The journal beside a run file."""
+    """Return the path of the journal beside a run file."""
     return Path(run_file).with_suffix(JOURNAL_SUFFIX)
 
 
 def checksum_path(run_file: Path | str) -> Path:
-    """The checksum beside a run file: ``<run>.h5.sha256``."""
+    """Return the path of the checksum beside a file: ``<run>.h5.sha256``."""
     run_file = Path(run_file)
     return run_file.with_name(run_file.name + ".sha256")

@@ -1,34 +1,33 @@
 """Verifying: what can be checked about a file of a run without its instruments.
 
-HDF5 can crash on a damaged file, or never come to an end inside one call, which nothing in its
-process can interrupt. ``python -m rig.files.verify FILE`` prints the verdict as JSON: a file
-that is not known to be as it was written is read there first.
+HDF5 can crash on a damaged file, or loop for ever inside one call, which nothing in its process can
+interrupt. A file whose checksum is missing or wrong is therefore read in a child process:
+``python -m rig.files.verify FILE`` prints the verdict as JSON.
 """
 
 from __future__ import annotations
 
 import json
-import resource
-import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from rig.core.child import ChildError, run_module
+from rig.files.checksum import checksum_findings
 from rig.files.describe import ending_of
 from rig.files.errors import JournalError, RunFileError, in_words
-from rig.files.file_kind import TOLD, kind_of
-from rig.files.hdf5.nexus import plain_text, plot_sources
+from rig.files.file_kind import IN_WORDS, kind_of
+from rig.files.hdf5.nexus import plain_text
 from rig.files.hdf5.safe_reading import DAMAGE, checked, text_of, whole
 from rig.files.journal.format import to_json
 from rig.files.journal.reader import read_journal
 from rig.files.journal.values import IMPORTED, SIMULATED
-from rig.files.naming import checksum_path, journal_path
-from rig.files.runfile.compile import sha256_of
+from rig.files.naming import journal_path
 from rig.files.runfile.read_back import differences
 from rig.files.runfile.reader import RunFile
+from rig.files.runfile.sample_walk import SampleWalk
 
 if TYPE_CHECKING:
     import h5py
@@ -36,9 +35,6 @@ if TYPE_CHECKING:
     from rig.files.processed.reader import ProcessedFile
 
 AnyFile = TypeVar("AnyFile")
-
-MAX_CHECKSUM_CHARACTERS = 4096
-"""Of the line beside a file: a checksum and a name."""
 
 REQUIRED = (
     *("definition", "title", "start_time", "end_time", "duration", "identifier_experiment"),
@@ -49,29 +45,33 @@ REQUIRED = (
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What checking a file gave: findings, one sentence each, and how far the run came."""
+class FileVerdict:
+    """What checking a file found, one sentence for each finding, and how far the run came."""
 
     findings: tuple[str, ...]
     extent: str
-    """``complete, 81 of 81 points``; nothing where the file does not tell."""
+    """``complete, 81 of 81 points``; empty if the file does not say."""
 
     @property
     def sound(self) -> bool:
-        """Nothing was found. A run that was stopped can be sound; ``extent`` says that it was."""
+        """Whether nothing was found. A run that was stopped can be sound; ``extent`` says that it
+        was.
+        """
         return not self.findings
 
     def __str__(self) -> str:
-        told = "; ".join(self.findings) or "sound"
-        return f"{told} ({self.extent})" if self.extent else told
+        findings = "; ".join(self.findings) or "sound"
+        return f"{findings} ({self.extent})" if self.extent else findings
 
 
 def verify(file: Path | str) -> list[str]:
-    """Findings about a run file or a journal, one sentence each; empty if it is sound."""
+    """Return findings about a run file, processed file or journal, one sentence each; empty if
+    sound.
+    """
     return list(verdict(file).findings)
 
 
-def verdict(file: Path | str) -> Verdict:
+def verdict(file: Path | str) -> FileVerdict:
     """Check a run file, a processed file or a journal; raises nothing for a bad file, however
     damaged.
 
@@ -84,7 +84,7 @@ def verdict(file: Path | str) -> Verdict:
     if kind == "journal":
         return _verdict_on_journal(file)
     if kind != "hdf5":
-        return Verdict((TOLD[kind],), "")
+        return FileVerdict((IN_WORDS[kind],), "")
     from rig.files.processed.reader import is_processed
 
     extent, findings = "", list(checksum_findings(file))
@@ -98,24 +98,24 @@ def verdict(file: Path | str) -> Verdict:
     except RunFileError as error:
         findings.append(error.reason)
     findings += _journal(file)
-    return Verdict(tuple(findings), extent)
+    return FileVerdict(tuple(findings), extent)
 
 
-def _verdict_on_journal(file: Path) -> Verdict:
+def _verdict_on_journal(file: Path) -> FileVerdict:
     try:
         contents = read_journal(file)
     except JournalError as error:
-        return Verdict((error.reason,), "")
+        return FileVerdict((error.reason,), "")
     extent = ending_of(contents).extent()
     if contents.end is None:
         extent += ", never closed: `rig recover` makes its run file"
     if contents.problem is None:
-        return Verdict((), extent)
+        return FileVerdict((), extent)
     where = "torn at its end" if contents.torn else "damaged, with sound records behind that"
-    return Verdict((f"{where}: {contents.problem}; what is before it can be used",), extent)
+    return FileVerdict((f"{where}: {contents.problem}; what is before it can be used",), extent)
 
 
-def _verdict_on_processed(file: Path, findings: list[str]) -> Verdict:
+def _verdict_on_processed(file: Path, findings: list[str]) -> FileVerdict:
     from rig.files.processed.reader import ProcessedFile
 
     extent = ""
@@ -126,55 +126,53 @@ def _verdict_on_processed(file: Path, findings: list[str]) -> Verdict:
             extent = processed.extent()
     except RunFileError as error:
         findings.append(error.reason)
-    return Verdict(tuple(findings), extent)
+    return FileVerdict(tuple(findings), extent)
 
 
 PATIENCE_S = 60.0
-"""For a small file; a large one has BYTES_A_S besides."""
-BYTES_A_S = 1e6
+"""Time allowed for a small file in a child process; a large one gets more by BYTES_PER_S."""
+BYTES_PER_S = 1e6
 """Slower than any disk and computer that runs this."""
-MAX_MEMORY_BYTES = 8 << 30
-"""Of the process that verifies: the largest dataset in one piece, several times over."""
 
 
-def safe_verdict(file: Path | str) -> Verdict:
-    """The verdict on any file: on one that is not, byte by byte, what was written, by a process of
-    its own."""
+def safe_verdict(file: Path | str) -> FileVerdict:
+    """Check any file (see `verdict`), in a child process unless its checksum shows it is intact.
+
+    Raises nothing for a bad file: a crash or an endless loop of HDF5 is a finding.
+    """
     file = Path(file)
     if kind_of(file) != "hdf5" or not list(checksum_findings(file)):
         return verdict(file)
     try:
-        return verdict_apart(file)
+        return verdict_in_child(file)
     except RunFileError as error:
-        return Verdict((error.reason,), "")
+        return FileVerdict((error.reason,), "")
 
 
-def verify_apart(file: Path | str, patience_s: float = PATIENCE_S) -> list[str]:
-    """`verify` in a process of its own. RunFileError where HDF5 dies of the file or hangs."""
-    return list(verdict_apart(file, patience_s).findings)
+def verify_in_child(file: Path | str, patience_s: float = PATIENCE_S) -> list[str]:
+    """Return the findings of `verify`, made in a child process.
+
+    RunFileError if HDF5 crashed on the file or did not finish with it in time.
+    """
+    return list(verdict_in_child(file, patience_s).findings)
 
 
-def verdict_apart(file: Path | str, patience_s: float = PATIENCE_S) -> Verdict:
-    """`verdict` in a process of its own. RunFileError where HDF5 dies of the file or hangs."""
+def verdict_in_child(file: Path | str, patience_s: float = PATIENCE_S) -> FileVerdict:
+    """Return `verdict`, made in a child process that may take `patience_s` and more for a large
+    file.
+
+    RunFileError if HDF5 crashed on the file or did not finish with it in time.
+    """
     file = Path(file)
     size = file.stat().st_size if file.is_file() else 0
-    command = [sys.executable, "-P", "-m", "rig.files.verify", str(file)]
-    patience_s += size / BYTES_A_S
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=patience_s)
-    except subprocess.TimeoutExpired:
-        reason = f"damaged: HDF5 does not come to an end with it within {patience_s:.0f} s"
-        raise RunFileError(file, reason, _DAMAGED_HINT) from None
-    if done.returncode != 0:
-        death = signal.Signals(-done.returncode).name if done.returncode < 0 else "error"
-        last = done.stderr.strip().splitlines()[-1:]
-        reason = f"damaged: HDF5 died of it ({': '.join([death, *last])})"
-        raise RunFileError(file, reason, _DAMAGED_HINT)
-    told = json.loads(done.stdout)
-    return Verdict(tuple(told["findings"]), told["extent"])
-
-
-_DAMAGED_HINT = "compile it again if its journal is still there: rig recover"
+        answer = run_module(__name__, [str(file)], timeout_s=patience_s + size / BYTES_PER_S)
+    except ChildError as error:
+        what = f"HDF5 hangs on it: {error}" if error.timed_out else f"HDF5 crashed on it: {error}"
+        hint = "compile it again if its journal is still there: rig recover"
+        raise RunFileError(file, f"damaged: {what}", hint) from None
+    found = json.loads(answer)
+    return FileVerdict(tuple(found["findings"]), found["extent"])
 
 
 def _guarded(check: Callable[[AnyFile], Iterator[str]], run: AnyFile) -> list[str]:
@@ -188,30 +186,6 @@ def _guarded(check: Callable[[AnyFile], Iterator[str]], run: AnyFile) -> list[st
         what = (check.__doc__ or "").split(":")[0].rstrip(".")
         found.append(f"{what}: {in_words(error)}")
     return found
-
-
-def checksum_findings(file: Path) -> Iterator[str]:
-    """Whether the file is, byte by byte, the one that was written: its SHA-256, kept beside it."""
-    beside = checksum_path(file)
-    if beside.exists() and not beside.is_file():
-        yield f"{beside.name}: not a regular file"
-        return
-    try:
-        with beside.open(encoding="utf-8", errors="replace") as opened:
-            words = opened.read(MAX_CHECKSUM_CHARACTERS).split()
-    except FileNotFoundError:
-        yield (
-            f"its checksum is missing ({beside.name}): nobody can tell whether a byte has changed; "
-            "copy it along with the file"
-        )
-        return
-    except OSError as error:
-        yield f"{beside.name}: {error.strerror or error}"
-        return
-    if words[1:] != [file.name]:
-        yield f"{beside.name} is not about this file"
-    elif words[0] != sha256_of(file):
-        yield f"the file is not the one that was written: its SHA-256 is not that of {beside.name}"
 
 
 def _datasets(run: RunFile | ProcessedFile) -> Iterator[str]:
@@ -247,12 +221,13 @@ def _structure(run: RunFile) -> Iterator[str]:
     further = ("origin",) if header.origin is not None else ()
     for name in (*REQUIRED, *further):
         if (name in run.entry) == (name in unknown):
-            yield f"{name} is {'there, and nobody knew it' if name in unknown else 'missing'}"
+            wrong = "there, although it was not known" if name in unknown else "missing"
+            yield f"{name} is {wrong}"
     layout = run.header.layout
     if text_of(run.entry["definition"]) != layout.definition:
         yield "definition is not that of the layout"
     for plot in layout.plots:
-        for name in plot_sources(plot):
+        for name in plot.sources():
             if f"{plot.group}/{name}" not in run.entry:
                 yield f"{plot.group}/{name} is missing"
     for trace in layout.traces if run.point_ids() else ():
@@ -270,7 +245,7 @@ def _points(run: RunFile) -> Iterator[str]:
         if len(run.column(name)) != len(ids):
             yield f"column {name} has {len(run.column(name))} values for {len(ids)} points"
     for plot in run.header.layout.plots:
-        for name in plot_sources(plot):
+        for name in plot.sources():
             if run.entry[f"{plot.group}/{name}"].shape != (len(ids),):
                 yield f"{plot.group}/{name} has not one value a point"
 
@@ -347,14 +322,13 @@ def _journal(file: Path) -> Iterator[str]:
     except JournalError as error:
         yield f"its journal: {error.reason}"
         return
-    for difference in differences(contents, file):
+    for difference in differences(SampleWalk(contents).exhaust(), file):
         yield f"it is not what its journal holds: {difference}"
 
 
 def main() -> None:
-    """Print the verdict on the file that is the only argument."""
-    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
-    print(json.dumps(asdict(verdict(sys.argv[1]))))  # noqa: T201 - the answer to `verdict_apart`
+    """Print the verdict on the file that is the only argument, as JSON, for `verdict_in_child`."""
+    print(json.dumps(asdict(verdict(sys.argv[1]))))  # noqa: T201 - the answer to the parent
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import re
 import tempfile
 from collections.abc import Sequence
@@ -22,6 +21,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AwareDatetime, Field, ValidationError, model_validator
 
+from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings
 from rig.core.toml_files import MAX_JSON_BYTES, check_nesting, read_text
@@ -298,17 +298,15 @@ def write_calibration(record: Record, folder: Path) -> Path:
     """
     day = record.date.strftime("%Y-%m-%d")
     stem = f"{record.kind}-{_in_a_name(record.sensor)}-{day}"
-    unfinished = folder / f".{stem}.{os.getpid()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        path = _claim(folder, stem)
         try:
-            with unfinished.open("w", encoding="utf-8") as file:
-                file.write(as_text(record))
-                file.flush()
-                os.fsync(file.fileno())
-            return _publish(unfinished, folder, stem)
-        finally:
-            unfinished.unlink(missing_ok=True)
+            write_text(path, as_text(record))
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+        return path
     except OSError as error:
         raise _unwritable(folder, error) from error
 
@@ -373,14 +371,14 @@ def header_entry(record: Record, source: Path | str) -> dict[str, Any]:
     return {**record.model_dump(mode="json"), "file": str(source)}
 
 
-def _publish(unfinished: Path, folder: Path, stem: str) -> Path:
-    """Give the finished file the first free name, which an empty file has claimed before."""
+def _claim(folder: Path, stem: str) -> Path:
+    """Create an empty file under the first free name, so that no other process takes the name."""
     number = 1
     while True:
         path = folder / (f"{stem}.json" if number == 1 else f"{stem}-{number}.json")
         with contextlib.suppress(FileExistsError):
             path.touch(exist_ok=False)
-            return unfinished.replace(path)
+            return path
         number += 1
 
 

@@ -18,14 +18,14 @@ from rig.detector.detector import DETECTOR_VERSION, IncipientSlipDetector
 from rig.detector.events import EVENT_KINDS, Event
 from rig.detector.fir import StreamingFir
 from rig.detector.settings import DetectorSettings
+from rig.files.checksum import checksum_findings, sha256_of
 from rig.files.errors import RunFileError
 from rig.files.naming import checksum_path
 from rig.files.processed.reader import ProcessedFile, is_processed
-from rig.files.processed.values import DetectedTrial, Source, processed_path
+from rig.files.processed.values import DetectedTrial, ProcessedSource, processed_path
 from rig.files.processed.writer import write_processed
-from rig.files.runfile.compile import sha256_of
 from rig.files.runfile.reader import RunFile
-from rig.files.verify import checksum_findings, verify_apart
+from rig.files.verify import verify_in_child
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,8 +39,8 @@ STRIPS = ("v_1", "v_2")
 
 
 @dataclass(frozen=True)
-class Job:
-    """A run file to be processed."""
+class DetectionJob:
+    """A run file to be processed: everything that `detect_file` needs, as plain values."""
 
     run_file: Path
     settings: DetectorSettings
@@ -51,20 +51,20 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Failure:
-    """Why a file was not processed, as a RigError would say it."""
+class DetectionFailure:
+    """Why a file was not processed: the parts of a RigError, which can be pickled."""
 
     message: str
     hint: str | None
     code: ExitCode
 
     def error(self) -> RigError:
-        """It, to be raised or told."""
+        """Return the failure as a RigError, to be raised or reported."""
         return RigError(self.message, self.hint, self.code)
 
 
 @dataclass(frozen=True)
-class Found:
+class DetectionResult:
     """What was found in one run file."""
 
     file: Path
@@ -81,23 +81,25 @@ class Found:
 
 
 def prepare(settings: DetectorSettings) -> None:
-    """Have the detector compiled: processes that are forked afterwards have it, too."""
+    """Compile the detector now, so that processes that are forked afterwards need not."""
     import h5py  # noqa: F401
     import numpy as np
 
     IncipientSlipDetector(settings, 1000.0).add(np.zeros((1, 2)))
 
 
-def detect_file(job: Job) -> Found | Failure:
-    """Process one run file, or find that it was processed before."""
+def detect_file(job: DetectionJob) -> DetectionResult | DetectionFailure:
+    """Process one run file, unless a sound result for the same bytes exists. Returns failures as
+    values; raises nothing that belongs to the file.
+    """
     try:
         return _detect(job)
     except RigError as error:
-        return Failure(error.message, error.hint, error.code)
+        return DetectionFailure(error.message, error.hint, error.code)
 
 
 def detect_trials(run: RunFile, settings: DetectorSettings) -> list[DetectedTrial]:
-    """What the detector makes of every kept trial of a run, in the order of the trials.
+    """Return what the detector finds in every kept trial of a run, in the order of the trials.
 
     ConfigurationError where the run has no strips, or a trial cannot be judged.
     """
@@ -107,8 +109,8 @@ def detect_trials(run: RunFile, settings: DetectorSettings) -> list[DetectedTria
         pieces.setdefault(waveform.point, []).append(waveform)
     if not pieces:
         raise ConfigurationError(
-            f"{run.path}: no trial of it was kept ({run.outcome.extent()})",
-            "there is nothing to look for slips in",
+            f"{run.path}: no trial was recorded ({run.outcome.extent()})",
+            "record the run again, or name another file",
         )
     trials = []
     for point in run.point_ids():
@@ -121,17 +123,17 @@ def detect_trials(run: RunFile, settings: DetectorSettings) -> list[DetectedTria
 
 
 def stream_of_strips(layout: Layout) -> str | None:
-    """The stream that holds v_1 and v_2, as a file's own layout says; None where none does."""
+    """Return the stream that holds v_1 and v_2 according to the file's own layout, or None."""
     return next(
         (trace.stream for trace in layout.traces if set(STRIPS) <= set(trace.channels())), None
     )
 
 
-def _detect(job: Job) -> Found:
+def _detect(job: DetectionJob) -> DetectionResult:
     run_file, settings = job.run_file, job.settings
     if job.version != DETECTOR_VERSION:
         raise ConfigurationError(
-            f"{run_file}: detector version {job.version} is wanted, this computer has "
+            f"{run_file}: detector version {job.version} is needed, but this computer has "
             f"{DETECTOR_VERSION}",
             "install the same tactile-rig on all of them",
         )
@@ -152,18 +154,20 @@ def _detect(job: Job) -> Found:
 
 
 def _refuse_damaged(run_file: Path) -> list[str]:
-    """RunFileError where the file is not the one that was written; a warning where nobody knows."""
+    """RunFileError if the file is not the one that was written; a warning if that is not known."""
     if not run_file.is_file():
-        return []  # what it is instead is told when it is opened
+        return []  # RunFile.open says what it is instead
     doubts = list(checksum_findings(run_file))
     if doubts and checksum_path(run_file).exists():
         raise RunFileError(run_file, "; ".join(doubts), "`rig verify` says more")
     if doubts:
-        verify_apart(run_file)  # HDF5 may die of it, or hang
+        verify_in_child(run_file)  # HDF5 may crash or hang on it; a child process takes that
     return [f"{run_file.name}: {doubt}" for doubt in doubts]
 
 
-def _already_there(target: Path, source: Source, warnings: list[str]) -> Found | None:
+def _already_there(
+    target: Path, source: ProcessedSource, warnings: list[str]
+) -> DetectionResult | None:
     """The result that exists, where it is sound and of just this file; of a run that has gone on
     since, or damaged, it is written again. RunFileError where it is another run's."""
     if not target.exists():
@@ -187,14 +191,14 @@ def _already_there(target: Path, source: Source, warnings: list[str]) -> Found |
 def _found(
     target: Path,
     kept: bool,
-    source: Source,
+    source: ProcessedSource,
     trials: int,
     events: list[tuple[str, Event]],
     warnings: list[str],
-) -> Found:
+) -> DetectionResult:
     counts = Counter(event.kind for _, event in events)
     slips = ((trial, event.time_s) for trial, event in events if event.kind == "incipient slip")
-    return Found(
+    return DetectionResult(
         file=target,
         kept=kept,
         simulated=source.simulated,
@@ -205,9 +209,9 @@ def _found(
     )
 
 
-def _source(run: RunFile, sha256: str) -> Source:
+def _source(run: RunFile, sha256: str) -> ProcessedSource:
     header: RunHeader = run.header
-    return Source(
+    return ProcessedSource(
         file_name=run.path.name,
         sha256=sha256,
         definition=header.layout.definition,

@@ -27,6 +27,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rig.core.atomic import write_text
 from rig.core.processor import let_run_anywhere
 
 if TYPE_CHECKING:
@@ -289,9 +290,7 @@ def _kill(pid: int) -> None:
 
 
 def _write(path: Path, report: dict[str, Any]) -> None:
-    beside = path.with_suffix(".tmp")
-    beside.write_text(json.dumps(report, indent=1) + "\n")
-    beside.replace(path)
+    write_text(path, json.dumps(report, indent=1) + "\n", durable=False)
 
 
 if __name__ == "__main__":

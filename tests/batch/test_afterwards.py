@@ -53,8 +53,10 @@ def test_a_journal_is_compiled_judged_and_drawn(tmp_path: Path) -> None:
     assert answer.figures == (tmp_path / "a.png", tmp_path / "a.svg")
     assert all(figure.stat().st_size > 1000 for figure in answer.figures)
     assert answer.processed is not None
-    found = detection.detect_file(detection.Job(answer.file, named_detectors()["paper-hp"]))
-    assert isinstance(found, detection.Found)
+    found = detection.detect_file(
+        detection.DetectionJob(answer.file, named_detectors()["paper-hp"])
+    )
+    assert isinstance(found, detection.DetectionResult)
     assert found.kept, "as `rig detect` makes it"
     assert found.file == answer.processed
 

@@ -18,7 +18,7 @@ from rig.core.errors import RigError
 from rig.files.errors import RunFileError
 from rig.files.runfile.compile import compile_run
 from rig.files.runfile.recover import recover
-from rig.files.verify import verify, verify_apart
+from rig.files.verify import verify, verify_in_child
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
 import recorded_run as run
@@ -66,10 +66,10 @@ def test_damaged_run_files(tmp_path):
     def one(harmed):
         file.write_bytes(harmed)
         try:
-            findings = verify_apart(file, patience_s=15.0)
+            findings = verify_in_child(file, patience_s=15.0)
             outcomes["findings" if len(findings) > 1 else "nothing but the missing checksum"] += 1
         except RunFileError as error:
-            outcomes["hang" if "come to an end" in error.reason else error.reason] += 1
+            outcomes["hang" if "hangs on it" in error.reason else error.reason] += 1
 
     heading("verify of run files whose bytes were changed, cut or copied")
     one()

@@ -206,7 +206,7 @@ class NoOp:
     LAYOUT = Layout(
         definition="NXrig_noop",
         version="1",
-        columns=tuple(Column(name, name, "V", name) for name in QUANTITIES),
+        columns=tuple(Column(name, "V", key=name, long_name=name) for name in QUANTITIES),
         plots=(Plot("data", QUANTITIES[1], (QUANTITIES[0],)),),
     )
 

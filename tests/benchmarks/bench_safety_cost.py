@@ -65,7 +65,10 @@ class Ticking:
     LAYOUT = Layout(
         definition="NXrig_noop",
         version="1",
-        columns=(Column("x", "x", "us", "x"), Column("y", "y", "us", "y")),
+        columns=(
+            Column("x", "us", key="x", long_name="x"),
+            Column("y", "us", key="y", long_name="y"),
+        ),
         plots=(Plot("data", "y", ("x",)),),
     )
 

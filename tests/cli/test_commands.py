@@ -110,7 +110,7 @@ def nothing(path: Path) -> None:
         (Path.mkdir, "a folder"),
         (nothing, "an empty file"),
         (not_hdf5, "not a journal and not a run file"),
-        (of_another_program, "an HDF5 file, but not of a run"),
+        (of_another_program, "an HDF5 file, but not a run file"),
     ],
 )
 def test_every_command_says_what_kind_of_file_it_was_given(
@@ -128,12 +128,14 @@ def test_a_file_without_its_checksum_is_not_called_damaged(rig: Any, run_file: P
     shutil.copy(run_file, rig.folder / "alone.h5")
     verified = rig.run("verify", "alone.h5")
     assert verified.code == 8
-    assert "its checksum is missing (alone.h5.sha256)" in verified.stdout
+    assert (
+        "the file cannot be checked for corruption; alone.h5.sha256 is missing" in verified.stdout
+    )
     assert "copy it along" in verified.stdout
     assert verified.errors == ["error: 1 of 1 file failed verification"]
     shown = rig.run("show", "--no-figures", "alone.h5")
     assert shown.code == 0
-    assert "warning: alone.h5: its checksum is missing" in shown.stderr
+    assert "warning: alone.h5: the file cannot be checked for corruption" in shown.stderr
 
 
 def test_show_draws_where_it_is_told_to_and_lives_without_figures(rig: Any, run_file: Path) -> None:
@@ -149,7 +151,7 @@ def test_show_draws_where_it_is_told_to_and_lives_without_figures(rig: Any, run_
     assert refused.code == 0
     assert "status: complete" in refused.stdout
     (line,) = refused.stderr.splitlines()
-    assert "no figure was drawn: /proc/figures cannot be written to" in line
+    assert "no figure was drawn: /proc/figures cannot be written" in line
     assert "--figures-to" in line
 
 

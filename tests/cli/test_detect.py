@@ -49,7 +49,7 @@ def test_one_line_a_file_says_what_was_found(rig: Any, runs: list[str]) -> None:
     assert [line.split()[0] for line in progress] == ["1/3", "2/3", "3/3"]
 
     again = rig.run("detect", *HP, *runs)
-    assert again.stdout == done.stdout.replace("; written ", "; kept ")
+    assert again.stdout == done.stdout.replace("; saved ", "; already in ")
 
 
 def test_the_default_detector_is_paper_hp_and_the_help_says_why(rig: Any, runs: list[str]) -> None:
@@ -57,7 +57,7 @@ def test_the_default_detector_is_paper_hp_and_the_help_says_why(rig: Any, runs: 
     assert default.code == 0, default.stderr
     assert f"written processed/r0.paper-hp-{DETECTOR_VERSION}-" in default.stdout
     named = rig.run("detect", *HP, runs[0])
-    assert named.stdout == default.stdout.replace("; written ", "; kept ")
+    assert named.stdout == default.stdout.replace("; saved ", "; already in ")
     shown = " ".join(re.sub(r"[│╭╮╰╯─]", " ", rig.run("detect", "--help").stdout).split())
     assert "[default: paper-hp]" in shown
     assert "trained on the skin model alone" in shown

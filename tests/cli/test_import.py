@@ -68,7 +68,7 @@ def test_an_import_can_be_verified_and_shown_like_any_run(rig: Any) -> None:
     [
         (("--time", "1"), "labelled mV"),
         (("--time", "1", "--rate", "2kHz", "--scale", "v_1=1mV"), "--rate is 2000 Hz and the"),
-        (("--scale", "v_1=1mV"), "nothing in it says how fast"),
+        (("--scale", "v_1=1mV"), "sampling rate unknown"),
         (("--rate", "1kN"), "--rate 1kN: 'kN' does not convert to Hz"),
         (("--rate", "0"), "--rate 0: has to be a finite number of Hz, not 0"),
         (("--rate", "1kHz", "--scale", "F_n=1N"), "--scale F_n: no such channel in --channels"),
@@ -97,7 +97,7 @@ def test_a_folder_that_cannot_be_written_is_told(rig: Any) -> None:
         *("import", "a.csv", "--channels", "v_1=2,v_2=3", "--time", "1", "--results", "taken")
     )
     assert ended.code == 1
-    assert "no run file can be begun there" in ended.errors[0]
+    assert "no run can be recorded here" in ended.errors[0]
     assert left_behind(rig.folder) == []
 
 

@@ -178,7 +178,7 @@ def slip_file(folder: Path) -> Path:
     layout = Layout(
         definition="NXrig_slip_trial",
         version="1",
-        columns=(Column("trial", "trial", "", "Trial"), Column("speed", "speed_mm_s", "mm/s", "v")),
+        columns=(Column("trial", "", "Trial"), Column("speed", "mm/s", "v", long_name="v")),
         plots=(Plot("data", "speed", ("trial",)),),
     )
     time = np.arange(3000) / 1000

@@ -10,7 +10,7 @@ from typing import Any
 import recorded_run as run
 from hypothesis import strategies as st
 
-from rig.files.journal.format import BLOCK_HEAD, MAGIC, Kind, frame, to_json
+from rig.files.journal.format import BLOCK_HEAD, MAGIC, RecordKind, frame, to_json
 
 DEEP: dict[str, Any] = {}
 for _ in range(25):
@@ -64,14 +64,14 @@ def spoiled(draw: st.DrawFn, value: Any) -> Any:
     return value
 
 
-def json_record(kind: Kind, value: Any) -> bytes:
+def json_record(kind: RecordKind, value: Any) -> bytes:
     """A record with the checksum that belongs to it, whatever is in it."""
     return frame(bytes((kind,)) + json.dumps(value, allow_nan=False).encode())
 
 
 BLOCKS = st.builds(
     lambda stream, first, time, rows: frame(
-        BLOCK_HEAD.pack(Kind.BLOCK, stream, first, time) + rows
+        BLOCK_HEAD.pack(RecordKind.BLOCK, stream, first, time) + rows
     ),
     st.sampled_from([0, 1, 65535]),
     st.sampled_from([0, 5, 2**63 - 1, 2**63, 2**64 - 1]),
@@ -83,20 +83,20 @@ HEADER: dict[str, Any] = json.loads(to_json(run.header()))
 TRUTH = {"simulated_truth": json.dumps({"contact": {"force_N": 1.0}})}
 
 
-def _body() -> list[tuple[Kind, Any]]:
-    body: list[tuple[Kind, Any]] = [(Kind.EVENT, run.event())]
+def _body() -> list[tuple[RecordKind, Any]]:
+    body: list[tuple[RecordKind, Any]] = [(RecordKind.EVENT, run.event())]
     for k in range(2):
         reading = json.loads(to_json(run.reading(k))) | TRUTH
         body += [
-            (Kind.POINT_BEGIN, {"id": run.POINTS[k], "point": {"time": 1.0 * k}}),
-            (Kind.STREAM, run.state()),
+            (RecordKind.POINT_BEGIN, {"id": run.POINTS[k], "point": {"time": 1.0 * k}}),
+            (RecordKind.STREAM, run.state()),
             (
-                Kind.BLOCK,
-                frame(BLOCK_HEAD.pack(Kind.BLOCK, 0, 0, 1.0) + run.samples(k, 20).tobytes()),
+                RecordKind.BLOCK,
+                frame(BLOCK_HEAD.pack(RecordKind.BLOCK, 0, 0, 1.0) + run.samples(k, 20).tobytes()),
             ),
-            (Kind.POINT_KEEP, {"id": run.POINTS[k], "reading": reading}),
+            (RecordKind.POINT_KEEP, {"id": run.POINTS[k], "reading": reading}),
         ]
-    return [*body, (Kind.EVENT, run.event(6.0)), (Kind.END, run.end(points=2))]
+    return [*body, (RecordKind.EVENT, run.event(6.0)), (RecordKind.END, run.end(points=2))]
 
 
 @st.composite
@@ -108,11 +108,11 @@ def journals(draw: st.DrawFn) -> bytes:
     else:
         number = draw(st.integers(0, len(body) - 1))
         kind, value = body[number]
-        body[number] = kind, draw(BLOCKS if kind is Kind.BLOCK else spoiled(value))
+        body[number] = kind, draw(BLOCKS if kind is RecordKind.BLOCK else spoiled(value))
     if draw(st.integers(0, 4)) == 0:
         body = draw(st.permutations(body))
-    records = [v if k is Kind.BLOCK else json_record(k, v) for k, v in body]
-    return MAGIC + json_record(Kind.HEADER, header) + b"".join(records)
+    records = [v if k is RecordKind.BLOCK else json_record(k, v) for k, v in body]
+    return MAGIC + json_record(RecordKind.HEADER, header) + b"".join(records)
 
 
 @st.composite

@@ -17,12 +17,12 @@ LAYOUT = Layout(
     definition="NXrig_sweep",
     version="1.0",
     columns=(
-        Column("frequency", "frequency_Hz", "Hz", "Frequency (Hz)"),
-        Column("gain", "gain_dB", "dB", "Gain (dB)"),
-        Column("gain_standard_error", "gain_error_dB", "dB", "Gain error (dB)"),
-        Column("phase", "phase_deg", "deg", "Phase (deg)"),
-        Column("coherence", "coherence", "1", "Coherence"),
-        Column("remark", "remark", "", "Remark", kind="text"),
+        Column("frequency", "Hz", "Frequency"),
+        Column("gain", "dB", "Gain"),
+        Column("gain_standard_error", "dB", "Gain error", key="gain_error_dB"),
+        Column("phase", "deg", "Phase"),
+        Column("coherence", "1", "Coherence"),
+        Column("remark", "", "Remark", "text"),
     ),
     plots=(
         Plot(
@@ -166,7 +166,8 @@ WRITER = """
 import sys
 sys.path.insert(0, sys.argv[2])
 import recorded_run as run
-from rig.files import JournalWriter, Recorder
+from rig.files.journal.recorder import Recorder
+from rig.files.journal.writer import JournalWriter
 recorder = Recorder(JournalWriter.create(sys.argv[1], run.header()))
 recorder.put_point_begin("p", {})
 for n in range(10**6):

@@ -15,13 +15,14 @@ import numpy as np
 import pytest
 import recorded_run as run
 
+from rig.files.checksum import sha256_of
 from rig.files.definitions import definition_path
 from rig.files.errors import JournalError, RecordingError, RunFileError
 from rig.files.journal.layout import Layout, Trace
 from rig.files.journal.reader import read_journal
 from rig.files.journal.writer import JournalWriter
 from rig.files.naming import journal_path, next_run_path
-from rig.files.runfile.compile import compile_run, journal_equals_file, sha256_of
+from rig.files.runfile.compile import compile_run, journal_equals_file
 from rig.files.runfile.reader import RunFile
 from rig.files.runfile.recover import recover
 from rig.files.verify import verify

@@ -18,15 +18,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rig.core.errors import RigError
+from rig.files.checksum import sha256_of
 from rig.files.describe import describe
 from rig.files.errors import RunFileError
-from rig.files.journal.format import MAGIC, Kind
+from rig.files.journal.format import MAGIC, RecordKind
 from rig.files.journal.reader import read_journal
 from rig.files.naming import results_of
-from rig.files.runfile.compile import compile_run, sha256_of
+from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
 from rig.files.runfile.recover import recover
-from rig.files.verify import verify, verify_apart
+from rig.files.verify import verify, verify_in_child
 
 FEW = settings(
     max_examples=10,
@@ -84,7 +85,7 @@ def test_a_header_beyond_sense_is_refused_before_anything_is_made_of_it(
     tmp_path: Path, changes: dict[str, Any], told: str
 ) -> None:
     path = tmp_path / "a.rigj"
-    path.write_bytes(MAGIC + json_record(Kind.HEADER, HEADER | changes))
+    path.write_bytes(MAGIC + json_record(RecordKind.HEADER, HEADER | changes))
     with pytest.raises(RigError, match=told) as caught:
         recover(path)
     assert len(caught.value.one_line()) < 3000
@@ -210,7 +211,7 @@ def test_a_run_file_of_a_stranger(
     (tmp_path / "a.h5.sha256").write_text(f"{sha256_of(file)}  a.h5\n")
     with pytest.raises(RunFileError, match=r"a\.h5"):
         look(file)
-    findings = verify_apart(file)
+    findings = verify_in_child(file)
     assert findings
     assert all("MemoryError" not in finding for finding in findings), findings
 
@@ -231,7 +232,7 @@ def test_a_damaged_run_file_is_found_damaged(
 def findings_or_death(file: Path) -> list[str]:
     """The findings, or that HDF5 died of the file or hung."""
     try:
-        return verify_apart(file, patience_s=20.0)
+        return verify_in_child(file, patience_s=20.0)
     except RunFileError as error:
         return [error.reason]
 
@@ -243,5 +244,5 @@ def test_a_file_on_which_hdf5_hangs_is_told_so(tmp_path: Path, sound: bytes) -> 
     size_of_the_first_text = harmed.index(b"GCOL") + 16 + 8
     struct.pack_into("<Q", harmed, size_of_the_first_text, 2**64 - 16)
     file.write_bytes(harmed)
-    with pytest.raises(RunFileError, match="does not come to an end with it within"):
-        verify_apart(file, patience_s=5.0)
+    with pytest.raises(RunFileError, match="hangs on it: it did not finish within"):
+        verify_in_child(file, patience_s=5.0)

@@ -25,8 +25,8 @@ from rig.core.errors import RigError
 from rig.files.definitions import definition_path
 from rig.files.errors import ForeignFileError, RecordingError
 from rig.files.imported import import_file as importing
-from rig.files.imported.import_file import About, read_foreign, write_import
-from rig.files.imported.series import Recording, Told, recording_of
+from rig.files.imported.import_file import RecordingNotes, read_foreign, write_import
+from rig.files.imported.series import ChannelMap, Recording, recording_of
 from rig.files.imported.source import MAX_BYTES
 from rig.files.imported.text import read_text
 from rig.files.journal.format import to_json
@@ -50,7 +50,7 @@ def read(
     """The recording in a file of that content."""
     path = folder / "given.dat"
     path.write_bytes(content.encode() if isinstance(content, str) else content)
-    told = Told(columns or BY_NUMBER, scale or {}, rate_Hz)
+    told = ChannelMap(columns or BY_NUMBER, scale or {}, rate_Hz)
     return recording_of(read_foreign(path, **options).source, told, path.name)
 
 
@@ -142,12 +142,12 @@ ROWS = "0.000,1.5,2.5\n0.001,1.5,2.6\n0.002,1.6,2.7\n"
         (ROWS + "0.003,1.6\n", "line 4: 2 cells, the rows have 3 .*killed"),
         (ROWS + "0.003,1.6\n" + ROWS, "line 4: 2 cells, the rows have 3"),
         (ROWS + "0.003,1.6,2.7,9\n" + ROWS, "line 4: 4 cells"),
-        (ROWS + "0.003,,2.7\n" + ROWS, "line 4: column 2: an empty cell is no number"),
-        (ROWS + "0.003,NaN,2.7\n" + ROWS, "line 4: column 2: 'NaN' is no number"),
-        (ROWS + "0.003,1.6,inf\n" + ROWS, "line 4: column 3: 'inf' is no number"),
-        (ROWS + "0.003,1_0,2.7\n" + ROWS, "line 4: column 2: '1_0' is no number"),
-        (ROWS + "0.003,1.6,٢\n" + ROWS, "line 4: column 3: '٢' is no number"),
-        (ROWS + '0.003,"1.6"2,2.7\n' + ROWS, "line 4: column 2: .* is no number"),
+        (ROWS + "0.003,,2.7\n" + ROWS, "line 4: column 2: an empty cell is not a number"),
+        (ROWS + "0.003,NaN,2.7\n" + ROWS, "line 4: column 2: 'NaN' is not a number"),
+        (ROWS + "0.003,1.6,inf\n" + ROWS, "line 4: column 3: 'inf' is not a number"),
+        (ROWS + "0.003,1_0,2.7\n" + ROWS, "line 4: column 2: '1_0' is not a number"),
+        (ROWS + "0.003,1.6,٢\n" + ROWS, "line 4: column 3: '٢' is not a number"),
+        (ROWS + '0.003,"1.6"2,2.7\n' + ROWS, "line 4: column 2: .* is not a number"),
         (ROWS + "0.003,1e999,2.7\n" + ROWS, "line 4: column 2 has a number beyond any double"),
         (ROWS + "# paused\n" + ROWS, "line 4: 1 cells"),
         (ROWS + "\n" + ROWS, "line 4: empty, with rows behind it"),
@@ -217,7 +217,7 @@ def test_a_scale_of_times_needs_times(tmp_path: Path) -> None:
 
 def test_counts_without_a_scale_are_no_volts(tmp_path: Path) -> None:
     content = "12,30000\n15,-31000\n"
-    with refused("line 2: column 2: -31000 times 1 V is no v_2"):
+    with refused("line 2: column 2: -31000 times 1 V is too large for v_2"):
         read(content, tmp_path, {"v_1": "1", "v_2": "2"}, rate_Hz=1000.0)
     read(content, tmp_path, {"v_1": "1", "v_2": "2"}, {"v_2": 1e-3}, rate_Hz=1000.0)
 
@@ -238,7 +238,7 @@ def test_files_that_are_no_recordings_are_refused(tmp_path: Path) -> None:
     huge = tmp_path / "huge"
     with huge.open("wb") as file:
         file.truncate(MAX_BYTES + 1)
-    with refused("longer than 128 MiB"):
+    with refused("larger than 128 MiB"):
         read_foreign(huge)
 
 
@@ -270,7 +270,7 @@ def test_printed_times_give_their_round_rate(
         ([0.0, -0.001, -0.002], "line 2: its time is not behind"),
         (np.linspace(0, 1, 100) ** 1.1, "line 2: .* after the row above|off even spacing"),
         (np.arange(400) / 1000 + 4e-4 * np.sin(np.arange(400) / 30), "line .* off even spacing"),
-        ([0, 1e12], "s is no time"),
+        ([0, 1e12], "s is not a time"),
         ([0, 10.0, 20.0], "the times say 0.1 Hz: has to be 1 to 1e\\+07 Hz"),
     ],
 )
@@ -286,7 +286,7 @@ def test_rate_and_times_have_to_agree(tmp_path: Path) -> None:
     assert read(content, tmp_path, rate_Hz=1000.2).rate_Hz == 1000.2
     with refused("--rate is 2000 Hz and the times say 1000 Hz"):
         read(content, tmp_path, rate_Hz=2000.0)
-    with refused("nothing in it says how fast .*give --rate"):
+    with refused("sampling rate unknown; give --rate, or --time COLUMN"):
         read(content, tmp_path, {"v_1": "2", "v_2": "3"})
 
 
@@ -313,8 +313,8 @@ def test_lvm_comes_through_with_its_rate(
         ({"Samples": "40|39"}, "40 rows, the header says Samples 39"),
         ({"Delta_X": "0.001|0.002"}, "Delta_X is 0.001 s for one channel and 0.002 s"),
         ({"Delta_X": "0.01|0.01"}, "the header says 100 Hz and the times say 1000 Hz"),
-        ({"Delta_X": "0|0"}, "Delta_X 0 s is no period"),
-        ({"Delta_X": "fast|fast"}, "Delta_X 'fast' is no number"),
+        ({"Delta_X": "0|0"}, "Delta_X 0 s is not a sampling period"),
+        ({"Delta_X": "fast|fast"}, "Delta_X 'fast' is not a number"),
         ({"X0": "0|0.5"}, "X0 is 0 s for one channel and 0.5 s for another"),
         ({"X_Dimension": "Frequency|Frequency"}, "X_Dimension Frequency: not over time"),
         ({"Y_Unit_Label": "mV|Volts"}, "labelled mV, v_1 is read in V"),
@@ -340,7 +340,7 @@ def test_several_segments_and_special_blocks_are_refused_by_name(tmp_path: Path)
         read(special, tmp_path, columns)
     with refused("1 of 2 lines"):
         read(content[: content.index("Channels")], tmp_path, columns)
-    with refused("LVM says itself how it is written"):
+    with refused("LVM files say themselves how they are written"):
         read(content, tmp_path, columns, delimiter="tab")
 
 
@@ -391,7 +391,7 @@ def test_the_only_matrix_needs_no_name(tmp_path: Path) -> None:
         ("cube", "variable cube is 2 x 2 x 2"),
         ("empty", "variable empty is 0 x 0"),
         ("short", "variable short has 5 values, variable a 6"),
-        ("nan", "row 3: variable nan: nan is no number"),
+        ("nan", "row 3: variable nan: nan is not a number"),
     ],
 )
 def test_matlab_variables_that_are_no_signals_are_refused_by_name(
@@ -435,7 +435,7 @@ def test_structs_of_73_are_refused_by_name(tmp_path: Path) -> None:
 def test_damaged_matlab_files_are_refused(tmp_path: Path, make: Any) -> None:
     whole = make(a=np.arange(400.0), b=np.arange(400.0))
     for size in (19, 200, 600, len(whole) // 2):
-        with refused("no readable MATLAB file|no variable"):
+        with refused("not a readable MATLAB file|no variable"):
             read(whole[:size], tmp_path, {"v_1": "a", "v_2": "b"}, rate_Hz=1000.0)
 
 
@@ -446,14 +446,14 @@ def test_a_file_that_crashes_scipy_costs_a_sentence(tmp_path: Path) -> None:
         files.matlab_5(a=np.sin(t), b=np.cos(t)[:, None], s={"x": 1}, m=np.outer(t, [1, 2, 3]))
     )
     content[3617] = 126
-    with refused("no readable MATLAB file"):
+    with refused("not a readable MATLAB file"):
         read(bytes(content), tmp_path, {"v_1": "a", "v_2": "b", "F_n": "m:2"}, rate_Hz=1000.0)
 
 
 # The run file
 
 
-ABOUT = About(
+ABOUT = RecordingNotes(
     sensor="skin 9",
     sample="silicone",
     object="glass",
@@ -465,13 +465,16 @@ FORCED = BY_NUMBER | {"F_n": "4"}
 
 
 def imported(
-    folder: Path, about: About = ABOUT, columns: dict[str, str] = FORCED, name: str = "s.csv"
+    folder: Path,
+    about: RecordingNotes = ABOUT,
+    columns: dict[str, str] = FORCED,
+    name: str = "s.csv",
 ) -> Path:
     """A run file made of a text of four columns."""
     path = folder / name
     forced = files.signals() | {"F_n": np.linspace(1, 2, 40)}
     path.write_text(files.text(forced, header="t,S1,S2,Fn"))
-    told = Told(columns, {"v_2": -1e-3})
+    told = ChannelMap(columns, {"v_2": -1e-3})
     return write_import(read_foreign(path), told, about, folder / "results", PROGRAM)[0]
 
 
@@ -582,7 +585,7 @@ def test_changed_marks_are_found(tmp_path: Path) -> None:
     file.chmod(0o644)
     with h5py.File(file, "a") as opened:
         opened["entry/start_time"] = "2026-01-02T10:00:00+01:00"
-    assert "start_time is there, and nobody knew it" in verify(file)
+    assert "start_time is there, although it was not known" in verify(file)
 
 
 def test_a_run_of_this_bench_has_nothing_of_it() -> None:
@@ -603,7 +606,12 @@ def test_what_ends_an_import_leaves_nothing(
     def fail(*_: object) -> None:
         raise error
 
-    for place in ("compiled._write", "compiled.publish", "foreign.importing._record"):
+    for place in (
+        "runfile.compile._write",
+        "hdf5.publishing.sha256_of",
+        "hdf5.publishing.write_checksum",
+        "imported.import_file._record",
+    ):
         monkeypatch.setattr(f"rig.files.{place}", fail)
         with pytest.raises(failure):
             imported(tmp_path)
@@ -679,7 +687,7 @@ def accepted(content: str | bytes, columns: dict[str, str]) -> tuple[Any, Record
     raw = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
     try:
         source = read_text(raw, "x")
-        return source, recording_of(source, Told(columns, {}, 1000.0), "x")
+        return source, recording_of(source, ChannelMap(columns, {}, 1000.0), "x")
     except ForeignFileError as error:
         refusal = error.one_line()
     assert refusal.startswith("x: ")

@@ -21,9 +21,17 @@ from hypothesis import strategies as st
 
 from rig.core.errors import RigError
 from rig.files.errors import JournalError, RecordingError
-from rig.files.journal.format import MAGIC, Block, Kind, frame, from_json, json_record, to_json
+from rig.files.journal.format import (
+    MAGIC,
+    Block,
+    RecordKind,
+    frame,
+    from_json,
+    json_record,
+    to_json,
+)
 from rig.files.journal.reader import read_journal
-from rig.files.journal.values import Event, RunHeader
+from rig.files.journal.values import JournalEvent, RunHeader
 from rig.files.journal.writer import JournalWriter
 from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
@@ -104,7 +112,7 @@ def test_a_block_longer_than_a_record_is_split_and_stays_whole(tmp_path: Path) -
         (lambda j: j.point_keep("p", {}), "not the open point"),
         (lambda j: j.point_begin(run.POINTS[0], {}), "still open"),
         (lambda j: j.block(1, 0, 0.0, bytes(4)), "stream 1 of 1"),
-        (lambda j: j.block(0, 0, 0.0, bytes(5)), "no whole rows"),
+        (lambda j: j.block(0, 0, 0.0, bytes(5)), "not whole rows"),
         (lambda j: j.block(0, 0, 0.0, np.zeros((4, 2))), "expected rows of <i2"),
         (lambda j: j.block(0, 0, 0.0, np.zeros(4, np.int16)), "need 2 channels"),
         (lambda j: j.block(0, 0, math.nan, bytes(4)), "host_time"),
@@ -165,14 +173,14 @@ def test_resume_continues_and_counts_every_point_once(tmp_path: Path) -> None:
         journal.point_begin(run.POINTS[1], {})
         journal.block(0, 0, 1.1, run.samples(50))
     with path.open("ab") as file:
-        file.write(frame(bytes((Kind.EVENT,)) + b'{"time":')[:-3])  # a torn record
+        file.write(frame(bytes((RecordKind.EVENT,)) + b'{"time":')[:-3])  # a torn record
     before = read_journal(path)
     assert before.torn
     assert before.problem is not None
     assert before.problem.startswith(f"bad record at byte {before.end_offset}: torn")
 
     with JournalWriter.reopen(path) as journal:
-        with pytest.raises(RigError, match="kept already"):
+        with pytest.raises(RigError, match="recorded already"):
             journal.point_begin(run.POINTS[0], {})
         run.take_point(journal, 1)
         journal.end(run.end("stopped", 2, attempt=2))
@@ -192,7 +200,9 @@ def test_resume_continues_and_counts_every_point_once(tmp_path: Path) -> None:
 def test_a_point_kept_twice_in_a_journal_counts_once(tmp_path: Path) -> None:
     path = run.write_run(tmp_path / "a.rigj", order=(0,))
     with path.open("ab") as file:
-        file.write(json_record(Kind.POINT_KEEP, {"id": run.POINTS[0], "reading": {"gain_dB": 99}}))
+        file.write(
+            json_record(RecordKind.POINT_KEEP, {"id": run.POINTS[0], "reading": {"gain_dB": 99}})
+        )
     contents = read_journal(path)
     assert [point.reading["gain_dB"] for point in contents.kept()] == [-20.0]
     assert contents.attempts[-1].status == "discarded"
@@ -294,7 +304,7 @@ def header_end(path: Path) -> int:
         return len(MAGIC) + 8 + int(struct.unpack("<I", file.read(4))[0])
 
 
-HEADER = json_record(Kind.HEADER, RunHeader.model_validate(run.header()))
+HEADER = json_record(RecordKind.HEADER, RunHeader.model_validate(run.header()))
 
 
 def raw(kind: int, body: bytes) -> bytes:
@@ -309,31 +319,31 @@ def raw(kind: int, body: bytes) -> bytes:
         (struct.pack("<II", 16 << 20, 0) + b"x", "torn"),
         (struct.pack("<II", 1, zlib.crc32(b"\x63")) + b"\x63", "unknown record type 99"),
         (HEADER, "a second HEADER"),
-        (raw(Kind.EVENT, b"[" * 3_000_000), "not JSON"),
-        (raw(Kind.EVENT, b'{"a":' * 500_000), "not JSON"),
-        (raw(Kind.EVENT, b'{"time": NaN}'), "NaN is no JSON"),
-        (raw(Kind.EVENT, b'{"time": ' + b"9" * 5000 + b"}"), "not JSON"),
-        (raw(Kind.EVENT, b"\xff\xfe"), "not UTF-8"),
-        (raw(Kind.EVENT, b"[]"), "no JSON object"),
-        (raw(Kind.EVENT, b" " * (5 << 20)), "bytes of JSON"),
-        (raw(Kind.EVENT, b'{"$float": "nan"}'), "no JSON object"),
-        (raw(Kind.EVENT, b'{"$float": 3}'), "not JSON"),
-        (raw(Kind.POINT_BEGIN, b'{"id": 3}'), "id is not a text"),
-        (raw(Kind.POINT_KEEP, b'{"id": "a", "reading": 3}'), "wrong type"),
-        (raw(Kind.POINT_DISCARD, b'{"id": "a", "reason": {}}'), "wrong type"),
-        (raw(Kind.END, b'{"status": "complete"}'), "missing"),
-        (raw(Kind.STREAM, b'{"stream": 9, "scale": [], "offset": []}'), "stream 9 of 1"),
-        (raw(Kind.BLOCK, b"123"), "too short"),
-        (raw(Kind.BLOCK, struct.pack("<HQd", 9, 0, 0.0) + bytes(4)), "stream 9 of 1"),
-        (raw(Kind.BLOCK, struct.pack("<HQd", 0, 2**64 - 1, 0.0) + bytes(4)), "out of range"),
-        (raw(Kind.BLOCK, struct.pack("<HQd", 0, 0, math.inf) + bytes(4)), "not finite"),
+        (raw(RecordKind.EVENT, b"[" * 3_000_000), "not JSON"),
+        (raw(RecordKind.EVENT, b'{"a":' * 500_000), "not JSON"),
+        (raw(RecordKind.EVENT, b'{"time": NaN}'), "NaN is not JSON"),
+        (raw(RecordKind.EVENT, b'{"time": ' + b"9" * 5000 + b"}"), "not JSON"),
+        (raw(RecordKind.EVENT, b"\xff\xfe"), "not UTF-8"),
+        (raw(RecordKind.EVENT, b"[]"), "no JSON object"),
+        (raw(RecordKind.EVENT, b" " * (5 << 20)), "bytes of JSON"),
+        (raw(RecordKind.EVENT, b'{"$float": "nan"}'), "no JSON object"),
+        (raw(RecordKind.EVENT, b'{"$float": 3}'), "not JSON"),
+        (raw(RecordKind.POINT_BEGIN, b'{"id": 3}'), "id is not a text"),
+        (raw(RecordKind.POINT_KEEP, b'{"id": "a", "reading": 3}'), "wrong type"),
+        (raw(RecordKind.POINT_DISCARD, b'{"id": "a", "reason": {}}'), "wrong type"),
+        (raw(RecordKind.END, b'{"status": "complete"}'), "missing"),
+        (raw(RecordKind.STREAM, b'{"stream": 9, "scale": [], "offset": []}'), "stream 9 of 1"),
+        (raw(RecordKind.BLOCK, b"123"), "too short"),
+        (raw(RecordKind.BLOCK, struct.pack("<HQd", 9, 0, 0.0) + bytes(4)), "stream 9 of 1"),
+        (raw(RecordKind.BLOCK, struct.pack("<HQd", 0, 2**64 - 1, 0.0) + bytes(4)), "out of range"),
+        (raw(RecordKind.BLOCK, struct.pack("<HQd", 0, 0, math.inf) + bytes(4)), "not finite"),
     ],
 )
 def test_a_hostile_record_is_named_and_what_is_before_it_is_kept(
     tmp_path: Path, record: bytes, reason: str
 ) -> None:
     path = tmp_path / "a.rigj"
-    good = json_record(Kind.EVENT, Event(**run.event()))
+    good = json_record(RecordKind.EVENT, JournalEvent(**run.event()))
     path.write_bytes(MAGIC + HEADER + good + record)
     contents = read_journal(path)
     assert contents.problem is not None
@@ -345,9 +355,16 @@ def test_a_hostile_record_is_named_and_what_is_before_it_is_kept(
 
 @pytest.mark.parametrize(
     "content",
-    [b"", b"RIG", b"hello world", MAGIC + raw(Kind.EVENT, b"{}"), MAGIC + raw(Kind.HEADER, b"{}"),
-     MAGIC + raw(Kind.HEADER, b"[" * 1_000_000), MAGIC + raw(Kind.BLOCK, bytes(40))],
-)  # fmt: skip
+    [
+        b"",
+        b"RIG",
+        b"hello world",
+        MAGIC + raw(RecordKind.EVENT, b"{}"),
+        MAGIC + raw(RecordKind.HEADER, b"{}"),
+        MAGIC + raw(RecordKind.HEADER, b"[" * 1_000_000),
+        MAGIC + raw(RecordKind.BLOCK, bytes(40)),
+    ],
+)
 def test_what_is_no_journal_is_a_journal_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.rigj"
     path.write_bytes(content)
@@ -407,7 +424,8 @@ import resource, sys
 sys.path.insert(0, sys.argv[2])
 import recorded_run as run
 from rig.core.errors import RigError
-from rig.files import JournalWriter, Recorder
+from rig.files.journal.recorder import Recorder
+from rig.files.journal.writer import JournalWriter
 recorder = Recorder(JournalWriter.create(sys.argv[1], run.header()))
 recorder.put_block(0, 0, 0.0, run.samples(0, 1000))
 recorder.barrier()

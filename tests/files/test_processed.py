@@ -18,13 +18,20 @@ from rig.detector.detector import DETECTOR_VERSION
 from rig.detector.fir import StreamingFir
 from rig.detector.low_pass import design_low_pass
 from rig.detector.settings import DetectorSettings
+from rig.files.checksum import sha256_of
 from rig.files.definitions import definition_path
 from rig.files.hdf5.nexus import array_field
 from rig.files.processed.reader import ProcessedFile, is_processed
-from rig.files.runfile.compile import compile_run, sha256_of
+from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verdict, verify
-from rig.processing.detection import Failure, Found, Job, detect_file, detect_trials
+from rig.processing.detection import (
+    DetectionFailure,
+    DetectionJob,
+    DetectionResult,
+    detect_file,
+    detect_trials,
+)
 
 SETTINGS = DetectorSettings(logic="paper-hp")
 TRIALS = {"trial-001": trials.slipping(), "trial-002": trials.quiet(seed=2)}
@@ -36,7 +43,7 @@ def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(run_file: Path) -> Found:
+def found(run_file: Path) -> DetectionResult:
     return detected(run_file)
 
 
@@ -47,15 +54,15 @@ def own_run(tmp_path: Path) -> Path:
 
 def detected(
     run_file: Path, folder: Path | None = None, settings: DetectorSettings = SETTINGS
-) -> Found:
-    answer = detect_file(Job(run_file, settings, folder))
-    assert isinstance(answer, Found), answer
+) -> DetectionResult:
+    answer = detect_file(DetectionJob(run_file, settings, folder))
+    assert isinstance(answer, DetectionResult), answer
     return answer
 
 
-def refused(run_file: Path, settings: DetectorSettings = SETTINGS) -> Failure:
-    answer = detect_file(Job(run_file, settings))
-    assert isinstance(answer, Failure), answer
+def refused(run_file: Path, settings: DetectorSettings = SETTINGS) -> DetectionFailure:
+    answer = detect_file(DetectionJob(run_file, settings))
+    assert isinstance(answer, DetectionFailure), answer
     assert str(run_file) in answer.message
     assert not (run_file.parent / "processed").exists(), "nothing is left behind"
     return answer
@@ -64,7 +71,7 @@ def refused(run_file: Path, settings: DetectorSettings = SETTINGS) -> Failure:
 # What was found
 
 
-def test_the_slip_is_found_in_its_trial_and_none_in_the_quiet_one(found: Found) -> None:
+def test_the_slip_is_found_in_its_trial_and_none_in_the_quiet_one(found: DetectionResult) -> None:
     assert found.trials == 2
     assert found.events["incipient slip"] == 1
     assert found.first_slip is not None
@@ -77,7 +84,9 @@ def test_the_slip_is_found_in_its_trial_and_none_in_the_quiet_one(found: Found) 
     assert not [kind for of, kind in kinds if of == "trial-002"]
 
 
-def test_the_file_says_from_what_and_how_it_was_made(found: Found, run_file: Path) -> None:
+def test_the_file_says_from_what_and_how_it_was_made(
+    found: DetectionResult, run_file: Path
+) -> None:
     with ProcessedFile.open(found.file) as processed:
         assert processed.source.file_name == run_file.name
         assert processed.source.sha256 == sha256_of(run_file)
@@ -95,7 +104,7 @@ def test_the_file_says_from_what_and_how_it_was_made(found: Found, run_file: Pat
     assert found.file.stat().st_mode & 0o777 == 0o444
 
 
-def test_what_is_read_is_what_was_detected(found: Found, run_file: Path) -> None:
+def test_what_is_read_is_what_was_detected(found: DetectionResult, run_file: Path) -> None:
     with ProcessedFile.open(found.file) as processed, RunFile.open(run_file) as run:
         read, made = processed.trials(), detect_trials(run, SETTINGS)
     assert [trial.events for trial in read] == [trial.events for trial in made]
@@ -123,7 +132,7 @@ def test_rows_that_were_lost_stay_lost(tmp_path: Path) -> None:
 
 
 def test_the_same_run_gives_the_same_bytes_and_stays_as_it_was(
-    found: Found, run_file: Path, tmp_path: Path
+    found: DetectionResult, run_file: Path, tmp_path: Path
 ) -> None:
     before = run_file.stat()
     again = detected(run_file, tmp_path / "elsewhere")
@@ -134,7 +143,7 @@ def test_the_same_run_gives_the_same_bytes_and_stays_as_it_was(
 
 
 def test_who_holds_on_to_a_field_does_not_change_the_bytes(
-    found: Found, run_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    found: DetectionResult, run_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A profiler looks at the frames of a cluster's worker and so keeps what they hold alive."""
     held = []
@@ -172,8 +181,8 @@ def test_other_parameters_or_another_version_add_a_file(
     deaf = detected(own_run, settings=SETTINGS.model_copy(update={"fire_mV": 100.0}))
     assert deaf.events["incipient slip"] == 0
     monkeypatch.setattr("rig.processing.detection.DETECTOR_VERSION", "next")
-    later = detect_file(Job(own_run, SETTINGS, version="next"))
-    assert isinstance(later, Found)
+    later = detect_file(DetectionJob(own_run, SETTINGS, version="next"))
+    assert isinstance(later, DetectionResult)
     files = {path.name for path in first.file.parent.glob("*.h5")}
     assert files == {first.file.name, deaf.file.name, later.file.name}
     assert ".paper-hp-next-" in later.file.name
@@ -212,9 +221,9 @@ def test_another_runs_result_is_not_overwritten(own_run: Path, tmp_path: Path) -
     first = detected(own_run, results)
     content = first.file.read_bytes()
     answer = detect_file(
-        Job(trials.write_trials(other, TRIALS, run_uuid="another"), SETTINGS, results)
+        DetectionJob(trials.write_trials(other, TRIALS, run_uuid="another"), SETTINGS, results)
     )
-    assert isinstance(answer, Failure)
+    assert isinstance(answer, DetectionFailure)
     assert "another run of that name" in answer.message
     assert "--to" in (answer.hint or "")
     assert first.file.read_bytes() == content
@@ -258,7 +267,7 @@ def test_a_value_that_is_no_number_is_named(tmp_path: Path) -> None:
 
 def test_a_run_of_which_nothing_was_kept_is_refused(tmp_path: Path) -> None:
     run_file = trials.write_trials(tmp_path / "a.rigj", {})
-    assert "no trial of it was kept (complete, 0 of 0 points)" in refused(run_file).message
+    assert "no trial was recorded (complete, 0 of 0 points)" in refused(run_file).message
 
 
 def test_a_run_file_that_has_changed_is_refused_and_one_without_checksum_told(
@@ -267,7 +276,10 @@ def test_a_run_file_that_has_changed_is_refused_and_one_without_checksum_told(
     beside = own_run.with_name(own_run.name + ".sha256")
     text = beside.read_text()
     beside.unlink()
-    assert "its checksum is missing" in detected(own_run, own_run.parent / "x").warnings[0]
+    assert (
+        "the file cannot be checked for corruption"
+        in detected(own_run, own_run.parent / "x").warnings[0]
+    )
     beside.write_text("0" * 64 + text[64:])
     answer = refused(own_run)
     assert "not the one that was written" in answer.message
@@ -275,24 +287,24 @@ def test_a_run_file_that_has_changed_is_refused_and_one_without_checksum_told(
 
 
 def test_a_computer_with_another_detector_refuses(own_run: Path) -> None:
-    answer = detect_file(Job(own_run, SETTINGS, version="0"))
-    assert isinstance(answer, Failure)
-    assert f"version 0 is wanted, this computer has {DETECTOR_VERSION}" in answer.message
+    answer = detect_file(DetectionJob(own_run, SETTINGS, version="0"))
+    assert isinstance(answer, DetectionFailure)
+    assert f"version 0 is needed, but this computer has {DETECTOR_VERSION}" in answer.message
 
 
 FULL_DISK = """
 import resource, sys
 from pathlib import Path
 from rig.detector.settings import DetectorSettings
-from rig.processing.detection import Job, detect_file
-job = Job(Path(sys.argv[1]), DetectorSettings(logic="paper-hp"))
+from rig.processing.detection import DetectionJob, detect_file
+job = DetectionJob(Path(sys.argv[1]), DetectorSettings(logic="paper-hp"))
 for size in range(0, int(sys.argv[2]), 9001):
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
     print(detect_file(job).message)
 """
 
 
-def test_a_full_disk_leaves_nothing(own_run: Path, found: Found) -> None:
+def test_a_full_disk_leaves_nothing(own_run: Path, found: DetectionResult) -> None:
     """Wherever in the file the disk is full."""
     size = found.file.stat().st_size
     command = [sys.executable, "-c", FULL_DISK, str(own_run), str(size)]
@@ -315,13 +327,13 @@ def validate(path: Path) -> list[tuple[int, int]]:
     return [validate_file(str(path)), validate_application(str(path), application=str(definition))]
 
 
-def test_nexusformat_finds_nothing(found: Found, tmp_path: Path) -> None:
+def test_nexusformat_finds_nothing(found: DetectionResult, tmp_path: Path) -> None:
     assert validate(found.file) == [(0, 0), (0, 0)]
     silent = trials.write_trials(tmp_path / "a.rigj", {"trial-001": trials.quiet()})
     assert validate(detected(silent).file) == [(0, 0), (0, 0)]
 
 
-def test_viewers_plot_the_first_trial_at_the_first_click(found: Found) -> None:
+def test_viewers_plot_the_first_trial_at_the_first_click(found: DetectionResult) -> None:
     import xarray
     from silx.io.nxdata import NXdata, get_default
 
@@ -348,7 +360,7 @@ def test_a_run_that_was_not_simulated_does_not_say_so(tmp_path: Path) -> None:
     assert b"SIMULATED" not in real.file.read_bytes()
 
 
-def test_verify_says_what_a_sound_file_holds(found: Found) -> None:
+def test_verify_says_what_a_sound_file_holds(found: DetectionResult) -> None:
     assert str(verdict(found.file)) == (
         f"sound (paper-hp {DETECTOR_VERSION}, {sum(found.events.values())} events in 2 trials)"
     )

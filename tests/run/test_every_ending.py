@@ -57,7 +57,7 @@ POINTS = ("first", "second", "third", "fourth")
 LAYOUT = Layout(
     definition="NXrig_noop",
     version="1",
-    columns=(Column("x", "x", "V", "x"), Column("y", "y", "V", "y")),
+    columns=(Column("x", "V", key="x", long_name="x"), Column("y", "V", key="y", long_name="y")),
     plots=(Plot("data", "y", ("x",)),),
 )
 REFUSED = InstrumentError("stage_z", "move", "the axis was made safe meanwhile")

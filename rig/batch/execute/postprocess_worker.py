@@ -80,8 +80,8 @@ def _detect(file: Path) -> tuple[Path | None, list[str]]:
     from rig.detector.settings import named_detectors
     from rig.processing import detection
 
-    found = detection.detect_file(detection.Job(file, named_detectors()[DEFAULT_DETECTOR]))
-    if isinstance(found, detection.Failure):
+    found = detection.detect_file(detection.DetectionJob(file, named_detectors()[DEFAULT_DETECTOR]))
+    if isinstance(found, detection.DetectionFailure):
         return None, [found.error().one_line()]
     return found.file, list(found.warnings)
 

@@ -11,7 +11,6 @@ nobody: the file grows old, which is what it is for.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import logging
 import os
@@ -21,6 +20,8 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
+
+from rig.core.atomic import write_text
 
 EVERY_S = 5.0
 """Between two beats where nothing has changed but the point."""
@@ -71,14 +72,10 @@ class Heartbeat:
         self._written, self._due_s = told, now_s + EVERY_S
         now = datetime.now().astimezone().isoformat(timespec="seconds")
         text = json.dumps({**asdict(beat), "time": now, "pid": os.getpid()}) + "\n"
-        part = self._path.with_name(f".{self._path.name}.part")
         try:
-            part.write_text(text, encoding="utf-8")
-            part.replace(self._path)
+            write_text(self._path, text, durable=False)
             self._failed = False
         except OSError as error:
             if not self._failed:  # once, not every few seconds
                 log.warning("the heartbeat %s cannot be written: %s", self._path, error)
             self._failed = True
-            with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)

@@ -1,8 +1,9 @@
 """A file for HDF5 to write on, which survives a full disk.
 
-HDF5 does not: after a failed write it prints, cannot close its file, and may take the process down
-with it. Here the first failure is kept, later writes are dropped, HDF5 closes in peace, and then
-the failure is raised. What was written so far is worthless, and belongs to a temporary name.
+HDF5 2.0 does not: after a failed write (ENOSPC) it prints pages of errors, cannot close its file,
+and crashes the process at exit. Here the first failure is stored and later writes are dropped, so
+that HDF5 sees a disk that takes everything and closes its file; then ``check`` raises the failure.
+What was written is worthless, so the file has to have a temporary name.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from pathlib import Path
 
 
 class GuardedFile:
-    """A new file in the form h5py's ``fileobj`` driver wants."""
+    """A new file in the form that h5py's ``fileobj`` driver takes. FileExistsError if it exists."""
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
@@ -20,12 +21,12 @@ class GuardedFile:
         self._failure: OSError | None = None
 
     def check(self) -> None:
-        """Raise the first failure to write, if there was one."""
+        """Raise the first failure to write, if there was one (OSError)."""
         if self._failure is not None:
             raise self._failure
 
     def write(self, data: bytes | memoryview) -> int:
-        """Write at the position; a failure is kept for ``check``."""
+        """Write at the position. Does not raise: the first failure is stored for ``check``."""
         left = memoryview(data).cast("B")
         size = len(left)
         try:
@@ -38,7 +39,7 @@ class GuardedFile:
         return size
 
     def readinto(self, buffer: memoryview) -> int:
-        """Read at the position; zeros behind the end, as in a hole."""
+        """Read at the position; behind the end there are zeros, as in a hole of a sparse file."""
         view = memoryview(buffer).cast("B")
         count = os.preadv(self._descriptor, [view], self._position)
         view[count:] = bytes(len(view) - count)
@@ -46,23 +47,25 @@ class GuardedFile:
         return len(view)
 
     def read(self, size: int) -> bytes:
-        """Read at the position; h5py knows a file by this method, and calls ``readinto``."""
+        """Read `size` bytes at the position. h5py calls ``readinto``, but takes an object for a
+        file only if it has this method.
+        """
         data = bytearray(size)
         self.readinto(memoryview(data))
         return bytes(data)
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Move the position."""
+        """Move the position; returns the new one."""
         base = (0, self._position, os.fstat(self._descriptor).st_size)[whence]
         self._position = base + offset
         return self._position
 
     def tell(self) -> int:
-        """The position."""
+        """Return the position."""
         return self._position
 
     def truncate(self, size: int) -> int:
-        """Set the file's length; a failure is kept for ``check``."""
+        """Set the file's length. Does not raise: the first failure is stored for ``check``."""
         try:
             if self._failure is None:
                 os.ftruncate(self._descriptor, size)
@@ -71,12 +74,7 @@ class GuardedFile:
         return size
 
     def flush(self) -> None:
-        """Nothing is held back."""
-
-    def sync(self) -> None:
-        """Return when the file is on the disk; raises what failed before."""
-        self.check()
-        os.fsync(self._descriptor)
+        """Do nothing: every write goes to the kernel at once."""
 
     def close(self) -> None:
         """Close the file."""

@@ -1,32 +1,32 @@
-"""NeXus in HDF5: groups with a class, fields with a unit, plots that open at the first click.
+"""NeXus in HDF5: groups with a class, fields with a unit and a name that viewers show.
 
-The conventions are those that h5web, silx, NeXpy and xarray each need: a plot's title is a field,
-``long_name`` shows the unit, logarithmic axes are written in two spellings, and dimension scales
-name the dimensions. h5py and numpy are imported only where something is written.
+Nothing here knows what a run is. h5py and numpy are imported only where something is written, since
+together they take a third of a second.
 """
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from rig.files.journal.format import to_json
+
 if TYPE_CHECKING:
     import h5py
     from numpy.typing import NDArray
 
-    from rig.files.journal.layout import Layout, Plot
-    from rig.files.runfile.table import PointTable
 
 CHUNK_ROWS = 1 << 18
 """Rows of a chunk: half a MiB of int16, which viewers read at a time."""
 
 
 def set_attributes(item: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -> None:
-    """New attributes, as ``item.attrs[name] = value`` makes them in twice the time: it writes each
-    one under another name first, and a run file has thousands. What may exist goes that way."""
+    """Set attributes that do not exist yet. ``item.attrs[name] = value`` takes twice the time,
+    since it writes each under a temporary name first, and a run file has thousands. Use that for
+    attributes that may exist.
+    """
     import numpy as np
     from h5py import h5a
 
@@ -54,19 +54,19 @@ def _attribute(kind: type, rows: int | None) -> tuple[Any, Any, Any]:
 
 
 def safe_name(text: str) -> str:
-    """A valid NeXus name that looks like the text: ``f=10.5 Hz`` gives ``f_10_5_Hz``."""
+    """Return a valid NeXus name that looks like the text: ``f=10.5 Hz`` gives ``f_10_5_Hz``."""
     return re.sub(r"[^A-Za-z0-9_]+", "_", text)[:100] or "_"
 
 
 class UniqueNames:
-    """Names for the items of one group, all different."""
+    """Gives names to the items of one group, all different."""
 
     def __init__(self, *taken: str) -> None:
         self._numbers = dict.fromkeys(taken, 1)
         """Of each name, the last number that was put behind it."""
 
     def name(self, text: str) -> str:
-        """``safe_name``, with a number behind it where it is taken."""
+        """Return ``safe_name`` of the text, with a number behind it if that name is in use."""
         name = base = safe_name(text)
         while name in self._numbers:
             self._numbers[base] += 1
@@ -76,24 +76,24 @@ class UniqueNames:
 
 
 def plain_text(text: object) -> str:
-    """Text as HDF5 can hold it: no NUL and no lone surrogates."""
+    """Return the text as HDF5 can hold it: without NUL and lone surrogates."""
     return str(text).replace("\0", "\ufffd").encode("utf-8", "replace").decode()
 
 
 def group(parent: h5py.Group, name: str, nx_class: str) -> h5py.Group:
-    """A new group of a NeXus class."""
+    """Create a group of a NeXus class and return it."""
     made = parent.create_group(name)
     set_attributes(made, {"NX_class": nx_class})
     return made
 
 
 def text_field(parent: h5py.Group, name: str, text: object) -> h5py.Dataset:
-    """A field of UTF-8 text."""
+    """Create a scalar dataset of UTF-8 text and return it."""
     return parent.create_dataset(name, data=plain_text(text))
 
 
 def texts_field(parent: h5py.Group, name: str, texts: Sequence[str]) -> h5py.Dataset:
-    """A field of several texts, shape (n,)."""
+    """Create a dataset of UTF-8 texts, shape (n,), and return it."""
     import h5py
 
     plain = [plain_text(text) for text in texts]
@@ -101,7 +101,7 @@ def texts_field(parent: h5py.Group, name: str, texts: Sequence[str]) -> h5py.Dat
 
 
 def number_field(parent: h5py.Group, name: str, value: Any, units: str = "") -> h5py.Dataset:
-    """A scalar field."""
+    """Create a scalar dataset of a number and return it."""
     field = parent.create_dataset(name, data=value)
     if units:
         field.attrs["units"] = units
@@ -111,7 +111,7 @@ def number_field(parent: h5py.Group, name: str, value: Any, units: str = "") -> 
 def array_field(
     parent: h5py.Group, name: str, values: NDArray[Any], units: str = "", long_name: str = ""
 ) -> h5py.Dataset:
-    """A compressed, checksummed field."""
+    """Create a compressed dataset with checksums from an array and return it."""
     field = empty_field(parent, name, values.shape, values.dtype)
     if values.size:
         field[...] = values
@@ -121,7 +121,9 @@ def array_field(
 
 
 def empty_field(parent: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
-    """A compressed, checksummed field to be filled: gzip 1, shuffle and fletcher32."""
+    """Create a compressed dataset with checksums, to be filled by the caller, and return it.
+    Filters: gzip 1, shuffle, fletcher32, which every HDF5 reader has.
+    """
     if 0 in shape:
         return parent.create_dataset(name, shape, dtype)
     return parent.create_dataset(
@@ -137,53 +139,56 @@ def empty_field(parent: h5py.Group, name: str, shape: tuple[int, ...], dtype: An
 
 
 def label(field: h5py.Dataset, units: str, long_name: str) -> None:
-    """Unit and name as viewers show them."""
+    """Set the unit and the name that viewers show."""
     set_attributes(field, {"units": units} | ({"long_name": long_name} if long_name else {}))
 
 
-def plot_group(
-    entry: h5py.Group, plot: Plot, layout: Layout, table: PointTable, title: str
-) -> h5py.Group:
-    """An NXdata group of the table's columns, sorted by the plot's axes."""
-    data = group(entry, plot.group, "NXdata")
-    data.attrs["signal"] = plot.signal
-    data.attrs["axes"] = [plot.axes[0]]
-    for axis in plot.axes:
-        data.attrs[f"{axis}_indices"] = [0]
-    if plot.auxiliary:
-        data.attrs["auxiliary_signals"] = list(plot.auxiliary)
-    if plot.log_axes:
-        data.attrs["SILX_style"] = silx_style(plot)
-    text_field(data, "title", title)
-    order = table.order(plot.axes)
-    for name, source in plot_sources(plot).items():
-        column = layout.column(source)
-        array_field(data, name, table.numbers(source)[order], column.units, column.long_name)
-    _attach_scale(data, plot)
-    return data
+def write_values(
+    made: h5py.Group, values: Mapping[str, Any], units: Mapping[str, str], prefix: str = ""
+) -> None:
+    """Write nested values as nested groups. `units` maps dotted names to their units."""
+    names = UniqueNames(*made)
+    for key, value in values.items():
+        name, dotted = names.name(key), f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            write_values(group(made, name, "NXparameters"), value, units, f"{dotted}.")
+            continue
+        field = made.create_dataset(name, data=_field_value(value))
+        if dotted in units:
+            field.attrs["units"] = plain_text(units[dotted])
 
 
-def plot_sources(plot: Plot) -> dict[str, str]:
-    """Names of a plot's datasets, each with the column it comes from."""
-    sources = {name: name for name in (plot.signal, *plot.axes, *plot.auxiliary)}
-    if plot.errors:
-        sources[plot.errors_name] = plot.errors
-    return sources
+def _field_value(value: Any) -> Any:
+    """A number, text or list of numbers as it is, anything else as its JSON text."""
+    if isinstance(value, (bool, float)):
+        return value
+    if isinstance(value, int) and abs(value) < 2**63:
+        return value
+    if isinstance(value, str):
+        return plain_text(value)
+    if isinstance(value, (list, tuple)) and value and all(type(v) is float for v in value):
+        return list(value)
+    if isinstance(value, (list, tuple)) and value and all(type(v) in (int, float) for v in value):
+        return [float(v) for v in value] if all(abs(v) < 2**53 for v in value) else to_json(value)
+    if _is_matrix(value):
+        return [[float(number) for number in row] for row in value]
+    return to_json(value)
 
 
-def silx_style(plot: Plot) -> str:
-    """Scales of a plot's axes, in h5web's and in silx's spelling."""
-    axes = ["log" if plot.axes[0] in plot.log_axes else "linear"]
-    style: dict[str, object] = {"axes_scale_type": axes, "axes_scale_types": axes}
-    if plot.signal in plot.log_axes:
-        style["signal_scale_type"] = "log"
-    return json.dumps(style)
+def _is_matrix(value: Any) -> bool:
+    """Rows of equally many numbers, each exact as a float."""
+    rows = value if isinstance(value, (list, tuple)) else []
+    return (
+        bool(rows)
+        and all(isinstance(row, (list, tuple)) and row for row in rows)
+        and len({len(row) for row in rows}) == 1
+        and all(type(v) is float or (type(v) is int and abs(v) < 2**53) for r in rows for v in r)
+    )
 
 
-def _attach_scale(data: h5py.Group, plot: Plot) -> None:
-    """Give the dimension its name, for xarray and HDFView."""
-    scale = data[plot.axes[0]]
-    scale.make_scale(plot.axes[0])
-    for name in plot_sources(plot):
-        if name != plot.axes[0]:
-            data[name].dims[0].attach_scale(scale)
+def write_note(entry: h5py.Group, name: str, kind: str, file_name: str, data: str) -> None:
+    """Write a text of media type `kind` as an NXnote."""
+    note = group(entry, name, "NXnote")
+    text_field(note, "type", kind)
+    text_field(note, "file_name", file_name)
+    text_field(note, "data", data)

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 class OpenFile:
-    """Holds the file and closes it; use it as a context."""
+    """An HDF5 file that is open for reading; use it as a context."""
 
     def __init__(self, path: Path, file: h5py.File) -> None:
         self.path = path
@@ -28,5 +28,5 @@ class OpenFile:
 
     @property
     def entry(self) -> h5py.Group:
-        """The file's /entry."""
+        """Return the file's ``/entry``."""
         return self._file["entry"]

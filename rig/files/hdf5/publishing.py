@@ -1,28 +1,29 @@
-"""A file gets its name only when it is whole and on the disk; its checksum lies beside it."""
+"""How an HDF5 file gets its name: when it is whole, checked and on the disk."""
 
 from __future__ import annotations
 
-import os
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 
-from rig.files.journal.writer import sync_folder
-from rig.files.naming import checksum_path
+from rig.core.atomic import replacing
+from rig.files.checksum import sha256_of, write_checksum
 
 
-def publish(part: Path, target: Path, checksum: str) -> None:
-    """Give a finished file its name: read-only, in place of an earlier one, SHA-256 beside it.
+@contextlib.contextmanager
+def publishing(target: Path, *, shared: bool = False) -> Iterator[Path]:
+    """Give the block a temporary path to write to and to check; then publish that file.
 
-    The name and its checksum are on the disk when this returns; the content has to be before.
+    Publishing makes the file read-only, puts it on the disk, renames it to `target` in place of an
+    earlier one, and writes its SHA-256 beside it. If the block raises, nothing of this happens and
+    no file is left behind. `shared` is for targets that several processes may write at once.
+
+    Raises the OSError of the step that failed.
     """
-    part.chmod(0o444)
-    part.replace(target)
-    line = part.with_name(f"{part.name}.sha256")
-    try:
-        with line.open("w") as file:
-            file.write(f"{checksum}  {target.name}\n")
-            file.flush()
-            os.fsync(file.fileno())
-        line.replace(checksum_path(target))
-    finally:
-        line.unlink(missing_ok=True)
-    sync_folder(target.parent)
+    with replacing(target, shared=shared) as part:
+        yield part
+        sha256 = sha256_of(part)
+        part.chmod(0o444)
+    # Between these two steps the file has the checksum of its predecessor, and verifying it fails.
+    # The other order would have a sound file fail for as long as a crash left it so.
+    write_checksum(target, sha256)

@@ -23,7 +23,9 @@ MAX_COMPRESSION = 1100
 
 
 def refuse_links(file: h5py.File) -> None:
-    """ValueError where a name is not an object of this file but a link, which may lead anywhere."""
+    """Raise ValueError if a name in the file is a link and not an object: a link may lead to any
+    file of the computer.
+    """
     from h5py import h5l
 
     def link(name: bytes, info: Any) -> str | None:
@@ -34,7 +36,9 @@ def refuse_links(file: h5py.File) -> None:
 
 
 def checked(field: h5py.Dataset) -> h5py.Dataset:
-    """A dataset whose values are in its file, all that it declares."""
+    """Return the dataset if its values are in this file, as many as it declares. ValueError
+    otherwise.
+    """
     if field.is_virtual or field.external:
         raise ValueError(f"{field.name}: its values are in another file")
     stored = field.id.get_storage_size()
@@ -50,20 +54,20 @@ def checked(field: h5py.Dataset) -> h5py.Dataset:
 
 
 def whole(field: h5py.Dataset) -> Any:
-    """All values of a dataset, an array or a scalar."""
+    """Return all values of a dataset, an array or a scalar. ValueError beyond MAX_BYTES."""
     if checked(field).nbytes > MAX_BYTES:
         raise ValueError(f"{field.name}: {field.nbytes} bytes in one piece")
     return field[()]
 
 
 def text_of(field: h5py.Dataset) -> str:
-    """A text field's value."""
+    """Return the value of a text dataset. ValueError beyond MAX_BYTES."""
     value = whole(field)
     return value.decode() if isinstance(value, bytes) else str(value)
 
 
 def texts_of(field: h5py.Dataset) -> list[str]:
-    """The values of a field of several texts."""
+    """Return the values of a dataset of texts. ValueError beyond MAX_BYTES in all."""
     rows = max(MAX_BYTES // field.file.id.get_filesize(), 1)  # each may be as long as the file
     texts: list[str] = []
     read = 0

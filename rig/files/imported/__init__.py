@@ -1,6 +1,6 @@
-"""Recordings from elsewhere: text, LVM and MATLAB files, read into a run file of our own.
+"""Recordings of other programs: text, LVM and MATLAB files, made into run files.
 
-Nothing is guessed in silence. What a file does not say has to be told, what it says is checked
-against what was told, and what is no number is refused with its line. Readers take bytes and give
-arrays; only ``importing`` writes.
+Nothing is guessed in silence. What a file does not say, the user has to state; what it says is
+checked against what the user stated; a cell that is not a number is refused with its line. Readers
+take bytes and return arrays; only ``import_file`` writes.
 """

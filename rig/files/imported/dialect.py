@@ -1,7 +1,7 @@
 """How a text file separates its cells and writes its numbers; recognised from its own lines.
 
 Numbers are ASCII digits with one decimal sign and an exponent: what else `float` takes (``1_0``,
-``nan``, other scripts' digits) is no number of a recording. There are no thousands separators: a
+``nan``, other scripts' digits) is not a number of a recording. There are no thousands separators: a
 comma between digits is the decimal sign or the end of a cell, as all of the rows show.
 """
 
@@ -34,8 +34,8 @@ _OF_NUMBERS = re.compile(r"[-+.,;eE\s]*[0-9][-+0-9.,;eE\s]*")
 
 
 @dataclass(frozen=True)
-class Dialect:
-    """What separates cells, and what the decimal sign is."""
+class TextDialect:
+    """How a text is written: what separates its cells, and its decimal sign."""
 
     delimiter: Delimiter
     decimal: Decimal
@@ -48,7 +48,7 @@ class Dialect:
         return re.compile(_NUMBER[self.decimal])
 
     def cells(self, line: str) -> list[str]:
-        """The cells of a line, without the quotes and blanks around them."""
+        """Return the cells of a line, without the quotes and blanks around them."""
         if self.delimiter == "space":
             return _BLANKS.split(line.strip(" \t"))
         mark = CHARACTER[self.delimiter]
@@ -59,15 +59,15 @@ class Dialect:
         return [cell.strip(" \t") for cell in found]
 
     def is_number(self, cell: str) -> bool:
-        """Whether a cell is a number of this dialect."""
+        """Return whether a cell is a number in this dialect."""
         return self._number.fullmatch(cell) is not None
 
     def is_number_or_none(self, cell: str) -> bool:
-        """Whether it is one, or stands for one that is missing: NaN, inf, null."""
+        """Return whether a cell is a number or stands for a missing one: NaN, inf, null."""
         return self.is_number(cell) or _NO_VALUE.match(cell) is not None
 
     def number(self, cell: str) -> float:
-        """The value of such a cell."""
+        """Return the value of a cell that is a number."""
         return float(cell.replace(",", ".") if self.decimal == "comma" else cell)
 
     def row_pattern(self, width: int, wanted: Sequence[int]) -> re.Pattern[str]:
@@ -84,21 +84,23 @@ class Dialect:
 
 @dataclass(frozen=True)
 class Shape:
-    """A dialect, and the rows of a file in it: how many cells, and which of them are numbers."""
+    """What a row of the file looks like: its dialect, its cells, and which of them are numbers."""
 
-    dialect: Dialect
+    dialect: TextDialect
     width: int
     numbers: tuple[int, ...]
 
     def fits(self, line: str) -> bool:
-        """Whether a line is such a row."""
+        """Return whether a line is a row of this shape."""
         cells = self.dialect.cells(line)
         return len(cells) == self.width and all(
             self.dialect.is_number(cells[k]) for k in self.numbers
         )
 
     def nearly(self, line: str) -> bool:
-        """Whether it looks like such a row with something wrong, and not like text above them."""
+        """Return whether a line looks like a row of this shape with something wrong in it, and not
+        like the text above the rows.
+        """
         cells = self.dialect.cells(line)
         like = [self.dialect.is_number_or_none(cell) for cell in cells]
         if len(cells) == self.width and any(like[k] for k in self.numbers):
@@ -125,13 +127,13 @@ def recognised(
     return None if best is None else best[1]
 
 
-def _candidates(delimiter: Delimiter | None, decimal: Decimal | None) -> list[Dialect]:
+def _candidates(delimiter: Delimiter | None, decimal: Decimal | None) -> list[TextDialect]:
     delimiters: Sequence[Delimiter] = [delimiter] if delimiter else list(CHARACTER)
     decimals: Sequence[Decimal] = [decimal] if decimal else list(_NUMBER)
-    return [Dialect(d, p) for d in delimiters for p in decimals if (d, p) != ("comma", "comma")]
+    return [TextDialect(d, p) for d in delimiters for p in decimals if (d, p) != ("comma", "comma")]
 
 
-def _shape(sample: Sequence[str], dialect: Dialect) -> tuple[tuple[int, float], Shape] | None:
+def _shape(sample: Sequence[str], dialect: TextDialect) -> tuple[tuple[int, float], Shape] | None:
     rows = []
     for line in sample:
         cells = dialect.cells(line)

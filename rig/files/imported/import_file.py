@@ -21,8 +21,8 @@ from rig.files.errors import ForeignFileError, RecordingError
 from rig.files.hdf5.nexus import CHUNK_ROWS, plain_text
 from rig.files.imported import lvm, matlab, matlab_variables
 from rig.files.imported.dialect import Decimal, Delimiter
-from rig.files.imported.series import FORCES, STRIPS, UNIT, Recording, Told, recording_of
-from rig.files.imported.source import MAX_BYTES, Source
+from rig.files.imported.series import FORCES, STRIPS, UNIT, ChannelMap, Recording, recording_of
+from rig.files.imported.source import MAX_BYTES, ImportSource
 from rig.files.imported.text import read_text
 from rig.files.journal.layout import Column, Layout, Trace
 from rig.files.journal.values import IMPORTED, Origin, Program
@@ -39,8 +39,8 @@ POINT = "recording"
 
 
 @dataclass(frozen=True)
-class About:
-    """What was told about a recording besides its numbers; all of it may be unknown."""
+class RecordingNotes:
+    """What the user stated about a recording besides its numbers; all of it may be unknown."""
 
     sensor: str = ""
     sample: str = ""
@@ -56,12 +56,12 @@ class About:
 
 @dataclass(frozen=True)
 class ForeignFile:
-    """A file as it was read once: whatever is made of it is made of these bytes."""
+    """A file that was read once: name, hash and columns are those of the same bytes."""
 
     name: str
     sha256: str
     size: int
-    source: Source
+    source: ImportSource
 
 
 def read_foreign(
@@ -70,7 +70,7 @@ def read_foreign(
     decimal: Decimal | None = None,
     header_lines: int | None = None,
 ) -> ForeignFile:
-    """Open a text, LVM or MATLAB file, told by how it begins.
+    """Open a text, LVM or MATLAB file, recognised by its first bytes.
 
     The last three are for text, where they are not to be recognised. ForeignFileError for anything
     else, and for a file beyond MAX_BYTES.
@@ -87,9 +87,9 @@ def read_foreign(
         raise ForeignFileError(repr(str(path)), str(error)) from error
     if len(content) > MAX_BYTES:
         raise ForeignFileError(
-            name, f"longer than {MAX_BYTES >> 20} MiB", "cut it into several recordings"
+            name, f"larger than {MAX_BYTES >> 20} MiB", "cut it into several recordings"
         )
-    source: Source
+    source: ImportSource
     if content.startswith((matlab_variables.MAGIC_5, matlab_variables.MAGIC_73)):
         source = matlab.read_matlab(content, name)
     elif content.startswith(lvm.MAGIC):
@@ -99,21 +99,25 @@ def read_foreign(
     if source.format != "text" and (delimiter or decimal or header_lines is not None):
         raise ForeignFileError(
             name,
-            f"{source.format} says itself how it is written",
+            f"{source.format} files say themselves how they are written",
             "leave out --delimiter, --decimal and --header-lines",
         )
     return ForeignFile(name, hashlib.sha256(content).hexdigest(), len(content), source)
 
 
 def write_import(
-    foreign: ForeignFile, told: Told, about: About, results: Path, program: Program
+    foreign: ForeignFile,
+    stated: ChannelMap,
+    about: RecordingNotes,
+    results: Path,
+    program: Program,
 ) -> tuple[Path, Recording]:
     """The run file, in the folder of today below `results`, and what it holds.
 
-    ForeignFileError where the file cannot be understood as it was told (nothing was begun),
+    ForeignFileError if the file does not agree with what was stated (nothing was begun),
     RecordingError where the run file cannot be written (nothing is left).
     """
-    recording = recording_of(foreign.source, told, foreign.name)
+    recording = recording_of(foreign.source, stated, foreign.name)
     header = _header(foreign, recording, about, program)
     writer = begin_journal(results, PROCEDURE, header)
     target = writer.path.with_suffix(RUN_SUFFIX)
@@ -142,7 +146,7 @@ def _all_or_nothing(writer: JournalWriter, target: Path) -> Iterator[None]:
 
 
 def _header(
-    foreign: ForeignFile, recording: Recording, about: About, program: Program
+    foreign: ForeignFile, recording: Recording, about: RecordingNotes, program: Program
 ) -> dict[str, Any]:
     settings: dict[str, Any] = {
         "rate_Hz": recording.rate_Hz,
@@ -151,7 +155,7 @@ def _header(
     } | {
         name: text
         for name, text in (
-            ("written", foreign.source.told),
+            ("written", foreign.source.written_as),
             ("sensor", about.sensor),
             ("object", about.object),
         )
@@ -217,7 +221,7 @@ def _streams(recording: Recording) -> list[tuple[str, str, list[str], str, str]]
 
 
 def layout_of(recording: Recording) -> Layout:
-    """How the file shows a recording: the strips, and forces where there are some."""
+    """Return how the run file shows a recording: the strips, and the forces if there are any."""
     traces = [Trace("data", "signals", "v_d", STRIPS, title="Differential PVDF signal")]
     if forces := _forces(recording):
         traces.append(Trace("force", "force", forces[0], tuple(forces[1:]), title="Forces"))
@@ -225,9 +229,9 @@ def layout_of(recording: Recording) -> Layout:
         definition="NXrig_import",
         version="1",
         columns=(
-            Column("samples", "samples", "", "Samples of each channel"),
-            Column("rate", "rate_Hz", "Hz", "Rate (Hz)"),
-            Column("length", "length_s", "s", "Length (s)"),
+            Column("samples", "", "Samples of each channel"),
+            Column("rate", "Hz", "Rate"),
+            Column("length", "s", "Length"),
         ),
         plots=(),
         traces=tuple(traces),
@@ -235,7 +239,7 @@ def layout_of(recording: Recording) -> Layout:
 
 
 def _record(
-    writer: JournalWriter, foreign: ForeignFile, recording: Recording, about: About
+    writer: JournalWriter, foreign: ForeignFile, recording: Recording, about: RecordingNotes
 ) -> None:
     """The journal of an import: one point, all samples, the end."""
     import numpy as np

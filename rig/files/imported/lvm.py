@@ -21,7 +21,7 @@ from typing import TypeVar
 
 from rig.core.errors import shortened
 from rig.files.errors import ForeignFileError
-from rig.files.imported.dialect import CHARACTER, Decimal, Delimiter, Dialect, Shape
+from rig.files.imported.dialect import CHARACTER, Decimal, Delimiter, Shape, TextDialect
 from rig.files.imported.source import Format
 from rig.files.imported.text import UNITS, TextTable, lines_of
 
@@ -40,7 +40,7 @@ T = TypeVar("T")
 
 
 class LvmTable(TextTable):
-    """The segment of an LVM file (see `source.Source`)."""
+    """The segment of an LVM file (see `source.ImportSource`)."""
 
     format: Format = "LVM"
 
@@ -55,7 +55,7 @@ class LvmTable(TextTable):
         self._check_samples()
 
     def unit(self, column: int) -> str | None:
-        """What Y_Unit_Label says of a channel, else what its name says."""
+        """Return the channel's unit from Y_Unit_Label, or else from its name."""
         labels = self._segment.get("Y_Unit_Label", ())
         channel = (column - 1) // 2 if self._x == "Multi" else column - 1
         is_channel = 0 <= channel < len(labels) and not (self._x == "Multi" and column % 2 == 0)
@@ -75,7 +75,7 @@ class LvmTable(TextTable):
         if step is None:
             return None
         if not 0 < step < math.inf:
-            raise ForeignFileError(self._file, f"Delta_X {step:g} s is no period")
+            raise ForeignFileError(self._file, f"Delta_X {step:g} s is not a sampling period")
         return 1 / step
 
     def _equal(self, field: str) -> float | None:
@@ -83,7 +83,7 @@ class LvmTable(TextTable):
         numbers = []
         for cell in filter(None, self._segment.get(field, ())):
             if not self._dialect.is_number(cell):
-                raise ForeignFileError(self._file, f"{field} {shortened(cell)!r} is no number")
+                raise ForeignFileError(self._file, f"{field} {shortened(cell)!r} is not a number")
             numbers.append(self._dialect.number(cell))
         for number in numbers:
             if not math.isclose(number, numbers[0], rel_tol=PRINTED_TOLERANCE):
@@ -113,7 +113,7 @@ def read_lvm(content: bytes, name: str) -> LvmTable:
     lines = lines_of(content, name)
     ends = _ends_of_headers(lines, name)
     head, segment = _fields(lines[: ends[0]]), _fields(lines[ends[0] + 1 : ends[1]])
-    dialect = Dialect(
+    dialect = TextDialect(
         _stated(head, "Separator", _SEPARATORS, "tab", name),
         _stated(head, "Decimal_Separator", _DECIMALS, "point", name),
     )
@@ -149,7 +149,7 @@ def _fields(lines: Sequence[str]) -> Fields:
 
 
 def _stated(head: Fields, field: str, known: Mapping[str, T], usual: T, name: str) -> T:
-    """What a line of the file's header says; the usual where there is no such line."""
+    """Return what a line of the file's header says, or the usual value if there is no such line."""
     if field not in head:
         return usual
     cell = next(filter(None, head[field]), ",")  # a decimal comma behind a comma

@@ -33,9 +33,9 @@ _WANTED = re.compile(r"([A-Za-z]\w*)(?::([0-9]{1,9}))?\Z", re.ASCII)
 
 
 class MatlabTable:
-    """The numeric variables of a file (see `source.Source`)."""
+    """The numeric variables of a file (see `source.ImportSource`)."""
 
-    told = ""
+    written_as = ""
     rate_Hz: float | None = None
     time: str | None = None
 
@@ -89,22 +89,22 @@ class MatlabTable:
         return self._columns.index(key)
 
     def name(self, column: int) -> str:
-        """A column by its variable."""
+        """Return a column as the user finds it: its variable, and its number in a matrix."""
         variable, number = self._columns[column]
         shape = self._variables[variable][1]
         many = 1 not in shape
         return f"column {number + 1} of variable {variable}" if many else f"variable {variable}"
 
     def unit(self, column: int) -> str | None:
-        """MATLAB's arrays have none."""
+        """Return None: MATLAB's arrays have no units."""
         return None
 
     def place(self, row: int) -> str:
-        """A row as MATLAB counts."""
+        """Return a row as MATLAB counts them, from 1."""
         return f"row {row + 1}"
 
     def values(self, columns: Sequence[int]) -> NDArray[np.float64]:
-        """Numbers of shape (rows, columns)."""
+        """Return the columns as float64, shape (rows, columns)."""
         import numpy as np
 
         names = list(dict.fromkeys(self._columns[column][0] for column in columns))
@@ -128,7 +128,7 @@ class MatlabTable:
                 row = int(np.argmin(finite))
                 raise ForeignFileError(
                     self._file,
-                    f"{self.name(column)}: {taken[-1][row]} is no number",
+                    f"{self.name(column)}: {taken[-1][row]} is not a number",
                     "cut the recording there: a sample that is missing cannot be imported",
                     self.place(row),
                 )
@@ -169,5 +169,5 @@ class MatlabTable:
 
 
 def read_matlab(content: bytes, name: str) -> MatlabTable:
-    """The variables of a MATLAB file; ForeignFileError where it cannot be read."""
+    """Return the variables of a MATLAB file. ForeignFileError if it cannot be read."""
     return MatlabTable(name, content, variables_of(content, name))

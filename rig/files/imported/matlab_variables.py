@@ -1,22 +1,20 @@
-"""The variables of a MATLAB file, read where nothing can be lost.
+"""The variables of a MATLAB file, read in a child process.
 
-``python -m rig.files.imported.matlab_variables [NAME...]`` takes the file's bytes on standard
-input and answers on standard output: without names what variables there are, as JSON, with names
-their arrays, as NumPy's npz. SciPy has crashed on damaged files of version 5, and HDF5 may not come
-to an end with one of 7.3, which nothing in their process can interrupt.
+SciPy has crashed on damaged files of version 5, and HDF5 may loop for ever on one of version 7.3;
+nothing in their own process can interrupt either. ``python -m rig.files.imported.matlab_variables
+[NAME...]`` reads the file's bytes from stdin and answers on stdout: without names the list of
+variables as JSON, with names their arrays as NumPy's npz.
 """
 
 from __future__ import annotations
 
 import io
 import json
-import resource
-import signal
-import subprocess
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from rig.core.child import ChildError, run_module
 from rig.core.errors import shortened
 from rig.files.errors import ForeignFileError
 from rig.files.hdf5.safe_reading import refuse_links, whole
@@ -27,45 +25,35 @@ if TYPE_CHECKING:
 MAGIC_5, MAGIC_73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 
 PATIENCE_S = 60.0
-"""For a small file; a large one has BYTES_A_S besides."""
-BYTES_A_S = 1e6
-MAX_MEMORY_BYTES = 8 << 30
-_DAMAGED = 3
+"""Time allowed for a small file; a large one gets more by BYTES_PER_S."""
+BYTES_PER_S = 1e6
+"""Slower than any computer that runs this reads a file."""
 
 Variables = dict[str, tuple[str, tuple[int, ...]]]
-"""Class, in MATLAB's word, and shape of each variable; no shape where it is no array."""
+"""Class, in MATLAB's word, and shape of each variable; an empty shape if it is not an array."""
 
 
 def variables_of(content: bytes, name: str) -> Variables:
-    """What variables there are; ForeignFileError where the file cannot be read."""
-    listed = json.loads(_apart(content, name, ()))
+    """Return class and shape of every variable. ForeignFileError if the file cannot be read."""
+    listed = json.loads(_ask_child(content, name, ()))
     return {variable: (kind, tuple(shape)) for variable, (kind, shape) in listed.items()}
 
 
 def arrays_of(content: bytes, name: str, wanted: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Arrays of those variables; ForeignFileError where the file cannot be read."""
+    """Return the arrays of the variables `wanted`. ForeignFileError if the file cannot be read."""
     import numpy as np
 
-    with np.load(io.BytesIO(_apart(content, name, wanted)), allow_pickle=False) as arrays:
+    with np.load(io.BytesIO(_ask_child(content, name, wanted)), allow_pickle=False) as arrays:
         return {variable: arrays[f"{number}"] for number, variable in enumerate(wanted)}
 
 
-def _apart(content: bytes, name: str, wanted: Sequence[str]) -> bytes:
-    command = [sys.executable, "-P", "-m", __name__, *wanted]
-    patience_s = PATIENCE_S + len(content) / BYTES_A_S
+def _ask_child(content: bytes, name: str, wanted: Sequence[str]) -> bytes:
+    timeout_s = PATIENCE_S + len(content) / BYTES_PER_S
     try:
-        done = subprocess.run(command, input=content, capture_output=True, timeout=patience_s)
-    except subprocess.TimeoutExpired:
-        reason = f"reading it does not come to an end within {patience_s:.0f} s"
-    else:
-        if done.returncode == 0:
-            return done.stdout
-        said = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["it died of it"]
-        killed = signal.Signals(-done.returncode).name if done.returncode < 0 else said[0]
-        reason = shortened(killed, 200)
-    raise ForeignFileError(
-        name, f"no readable MATLAB file: {reason}", "it is damaged: save it again"
-    )
+        return run_module(__name__, wanted, given=content, timeout_s=timeout_s)
+    except ChildError as error:
+        reason = f"not a readable MATLAB file: {shortened(error.reason, 200)}"
+        raise ForeignFileError(name, reason, "it is damaged: save it again") from None
 
 
 def _version_5(content: bytes, wanted: list[str]) -> dict[str, Any]:
@@ -99,16 +87,14 @@ def _described(item: Any, h5py: Any) -> tuple[str, tuple[int, ...]]:
 
 
 def main() -> None:
-    """Answer one request; exit code 3 and a line on stderr for a file that cannot be read."""
-    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
+    """Answer one request on stdout; exit with a line on stderr for a file that cannot be read."""
     content, wanted = sys.stdin.buffer.read(), sys.argv[1:]
     read = _version_73 if content.startswith(MAGIC_73) else _version_5
     try:
         found = read(content, wanted)
         answer = _npz(found.values()) if wanted else json.dumps(found).encode()
     except Exception as error:  # noqa: BLE001 - the readers raise anything for a damaged file
-        sys.stderr.write(" ".join(str(error).split()) or type(error).__name__)
-        sys.exit(_DAMAGED)
+        sys.exit(" ".join(str(error).split()) or type(error).__name__)
     sys.stdout.buffer.write(answer)
 
 
@@ -117,7 +103,7 @@ def _npz(arrays: Any) -> bytes:
 
     plain = [np.asarray(array) for array in arrays]
     if any(array.dtype.hasobject for array in plain):
-        raise ValueError("a variable is no array of numbers")
+        raise ValueError("a variable is not an array of numbers")
     file = io.BytesIO()
     named: dict[str, Any] = {str(number): array for number, array in enumerate(plain)}
     np.savez(file, **named)

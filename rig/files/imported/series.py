@@ -1,6 +1,6 @@
 """From the columns of a file to channels over time: which is what, at what rate, in what unit.
 
-Pure: takes a source and what was told about it, gives arrays.
+Pure: takes a source and what the user stated about it, returns arrays.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rig.files.errors import ForeignFileError
-from rig.files.imported.source import Source
+from rig.files.imported.source import ImportSource
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,26 +26,26 @@ STEP_TOLERANCE = 0.5
 LINE_TOLERANCE = 0.25
 """Of a period, by which any row may lie off the even spacing."""
 RATE_TOLERANCE = 1e-3
-"""Relative, by which the rate that was told may differ from the file's."""
+"""Relative difference allowed between the stated rate and the file's."""
 ROUND_TOLERANCE = 0.01
 """Of a period, by which the last row may move when a measured rate is rounded; more where the times
 are less even than that."""
 LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 1.0, 1e7
 LEAST_ROWS = 2
 LARGEST = {"V": 1e3, "N": 1e4}
-"""Beyond, a column holds no such signal, or counts whose scale was not told."""
+"""Beyond, a column holds no such signal, or it holds counts whose scale was not stated."""
 LATEST_S = 1e11
 """Since any of the years from which clocks count."""
 
 
 @dataclass(frozen=True)
-class Told:
-    """What was told about a file. Keys are v_1, v_2, F_n, F_t and time."""
+class ChannelMap:
+    """What the user stated about a file's columns. Keys are v_1, v_2, F_n, F_t and time."""
 
     columns: Mapping[str, str]
     """The column of each channel, as the source takes it."""
     scale: Mapping[str, float]
-    """V, N or s for one unit of the file; 1 where nothing was told."""
+    """V, N or s for one unit of the file; 1 where none is stated."""
     rate_Hz: float | None = None
 
 
@@ -65,26 +65,27 @@ class Recording:
 
     @property
     def rows(self) -> int:
-        """Samples of each channel."""
+        """Return the number of samples of each channel."""
         return len(self.raw["v_1"])
 
     def values(self, channel: str) -> NDArray[np.float64]:
-        """A channel in V or N, float64 of shape (rows,)."""
+        """Return a channel in V or N, float64 of shape (rows,)."""
         return self.raw[channel] * self.scale[channel]
 
 
-def recording_of(source: Source, told: Told, name: str) -> Recording:
-    """The channels that were told of, read and checked.
+def recording_of(source: ImportSource, stated: ChannelMap, name: str) -> Recording:
+    """Return the channels that the user named, read and checked.
 
     ForeignFileError where a column is not there or named twice, is labelled in a unit that nothing
-    was told about, holds what is no number, or where the rate is unknown, uneven or contradicted.
+    was stated, holds something that is not a number, or if the rate is unknown, uneven or
+    contradicted.
     """
     import numpy as np
 
-    wanted = dict(told.columns)
+    wanted = dict(stated.columns)
     if TIME not in wanted and source.time is not None:
         wanted[TIME] = source.time
-    if TIME in told.scale and TIME not in wanted:
+    if TIME in stated.scale and TIME not in wanted:
         raise ForeignFileError(name, "a scale of times without times", "give their --time column")
     columns = {channel: source.column(column) for channel, column in wanted.items()}
     for channel, column in columns.items():
@@ -93,14 +94,14 @@ def recording_of(source: Source, told: Told, name: str) -> Recording:
             raise ForeignFileError(
                 name, f"{twin} and {channel} are both {source.name(column)}", "see --channels"
             )
-        _check_unit(source, channel, column, told, name)
-    scale = {channel: told.scale.get(channel, 1.0) for channel in columns}
+        _check_unit(source, channel, column, stated, name)
+    scale = {channel: stated.scale.get(channel, 1.0) for channel in columns}
     table = source.values(list(columns.values()))
     if len(table) < LEAST_ROWS:
         raise ForeignFileError(name, f"{len(table)} rows, {LEAST_ROWS} are needed at least")
     raw = dict(zip(columns, np.ascontiguousarray(table.T), strict=True))
     times = raw.pop(TIME, None)
-    rate_Hz = _common_rate(source, told, None if times is None else times * scale.pop(TIME), name)
+    rate_Hz = _common_rate(source, stated, None if times is None else times * scale.pop(TIME), name)
     recording = Recording(
         rate_Hz,
         raw,
@@ -117,7 +118,7 @@ def recording_of(source: Source, told: Told, name: str) -> Recording:
     return recording
 
 
-def _check_size(source: Source, recording: Recording, channel: str, name: str) -> None:
+def _check_size(source: ImportSource, recording: Recording, channel: str, name: str) -> None:
     unit = UNIT[channel]
     limit = LARGEST[unit] / abs(recording.scale[channel])
     sizes = abs(recording.raw[channel])
@@ -126,16 +127,18 @@ def _check_size(source: Source, recording: Recording, channel: str, name: str) -
         raise ForeignFileError(
             name,
             f"{recording.columns[channel]}: {recording.raw[channel][row]:g} times "
-            f"{recording.scale[channel]:g} {unit} is no {channel}, {LARGEST[unit]:g} {unit} are "
-            "allowed",
+            f"{recording.scale[channel]:g} {unit} is too large for {channel}: "
+            f"at most {LARGEST[unit]:g} {unit} are allowed",
             f"say what one unit of the file is, such as --scale {channel}=1m{unit}",
             source.place(row),
         )
 
 
-def _check_unit(source: Source, channel: str, column: int, told: Told, name: str) -> None:
+def _check_unit(
+    source: ImportSource, channel: str, column: int, stated: ChannelMap, name: str
+) -> None:
     labelled, unit = source.unit(column), UNIT[channel]
-    if labelled not in (None, unit) and channel not in told.scale:
+    if labelled not in (None, unit) and channel not in stated.scale:
         raise ForeignFileError(
             name,
             f"{source.name(column)} is labelled {labelled}, {channel} is read in {unit}",
@@ -144,17 +147,15 @@ def _check_unit(source: Source, channel: str, column: int, told: Told, name: str
 
 
 def _common_rate(
-    source: Source, told: Told, times_s: NDArray[np.float64] | None, name: str
+    source: ImportSource, stated: ChannelMap, times_s: NDArray[np.float64] | None, name: str
 ) -> float:
-    """The rate that was told, or the file's own; they have to agree."""
-    known = [("--rate is", told.rate_Hz), ("the header says", source.rate_Hz)]
+    """Return the stated rate or the file's own; they have to agree."""
+    known = [("--rate is", stated.rate_Hz), ("the header says", source.rate_Hz)]
     if times_s is not None:
         known.append(("the times say", uniform_rate(times_s, source, name)))
     rates = [(whose, rate) for whose, rate in known if rate is not None]
     if not rates:
-        raise ForeignFileError(
-            name, "nothing in it says how fast it was sampled", "give --rate, or its --time column"
-        )
+        raise ForeignFileError(name, "sampling rate unknown", "give --rate, or --time COLUMN")
     first, rate_Hz = rates[0]
     for whose, other in rates[1:]:
         if abs(other / rate_Hz - 1) > RATE_TOLERANCE:
@@ -177,7 +178,7 @@ def _check_rate(whose: str, rate_Hz: float, name: str) -> None:
         )
 
 
-def uniform_rate(times_s: NDArray[np.float64], source: Source, name: str) -> float:
+def uniform_rate(times_s: NDArray[np.float64], source: ImportSource, name: str) -> float:
     """The rate of evenly spaced times, the roundest that agrees with them.
 
     ForeignFileError names the row where they are not even: STEP_TOLERANCE and LINE_TOLERANCE.
@@ -190,7 +191,7 @@ def uniform_rate(times_s: NDArray[np.float64], source: Source, name: str) -> flo
 
     if np.abs(times_s).max() > LATEST_S:
         row = int(np.abs(times_s).argmax())
-        raise refuse(row, f"{times_s[row]:g} s is no time, {LATEST_S:g} s are allowed")
+        raise refuse(row, f"{times_s[row]:g} s is not a time: at most {LATEST_S:g} s are allowed")
     steps = np.diff(times_s)
     usual = float(np.median(steps))
     if not usual > 0:

@@ -14,16 +14,16 @@ Format = Literal["text", "LVM", "MATLAB 5", "MATLAB 7.3"]
 MAX_BYTES = 128 << 20
 """Of a file: an hour of four columns at 1 kHz, as text. It is read in one piece."""
 MAX_HEAD = 64 << 10
-"""Characters of what stands before the numbers that are kept with them."""
+"""Characters of the text before the numbers that are recorded with them."""
 
 
-class Source(Protocol):
+class ImportSource(Protocol):
     """The columns of a file. Every error is a ForeignFileError that names the place."""
 
     format: Format
     head: str
     """What stands before the numbers, verbatim, MAX_HEAD characters at most."""
-    told: str
+    written_as: str
     """How the file is written, where that was recognised: ``tab, decimal comma``."""
     rate_Hz: float | None
     """The rate that the file itself states."""
@@ -31,21 +31,23 @@ class Source(Protocol):
     """The column of times that the file itself names, as ``column`` takes it."""
 
     def column(self, wanted: str) -> int:
-        """The column of a number (from 1) or name."""
+        """Return the index of the column that the user named by a number (from 1) or a name."""
         ...
 
     def name(self, column: int) -> str:
-        """A column as a person finds it: ``column 2 (Voltage)``."""
+        """Return a column as the user finds it: ``column 2 (Voltage)``."""
         ...
 
     def unit(self, column: int) -> str | None:
-        """The unit that the file says a column has; None where it names none that is known."""
+        """Return the unit that the file states for a column, or None if it states none that is
+        known.
+        """
         ...
 
     def values(self, columns: Sequence[int]) -> NDArray[np.float64]:
-        """The columns as they stand in the file, finite numbers of shape (rows, columns)."""
+        """Return columns as they stand in the file, finite numbers of shape (rows, columns)."""
         ...
 
     def place(self, row: int) -> str:
-        """Where a row (from 0) stands: ``line 12``."""
+        """Return where a row (from 0) stands in the file: ``line 12``."""
         ...

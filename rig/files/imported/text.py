@@ -80,7 +80,7 @@ def _decoded(content: bytes, name: str) -> str:
 
 
 class TextTable:
-    """The rows of a text and the header above them (see `source.Source`)."""
+    """The rows of a text and the header above them (see `source.ImportSource`)."""
 
     format: Format = "text"
     rate_Hz: float | None = None
@@ -96,18 +96,18 @@ class TextTable:
             cells for line in lines[:first] if len(cells := self._header_cells(line)) == self._width
         ]
         self.head = "\n".join(lines[:first])[:MAX_HEAD]
-        self.told = str(shape.dialect)
+        self.written_as = str(shape.dialect)
 
     def _header_cells(self, line: str) -> list[str]:
         return self._dialect.cells(line.lstrip("".join(_COMMENT)))
 
     @property
     def rows(self) -> int:
-        """How many lines there are from the first row on."""
+        """Return the number of lines from the first row on."""
         return len(self._lines) - self._first
 
     def column(self, wanted: str) -> int:
-        """The column of a number (from 1) or of a name in the header."""
+        """Return the column of a number (from 1) or of a name in the header."""
         if re.fullmatch(r"[0-9]{1,9}", wanted):
             if not 1 <= int(wanted) <= self._width:
                 raise ForeignFileError(
@@ -131,12 +131,12 @@ class TextTable:
         )
 
     def name(self, column: int) -> str:
-        """A column by number, with its name where the header has one."""
+        """Return a column by number, with its name if the header has one."""
         named = next((cells[column] for cells in self._header if cells[column]), "")
         return f"column {column + 1}" + (f" ({shortened(named)})" if named else "")
 
     def unit(self, column: int) -> str | None:
-        """The unit in brackets behind a column's name, or below it."""
+        """Return the unit in brackets behind a column's name, or in the line below it."""
         for cells in self._header:
             bracketed = _IN_BRACKETS.search(cells[column])
             if unit := UNITS.get(bracketed[1] if bracketed else cells[column]):
@@ -144,11 +144,13 @@ class TextTable:
         return None
 
     def place(self, row: int) -> str:
-        """The line of a row."""
+        """Return the line of a row."""
         return f"line {self._first + row + 1}"
 
     def values(self, columns: Sequence[int]) -> NDArray[np.float64]:
-        """Numbers of shape (rows, columns), each exactly as it is written."""
+        """Return the columns, float64 of shape (rows, columns), each number exactly as it is
+        written.
+        """
         import numpy as np
 
         wanted = sorted(set(columns))
@@ -173,7 +175,7 @@ class TextTable:
         return table[:, [wanted.index(k) for k in columns]]
 
     def _examined(self, row: int, line: str, wanted: Sequence[int]) -> list[float]:
-        """The wanted numbers of an unusual line; ForeignFileError where it is no row."""
+        """The wanted numbers of an unusual line; ForeignFileError if it is not a row."""
 
         def refuse(reason: str, hint: str) -> ForeignFileError:
             return ForeignFileError(self._file, reason, hint, self.place(row))
@@ -193,7 +195,7 @@ class TextTable:
             if not self._dialect.is_number(cells[k]):
                 what = f"{shortened(cells[k])!r} is" if cells[k] else "an empty cell is"
                 raise refuse(
-                    f"{self.name(k)}: {what} no number ({self._dialect})",
+                    f"{self.name(k)}: {what} not a number ({self._dialect})",
                     "cut the file there: a sample that is missing cannot be imported",
                 )
         return [self._dialect.number(cells[k]) for k in wanted]

@@ -23,7 +23,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from rig.core.errors import ConfigurationError
-from rig.files.journal.values import End, Event, RunHeader, StreamState
+from rig.files.journal.values import End, JournalEvent, RunHeader, StreamState
 
 MAGIC = b"RIGJ0001"
 MAX_PAYLOAD = 16 << 20
@@ -34,8 +34,8 @@ PREFIX = struct.Struct("<II")
 BLOCK_HEAD = struct.Struct("<BHQd")
 
 
-class Kind(IntEnum):
-    """First byte of a payload."""
+class RecordKind(IntEnum):
+    """First byte of a payload: what the record is."""
 
     HEADER = 1
     BLOCK = 2
@@ -49,7 +49,9 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Rows of one stream: ``data`` is their bytes, C order."""
+    """Rows of one stream. `data` is their bytes, C order; `host_time` is in s since the run's
+    start.
+    """
 
     stream: int
     first_index: int
@@ -59,7 +61,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class PointBegin:
-    """A point is taken from here on; ``fields`` is what the writer knows about it."""
+    """A point begins; `fields` is what the procedure knows about it."""
 
     id: str
     fields: dict[str, Any]
@@ -68,7 +70,7 @@ class PointBegin:
 
 @dataclass(frozen=True, slots=True)
 class PointKeep:
-    """The open point is kept, with its reading."""
+    """The open point is valid and has this reading."""
 
     id: str
     reading: dict[str, Any]
@@ -77,22 +79,24 @@ class PointKeep:
 
 @dataclass(frozen=True, slots=True)
 class PointDiscard:
-    """The open point does not count: what it recorded stays, marked as discarded."""
+    """The open point is not valid: what it recorded stays in the journal, marked as discarded."""
 
     id: str
     reason: str
     text: str
 
 
-Record = RunHeader | Block | Event | PointBegin | PointKeep | PointDiscard | End | StreamState
+JournalRecord = (
+    RunHeader | Block | JournalEvent | PointBegin | PointKeep | PointDiscard | End | StreamState
+)
 
 
-class BadRecord(ValueError):  # noqa: N818 - an intermediate finding, not an error anybody sees
-    """The bytes are no record; the message is the reason."""
+class BadRecord(ValueError):  # noqa: N818 - an intermediate finding, not an error that a user sees
+    """The bytes are not a record; the message is the reason."""
 
 
 def to_json(value: Any) -> str:
-    """JSON text of a value (see the module's text about NaN); TypeError for what JSON lacks."""
+    """Return the JSON text of a value, NaN as stated above. TypeError for what JSON lacks."""
     try:
         return json.dumps(value, allow_nan=False, separators=(",", ":"), default=_plain)
     except ValueError:
@@ -100,7 +104,7 @@ def to_json(value: Any) -> str:
 
 
 def from_json(text: str | bytes) -> Any:
-    """The value of a JSON text; BadRecord for anything else, however hostile."""
+    """Return the value of a JSON text. BadRecord for anything else, however hostile."""
     if len(text) > MAX_JSON:
         raise BadRecord(f"{len(text)} bytes of JSON, at most {MAX_JSON} are allowed")
     try:
@@ -142,23 +146,23 @@ def _untagged(value: dict[str, Any]) -> Any:
         number = value["$float"]
         if isinstance(number, str) and number in _NON_FINITE:
             return _NON_FINITE[number]
-        raise ValueError("$float is none of nan, inf, -inf")
+        raise ValueError("$float is not nan, inf or -inf")
     return value
 
 
 def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no JSON")
+    raise ValueError(f"{name} is not JSON")
 
 
 def frame(payload: bytes) -> bytes:
-    """A payload as a record: with its length and checksum."""
+    """Return a payload as a record, with its length and checksum. ValueError beyond MAX_PAYLOAD."""
     if len(payload) > MAX_PAYLOAD:
         raise ValueError(f"a record of {len(payload)} bytes; at most {MAX_PAYLOAD} are allowed")
     return PREFIX.pack(len(payload), zlib.crc32(payload)) + payload
 
 
-def json_record(kind: Kind, value: Any) -> bytes:
-    """A record of JSON; ValueError if it is longer than allowed, TypeError if it is no JSON."""
+def json_record(kind: RecordKind, value: Any) -> bytes:
+    """Return a record of JSON. ValueError beyond MAX_JSON, TypeError for what JSON lacks."""
     text = to_json(value).encode("ascii")
     if len(text) > MAX_JSON:
         raise ValueError(f"{kind.name}: {len(text)} bytes of JSON; at most {MAX_JSON} are allowed")
@@ -166,19 +170,19 @@ def json_record(kind: Kind, value: Any) -> bytes:
 
 
 def block_record(stream: int, first_index: int, host_time: float, data: memoryview) -> bytes:
-    """A record of sample rows."""
-    return frame(BLOCK_HEAD.pack(Kind.BLOCK, stream, first_index, host_time) + data)
+    """Return a record of sample rows."""
+    return frame(BLOCK_HEAD.pack(RecordKind.BLOCK, stream, first_index, host_time) + data)
 
 
-def decode(payload: bytes, header: RunHeader | None) -> Record:
+def decode(payload: bytes, header: RunHeader | None) -> JournalRecord:
     """The record of a payload whose checksum is right; BadRecord if it makes no sense.
 
     Without a header only a HEADER is accepted, and with one everything but a HEADER.
     """
     kind = payload[0]
-    if (kind == Kind.HEADER) != (header is None):
+    if (kind == RecordKind.HEADER) != (header is None):
         raise BadRecord("a second HEADER" if header else f"type {kind} where HEADER is expected")
-    if header is not None and kind == Kind.BLOCK:
+    if header is not None and kind == RecordKind.BLOCK:
         return _decode_block(payload, header)
     if kind not in _JSON_KINDS:
         raise BadRecord(f"unknown record type {kind}")
@@ -188,11 +192,11 @@ def decode(payload: bytes, header: RunHeader | None) -> Record:
         raise BadRecord("not UTF-8") from None
     value = from_json(text)
     if not isinstance(value, dict):
-        raise BadRecord(f"{Kind(kind).name} is no JSON object")
-    return _decode_json(Kind(kind), value, text, header)
+        raise BadRecord(f"{RecordKind(kind).name} is not a JSON object")
+    return _decode_json(RecordKind(kind), value, text, header)
 
 
-_JSON_KINDS = frozenset(Kind) - {Kind.BLOCK}
+_JSON_KINDS = frozenset(RecordKind) - {RecordKind.BLOCK}
 
 
 def _decode_block(payload: bytes, header: RunHeader) -> Block:
@@ -207,15 +211,17 @@ def _decode_block(payload: bytes, header: RunHeader) -> Block:
     return Block(stream, first_index, host_time, data)
 
 
-def _decode_json(kind: Kind, value: dict[str, Any], text: str, header: RunHeader | None) -> Record:
-    if kind in (Kind.POINT_BEGIN, Kind.POINT_KEEP, Kind.POINT_DISCARD):
+def _decode_json(
+    kind: RecordKind, value: dict[str, Any], text: str, header: RunHeader | None
+) -> JournalRecord:
+    if kind in (RecordKind.POINT_BEGIN, RecordKind.POINT_KEEP, RecordKind.POINT_DISCARD):
         return _decode_point(kind, value, text)
     try:
-        if kind == Kind.HEADER:
+        if kind == RecordKind.HEADER:
             return RunHeader.model_validate(value)
-        if kind == Kind.EVENT:
-            return Event.model_validate(value)
-        if kind == Kind.END:
+        if kind == RecordKind.EVENT:
+            return JournalEvent.model_validate(value)
+        if kind == RecordKind.END:
             return End.model_validate(value)
         state = StreamState.model_validate(value)
         if header is not None:
@@ -227,15 +233,15 @@ def _decode_json(kind: Kind, value: dict[str, Any], text: str, header: RunHeader
         raise BadRecord(f"{kind.name}: {error}") from None
 
 
-def _decode_point(kind: Kind, value: dict[str, Any], text: str) -> Record:
+def _decode_point(kind: RecordKind, value: dict[str, Any], text: str) -> JournalRecord:
     point_id = value.get("id")
     if not isinstance(point_id, str) or not 0 < len(point_id) <= 256:
         raise BadRecord(f"{kind.name}: id is not a text of 1 to 256 characters")
-    if kind == Kind.POINT_BEGIN:
+    if kind == RecordKind.POINT_BEGIN:
         fields = value.get("point", {})
         if isinstance(fields, dict):
             return PointBegin(point_id, fields, text)
-    elif kind == Kind.POINT_KEEP:
+    elif kind == RecordKind.POINT_KEEP:
         reading = value.get("reading")
         if isinstance(reading, dict):
             return PointKeep(point_id, reading, text)

@@ -7,10 +7,12 @@ lab's own procedure gets the same files as a built-in one.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, StringConstraints, TypeAdapter
+from pydantic import ConfigDict, Field, StringConstraints, TypeAdapter, model_serializer
+
+from rig.core.settings import UNIT_BY_SUFFIX, unit_of
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,62}\Z")
 _DEFINITION = re.compile(r"NX[A-Za-z0-9_]{1,60}\Z")
@@ -38,18 +40,32 @@ _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One quantity of the readings, by its name in files.
+    """One quantity of the readings: its key, its name and unit in files, and what it means.
 
-    ``source`` is the key in the reading. A number column becomes float64, with NaN where a reading
-    lacks the key; a text column becomes UTF-8, with "" there. ``long_name`` is what viewers show:
-    it hides the unit, so write "Gain (dB)".
+    Declared once, in the short form::
+
+        Column("creep", "um", "Way of z during the hold")
+
+    Then ``creep_um`` is its key in the reading (`key`), ``creep`` its name in the run file and
+    "Way of z during the hold (um)" what viewers show (`long_name`). Give `key` or `long_name` only
+    where they differ from that. `meaning` is one sentence without the unit; it is written to the
+    run file as the dataset's ``description``. `units` is "" or "1" for a pure number.
+
+    A number column becomes float64, with NaN where a reading lacks the key; a text column
+    (``kind="text"``) becomes UTF-8, with "" there.
+
+    ValueError for a name or key that is not letters, digits and underscores, and for a key that
+    does not end with its unit. Columns of older journals have no `meaning` and a key of any form.
     """
 
     name: str
-    source: str
-    units: Short
-    long_name: Short
+    units: Short = ""
+    meaning: Short = ""
     kind: Literal["number", "text"] = "number"
+    _: KW_ONLY
+    # In a journal's header the key is called "source".
+    key: Annotated[str, Field(validation_alias="source")] = ""
+    long_name: Short = ""
 
     __pydantic_config__ = _STRICT
 
@@ -58,8 +74,59 @@ class Column:
             raise ValueError(f"column {self.name!r}: a name is letters, digits and underscores")
         if self.name in {"id", "attempt"}:
             raise ValueError(f"column {self.name!r}: the table of points has that name already")
+        if self.kind not in ("number", "text"):
+            raise ValueError(f"column {self.name!r}: kind {self.kind!r} is not number or text")
+        if self.meaning:
+            self._complete()
         if self.kind == "number" and not self.long_name:
-            raise ValueError(f"column {self.name!r}: long_name is empty")
+            raise ValueError(f"column {self.name!r}: no meaning and no long_name")
+        if not self.key:
+            raise ValueError(f"column {self.name!r}: no meaning and no key")
+
+    def _complete(self) -> None:
+        """Derive what was left out, and check the key against the unit."""
+        suffix = unit_suffix(self.units)
+        if not self.key:
+            object.__setattr__(self, "key", f"{self.name}_{suffix}" if suffix else self.name)
+        if not self.long_name:
+            shown = f"{self.meaning} ({self.units})" if suffix else self.meaning
+            object.__setattr__(self, "long_name", shown)
+        if not _NAME.match(self.key):
+            raise ValueError(f"column {self.name!r}: key {self.key!r} is not a usable name")
+        if suffix and f"_{self.key}".endswith(f"_{suffix}"):
+            return
+        carried = unit_of(self.key)
+        if suffix or (carried and self.kind == "number"):
+            has = f"ends with the unit {carried}" if carried else "has no unit"
+            unit = f"_{suffix}" if suffix else "no unit"
+            raise ValueError(
+                f"column {self.name!r}: key {self.key!r} {has}, but {unit} belongs at its end "
+                f"(units {self.units!r})"
+            )
+
+    @model_serializer
+    def _as_stored(self) -> dict[str, Any]:
+        """Keys and their order are those of the first version, so that an old header reads and
+        writes back to the same text (`rig verify` compares them)."""
+        stored: dict[str, Any] = {
+            "name": self.name,
+            "source": self.key,
+            "units": self.units,
+            "long_name": self.long_name,
+            "kind": self.kind,
+        }
+        return stored | ({"meaning": self.meaning} if self.meaning else {})
+
+
+def unit_suffix(units: str) -> str:
+    """Return the ending of a key that carries this unit: ``N/mm`` gives ``N_mm``, ``%`` gives
+    ``percent``, and a pure number ("" or "1") gives "".
+    """
+    if units in ("", "1"):
+        return ""
+    known = {unit: suffix for suffix, unit in UNIT_BY_SUFFIX.items()}
+    words = re.findall(r"[A-Za-z0-9]+", units.replace("%", "percent").replace("^", ""))
+    return known.get(units) or "_".join(words)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,13 +161,23 @@ class Plot:
             raise ValueError(f"plot {self.group!r}: log_axes names {sorted(strangers)}")
 
     def datasets(self) -> tuple[str, ...]:
-        """Names of the datasets in the group, besides its title."""
+        """Return the names of the group's datasets besides its title."""
         errors = (self.errors_name,) if self.errors else ()
         return (self.signal, *self.axes, *self.auxiliary, *errors)
 
+    def sources(self) -> dict[str, str]:
+        """Return the names of the group's datasets besides its title, each with its column's name.
+
+        The standard errors have the name that viewers look for, whatever their column's is.
+        """
+        sources = {name: name for name in (self.signal, *self.axes, *self.auxiliary)}
+        if self.errors:
+            sources[self.errors_name] = self.errors
+        return sources
+
     @property
     def errors_name(self) -> str:
-        """The name by which viewers find the signal's standard errors."""
+        """The name under which viewers look for the signal's standard errors."""
         return f"{self.signal}_errors"
 
 
@@ -129,7 +206,7 @@ class Trace:
             raise ValueError(f"trace {self.group!r}: two channels of one name")
 
     def channels(self) -> tuple[str, ...]:
-        """The channels shown, the signal first."""
+        """Return the channels that are shown, the signal first."""
         return (self.signal, *self.auxiliary)
 
 
@@ -167,30 +244,30 @@ class Layout:
 
     @property
     def order(self) -> tuple[str, ...]:
-        """The columns by which the table of points is sorted: the axes of the plot shown first."""
+        """The columns by which the table of points is sorted: the axes of the default plot."""
         shown = [plot for plot in self.plots if plot.group == self.default] or self.plots
         return shown[0].axes if shown else ()
 
     def column(self, name: str) -> Column:
-        """The column of that name; KeyError if there is none."""
+        """Return the column of that name. KeyError if there is none."""
         for column in self.columns:
             if column.name == name:
                 return column
         raise KeyError(name)
 
     def plot(self, group: str) -> Plot:
-        """The plot of that group; KeyError if there is none."""
+        """Return the plot of that group. KeyError if there is none."""
         for plot in self.plots:
             if plot.group == group:
                 return plot
         raise KeyError(group)
 
     def to_json(self) -> dict[str, Any]:
-        """The layout as JSON-able values, as it stands in the journal's header."""
+        """Return the layout as JSON-able values, as it stands in the journal's header."""
         plain: dict[str, Any] = TypeAdapter(Layout).dump_python(self, mode="json")
         return plain
 
     @classmethod
     def from_json(cls, value: Any) -> Layout:
-        """The layout of JSON values; ValueError (pydantic's) if they are none."""
+        """Return the layout of JSON values. ValueError (pydantic's) if they are not a layout."""
         return TypeAdapter(cls).validate_python(value)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,14 +21,14 @@ from rig.files.journal.format import (
     PREFIX,
     BadRecord,
     Block,
-    Kind,
+    JournalRecord,
     PointBegin,
-    Record,
+    RecordKind,
     decode,
     from_json,
 )
 from rig.files.journal.segments import Attempt, Grouping, Segment
-from rig.files.journal.values import LONGEST_S, End, Event, RunHeader
+from rig.files.journal.values import LONGEST_S, End, JournalEvent, RunHeader
 
 MAX_REMEMBERED = 64 << 20
 """Bytes of points and events a journal may have; a real night has a twentieth of it. They grow some
@@ -39,7 +40,7 @@ _SEARCH_CRC_BYTES = 1 << 30
 
 @dataclass(frozen=True, slots=True)
 class KeptPoint:
-    """A point that counts, with its reading as it was written."""
+    """A valid point with its reading, as the procedure gave it."""
 
     id: str
     reading: dict[str, Any]
@@ -47,12 +48,14 @@ class KeptPoint:
 
 @dataclass
 class JournalContents:
-    """A journal's sound part. ``records()`` reads the samples from the file again, one by one."""
+    """What the sound part of a journal holds, without the samples: ``records()`` reads those from
+    the file again, one record at a time.
+    """
 
     path: Path
     header: RunHeader
     grouping: Grouping
-    events: list[Event] = field(default_factory=list)
+    events: list[JournalEvent] = field(default_factory=list)
     ends: list[End] = field(default_factory=list)
     last_is_end: bool = False
     last_time: float = 0.0
@@ -77,16 +80,18 @@ class JournalContents:
 
     @property
     def end(self) -> End | None:
-        """The END that closed the journal; None if it was never closed, or opened again since."""
+        """The END that closed the journal. None if it was never closed, or was reopened since."""
         return self.ends[-1] if self.last_is_end and self.ends else None
 
     @property
     def complete(self) -> bool:
-        """The run finished, and the journal is sound to its last byte."""
+        """Whether the run finished and the journal is sound to its last byte."""
         return self.problem is None and self.end is not None and self.end.status == "complete"
 
     def require_continuable(self) -> None:
-        """JournalError where the journal is damaged before its end: nothing may be added to it."""
+        """Raise JournalError if sound records follow damage: then nothing may be added to the
+        journal.
+        """
         if self.problem and not self.torn:
             raise JournalError(
                 self.path,
@@ -96,20 +101,22 @@ class JournalContents:
             )
 
     def kept_ids(self) -> list[str]:
-        """Ids of the kept points in the order they were kept, each once."""
+        """Return the ids of the kept points, in the order in which they were kept, each once."""
         return list(self.grouping.kept)
 
     def kept(self) -> list[KeptPoint]:
-        """The kept points with their readings, in the order they were kept."""
+        """Return the kept points with their readings, in the order in which they were kept."""
         return [KeptPoint(i, self.reading(n)) for i, n in self.grouping.kept.items()]
 
     def reading(self, attempt: int) -> dict[str, Any]:
-        """The reading of a kept attempt."""
+        """Return the reading of a kept attempt, by its index."""
         reading: dict[str, Any] = from_json(self.attempts[attempt].result)["reading"]
         return reading
 
-    def records(self) -> Iterator[Record]:
-        """Every record behind the header, in order; holds one record in memory at a time."""
+    def records(self) -> Iterator[JournalRecord]:
+        """Read every record behind the header, in order, one at a time. JournalError if the file
+        changed since it was first read.
+        """
         with self.path.open("rb") as file:
             file.seek(len(MAGIC))
             reader = _Reader(file)
@@ -123,11 +130,38 @@ class JournalContents:
                 raise JournalError(self.path, reader.offset, reason) from None
 
 
-def read_journal(path: Path | str) -> JournalContents:
-    """What a journal holds. Reads the file once, with every checksum.
+NEVER_CLOSED = "the run ended without closing its journal"
 
-    Raises JournalError if it is no journal or its header is unusable; later damage is reported in
-    ``problem``, and what is before it is delivered.
+
+def ending(contents: JournalContents) -> End:
+    """Return how the run ended; of a journal that was never closed, what its records show."""
+    warnings = [contents.problem] if contents.problem else []
+    if contents.end is not None:
+        end = contents.end
+        if not warnings:
+            return end
+        return end.model_copy(update={"warnings": (*end.warnings, *warnings)})
+    lasted = timedelta(seconds=max(contents.last_time, 0.0))
+    start = contents.header.start_time
+    end_time = None if start is None else (datetime.fromisoformat(start) + lasted).isoformat()
+    damaged = contents.problem and not contents.torn
+    return End(
+        status="failed",
+        reason=f"the journal is damaged: {contents.problem}" if damaged else NEVER_CLOSED,
+        attempt=len(contents.ends) + 1,
+        end_time=end_time,
+        duration_s=lasted.total_seconds(),
+        points_done=len(contents.grouping.kept),
+        warnings=("end_time is the time of the last record", *warnings),
+        exit=1,
+    )
+
+
+def read_journal(path: Path | str) -> JournalContents:
+    """Return what a journal holds. Reads the file once and checks every checksum.
+
+    Raises JournalError if it is not a journal or its header is unusable. Later damage is reported
+    in ``problem``, and what precedes it is returned.
     """
     path = Path(path)
     try:
@@ -151,7 +185,7 @@ def _read(file: BinaryIO, path: Path) -> JournalContents:
     remembered = 0
     try:
         for payload in reader.payloads():
-            remembered += 0 if payload[0] == Kind.BLOCK else len(payload)
+            remembered += 0 if payload[0] == RecordKind.BLOCK else len(payload)
             if remembered > MAX_REMEMBERED:
                 raise BadRecord(f"more than {MAX_REMEMBERED} bytes of points and events")
             _take(contents, decode(payload, header))
@@ -174,12 +208,12 @@ def _header(reader: _Reader, path: Path) -> RunHeader:
     return header
 
 
-def _take(contents: JournalContents, record: Record) -> None:
+def _take(contents: JournalContents, record: JournalRecord) -> None:
     contents.grouping.follow(record)
     contents.last_is_end = isinstance(record, End)
     if isinstance(record, Block):
         contents.last_time = max(contents.last_time, record.host_time)
-    elif isinstance(record, Event):
+    elif isinstance(record, JournalEvent):
         contents.events.append(record)
         contents.last_time = max(contents.last_time, record.time)
     elif isinstance(record, End):
@@ -236,7 +270,9 @@ def _is_torn(file: BinaryIO, offset: int) -> bool:
         length = sum(window[k : k + places].astype(np.uint32) << (8 * k) for k in range(4))
         kind = window[PREFIX.size :]
         fits = length + np.arange(start, start + places) + PREFIX.size <= len(tail)
-        likely = (length > 0) & (length <= MAX_PAYLOAD) & (kind > 0) & (kind <= max(Kind)) & fits
+        likely = (
+            (length > 0) & (length <= MAX_PAYLOAD) & (kind > 0) & (kind <= max(RecordKind)) & fits
+        )
         for place in np.flatnonzero(likely) + start:
             begin = int(place) + PREFIX.size
             size_here, checksum = PREFIX.unpack_from(tail, int(place))

@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, Self
 
 from rig.files.errors import RecordingError
-from rig.files.journal.values import End, Event, StreamState
-from rig.files.journal.writer import JournalWriter, refusing_nonsense
+from rig.files.journal.values import End, JournalEvent, StreamState
+from rig.files.journal.writer import JournalWriter, encode_or_raise
 
 SYNC_INTERVAL_S = 0.25
 """Longest wall time for which a record is written but not acknowledged."""
@@ -56,36 +56,38 @@ class Recorder:
 
     @property
     def queued_bytes(self) -> int:
-        """Bytes put and not yet written."""
+        """Bytes that were put and are not written yet."""
         return self._queued_bytes
 
     def put_block(self, stream: int, first_index: int, host_time: float, data: object) -> None:
-        """Rows of a stream (copied): ``first_index`` counts its rows, ``host_time`` in s."""
+        """Record rows of a stream; the data is copied. `first_index` counts the stream's rows,
+        `host_time` is in s since the run's start.
+        """
         encoder = self._journal.encoder
         self._put_records(lambda: encoder.block(stream, first_index, host_time, data))
 
-    def put_event(self, fields: Mapping[str, Any] | Event) -> None:
-        """Something that happened: time (s since start), level, code, message."""
+    def put_event(self, fields: Mapping[str, Any] | JournalEvent) -> None:
+        """Record an event: time (s since the run's start), level, code, message."""
         self._put_records(lambda: [self._journal.encoder.event(fields)])
 
     def put_stream(self, fields: Mapping[str, Any] | StreamState) -> None:
-        """How a stream's counts read from here on."""
+        """Record how a stream's counts read from here on (see `StreamState`)."""
         self._put_records(lambda: [self._journal.encoder.stream(fields)])
 
     def put_point_begin(self, point_id: str, fields: Mapping[str, Any]) -> None:
-        """A point is taken from here on."""
+        """Record that a point begins."""
         self._put_records(lambda: [self._journal.encoder.point_begin(point_id, fields)])
 
     def put_point_keep(self, point_id: str, reading: Mapping[str, Any]) -> None:
-        """The open point counts, with this reading."""
+        """Record that the open point is valid, with its reading."""
         self._put_records(lambda: [self._journal.encoder.point_keep(point_id, reading)])
 
     def put_point_discard(self, point_id: str, reason: str) -> None:
-        """The open point does not count."""
+        """Record that the open point is not valid, and why."""
         self._put_records(lambda: [self._journal.encoder.point_discard(point_id, reason)])
 
     def put_end(self, fields: Mapping[str, Any] | End) -> None:
-        """How the run, or this attempt at it, ended."""
+        """Record how the run, or this attempt at it, ended."""
         self._put_records(lambda: [self._journal.encoder.end(fields)])
 
     def check(self) -> None:
@@ -94,7 +96,9 @@ class Recorder:
             raise self._failure
 
     def barrier(self, timeout_s: float = 60.0) -> None:
-        """Return when all that was put before is acknowledged; RecordingError after the time."""
+        """Block until everything that was put before is on the disk. RecordingError if that takes
+        longer than `timeout_s`.
+        """
         with self._lock:
             ticket = self._put
             self._sync_wanted = max(self._sync_wanted, ticket)
@@ -142,7 +146,7 @@ class Recorder:
             self.check()
             if self._closing:
                 raise RecordingError(self._journal.path, "the recorder is closed")
-            records = refusing_nonsense(self._journal.path, encode)
+            records = encode_or_raise(self._journal.path, encode)
             self._queue += records
             self._put += len(records)
             self._queued_bytes += sum(map(len, records))

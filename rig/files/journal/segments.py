@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from rig.files.journal.format import Block, PointBegin, PointDiscard, PointKeep, Record
+from rig.files.journal.format import Block, JournalRecord, PointBegin, PointDiscard, PointKeep
 from rig.files.journal.values import End, RunHeader, StreamState
 
 
 @dataclass(slots=True)
 class Attempt:
-    """One attempt at a point. ``begin`` and ``result`` are its records' JSON texts."""
+    """One attempt at a point. `begin` and `result` are the JSON texts of its records."""
 
     id: str
     begin: str
@@ -42,7 +42,9 @@ class Segment:
 
 @dataclass(slots=True)
 class Grouping:
-    """Follows the records of a journal in order: attempts at points, and the segments of blocks."""
+    """Follows the records of a journal in order and groups them: attempts at points, segments of
+    samples.
+    """
 
     header: RunHeader
     attempts: list[Attempt] = field(default_factory=list)
@@ -53,8 +55,10 @@ class Grouping:
     _open: dict[int, int] = field(default_factory=dict)
     _current: int | None = None
 
-    def follow(self, record: Record) -> int | None:
-        """Take the next record; of a block, the index of the segment it belongs to."""
+    def follow(self, record: JournalRecord) -> int | None:
+        """Take the next record. Returns the index of the segment that a block belongs to, else
+        None.
+        """
         if isinstance(record, Block):
             return self._place(record)
         if isinstance(record, StreamState):
@@ -73,7 +77,7 @@ class Grouping:
 
     @property
     def open_point(self) -> str | None:
-        """Id of the point that is being taken."""
+        """Id of the point that is open, or None."""
         return None if self._current is None else self.attempts[self._current].id
 
     def _place(self, block: Block) -> int:

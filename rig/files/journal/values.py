@@ -1,7 +1,8 @@
 """The typed values a journal carries as JSON: the run's header, streams, events and its end.
 
 Values only: no files, no bytes. Unknown keys are refused when a journal is written, which is before
-anything moved; format 1 means exactly these keys.
+anything moved. A key may be added to format 1 if older journals, which lack it, keep their meaning
+and write back to the same text.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def _with_offset(text: str) -> str:
     if when.tzinfo is None:
         raise ValueError("a time needs its offset from UTC")
     if not 1970 <= when.year < 3000:
-        raise ValueError(f"the year {when.year} is none of a run's")
+        raise ValueError(f"the year {when.year} cannot be that of a run")
     return text
 
 
@@ -49,7 +50,7 @@ Tree = Annotated[dict[str, Any], AfterValidator(_sane)]
 """Nested JSON values, no deeper and no more than `check_nesting` allows."""
 
 LONGEST_S = 1e10
-"""Three centuries: a time beyond is no time of a run, and no calendar can add it to its start."""
+"""Three centuries: a longer time is an error, and no calendar can add it to the run's start."""
 Seconds = Annotated[float, Field(ge=-LONGEST_S, le=LONGEST_S)]
 
 LARGEST_COUNT = 10**9
@@ -60,7 +61,7 @@ IsoTime = Annotated[str, StringConstraints(max_length=40), AfterValidator(_with_
 
 
 class Program(Settings):
-    """What made the run."""
+    """The program that made the run."""
 
     name: Short
     version: Short
@@ -75,7 +76,9 @@ IMPORTED = "IMPORTED"
 
 
 class Origin(Settings):
-    """The file that an imported run was made of, and what was told about it."""
+    """The file of another program that an imported run was made of, and what the user stated about
+    it.
+    """
 
     file_name: Short
     sha256: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
@@ -88,25 +91,25 @@ class Origin(Settings):
     """What stands in the file before its numbers."""
 
 
-class Named(Settings):
-    """A person or a sample: a name and whatever else is known."""
+class PersonOrSample(Settings):
+    """A person or a sample: a name and whatever else was stated."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=True)
 
     name: Short = ""
 
     @model_validator(mode="after")
-    def _is_sane(self) -> Named:
+    def _is_sane(self) -> PersonOrSample:
         check_nesting(self.details())
         return self
 
     def details(self) -> dict[str, Any]:
-        """Everything known besides the name."""
+        """Return everything that was stated besides the name."""
         return dict(self.model_extra or {})
 
 
-class Instrument(Settings):
-    """One instrument of the bench, as it introduced itself."""
+class InstrumentRecord(Settings):
+    """One instrument of the bench, as it identified itself."""
 
     name: Short
     role: Short = ""
@@ -122,7 +125,7 @@ _DTYPE = re.compile(r"(\|[iu]1|[<>][iu][248]|[<>]f[48])\Z")
 
 
 class Stream(Settings):
-    """A source of sample rows: what its blocks' bytes mean."""
+    """A source of sample rows: its channels, and what the bytes of its blocks mean."""
 
     name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,62}$")]
     device: Short = ""
@@ -171,7 +174,7 @@ class StreamState(Settings):
     """Full scale, in ``units``."""
 
 
-class Event(Settings):
+class JournalEvent(Settings):
     """Something that happened: a state change, a limit trip, a hold, a retry."""
 
     time: Seconds
@@ -210,7 +213,7 @@ class RunHeader(Settings):
     run_number: Count = 0
     """Its place in that batch, from 1; keys the noise of a simulated bench."""
     start_time: IsoTime | None
-    """None of an imported run where nobody told."""
+    """None for an imported run whose start is not known."""
     program: Program
     settings: Tree
     setting_units: dict[str, Short] = Field(default_factory=dict)
@@ -219,14 +222,14 @@ class RunHeader(Settings):
     bench_toml: str = ""
     bench_file: Short = ""
     simulated: bool | None
-    """None of an imported run: nobody here knows."""
+    """None for an imported run: the file does not say."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
     points: tuple[PointId, ...]
     """Ids of the planned points, in the planned order."""
-    user: Named = Named()
-    sample: Named = Named()
+    user: PersonOrSample = PersonOrSample()
+    sample: PersonOrSample = PersonOrSample()
     notes: str = ""
-    instruments: Annotated[tuple[Instrument, ...], Field(max_length=MOST_PARTS)] = ()
+    instruments: Annotated[tuple[InstrumentRecord, ...], Field(max_length=MOST_PARTS)] = ()
     calibrations: Annotated[tuple[Tree, ...], Field(max_length=MOST_PARTS)] = ()
     streams: Annotated[tuple[Stream, ...], Field(max_length=MOST_PARTS)] = ()
     origin: Origin | None = None
@@ -244,7 +247,7 @@ class RunHeader(Settings):
         if self.origin is None and (self.simulated is None or self.start_time is None):
             raise ValueError("a run that was not imported knows its start and what it ran on")
         if self.origin is not None and self.simulated is not None:
-            raise ValueError("of an imported run nobody knows whether it was simulated")
+            raise ValueError("it is not known whether an imported run was simulated")
         return self
 
     @model_validator(mode="after")
@@ -262,17 +265,19 @@ class RunHeader(Settings):
 
     @property
     def mark(self) -> str:
-        """What every title has to say first: that the run was simulated or imported, or nothing."""
+        """What every title has to begin with: SIMULATED, IMPORTED or nothing."""
         return IMPORTED if self.origin is not None else SIMULATED if self.simulated else ""
 
     def marked(self, title: str) -> str:
-        """A title, which says first whether the run was simulated or imported."""
+        """Return a title that begins with the run's mark."""
         if not self.mark or title.startswith(self.mark):
             return title
         return f"{self.mark} {title}"
 
     def check_state(self, state: StreamState) -> None:
-        """ValueError unless the state is one of an existing stream, with a value a channel."""
+        """Raise ValueError unless the state belongs to a stream of the run and has a value for each
+        channel.
+        """
         if state.stream >= len(self.streams):
             raise ValueError(f"stream {state.stream} of {len(self.streams)}")
         channels = len(self.streams[state.stream].channels)
@@ -284,12 +289,12 @@ class RunHeader(Settings):
                 raise ValueError(f"{name}: {channels} channels need as many values, or none")
 
     def check_block(self, stream: int, nbytes: int, first_index: int, host_time: float) -> int:
-        """Rows of a block of ``nbytes``; ValueError unless the stream can have sent it."""
+        """Return the rows of a block of `nbytes`. ValueError unless the stream can have sent it."""
         if not 0 <= stream < len(self.streams):
             raise ValueError(f"stream {stream} of {len(self.streams)}")
         row = self.streams[stream].row_bytes
         if nbytes == 0 or nbytes % row:
-            raise ValueError(f"{nbytes} bytes are no whole rows of {row} bytes")
+            raise ValueError(f"{nbytes} bytes are not whole rows of {row} bytes")
         if not 0 <= first_index < 2**63:
             raise ValueError(f"first_index {first_index} is out of range")
         if not math.isfinite(host_time):

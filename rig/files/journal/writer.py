@@ -1,13 +1,14 @@
 """Writing a journal: the run as it happens, append only, each record with its checksum.
 
 What ``sync`` has returned for is *acknowledged*: it survives a kill and a power cut. The file is
-opened without buffers, locked for as long as it is written (nobody compiles a run that still
-writes), and never changed behind its end, but for the torn end that ``reopen`` cuts off.
+opened without buffers and locked for as long as it is written, so that no other process compiles a
+run that still writes. What is written is never changed; only a torn end is cut off by ``reopen``.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,18 +19,19 @@ from typing import Any, Self
 
 from pydantic import ValidationError
 
+from rig.core.atomic import sync_folder
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.files.errors import JournalError, RecordingError
 from rig.files.journal.format import (
     BLOCK_HEAD,
     MAGIC,
     MAX_PAYLOAD,
-    Kind,
+    RecordKind,
     block_record,
     json_record,
 )
 from rig.files.journal.reader import JournalContents, KeptPoint, read_journal
-from rig.files.journal.values import End, Event, RunHeader, StreamState
+from rig.files.journal.values import End, JournalEvent, RunHeader, StreamState
 from rig.files.naming import journal_path, next_run_path
 
 __all__ = [
@@ -47,10 +49,10 @@ _DISK_HINT = "free space or write access there, then `rig recover` the journal o
 
 
 class JournalEncoder:
-    """Turns what happens into records, and refuses what makes no sense: no file, no bytes kept.
+    """Turns values into records; refuses those that contradict the header or earlier records.
 
-    A point is begun, then kept or discarded; a kept point is never begun again. ValueError and
-    TypeError mean that the caller's values cannot be recorded.
+    It has no file and stores no bytes. A point is begun, then kept or discarded; a kept point is
+    never begun again. ValueError and TypeError mean that the caller's values cannot be recorded.
     """
 
     def __init__(self, header: RunHeader, kept: Sequence[str] = ()) -> None:
@@ -59,7 +61,9 @@ class JournalEncoder:
         self._open: str | None = None
 
     def block(self, stream: int, first_index: int, host_time: float, data: object) -> list[bytes]:
-        """Records of rows (bytes or an array, C order, of the stream's dtype and channels)."""
+        """Return records of rows: bytes, or an array of the stream's dtype, shape (n, channels) or
+        (n,). Several records if the rows exceed one.
+        """
         rows = _row_bytes(data, self.header, stream)
         self.header.check_block(stream, len(rows), first_index, host_time)
         row = self.header.streams[stream].row_bytes
@@ -69,46 +73,48 @@ class JournalEncoder:
             for at in range(0, len(rows), most)
         ]
 
-    def event(self, fields: Mapping[str, Any] | Event) -> bytes:
-        """A record of an event: time (s since start), level, code, message."""
-        return json_record(Kind.EVENT, Event.model_validate(fields))
+    def event(self, fields: Mapping[str, Any] | JournalEvent) -> bytes:
+        """Return a record of an event: time (s since the run's start), level, code, message."""
+        return json_record(RecordKind.EVENT, JournalEvent.model_validate(fields))
 
     def stream(self, fields: Mapping[str, Any] | StreamState) -> bytes:
-        """A record of how a stream's counts read from here on."""
+        """Return a record of how a stream's counts read from here on."""
         state = StreamState.model_validate(fields)
         self.header.check_state(state)
-        return json_record(Kind.STREAM, state)
+        return json_record(RecordKind.STREAM, state)
 
     def point_begin(self, point_id: str, fields: Mapping[str, Any]) -> bytes:
-        """A record that a point is taken from here on; ``time`` in the fields is s since start."""
+        """Return a record that a point begins; ``time`` in the fields is in s since the run's
+        start.
+        """
         if self._open is not None:
             raise ValueError(f"point {point_id}: point {self._open} is still open")
         if point_id in self._kept:
-            raise ValueError(f"point {point_id}: kept already")
+            raise ValueError(f"point {point_id}: recorded already")
         if not 0 < len(point_id) <= 256:
             raise ValueError(f"point {point_id[:40]!r}: an id has 1 to 256 characters")
-        record = json_record(Kind.POINT_BEGIN, {"id": point_id, "point": dict(fields)})
+        record = json_record(RecordKind.POINT_BEGIN, {"id": point_id, "point": dict(fields)})
         self._open = point_id
         return record
 
     def point_keep(self, point_id: str, reading: Mapping[str, Any]) -> bytes:
-        """A record that the open point counts, with its reading."""
+        """Return a record that the open point is valid, with its reading."""
         self._check_open(point_id)
-        record = json_record(Kind.POINT_KEEP, {"id": point_id, "reading": dict(reading)})
+        record = json_record(RecordKind.POINT_KEEP, {"id": point_id, "reading": dict(reading)})
         self._kept.add(point_id)
         self._open = None
         return record
 
     def point_discard(self, point_id: str, reason: str) -> bytes:
-        """A record that the open point does not count."""
+        """Return a record that the open point is not valid, and why."""
         self._check_open(point_id)
-        record = json_record(Kind.POINT_DISCARD, {"id": point_id, "reason": reason})
+        record = json_record(RecordKind.POINT_DISCARD, {"id": point_id, "reason": reason})
         self._open = None
         return record
 
     def end(self, fields: Mapping[str, Any] | End) -> bytes:
-        """A record of how the run ended."""
-        return json_record(Kind.END, End.model_validate(fields))
+        """Return a record of how the run ended."""
+        return json_record(RecordKind.END, End.model_validate(fields))
 
     def _check_open(self, point_id: str) -> None:
         if self._open != point_id:
@@ -132,10 +138,10 @@ def _row_bytes(data: object, header: RunHeader, stream: int) -> memoryview:
 
 
 class JournalWriter:
-    """A journal open for writing, by one thread. After a failed write it only repeats that error.
+    """A journal that is open for writing, by one thread.
 
-    Errors: JournalError for a file that is none; RecordingError with path, cause and remedy for a
-    full disk and the like.
+    Raises JournalError for a file that is not a journal, and RecordingError with path, cause and
+    remedy for a full disk and the like. After a failed write every call raises that error again.
     """
 
     def __init__(self, path: Path, descriptor: int, encoder: JournalEncoder, size: int) -> None:
@@ -148,10 +154,10 @@ class JournalWriter:
 
     @classmethod
     def create(cls, path: Path | str, header: RunHeader | Mapping[str, Any]) -> JournalWriter:
-        """A new journal, its header on the disk; FileExistsError if there is a file already."""
+        """Create a journal and put its header on the disk. FileExistsError if the file exists."""
         path = Path(path)
         header = _validated(path, header)
-        record = json_record(Kind.HEADER, header)
+        record = json_record(RecordKind.HEADER, header)
         try:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
         except FileExistsError:
@@ -173,9 +179,10 @@ class JournalWriter:
 
     @classmethod
     def reopen(cls, path: Path | str) -> JournalWriter:
-        """A journal to be continued: a torn end is cut off, a point left open is discarded.
+        """Open a journal to continue it: cut off a torn end, discard a point that was left open.
 
-        JournalError for what is no journal, is damaged before its end, or is being written.
+        JournalError for a file that is not a journal, is damaged before its end, or is being
+        written.
         """
         path = Path(path)
         try:
@@ -199,7 +206,7 @@ class JournalWriter:
     def _close_open_point(self, point_id: str | None) -> None:
         if point_id is not None:
             fields = {"id": point_id, "reason": "the run was interrupted"}
-            self.append([json_record(Kind.POINT_DISCARD, fields)])
+            self.append([json_record(RecordKind.POINT_DISCARD, fields)])
 
     @property
     def header(self) -> RunHeader:
@@ -217,35 +224,37 @@ class JournalWriter:
         return self._acknowledged
 
     def block(self, stream: int, first_index: int, host_time: float, data: object) -> None:
-        """Rows of a stream: ``first_index`` counts its rows, ``host_time`` is s since start."""
+        """Write rows of a stream: `first_index` counts its rows, `host_time` is in s since the
+        start.
+        """
         self._record(lambda: self.encoder.block(stream, first_index, host_time, data))
 
-    def event(self, fields: Mapping[str, Any] | Event) -> None:
-        """Something that happened: time (s since start), level, code, message."""
+    def event(self, fields: Mapping[str, Any] | JournalEvent) -> None:
+        """Write an event: time (s since the run's start), level, code, message."""
         self._record(lambda: [self.encoder.event(fields)])
 
     def stream(self, fields: Mapping[str, Any] | StreamState) -> None:
-        """How a stream's counts read from here on."""
+        """Write how a stream's counts read from here on."""
         self._record(lambda: [self.encoder.stream(fields)])
 
     def point_begin(self, point_id: str, fields: Mapping[str, Any]) -> None:
-        """A point is taken from here on."""
+        """Write that a point begins."""
         self._record(lambda: [self.encoder.point_begin(point_id, fields)])
 
     def point_keep(self, point_id: str, reading: Mapping[str, Any]) -> None:
-        """The open point counts, with this reading."""
+        """Write that the open point is valid, with its reading."""
         self._record(lambda: [self.encoder.point_keep(point_id, reading)])
 
     def point_discard(self, point_id: str, reason: str) -> None:
-        """The open point does not count."""
+        """Write that the open point is not valid, and why."""
         self._record(lambda: [self.encoder.point_discard(point_id, reason)])
 
     def end(self, fields: Mapping[str, Any] | End) -> None:
-        """How the run, or this attempt at it, ended."""
+        """Write how the run, or this attempt at it, ended."""
         self._record(lambda: [self.encoder.end(fields)])
 
     def _record(self, encode: Any) -> None:
-        self.append(refusing_nonsense(self.path, encode))
+        self.append(encode_or_raise(self.path, encode))
 
     def append(self, records: Sequence[bytes]) -> None:
         """Write whole records, in one system call where the kernel takes them in one."""
@@ -259,11 +268,13 @@ class JournalWriter:
             raise self._fail("write", error) from error
 
     def sync(self) -> None:
-        """Return when everything written is on the disk (fdatasync): it is acknowledged."""
+        """Block until everything written is on the disk (fdatasync), which acknowledges it."""
         self._check()
         try:
             os.fdatasync(self._descriptor)
-        except OSError as error:  # what the kernel dropped is gone: a second sync would lie
+        except OSError as error:
+            # The kernel has dropped what it could not write and marked it clean: a second fdatasync
+            # would succeed without anything being on the disk.
             raise self._fail("sync", error) from error
         self._acknowledged = self._size
 
@@ -299,19 +310,22 @@ class JournalWriter:
 def begin_journal(
     results: Path, procedure: str, header: RunHeader | Mapping[str, Any]
 ) -> JournalWriter:
-    """A new journal in the folder of today, under the next number; RecordingError where none can
-    be begun."""
+    """Create a journal in today's folder under the next number. RecordingError if that fails."""
     now = datetime.now().astimezone()
     with _beginning(results):
         for _ in range(_NAME_TRIES):
             with contextlib.suppress(FileExistsError):  # another run took the number
                 path = next_run_path(results, procedure, now)
                 return JournalWriter.create(journal_path(path), header)
-    raise RecordingError(results, "other runs keep taking the next file name")
+    raise RecordingError(
+        results, "other runs took every file name that was tried; start the run again"
+    )
 
 
 def begin_journal_at(path: Path, header: RunHeader | Mapping[str, Any]) -> JournalWriter:
-    """A new journal in this place; RecordingError where it cannot be begun, or is there already."""
+    """Create a journal at this path, and its folder. RecordingError if that fails or the file
+    exists.
+    """
     with _beginning(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         return JournalWriter.create(path, header)
@@ -322,15 +336,17 @@ def _beginning(place: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         raise RecordingError(
             place,
-            f"no run file can be begun there: {error.strerror or error}",
-            "give another folder with --results, or free the disk",
+            f"no run can be recorded here: {error.strerror or error}",
+            f"{'free space on this disk, or ' if full else ''}choose another folder with --results",
         ) from error
 
 
-def refusing_nonsense(path: Path, encode: Any) -> Any:
-    """What ``encode()`` gives; its ValueError or TypeError becomes a RigError that names the file.
+def encode_or_raise(path: Path, encode: Any) -> Any:
+    """Return ``encode()``. Its ValueError or TypeError, for values that cannot be recorded, becomes
+    a RigError that names the file; nothing was written then, and the journal can still be used.
 
     Nothing was written then, and the journal can go on.
     """
@@ -344,22 +360,13 @@ def refusing_nonsense(path: Path, encode: Any) -> Any:
 
 
 def lock_journal(path: Path, descriptor: int, *, shared: bool = False) -> None:
-    """Hold the journal's lock until the descriptor is closed; JournalError if a run writes it."""
+    """Lock the journal until the descriptor is closed. JournalError if a run is writing it."""
     try:
         fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except OSError as error:
         raise JournalError(
             path, None, "another process is using this journal", "wait for its run to end"
         ) from error
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the folder's entries durable: a new file, a rename."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _validated(path: Path, header: RunHeader | Mapping[str, Any]) -> RunHeader:

@@ -16,15 +16,15 @@ from rig.core.settings import fingerprint
 from rig.detector.events import Event, EventKind
 from rig.detector.settings import DetectorSettings
 from rig.files.errors import RunFileError, in_words
-from rig.files.file_kind import TOLD, kind_of
+from rig.files.file_kind import IN_WORDS, kind_of
 from rig.files.hdf5.open_file import OpenFile
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
 from rig.files.journal.values import SIMULATED
-from rig.files.processed.values import DEFINITION, DetectedTrial, Source, processed_path
+from rig.files.processed.values import DEFINITION, DetectedTrial, ProcessedSource, processed_path
 
 
 def is_processed(path: Path) -> bool:
-    """Whether a file says that it is a processed one; a damaged file says nothing."""
+    """Return whether a file says that it is a processed file. False for a damaged one."""
     import h5py
 
     if kind_of(path) != "hdf5":
@@ -42,12 +42,12 @@ class ProcessedFile(OpenFile):
 
     @classmethod
     def open(cls, path: Path | str) -> ProcessedFile:
-        """Open a processed file. RunFileError if it cannot be read or is none."""
+        """Open a processed file. RunFileError if it cannot be read or is another kind of file."""
         import h5py
 
         path = Path(path)
         if (kind := kind_of(path)) != "hdf5":
-            raise RunFileError(path, TOLD[kind])
+            raise RunFileError(path, IN_WORDS[kind])
         with _naming(path):
             file = h5py.File(path, "r")
         opened = cls(path, file)
@@ -55,7 +55,7 @@ class ProcessedFile(OpenFile):
             with _naming(path):
                 refuse_links(file)
                 if "entry/definition" not in file or opened._text("definition") != DEFINITION:
-                    raise RunFileError(path, "an HDF5 file, but no processed one")
+                    raise RunFileError(path, "an HDF5 file, but not a processed file")
                 _ = opened.source, opened.settings
         except RunFileError:
             file.close()
@@ -63,11 +63,11 @@ class ProcessedFile(OpenFile):
         return opened
 
     @cached_property
-    def source(self) -> Source:
+    def source(self) -> ProcessedSource:
         """The run file that was processed."""
         with _naming(self.path):
             simulated = "source/simulated" in self.entry
-            return Source(
+            return ProcessedSource(
                 file_name=self._text("source/file_name"),
                 sha256=self._text("source/sha256"),
                 definition=self._text("source/definition"),
@@ -98,12 +98,12 @@ class ProcessedFile(OpenFile):
             return self._text("process/version")
 
     def trial_ids(self) -> list[str]:
-        """Ids of the trials, in the order in which they were processed."""
+        """Return the ids of the trials, in the order in which they were processed."""
         with _naming(self.path):
             return texts_of(self.entry["trials/id"])
 
     def events(self) -> list[tuple[str, Event]]:
-        """All events, each with its trial's id: trial after trial, in the order of time."""
+        """Return all events, each with its trial's id: trial after trial, in the order of time."""
         with _naming(self.path):
             table = self.entry["events"]
             kinds = texts_of(table["kind"])
@@ -143,7 +143,7 @@ class ProcessedFile(OpenFile):
             ]
 
     def trials(self) -> list[DetectedTrial]:
-        """The trials with their signals and events."""
+        """Return the trials with their signals and events."""
         events = self.events()
         with _naming(self.path):
             groups = {
@@ -164,10 +164,10 @@ class ProcessedFile(OpenFile):
             ]
 
     def extent(self) -> str:
-        """What it holds: ``rig 1, 12 events in 3 trials``."""
+        """Return what the file holds: ``rig 1, 12 events in 3 trials``."""
         trials, events = len(self.trial_ids()), len(self.events())
-        told = f"{events} event{'s' * (events != 1)} in {trials} trial{'s' * (trials != 1)}"
-        return f"{self.settings.logic} {self.version}, {told}"
+        found = f"{events} event{'s' * (events != 1)} in {trials} trial{'s' * (trials != 1)}"
+        return f"{self.settings.logic} {self.version}, {found}"
 
     def findings(self) -> Iterator[str]:
         """Contents: what is wrong with what the file says of itself, one sentence each."""
@@ -206,4 +206,6 @@ def _naming(path: Path) -> Iterator[None]:
         yield
     except DAMAGE as error:
         hint = "`rig detect` writes it again from the run file"
-        raise RunFileError(path, f"no readable processed file: {in_words(error)}", hint) from error
+        raise RunFileError(
+            path, f"not a readable processed file: {in_words(error)}", hint
+        ) from error

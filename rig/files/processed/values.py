@@ -23,8 +23,8 @@ FINGERPRINT_LENGTH = 12
 
 
 @dataclass(frozen=True)
-class Source:
-    """The run file that was processed, as it said itself; times are ISO 8601."""
+class ProcessedSource:
+    """The run file that was processed, as it describes itself; times are ISO 8601."""
 
     file_name: str
     sha256: str
@@ -35,14 +35,14 @@ class Source:
     start_time: str | None
     end_time: str | None
     simulated: bool | None
-    """None where nobody knows."""
+    """None if it is not known."""
     mark: str
     """What every title has to begin with: that the run was simulated or imported, or nothing."""
 
 
 @dataclass(frozen=True)
 class DetectedTrial:
-    """What a detector made of one trial."""
+    """What a detector found in one trial, with the signals that it looked at."""
 
     id: str
     rate_Hz: float
@@ -56,11 +56,11 @@ class DetectedTrial:
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Since the first row, (n,)."""
+        """Time in s since the trial's first row, shape (n,)."""
         return self.sample / self.rate_Hz
 
     def same(self, other: DetectedTrial) -> bool:
-        """Equal bit for bit."""
+        """Return whether both are equal bit for bit."""
         return (
             (self.id, self.rate_Hz, self.events) == (other.id, other.rate_Hz, other.events)
             and self.sample.tobytes() == other.sample.tobytes()

@@ -7,7 +7,6 @@ the same bytes (with the same libraries), whoever computes them and when.
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,12 +24,12 @@ from rig.files.hdf5.nexus import (
     set_attributes,
     text_field,
     texts_field,
+    write_note,
+    write_values,
 )
-from rig.files.hdf5.publishing import publish
+from rig.files.hdf5.publishing import publishing
 from rig.files.processed.reader import ProcessedFile
-from rig.files.processed.values import DEFINITION, LAYOUT_VERSION, DetectedTrial, Source
-from rig.files.runfile.compile import sha256_of
-from rig.files.runfile.write_entry import write_note, write_values
+from rig.files.processed.values import DEFINITION, LAYOUT_VERSION, DetectedTrial, ProcessedSource
 
 if TYPE_CHECKING:
     import h5py
@@ -40,7 +39,7 @@ PROGRAM = "rig detect"
 
 def write_processed(
     target: Path,
-    source: Source,
+    source: ProcessedSource,
     settings: DetectorSettings,
     version: str,
     trials: Sequence[DetectedTrial],
@@ -50,21 +49,12 @@ def write_processed(
     Raises RecordingError where the disk does not take it, RunFileError where it does not read back
     equal.
     """
-    part = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
     try:
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        # `shared`: workers of a cluster may process the same run file at the same time.
+        with publishing(target, shared=True) as part:
             _write(part, target.name, source, settings, version, trials)
-            with ProcessedFile.open(part) as written:
-                found = written.trials()
-                equal = written.settings == settings and written.source == source
-            if not equal or not all(
-                mine.same(own) for mine, own in zip(found, trials, strict=True)
-            ):
-                raise RunFileError(target, "does not read back equal", "run it again")
-            publish(part, target, sha256_of(part))
-        finally:
-            part.unlink(missing_ok=True)
+            _read_back(part, target, source, settings, trials)
     except OSError as error:
         raise RecordingError(
             target,
@@ -73,10 +63,25 @@ def write_processed(
         ) from error
 
 
+def _read_back(
+    part: Path,
+    target: Path,
+    source: ProcessedSource,
+    settings: DetectorSettings,
+    trials: Sequence[DetectedTrial],
+) -> None:
+    """RunFileError unless the file holds what it was made of, bit for bit."""
+    with ProcessedFile.open(part) as written:
+        found = written.trials()
+        equal = written.settings == settings and written.source == source
+    if not equal or not all(mine.same(own) for mine, own in zip(found, trials, strict=True)):
+        raise RunFileError(target, "does not read back equal", "run it again")
+
+
 def _write(
     path: Path,
     name: str,
-    source: Source,
+    source: ProcessedSource,
     settings: DetectorSettings,
     version: str,
     trials: Sequence[DetectedTrial],
@@ -94,7 +99,7 @@ def _write(
             _write_process(entry, settings, version)
             _write_events(group(entry, "events", "NXcollection"), trials)
             _write_trials(entry, source, trials)
-        guarded.sync()
+        guarded.check()
     except RuntimeError:
         guarded.check()  # what HDF5 makes of a full disk
         raise
@@ -102,7 +107,7 @@ def _write(
         guarded.close()
 
 
-def _write_root(file: h5py.File, name: str, source: Source) -> None:
+def _write_root(file: h5py.File, name: str, source: ProcessedSource) -> None:
     import h5py
 
     import rig
@@ -118,7 +123,7 @@ def _write_root(file: h5py.File, name: str, source: Source) -> None:
     file.attrs["h5py_version"] = h5py.version.version
 
 
-def _write_source(entry: h5py.Group, source: Source) -> None:
+def _write_source(entry: h5py.Group, source: ProcessedSource) -> None:
     text_field(entry, "definition", DEFINITION).attrs["version"] = LAYOUT_VERSION
     text_field(entry, "title", marked(source, f"Slips detected: {_unmarked(source)}"))
     for name in ("start_time", "end_time"):
@@ -132,12 +137,12 @@ def _write_source(entry: h5py.Group, source: Source) -> None:
         number_field(made, "simulated", source.simulated)
 
 
-def marked(source: Source, title: str) -> str:
-    """A title of what was made of that file: it says first what the file said of itself."""
+def marked(source: ProcessedSource, title: str) -> str:
+    """Return a title that begins with the mark of the run file: SIMULATED, IMPORTED or nothing."""
     return f"{source.mark} {title}" if source.mark else title
 
 
-def _unmarked(source: Source) -> str:
+def _unmarked(source: ProcessedSource) -> str:
     return source.title.removeprefix(source.mark).lstrip() or source.file_name
 
 
@@ -175,7 +180,9 @@ def _write_events(made: h5py.Group, trials: Sequence[DetectedTrial]) -> None:
         array_field(features, names.name(feature), values, unit_of(feature) or "1", feature)
 
 
-def _write_trials(entry: h5py.Group, source: Source, trials: Sequence[DetectedTrial]) -> None:
+def _write_trials(
+    entry: h5py.Group, source: ProcessedSource, trials: Sequence[DetectedTrial]
+) -> None:
     """An NXdata a trial, and the first one's again as the default plot."""
     made = group(entry, "trials", "NXcollection")
     texts_field(made, "id", [trial.id for trial in trials])
@@ -194,7 +201,9 @@ def _write_trials(entry: h5py.Group, source: Source, trials: Sequence[DetectedTr
 _PLOT = {"signal": "predictive", "auxiliary_signals": ["v_d"], "axes": ["time"]}
 
 
-def _write_trial(parent: h5py.Group, name: str, source: Source, trial: DetectedTrial) -> h5py.Group:
+def _write_trial(
+    parent: h5py.Group, name: str, source: ProcessedSource, trial: DetectedTrial
+) -> h5py.Group:
     data = group(parent, name, "NXdata")
     set_attributes(data, _PLOT)
     set_attributes(data, {"trial": plain_text(trial.id), "rate_Hz": trial.rate_Hz})

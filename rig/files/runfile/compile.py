@@ -1,28 +1,38 @@
 """Compiling: a journal becomes a run file, HDF5 with NeXus attributes.
 
+The way of the data, each module once:
+
+1. ``journal.reader.read_journal`` indexes the journal: points, events, segments, no samples.
+2. ``table`` makes the columns; ``write_entry`` and ``write_plots`` write all but the samples.
+3. ``sample_walk`` reads the samples, ``write_samples`` writes them to where ``sample_groups`` says.
+4. ``read_back`` compares the file with what the steps before have seen.
+5. ``hdf5.publishing`` gives the file its name.
+
 The file appears under its name only when it is whole, on the disk, and has read back equal to the
-journal. Any earlier file of the same run is replaced by it. The same journal gives the same bytes.
+journal. An earlier file of the same run is replaced. The same journal gives the same bytes.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
 from pathlib import Path
 
+from rig.core.atomic import sync_folder
+from rig.files.checksum import sha256_of
 from rig.files.errors import JournalError, RecordingError, RunFileError
 from rig.files.hdf5.guarded_file import GuardedFile
 from rig.files.hdf5.nexus import plain_text
-from rig.files.hdf5.publishing import publish
+from rig.files.hdf5.publishing import publishing
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of
 from rig.files.journal.reader import JournalContents, read_journal
-from rig.files.journal.writer import lock_journal, sync_folder
+from rig.files.journal.writer import lock_journal
 from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX, checksum_path
 from rig.files.runfile.read_back import differences
+from rig.files.runfile.sample_walk import SampleWalk
 from rig.files.runfile.table import point_table
 from rig.files.runfile.write_entry import write_entry, write_root
-from rig.files.runfile.write_samples import WaveformWriter, write_traces
+from rig.files.runfile.write_samples import SampleWriter
 
 
 def compile_run(
@@ -60,14 +70,8 @@ def compile_run(
 
 
 def journal_equals_file(journal: Path | str, file: Path | str) -> bool:
-    """Whether the file holds everything that the journal holds, sample by sample."""
-    return not differences(read_journal(journal), Path(file))
-
-
-def sha256_of(path: Path) -> str:
-    """The file's SHA-256 in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """Return whether the file holds everything that the journal holds, sample by sample."""
+    return not differences(SampleWalk(read_journal(journal)).exhaust(), Path(file))
 
 
 def _open(journal: Path) -> int:
@@ -82,34 +86,32 @@ def _open(journal: Path) -> int:
 
 def _publish(contents: JournalContents, target: Path) -> None:
     """Write beside the target, check, make durable, rename; leaves nothing behind if it fails."""
-    part = target.with_name(f".{target.name}.part")
-    part.unlink(missing_ok=True)
-    try:
-        _write(contents, part, target.name)
-        findings = differences(contents, part)
+    with publishing(target) as part:
+        walk = _write(contents, part, target.name)
+        findings = differences(walk, part)
         if findings:
             raise RunFileError(target, f"does not read back equal: {findings[0]}", "run it again")
-        publish(part, target, sha256_of(part))
-    finally:
-        part.unlink(missing_ok=True)
 
 
-def _write(contents: JournalContents, path: Path, name: str) -> None:
-    """Write the file and make it durable; OSError if the disk does not take it."""
+def _write(contents: JournalContents, path: Path, name: str) -> SampleWalk:
+    """Write the file; returns the walk over the journal's samples. OSError if the disk fails."""
     import h5py
 
-    table = point_table(contents)
+    table, walk = point_table(contents), SampleWalk(contents)
     guarded = GuardedFile(path)
     try:
         with h5py.File(guarded, "w") as file:
             entry = write_root(file, contents, name)
             write_entry(entry, contents, table)
             guarded.check()
-            WaveformWriter(entry, contents).write(guarded.check)
-            write_traces(entry, contents)
+            samples = SampleWriter(entry, contents)
+            for piece in walk.pieces():
+                samples.write(piece)
+                guarded.check()
+            samples.finish(walk.blocks)
             if contents.header.layout.default not in entry or not table.ids:
                 entry.attrs["default"] = "waveforms" if "waveforms" in entry else "points"
-        guarded.sync()
+        guarded.check()
     except (RuntimeError, ValueError, TypeError, KeyError) as error:
         guarded.check()
         reason = f"cannot be compiled: {type(error).__name__}: {error}"
@@ -118,11 +120,15 @@ def _write(contents: JournalContents, path: Path, name: str) -> None:
         ) from error
     finally:
         guarded.close()
+    return walk
 
 
 def _refuse_other_run(target: Path, contents: JournalContents) -> None:
-    """An existing file is replaced only by the same run's; a damaged one is not kept for that, and
-    one that its checksum shows to be damaged is not opened: HDF5 might not come to an end."""
+    """Raise RunFileError if the target exists and is another run's file.
+
+    A damaged file is replaced. One whose checksum shows that it is damaged is not even opened: HDF5
+    may loop for ever on it.
+    """
     if not target.exists():
         return
     with contextlib.suppress(OSError, UnicodeDecodeError):

@@ -1,4 +1,9 @@
-"""Whether a run file holds all that its journal holds; reads both to the last sample."""
+"""Whether a run file holds all that its journal holds, to the last sample.
+
+The file is read from the disk; the journal is not read again: its texts and points are known from
+`read_journal`, its samples from the digests that `SampleWalk` took of them. This check is what
+lets the journal of a complete run be deleted.
+"""
 
 from __future__ import annotations
 
@@ -7,36 +12,40 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.files.errors import in_words
-from rig.files.hdf5.nexus import plain_text, plot_sources
+from rig.files.hdf5.nexus import CHUNK_ROWS, plain_text
 from rig.files.hdf5.safe_reading import DAMAGE, text_of, texts_of, whole
 from rig.files.journal.format import to_json
 from rig.files.journal.layout import Plot
-from rig.files.journal.reader import JournalContents
-from rig.files.runfile.table import PointTable, point_table
-from rig.files.runfile.write_entry import ending
-from rig.files.runfile.write_samples import (
+from rig.files.journal.reader import JournalContents, ending
+from rig.files.runfile.sample_groups import (
     channel_attributes,
     channel_names,
     segment_attributes,
     segment_paths,
-    walk_samples,
 )
+from rig.files.runfile.sample_walk import SampleWalk, channel_digests
+from rig.files.runfile.table import PointTable, point_table
 
 if TYPE_CHECKING:
     import h5py
     from numpy.typing import NDArray
 
 
-def differences(contents: JournalContents, file: Path) -> list[str]:
-    """What of the journal the file lacks or has otherwise; empty if it holds everything."""
+def differences(walk: SampleWalk, file: Path) -> list[str]:
+    """Return what the file lacks of the journal or has otherwise, one sentence each.
+
+    Empty if the file holds everything. `walk` is a walk over the journal's samples that has come to
+    its end. Reads every sample of the file; a damaged file is a finding, not an error.
+    """
     import h5py
 
+    contents = walk.contents
     try:
         with h5py.File(file) as opened:
             entry = opened["entry"]
             found = list(_text_differences(entry, contents))
             found += _table_differences(entry, contents, point_table(contents))
-            found += _sample_differences(entry, contents)
+            found += _sample_differences(entry, walk)
             return found
     except DAMAGE as error:
         return [in_words(error)]
@@ -85,46 +94,40 @@ def _table_differences(
 
 def _plot_differences(entry: h5py.Group, plot: Plot, table: PointTable) -> Iterator[str]:
     order = table.order(plot.axes)
-    for name, source in plot_sources(plot).items():
+    for name, source in plot.sources().items():
         if not _same(whole(entry[f"{plot.group}/{name}"]), table.numbers(source)[order]):
             yield f"{plot.group}/{name} differs"
 
 
-def _sample_differences(entry: h5py.Group, contents: JournalContents) -> list[str]:
-    """Compare every sample, every channel's scale and every block's place in time."""
-    paths = segment_paths(contents)
-    streams = contents.header.streams
-    found: list[str] = []
-    read = [0] * len(paths)
-
-    def compare(number: int, first: int, rows: NDArray[Any]) -> None:
-        data = entry[paths[number]]
-        stream = streams[contents.segments[number].stream]
+def _sample_differences(entry: h5py.Group, walk: SampleWalk) -> Iterator[str]:
+    """Every sample, every channel's scale and every block's place in time."""
+    contents = walk.contents
+    for number, path in enumerate(segment_paths(contents)):
+        data, segment = entry[path], contents.segments[number]
+        stream = contents.header.streams[segment.stream]
+        yield from _attribute_differences(data, segment_attributes(contents, number))
         for k, name in enumerate(channel_names(stream.channels)):
-            if not _same(data[name][first : first + len(rows)], rows[:, k]):
-                found.append(f"{paths[number]}/{name} differs at rows from {first}")
-        read[number] += len(rows)
-
-    blocks = walk_samples(contents, compare)
-    for number, path in enumerate(paths):
-        found += _segment_differences(entry[path], contents, number, read[number])
-    for number, stream in enumerate(streams):
-        for name, values in blocks.arrays(number).items():
+            field = data[name]
+            yield from _attribute_differences(field, channel_attributes(segment.state, k))
+            if field.shape != (segment.rows,) or field.dtype != stream.dtype:
+                yield (
+                    f"{field.name}: {field.shape} samples of {field.dtype}, the journal has "
+                    f"{segment.rows} of {stream.dtype}"
+                )
+                continue
+            yield from _piece_differences(field, [piece[k] for piece in walk.digests[number]])
+    for number, stream in enumerate(contents.header.streams):
+        for name, values in walk.blocks.arrays(number).items():
             if not _same(whole(entry[f"blocks/{stream.name}/{name}"]), values):
-                found.append(f"blocks/{stream.name}/{name} differs")
-    return found
+                yield f"blocks/{stream.name}/{name} differs"
 
 
-def _segment_differences(
-    data: h5py.Group, contents: JournalContents, number: int, rows: int
-) -> Iterator[str]:
-    segment = contents.segments[number]
-    yield from _attribute_differences(data, segment_attributes(contents, number))
-    for k, name in enumerate(channel_names(contents.header.streams[segment.stream].channels)):
-        field = data[name]
-        if field.shape != (rows,):
-            yield f"{field.name}: {field.shape} samples, the journal has {rows}"
-        yield from _attribute_differences(field, channel_attributes(segment.state, k))
+def _piece_differences(field: h5py.Dataset, expected: Sequence[bytes]) -> Iterator[str]:
+    """Read a channel in the pieces in which the journal's walk made digests of it."""
+    for number, digest in enumerate(expected):
+        first = number * CHUNK_ROWS
+        if channel_digests(field[first : first + CHUNK_ROWS][:, None]) != [digest]:
+            yield f"{field.name} differs at rows from {first}"
 
 
 def _attribute_differences(

@@ -1,6 +1,6 @@
 """Reading a run file: a few plain questions, answered as values and arrays.
 
-Opens with a plain read, never in SWMR mode (which can hang on a damaged file). Whatever is wrong
+Opens with a plain read, never in SWMR mode, which can hang on a damaged file. Whatever is wrong
 with the file is a RunFileError that names it.
 """
 
@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.files.errors import RunFileError, in_words
-from rig.files.file_kind import TOLD, kind_of
+from rig.files.file_kind import IN_WORDS, kind_of
 from rig.files.hdf5.open_file import OpenFile
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
+from rig.files.journal.format import from_json
 from rig.files.journal.values import RunHeader
-from rig.files.runfile.write_entry import header_of
 
 if TYPE_CHECKING:
     import h5py
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """How the run ended. ``duration`` in s; ``status`` complete, stopped or failed."""
+class RecordedOutcome:
+    """How the run ended. `duration` in s; `status` is complete, stopped or failed."""
 
     status: str
     reason: str
@@ -36,22 +36,22 @@ class Outcome:
     points_planned: int
     points_done: int
     simulated: bool | None
-    """None of an imported run: nobody here knows."""
+    """None for an imported run: the file does not say."""
     seed: int
     exit: int
     duration: float
     warnings: tuple[str, ...]
     imported: bool = False
-    """Made of a file from elsewhere, of which the header's origin tells."""
+    """Made of another program's file, which the header's origin describes."""
 
     def extent(self) -> str:
-        """How far the run came: ``stopped, 2 of 81 points``."""
+        """Return how far the run came: ``stopped, 2 of 81 points``."""
         return f"{self.status}, {self.points_done} of {self.points_planned} points"
 
 
 @dataclass(frozen=True)
 class Waveform:
-    """Gapless samples of one stream. ``counts`` maps a channel to its raw counts, shape (n,)."""
+    """Gapless samples of one stream. `counts` maps a channel to its raw counts, shape (n,)."""
 
     path: str
     point: str | None
@@ -67,7 +67,7 @@ class Waveform:
     """Unit of scale × count + offset."""
 
     def values(self, channel: str) -> NDArray[np.float64]:
-        """A channel in ``units``, float64 of shape (n,)."""
+        """Return a channel in `units`, float64 of shape (n,)."""
         values: NDArray[np.float64] = (
             self.counts[channel] * self.scale[channel] + self.offset[channel]
         )
@@ -75,11 +75,11 @@ class Waveform:
 
 
 class RunFile(OpenFile):
-    """An open run file; use it as a context."""
+    """A run file that is open for reading; use it as a context."""
 
     @classmethod
     def open(cls, path: Path | str) -> RunFile:
-        """Open a run file. RunFileError if it cannot be read or is no run file."""
+        """Open a run file. RunFileError if it cannot be read or is another kind of file."""
         import h5py
 
         path = Path(path)
@@ -91,7 +91,9 @@ class RunFile(OpenFile):
             with _naming(path):
                 refuse_links(file)
                 if "entry/journal_header" not in file:
-                    raise RunFileError(path, "an HDF5 file, but not of a run: no journal header")
+                    raise RunFileError(
+                        path, "an HDF5 file, but not a run file: it has no journal header"
+                    )
                 if not isinstance(run.header, RunHeader) or "outcome" not in run.entry:
                     raise ValueError("it has no outcome")
         except RunFileError:
@@ -101,8 +103,8 @@ class RunFile(OpenFile):
 
     @cached_property
     def header(self) -> RunHeader:
-        """What the run was to be: settings, points, instruments, layout."""
-        return header_of(self.entry)
+        """What the journal's header said: settings, points, instruments, streams, layout."""
+        return _header_of(self.entry)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -111,18 +113,18 @@ class RunFile(OpenFile):
 
     @property
     def end_time(self) -> str | None:
-        """When the run ended, ISO 8601; None of an imported run where nobody told."""
+        """When the run ended, ISO 8601. None for an imported run whose time is not known."""
         with _naming(self.path):
             return text_of(self.entry["end_time"]) if "end_time" in self.entry else None
 
     @property
-    def outcome(self) -> Outcome:
+    def outcome(self) -> RecordedOutcome:
         """How the run ended."""
         with _naming(self.path):
             group = self.entry["outcome"]
             number = {name: int(whole(group[name])) for name in _NUMBERS}
             imported = "imported" in group and bool(whole(group["imported"]))
-            return Outcome(
+            return RecordedOutcome(
                 status=text_of(group["status"]),
                 reason=text_of(group["reason"]),
                 attempt=number["attempt"],
@@ -137,16 +139,18 @@ class RunFile(OpenFile):
             )
 
     def point_ids(self) -> list[str]:
-        """Ids of the kept points, in the order of ``column``'s rows."""
+        """Return the ids of the kept points, in the order of ``column``'s rows."""
         with _naming(self.path):
             return texts_of(self.entry["points/id"])
 
     def columns(self) -> list[str]:
-        """Names of the columns of the readings."""
+        """Return the names of the columns of the readings."""
         return [column.name for column in self.header.layout.columns]
 
     def column(self, name: str) -> NDArray[Any]:
-        """A column of the readings: float64 (or text) of shape (points,), in plot order."""
+        """Return a column of the readings, float64 (or text) of shape (points,), in plot order.
+        RunFileError if there is no such column.
+        """
         if name not in self.columns():
             raise RunFileError(self.path, f"no column {name!r}", f"it has {self.columns()}")
         with _naming(self.path):
@@ -158,9 +162,7 @@ class RunFile(OpenFile):
             return numbers
 
     def readings(self) -> list[dict[str, Any]]:
-        """The readings as the procedure gave them, in the order of ``point_ids``."""
-        from rig.files.journal.format import from_json
-
+        """Return the readings as the procedure gave them, in the order of ``point_ids``."""
         with _naming(self.path):
             results = texts_of(self.entry["attempts/result"])
             return [from_json(results[n])["reading"] for n in whole(self.entry["points/attempt"])]
@@ -184,6 +186,11 @@ class RunFile(OpenFile):
                     yield _waveform(data)
 
 
+def _header_of(entry: h5py.Group) -> RunHeader:
+    """The run's header as the file keeps it; ValueError if it is none."""
+    return RunHeader.model_validate(from_json(text_of(entry["journal_header/data"])))
+
+
 _NUMBERS = ("attempt", "points_planned", "points_done", "seed", "exit")
 
 
@@ -194,7 +201,7 @@ def _naming(path: Path) -> Iterator[None]:
         yield
     except DAMAGE as error:
         hint = "`rig recover` compiles it again if its journal is still there"
-        raise RunFileError(path, f"no readable run file: {in_words(error)}", hint) from error
+        raise RunFileError(path, f"not a readable run file: {in_words(error)}", hint) from error
 
 
 def _refuse_other_kinds(path: Path) -> None:
@@ -202,7 +209,7 @@ def _refuse_other_kinds(path: Path) -> None:
     if kind == "journal":
         raise RunFileError(path, "a journal, not a run file", "`rig recover` compiles it")
     if kind != "hdf5":
-        raise RunFileError(path, TOLD[kind])
+        raise RunFileError(path, IN_WORDS[kind])
 
 
 def _waveform(data: h5py.Group) -> Waveform:

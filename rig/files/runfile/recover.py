@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rig.files.errors import JournalError, RunFileError
-from rig.files.file_kind import TOLD, kind_of
+from rig.files.file_kind import IN_WORDS, kind_of
 from rig.files.journal.reader import JournalContents, read_journal
 from rig.files.naming import RUN_SUFFIX, journal_path
 from rig.files.runfile.compile import compile_run
@@ -13,7 +13,7 @@ from rig.files.runfile.reader import RunFile
 
 
 def recover(file: Path | str) -> Path:
-    """Compile what a journal holds; gives the run file.
+    """Compile what a journal holds; returns the path of the run file.
 
     Takes the journal or the run file that it belongs to. The journal of a run that did not
     complete stays, so that the run can be resumed. JournalError when there is nothing to do.
@@ -49,7 +49,7 @@ def _journal_of(file: Path, purpose: str) -> Path:
         return beside
     if kind == "missing" and kind_of(run_file) == "hdf5":
         file, kind = run_file, "hdf5"
-    raise JournalError(file, None, _why_not(file, purpose) if kind == "hdf5" else TOLD[kind])
+    raise JournalError(file, None, _why_not(file, purpose) if kind == "hdf5" else IN_WORDS[kind])
 
 
 def _why_not(file: Path, purpose: str) -> str:

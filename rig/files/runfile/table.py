@@ -27,13 +27,13 @@ class PointTable:
     warnings: list[str]
 
     def numbers(self, name: str) -> NDArray[np.float64]:
-        """A number column, float64 of shape (points,)."""
+        """Return a number column, float64 of shape (points,)."""
         import numpy as np
 
         return np.asarray(self.columns[name], np.float64)
 
     def order(self, axes: tuple[str, ...]) -> NDArray[np.intp]:
-        """Row indices sorted by the axes in turn; NaN last, equal rows in the table's order."""
+        """Return row indices sorted by the axes in turn; NaN last, equal rows stay in order."""
         import numpy as np
 
         if not axes:
@@ -42,7 +42,7 @@ class PointTable:
 
 
 def point_table(contents: JournalContents) -> PointTable:
-    """The table of a journal's kept points, sorted by the axes of the layout's default plot."""
+    """Return the table of a journal's kept points, sorted by the default plot's axes."""
     layout = contents.header.layout
     rank = {point_id: n for n, point_id in enumerate(contents.header.points)}
     kept = sorted(contents.grouping.kept.items(), key=lambda item: rank.get(item[0], len(rank)))
@@ -58,7 +58,7 @@ def _table(ids: list[str], attempts: list[int], contents: JournalContents) -> Po
     warnings: list[str] = []
     columns: dict[str, NDArray[np.float64] | list[str]] = {}
     for column in contents.header.layout.columns:
-        values = [reading.get(column.source) for reading in readings]
+        values = [reading.get(column.key) for reading in readings]
         if column.kind == "text":
             columns[column.name] = ["" if value is None else str(value) for value in values]
         else:
@@ -67,7 +67,7 @@ def _table(ids: list[str], attempts: list[int], contents: JournalContents) -> Po
 
 
 def _floats(values: list[Any], column: Column, warnings: list[str]) -> list[float]:
-    """The values as floats; what is no number becomes NaN, and a warning."""
+    """Return the values as floats; one that is not a number becomes NaN, with a warning."""
     floats, strangers = [], 0
     for value in values:
         try:
@@ -78,5 +78,5 @@ def _floats(values: list[Any], column: Column, warnings: list[str]) -> list[floa
             floats.append(math.nan)
         strangers += not is_number
     if strangers:
-        warnings.append(f"column {column.name}: {strangers} readings hold no number")
+        warnings.append(f"column {column.name}: {strangers} readings do not hold a number")
     return floats

@@ -6,8 +6,7 @@ Writes the NeXus tree of a journal's contents into an open HDF5 file; decides no
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig.files.hdf5.nexus import (
     UniqueNames,
@@ -15,52 +14,35 @@ from rig.files.hdf5.nexus import (
     group,
     number_field,
     plain_text,
-    plot_group,
     text_field,
     texts_field,
+    write_note,
+    write_values,
 )
-from rig.files.hdf5.safe_reading import text_of
 from rig.files.journal.format import to_json
-from rig.files.journal.reader import JournalContents
-from rig.files.journal.values import SIMULATED, End, Instrument, Named, Origin, RunHeader
+from rig.files.journal.reader import JournalContents, ending
+from rig.files.journal.values import (
+    SIMULATED,
+    End,
+    InstrumentRecord,
+    Origin,
+    PersonOrSample,
+    RunHeader,
+)
 from rig.files.runfile.table import PointTable
+from rig.files.runfile.write_plots import write_plot
 
 if TYPE_CHECKING:
     import h5py
-
-NEVER_CLOSED = "the run ended without closing its journal"
-
-
-def ending(contents: JournalContents) -> End:
-    """How the run ended; of a journal that was never closed, what can be said about it."""
-    warnings = [contents.problem] if contents.problem else []
-    if contents.end is not None:
-        end = contents.end
-        if not warnings:
-            return end
-        return end.model_copy(update={"warnings": (*end.warnings, *warnings)})
-    lasted = timedelta(seconds=max(contents.last_time, 0.0))
-    start = contents.header.start_time
-    end_time = None if start is None else (datetime.fromisoformat(start) + lasted).isoformat()
-    damaged = contents.problem and not contents.torn
-    return End(
-        status="failed",
-        reason=f"the journal is damaged: {contents.problem}" if damaged else NEVER_CLOSED,
-        attempt=len(contents.ends) + 1,
-        end_time=end_time,
-        duration_s=lasted.total_seconds(),
-        points_done=len(contents.grouping.kept),
-        warnings=("end_time is the time of the last record", *warnings),
-        exit=1,
-    )
-
 
 TRUTH = "simulated_truth"
 """Key of a reading, JSON text, and name of the group: the World's ground truth."""
 
 
 def write_root(file: h5py.File, contents: JournalContents, name: str) -> h5py.Group:
-    """The root's attributes, and the empty entry. Nothing in it depends on when this is done."""
+    """Write the root's attributes and return the new, empty entry. Nothing in it depends on the
+    time at which this is done: the same journal gives the same bytes.
+    """
     import h5py
 
     program = contents.header.program
@@ -77,7 +59,7 @@ def write_root(file: h5py.File, contents: JournalContents, name: str) -> h5py.Gr
 
 
 def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable) -> None:
-    """Everything in the entry but the samples."""
+    """Write everything in the entry except the samples."""
     header, end = contents.header, ending(contents)
     entry.attrs["default"] = header.layout.default
     text_field(entry, "definition", header.layout.definition).attrs["version"] = plain_text(
@@ -111,10 +93,10 @@ def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable)
     _write_truth(entry, contents, table)
     for plot in header.layout.plots:
         title = header.marked(plot.title or header.title)
-        plot_group(entry, plot, header.layout, table, title)
+        write_plot(entry, plot, header.layout, table, title)
 
 
-def _write_named(made: h5py.Group, named: Named) -> None:
+def _write_named(made: h5py.Group, named: PersonOrSample) -> None:
     text_field(made, "name", named.name)
     if named.details():
         write_values(group(made, "details", "NXparameters"), named.details(), {})
@@ -122,57 +104,6 @@ def _write_named(made: h5py.Group, named: Named) -> None:
 
 def _write_parameters(made: h5py.Group, header: RunHeader) -> None:
     write_values(made, header.settings, header.setting_units)
-
-
-def write_values(
-    made: h5py.Group, values: Mapping[str, Any], units: Mapping[str, str], prefix: str = ""
-) -> None:
-    """Nested values as nested groups; ``units`` are those of the dotted names."""
-    names = UniqueNames(*made)
-    for key, value in values.items():
-        name, dotted = names.name(key), f"{prefix}{key}"
-        if isinstance(value, Mapping):
-            write_values(group(made, name, "NXparameters"), value, units, f"{dotted}.")
-            continue
-        field = made.create_dataset(name, data=_field_value(value))
-        if dotted in units:
-            field.attrs["units"] = plain_text(units[dotted])
-
-
-def _field_value(value: Any) -> Any:
-    """A number, text or list of numbers as it is, anything else as its JSON text."""
-    if isinstance(value, (bool, float)):
-        return value
-    if isinstance(value, int) and abs(value) < 2**63:
-        return value
-    if isinstance(value, str):
-        return plain_text(value)
-    if isinstance(value, (list, tuple)) and value and all(type(v) is float for v in value):
-        return list(value)
-    if isinstance(value, (list, tuple)) and value and all(type(v) in (int, float) for v in value):
-        return [float(v) for v in value] if all(abs(v) < 2**53 for v in value) else to_json(value)
-    if _is_matrix(value):
-        return [[float(number) for number in row] for row in value]
-    return to_json(value)
-
-
-def _is_matrix(value: Any) -> bool:
-    """Rows of equally many numbers, each exact as a float."""
-    rows = value if isinstance(value, (list, tuple)) else []
-    return (
-        bool(rows)
-        and all(isinstance(row, (list, tuple)) and row for row in rows)
-        and len({len(row) for row in rows}) == 1
-        and all(type(v) is float or (type(v) is int and abs(v) < 2**53) for r in rows for v in r)
-    )
-
-
-def write_note(entry: h5py.Group, name: str, kind: str, file_name: str, data: str) -> None:
-    """A text of that media type as an NXnote."""
-    note = group(entry, name, "NXnote")
-    text_field(note, "type", kind)
-    text_field(note, "file_name", file_name)
-    text_field(note, "data", data)
 
 
 def _write_origin(made: h5py.Group, origin: Origin) -> None:
@@ -243,7 +174,7 @@ def _write_instrument(made: h5py.Group, header: RunHeader) -> None:
         write_values(parameters, calibration, {})
 
 
-def _class_of(instrument: Instrument) -> str:
+def _class_of(instrument: InstrumentRecord) -> str:
     role = instrument.role.lower()
     if "stage" in role:
         return "NXpositioner"
@@ -268,7 +199,9 @@ def _write_points(made: h5py.Group, contents: JournalContents, table: PointTable
             field = texts_field(made, column.name, values)
             field.attrs["long_name"] = plain_text(column.long_name)
         else:
-            array_field(made, column.name, values, column.units, column.long_name)
+            field = array_field(made, column.name, values, column.units, column.long_name)
+        if column.meaning:
+            field.attrs["description"] = plain_text(column.meaning)
 
 
 def _write_truth(entry: h5py.Group, contents: JournalContents, table: PointTable) -> None:
@@ -289,10 +222,3 @@ def _write_truth(entry: h5py.Group, contents: JournalContents, table: PointTable
         found = from_json(str(text))
         values = found if isinstance(found, Mapping) else {"value": found}
         write_values(group(made, names.name(name), "NXparameters"), values, {})
-
-
-def header_of(entry: h5py.Group) -> RunHeader:
-    """The run's header as the file keeps it; ValueError if it is none."""
-    from rig.files.journal.format import from_json
-
-    return RunHeader.model_validate(from_json(text_of(entry["journal_header/data"])))

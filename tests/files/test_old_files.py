@@ -1,0 +1,111 @@
+"""Files that earlier versions of the program wrote are read, verified and continued as before.
+
+``data/files-of-version-1.tar.xz`` was written by the program before its folders were regrouped: a
+sweep with its journal, an interrupted journal, and an imported recording with its processed file.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import recorded_run as run
+
+from rig.detector.settings import named_detectors
+from rig.files.journal.reader import read_journal
+from rig.files.journal.writer import JournalWriter
+from rig.files.processed.reader import ProcessedFile
+from rig.files.runfile.compile import compile_run, journal_equals_file
+from rig.files.runfile.reader import RunFile
+from rig.files.runfile.recover import interrupted, recover
+from rig.files.verify import verdict
+from rig.processing.detection import DetectionJob, DetectionResult, detect_file
+
+IMPORT = "2026-11-23T21-11-42_import_r001"
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    shutil.unpack_archive(Path(__file__).parent / "data" / "files-of-version-1.tar.xz", tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("name", "extent"),
+    [
+        ("sweep.rigj", "complete, 5 of 5 points"),
+        ("sweep.h5", "complete, 5 of 5 points"),
+        (f"{IMPORT}.h5", "complete, 1 of 1 points"),
+        (f"processed/{IMPORT}.rig-1-31e5fc930dbe.h5", "rig 1, 4 events in 1 trial"),
+    ],
+)
+def test_they_verify_as_sound(old: Path, name: str, extent: str) -> None:
+    found = verdict(old / name)
+    assert found.findings == ()
+    assert found.extent == extent
+
+
+def test_an_old_run_file_gives_readings_and_samples(old: Path) -> None:
+    with RunFile.open(old / "sweep.h5") as file:
+        assert file.outcome.status == "complete"
+        assert file.point_ids() == list(run.POINTS)
+        np.testing.assert_array_equal(file.column("frequency"), run.FREQUENCIES)
+        assert file.column("remark").tolist() == ["", "µ-slip", "", "", ""]
+        (wave,) = file.waveforms(run.POINTS[3])
+        np.testing.assert_array_equal(wave.counts["force"], run.samples(3)[:, 1])
+        assert wave.rate_Hz == 4000.0
+        assert file.header.layout.column("gain").long_name == "Gain (dB)"
+
+
+def test_an_old_journal_compiles_to_what_the_old_file_holds(old: Path) -> None:
+    again = compile_run(old / "sweep.rigj", old / "again.h5")
+    assert journal_equals_file(old / "sweep.rigj", old / "sweep.h5")
+    with h5py.File(old / "sweep.h5") as before, h5py.File(again) as after:
+        assert objects(before) == objects(after)
+
+
+def objects(file: h5py.File) -> dict[str, object]:
+    """Every dataset's bytes or texts, and every attribute, by its path."""
+    found: dict[str, object] = {}
+
+    def note(path: str, item: h5py.Group | h5py.Dataset) -> None:
+        for name, value in item.attrs.items():
+            if name not in ("REFERENCE_LIST", "DIMENSION_LIST"):
+                found[f"{path}@{name}"] = np.asarray(value).tolist()
+        if isinstance(item, h5py.Dataset):
+            value = item[()]
+            kind = item.dtype.kind
+            found[path] = value.tobytes() if kind in "iufb" else np.asarray(value).tolist()
+
+    file.visititems(note)
+    return found
+
+
+def test_an_old_interrupted_run_is_continued_and_recovered(old: Path) -> None:
+    journal = old / "interrupted.rigj"
+    assert interrupted(journal).kept_ids() == list(run.POINTS[:2])
+    with JournalWriter.reopen(journal) as writer:
+        for number in (2, 3, 4):
+            run.take_point(writer, number, 50)
+        writer.end(run.end(attempt=2))
+        writer.sync()
+    contents = read_journal(journal)
+    assert [attempt.status for attempt in contents.attempts][2] == "discarded"
+    with RunFile.open(recover(journal)) as file:
+        assert file.point_ids() == list(run.POINTS)
+        assert file.outcome.attempt == 2
+
+
+def test_an_old_processed_file_is_read_and_found_again(old: Path) -> None:
+    target = old / "processed" / f"{IMPORT}.rig-1-31e5fc930dbe.h5"
+    with ProcessedFile.open(target) as processed:
+        (first, *_) = [event for _, event in processed.events() if event.kind == "incipient slip"]
+        assert first.time_s == 0.832
+        assert processed.source.file_name == f"{IMPORT}.h5"
+    found = detect_file(DetectionJob(old / f"{IMPORT}.h5", named_detectors()["rig"]))
+    assert isinstance(found, DetectionResult)
+    assert found.kept
+    assert found.file == target
