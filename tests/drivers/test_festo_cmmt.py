@@ -17,7 +17,7 @@ from simulated.axis_bench import AxisBench
 from simulated.ideal import serving
 
 from drivers.festo_cmmt import driver as festo_cmmt
-from drivers.festo_cmmt.driver import Axis, Settings
+from drivers.festo_cmmt.driver import FestoAxis, FestoCmmtSettings
 from drivers.simulated.faults.plan import AxisFault, FaultPlan
 from drivers.simulated.faults.wire import WireFaults
 from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
@@ -104,18 +104,18 @@ class Service:
         plan = FaultPlan.model_validate({"fault": faults})
         self.server = ModbusTcpServer(self.wire, faults=WireFaults(plan, "it"))
         self._own = {**OWN, **own}
-        self.axes: list[Axis] = []
+        self.axes: list[FestoAxis] = []
 
     @property
-    def settings(self) -> Settings:
-        return Settings(**{**self._own, "port": self.server.port})
+    def settings(self) -> FestoCmmtSettings:
+        return FestoCmmtSettings(**{**self._own, "port": self.server.port})
 
-    def connect(self) -> Axis:
+    def connect(self) -> FestoAxis:
         axis = festo_cmmt.connect(self.settings, self.clock)
         self.axes.append(axis)
         return axis
 
-    def homed(self) -> Axis:
+    def homed(self) -> FestoAxis:
         axis = self.connect()
         self.clock.each_slice(axis.keep_alive)
         axis.home()
@@ -409,7 +409,7 @@ def test_a_motion_that_somebody_else_stopped_is_not_set_going_again(next_act: st
         it.clock.sleep(0.5)
         stands = it.truth_mm
         act = axis.moving if next_act == "look" else lambda: axis.start_move(61.0, 10.0)
-        with pytest.raises(InstrumentError, match="ended by somebody else"):
+        with pytest.raises(InstrumentError, match="stopped, not on our command"):
             act()
         it.clock.sleep(1)
         assert it.truth_mm == stands
@@ -480,19 +480,19 @@ def test_the_torque_limit_ends_a_motion_into_something() -> None:
         axis.move_to(5.0, 5.0)
 
 
-def creep(axis: Axis, clock: Clock, from_mm: float) -> None:
+def creep(axis: FestoAxis, clock: Clock, from_mm: float) -> None:
     """A servo that only ever tells the next target."""
     for tick in range(1000):
         axis.start_move(from_mm + 0.01 * tick, 10.0)
         clock.sleep(0.02)
 
 
-def move_and_sleep(axis: Axis, clock: Clock) -> None:
+def move_and_sleep(axis: FestoAxis, clock: Clock) -> None:
     axis.start_move(60.0, 10.0)
     clock.sleep(30.0)
 
 
-WAYS: dict[str, Callable[[Axis, Clock], None]] = {
+WAYS: dict[str, Callable[[FestoAxis, Clock], None]] = {
     "move": lambda axis, clock: axis.move_to(60.0, 10.0),
     "servo": lambda axis, clock: creep(axis, clock, 60.0),
     "wait": move_and_sleep,
@@ -554,14 +554,14 @@ def test_what_befalls_a_motion_is_one_error_however_it_is_watched(
         assert it.speed == 0
 
 
-def go_and_sleep(axis: Axis, clock: Clock) -> None:
+def go_and_sleep(axis: FestoAxis, clock: Clock) -> None:
     axis.start_move(15.0, 10.0)
     clock.sleep(5.0)
 
 
 @pytest.mark.parametrize("go", [lambda axis, clock: axis.move_to(15.0, 10.0), go_and_sleep])
 def test_an_axis_that_runs_past_its_target_is_stopped_and_told(
-    go: Callable[[Axis, Clock], None],
+    go: Callable[[FestoAxis, Clock], None],
 ) -> None:
     runaway = AxisFault(device="stage_z", kind="runaway", move=2, after_s=0.1)
     with service(drive={"faults": (runaway,)}) as it:
@@ -877,7 +877,7 @@ def test_connecting_stops_what_an_earlier_run_left_moving() -> None:
 )
 def test_settings_that_are_refused(change: dict[str, Any], told: str) -> None:
     with pytest.raises(ValidationError, match=told):
-        Settings(**{**OWN, **change})
+        FestoCmmtSettings(**{**OWN, **change})
 
 
 # --- the wire breaks -------------------------------------------------------------------------

@@ -17,9 +17,9 @@ from simulated.axis_bench import AxisBench
 from simulated.ideal import serving
 
 from drivers.oriental_az import driver as oriental_az
-from drivers.oriental_az.driver import Axis
-from drivers.oriental_az.link import RtuLine as DriverLine
-from drivers.oriental_az.settings import Settings
+from drivers.oriental_az.driver import AzAxis
+from drivers.oriental_az.link import AzLine
+from drivers.oriental_az.settings import OrientalAzSettings
 from drivers.simulated.faults.plan import FaultPlan, MoveFault
 from drivers.simulated.faults.wire import WireFaults
 from drivers.simulated.instruments.oriental_az import (
@@ -90,18 +90,18 @@ class Service:
         wire = {name: WireFaults(plan, name, RTU_DIALECT) for name in ("stage_z", "stage_x")}
         self.server = PtyServer(self.line, self.bench, slaved=True, faults=wire)
         self._own = {**OWN, **own}
-        self.axes: list[Axis] = []
+        self.axes: list[AzAxis] = []
 
-    def settings(self, axis: str = "z") -> Settings:
+    def settings(self, axis: str = "z") -> OrientalAzSettings:
         unit = {"axis": axis, "unit_id": "zx".index(axis) + 1, "port": self.server.path}
-        return Settings(**{**self._own, **unit})
+        return OrientalAzSettings(**{**self._own, **unit})
 
-    def connect(self, axis: str = "z") -> Axis:
+    def connect(self, axis: str = "z") -> AzAxis:
         connected = oriental_az.connect(self.settings(axis), self.clock)
         self.axes.append(connected)
         return connected
 
-    def homed(self, axis: str = "z") -> Axis:
+    def homed(self, axis: str = "z") -> AzAxis:
         connected = self.connect(axis)
         self.clock.each_slice(connected.keep_alive)
         connected.home()
@@ -180,7 +180,7 @@ def test_two_axes_share_one_port_and_close_it_together() -> None:
         z.close()
         assert x.position_mm() == pytest.approx(47.5, abs=1e-3), "unhomed by 37.5 mm"
         x.close()
-        assert DriverLine._open == {}
+        assert AzLine._open == {}
 
 
 def test_a_line_with_two_baudrates_is_refused() -> None:
@@ -231,7 +231,7 @@ def test_a_value_that_is_not_kept_ends_the_connection(register: int, what: str) 
         bench.z._register = forgetful  # type: ignore[method-assign]
         with pytest.raises(InstrumentError, match=f"{what}h: set to .* but reads back"):
             bench.connect()
-        assert DriverLine._open == {}
+        assert AzLine._open == {}
 
 
 def test_the_torque_limit_goes_with_every_motion_and_ends_one_into_something() -> None:
@@ -266,7 +266,7 @@ def test_settings_that_contradict_each_other_are_refused() -> None:
         ({"baudrate": 12_345}, "baudrate"),
     ):
         with pytest.raises(ValidationError, match=words):
-            Settings(**{**good, **change})
+            OrientalAzSettings(**{**good, **change})
 
 
 # --- stopping --------------------------------------------------------------------------------
@@ -296,9 +296,9 @@ def test_a_stop_by_somebody_else_is_not_set_aside() -> None:
         axis = bench.homed()
         axis.start_move(60.0, 10.0)
         bench.z.write(0x7C, [0, 0x20], "somebody")
-        with pytest.raises(InstrumentError, match="by somebody else"):
+        with pytest.raises(InstrumentError, match="not on our command"):
             axis.start_move(60.1, 10.0)
-        with pytest.raises(InstrumentError, match="stopped by somebody else"):
+        with pytest.raises(InstrumentError, match="a stop stands in the drive, not on our command"):
             axis.start_move(60.1, 10.0)
         bench.run_dry(0.2)
         assert bench.speed(bench.z) == 0
@@ -309,7 +309,7 @@ def test_a_keep_alive_tells_a_stop_by_somebody_else() -> None:
         axis = bench.homed()
         axis.start_move(60.0, 10.0)
         bench.z.write(0x7C, [0, 0x20], "somebody")
-        with pytest.raises(InstrumentError, match="ended by somebody else"):
+        with pytest.raises(InstrumentError, match="stopped, not on our command"):
             bench.clock.sleep(0.3)
 
 
@@ -541,14 +541,14 @@ def test_a_target_on_its_way_is_not_sent_after_another_thread_has_stopped_the_ax
         if under_way:
             axis.start_move(60.0, 10.0)
             bench.run_dry(0.1)
-        usual = axis._motion
+        usual = axis._operation
 
         def stop_before(target: int, speed_mm_s: float) -> tuple[int, tuple[int, ...]]:
             elsewhere(axis.stop)
             return usual(target, speed_mm_s)
 
         with monkeypatch.context() as patched:
-            patched.setattr(axis, "_motion", stop_before)
+            patched.setattr(axis, "_operation", stop_before)
             with pytest.raises(InstrumentError, match="stopped meanwhile"):
                 axis.start_move(61.0, 10.0)
         bench.run_dry(0.1)

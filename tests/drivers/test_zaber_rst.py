@@ -24,7 +24,7 @@ from drivers.simulated.instruments.zaber_rst import (
 )
 from drivers.simulated.transports.serial_server import Exchange, PtyServer
 from drivers.zaber_rst import driver as zaber_rst
-from drivers.zaber_rst.driver import RotaryAxis, Settings
+from drivers.zaber_rst.driver import ZaberAxis, ZaberRstSettings
 from drivers.zaber_rst.frames import FrameError, command, reply
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
@@ -102,18 +102,18 @@ class Service:
         faults = WireFaults(plan, "it", ZABER_DIALECT)
         self.server = PtyServer(self.wire, self.bench, slaved=True, faults=faults)
         self._own = {**OWN, **own}
-        self.axes: list[RotaryAxis] = []
+        self.axes: list[ZaberAxis] = []
 
     @property
-    def settings(self) -> Settings:
-        return Settings(**{**self._own, "port": self.server.path})
+    def settings(self) -> ZaberRstSettings:
+        return ZaberRstSettings(**{**self._own, "port": self.server.path})
 
-    def connect(self) -> RotaryAxis:
+    def connect(self) -> ZaberAxis:
         axis = zaber_rst.connect(self.settings, self.clock)
         self.axes.append(axis)
         return axis
 
-    def homed(self) -> RotaryAxis:
+    def homed(self) -> ZaberAxis:
         axis = self.connect()
         self.clock.each_slice(axis.keep_alive)
         axis.home()
@@ -143,7 +143,7 @@ def service(
 
 
 def befallen(**fault: Any) -> dict[str, tuple[RotaryFault, ...]]:
-    """Settings of a stage that this befalls."""
+    """ZaberRstSettings of a stage that this befalls."""
     plan = FaultPlan.model_validate({"fault": [{"device": "rotary", **fault}]})
     return {"faults": plan.of(RotaryFault)}
 
@@ -279,7 +279,7 @@ def test_a_stage_that_does_not_tell_its_turn_is_known_by_its_resolution() -> Non
 )
 def test_settings_that_contradict_each_other_are_refused(wrong: dict[str, Any], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
-        Settings(**{"port": "COM5", **OWN, **wrong})
+        ZaberRstSettings(**{"port": "COM5", **OWN, **wrong})
 
 
 # --- turning ---------------------------------------------------------------------------------
@@ -450,13 +450,13 @@ def test_a_flag_in_the_answer_to_a_set_point_stops_the_stage() -> None:
         assert it.speed == 0
 
 
-def wait_for(it: Service, axis: RotaryAxis) -> None:
+def wait_for(it: Service, axis: ZaberAxis) -> None:
     """As a procedure does that wants the stage to arrive."""
     while axis.moving():
         it.clock._pass(0.02)
 
 
-def sleep_beside(it: Service, axis: RotaryAxis) -> None:
+def sleep_beside(it: Service, axis: ZaberAxis) -> None:
     """As a procedure does that is at something else."""
     it.clock.each_slice(axis.keep_alive)
     it.clock.sleep(10.0)
@@ -477,7 +477,7 @@ def sleep_beside(it: Service, axis: RotaryAxis) -> None:
 )
 @pytest.mark.parametrize("watch", [wait_for, sleep_beside], ids=["moving", "keep-alives"])
 def test_what_befalls_a_turn_is_told_with_meaning_and_remedy(
-    fault: dict[str, Any], words: str, watch: Callable[[Service, RotaryAxis], None]
+    fault: dict[str, Any], words: str, watch: Callable[[Service, ZaberAxis], None]
 ) -> None:
     with service(stage=befallen(move=1, after_s=0.3, **fault)) as it:
         axis = it.connect()
@@ -521,7 +521,7 @@ def test_a_disabled_driver_does_not_home() -> None:
 def test_homing_that_takes_too_long_is_told() -> None:
     with service(homing_timeout_s=0.5) as it:
         axis = it.connect()
-        with pytest.raises(InstrumentError, match=r"still searches after 0\.5 s"):
+        with pytest.raises(InstrumentError, match=r"is still searching after 0\.5 s"):
             axis.home()
 
 
@@ -597,14 +597,15 @@ def test_a_turn_on_its_way_is_not_sent_after_another_thread_has_stopped_the_stag
         if under_way:
             axis.start_turn(40.0, 10.0, 100.0)
             it.clock._pass(0.3)
-        usual = axis._expect
+        usual = axis._watch
 
-        def stop_after(*given: Any) -> None:
-            usual(*given)
+        def stop_after(*given: Any) -> Any:
+            watch = usual(*given)
             elsewhere(axis.stop)
+            return watch
 
         with monkeypatch.context() as patched:
-            patched.setattr(axis, "_expect", stop_after)
+            patched.setattr(axis, "_watch", stop_after)
             with pytest.raises(InstrumentError, match="stopped meanwhile"):
                 axis.start_turn(41.0, 10.0, 100.0)
         it.clock._pass(0.5)
