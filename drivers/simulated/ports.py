@@ -88,3 +88,16 @@ class LogPort(Protocol):
     def log(self, device: str, what: str, value: object, by: str) -> None:
         """Write down that ``by`` changed ``what`` of ``device`` to ``value``, now."""
         ...
+
+
+class DrivePort(Timeline, LogPort, BeginningsPort, Protocol):
+    """What a simulated drive stands in."""
+
+
+class AxisPort(DrivePort, Protocol):
+    """What a drive with a linear axis stands in: something may push against its carriage."""
+
+    def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
+        """Force in N along the axis's positive direction on its carriage, standing at
+        `position_mm` at a World time that is not in the future."""
+        ...
