@@ -20,7 +20,7 @@ from drivers.festo_cmmt import driver as festo_cmmt
 from drivers.festo_cmmt.driver import FestoAxis, FestoCmmtSettings
 from drivers.simulated.faults.plan import AxisFault, FaultPlan
 from drivers.simulated.faults.wire import WireFaults
-from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
 from drivers.simulated.transports.modbus_tcp import ModbusError, ModbusTcpServer
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
@@ -98,7 +98,7 @@ class Service:
     def __init__(self, fault: dict[str, Any] | None, drive: dict[str, Any], own: dict[str, Any]):
         self.bench = AxisBench()
         self.clock = BenchClock(self.bench)
-        self.drive = CmmtDrive(DriveSettings(**drive), self.bench)
+        self.drive = CmmtDrive(SimulatedCmmtSettings(**drive), self.bench)
         self.wire = Wire(self.drive)
         faults = [{"device": "it", **fault}] if fault else []
         plan = FaultPlan.model_validate({"fault": faults})

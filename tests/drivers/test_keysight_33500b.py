@@ -6,7 +6,12 @@ import pytest
 from pydantic import ValidationError
 from transcript import playing
 
-from drivers.keysight_33500b.driver import Generator, Settings, connect, make_safe
+from drivers.keysight_33500b.driver import (
+    Generator33500B,
+    Keysight33500BSettings,
+    connect,
+    make_safe,
+)
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
 
@@ -29,13 +34,13 @@ SINE = "SOUR1:FREQ 200;:SOUR1:VOLT 1.5;:SOUR1:FREQ?;:SOUR1:VOLT?;:SYST:ERR?"
 DONE = f"+2.000000000000000E+02;+1.500000000000000E+00;{NO_ERROR}"
 
 
-def settings(resource: str, **more: object) -> Settings:
-    return Settings.model_validate(
+def settings(resource: str, **more: object) -> Keysight33500BSettings:
+    return Keysight33500BSettings.model_validate(
         {"resource": resource, "timeout_s": 1.0, "max_amplitude_V": 2.5, **more}
     )
 
 
-def connected(resource: str, **more: object) -> Generator:
+def connected(resource: str, **more: object) -> Generator33500B:
     return connect(settings(resource, **more), WallClock())
 
 
@@ -105,13 +110,15 @@ def test_several_errors_are_told_together_and_do_not_blame_the_next_command() ->
     exchanges = (
         *CONNECT,
         (SINE, '+2.0E+02;+1.4E+00;-222,"Data out of range"'),
-        ("SYST:ERR?", '-221,"Settings conflict"'),
+        ("SYST:ERR?", '-221,"Keysight33500BSettings conflict"'),
         ("SYST:ERR?", NO_ERROR),
         (SINE, DONE),
     )
     with playing("socket", *exchanges) as resource:
         generator = connected(resource)
-        with pytest.raises(InstrumentError, match=r"error -222: .*; error -221: Settings conflict"):
+        with pytest.raises(
+            InstrumentError, match=r"error -222: .*; error -221: Keysight33500BSettings conflict"
+        ):
             generator.sine(200, 0.75)
         generator.sine(200, 0.75)
         generator.close()

@@ -27,11 +27,12 @@ from drivers.simulated.instruments.oriental_az import (
     LOW_LIMIT,
     SLAVE_ERROR_RESPONSE,
     AzDrive,
-    DriveSettings,
     LINE_TIMEOUT_ms,
+    SimulatedAzSettings,
 )
+from drivers.simulated.ports import Exchange
 from drivers.simulated.transports.modbus_rtu import RTU_DIALECT, RtuLine
-from drivers.simulated.transports.serial_server import Exchange, PtyServer
+from drivers.simulated.transports.serial_server import PtyServer
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
 
@@ -82,7 +83,10 @@ class Service:
         self.clock = BenchClock(self.bench)
         plan = FaultPlan.model_validate({"fault": list(faults)})
         self.z, self.x = (
-            AzDrive(DriveSettings(name, number, STEPS, faults=plan.of(MoveFault, name)), self.bench)
+            AzDrive(
+                SimulatedAzSettings(name, number, STEPS, faults=plan.of(MoveFault, name)),
+                self.bench,
+            )
             for number, name in enumerate(("stage_z", "stage_x"), 1)
         )
         self.line = Wire([self.z, self.x], self.bench)

@@ -19,13 +19,14 @@ from drivers.simulated.faults.wire import WireFaults
 from drivers.simulated.instruments.zaber_rst import (
     ZABER_DIALECT,
     ChainLine,
-    RotaryStage,
-    StageSettings,
+    SimulatedRotarySettings,
+    SimulatedRotaryStage,
 )
-from drivers.simulated.transports.serial_server import Exchange, PtyServer
+from drivers.simulated.ports import Exchange
+from drivers.simulated.transports.serial_server import PtyServer
 from drivers.zaber_rst import driver as zaber_rst
 from drivers.zaber_rst.driver import ZaberAxis, ZaberRstSettings
-from drivers.zaber_rst.frames import FrameError, command, reply
+from drivers.zaber_rst.frames import ZaberFrameError, command, reply
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
 
@@ -58,7 +59,7 @@ class BenchClock(Clock):
 class Wire(ChainLine):
     """The stage's line with a memory, whose replies a test may forge by what was said."""
 
-    def __init__(self, stage: RotaryStage):
+    def __init__(self, stage: SimulatedRotaryStage):
         super().__init__(stage)
         self.said: list[str] = []
         self.forged: dict[str, Callable[[bytes], bytes]] = {}
@@ -96,7 +97,7 @@ class Service:
     def __init__(self, fault: dict[str, Any] | None, stage: dict[str, Any], own: dict[str, Any]):
         self.bench = IdealBench()
         self.clock = BenchClock(self.bench)
-        self.stage = RotaryStage(StageSettings(**stage), self.bench)
+        self.stage = SimulatedRotaryStage(SimulatedRotarySettings(**stage), self.bench)
         self.wire = Wire(self.stage)
         plan = FaultPlan.model_validate({"fault": [{"device": "it", **fault}] if fault else []})
         faults = WireFaults(plan, "it", ZABER_DIALECT)
@@ -190,7 +191,7 @@ def test_information_and_alerts_answer_nothing(line: bytes) -> None:
     ],
 )
 def test_what_is_no_sound_message_is_told(line: bytes) -> None:
-    with pytest.raises(FrameError, match=r"checksum|no reply"):
+    with pytest.raises(ZaberFrameError, match=r"checksum|no reply"):
         reply(line)
 
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from drivers.simulated.faults.plan import DriveFault, MoveFault
 from drivers.simulated.ports import AxisPort
 from drivers.simulated.transports.modbus_tcp import ILLEGAL_ADDRESS, ModbusError
-from drivers.simulated.world.axis import Command, Event, Mechanics
+from drivers.simulated.world.axis import AxisCommand, AxisEvent, Mechanics
 from drivers.simulated.world.drive import Due, FARTHER_THAN_ANY_SWITCH_mm, SimulatedDrive
 
 IMAGE_WORDS = 28
@@ -35,7 +35,7 @@ MAILBOX_WORDS, DATA_WORDS = 5, 100
 TIMEOUT_FAULT = 391  # "process data communication failed"; UNCONFIRMED for Modbus
 SOFTWARE_LIMIT_FAULTS = (109, 110)  # negative, positive
 LIMIT_PARAMETERS_FAULT = 113
-SWITCH_FAULTS = {Event.LOW_SWITCH: 114, Event.HIGH_SWITCH: 115}
+SWITCH_FAULTS = {AxisEvent.LOW_SWITCH: 114, AxisEvent.HIGH_SWITCH: 115}
 FOLLOWING_FAULT = 126
 HOMING_FAULT = 58
 STOP_NOT_FOUND_WARNING = 279
@@ -54,8 +54,8 @@ _WRITABLE = frozenset({_TELEGRAM, _CLAMPING, _LOW_LIMIT, _HIGH_LIMIT})
 
 
 @dataclass(frozen=True)
-class DriveSettings:
-    """How one simulated drive is parametrised, and what is to befall it."""
+class SimulatedCmmtSettings:
+    """How one simulated drive is set up, and its faults."""
 
     name: str = "stage_z"
     """Its name in the World, its log and fault plans."""
@@ -110,7 +110,7 @@ class _Image:
 class CmmtDrive(SimulatedDrive[MoveFault]):
     """One drive and its axis; a `RegisterDevice` for `ModbusTcpServer`."""
 
-    def __init__(self, settings: DriveSettings, port: AxisPort):
+    def __init__(self, settings: SimulatedCmmtSettings, port: AxisPort):
         super().__init__(
             settings.name,
             settings.mechanics,
@@ -218,7 +218,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         if isinstance(fault, DriveFault):
             self._fail(fault.code or FOLLOWING_FAULT, t_us)
         elif fault.kind == "limit-switch":
-            met = Event.LOW_SWITCH if velocity_mm_s < 0 else Event.HIGH_SWITCH
+            met = AxisEvent.LOW_SWITCH if velocity_mm_s < 0 else AxisEvent.HIGH_SWITCH
             self._fail(SWITCH_FAULTS[met], t_us)
         else:
             self.homed = False
@@ -233,8 +233,8 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         if self._moving and self.axis.finished(t_us):
             self._arrive(t_us)
 
-    def _meet(self, event: Event, t_us: int) -> None:
-        if event is Event.FIXED_STOP:
+    def _meet(self, event: AxisEvent, t_us: int) -> None:
+        if event is AxisEvent.FIXED_STOP:
             self._fixed_stop = True
             self._log("fixed-stop", round(self.axis.position(t_us), 6), "drive")
         elif self.homing:
@@ -343,7 +343,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
     def _home(self, by: str) -> None:
         self._target_mm, self.homed, self.homing, self._jogging = None, False, True, 0
         self._log("homing", self.settings.home_mm, by)
-        self._start(Command(
+        self._start(AxisCommand(
             self.settings.home_mm,
             self.settings.homing_speed_mm_s,
             self.settings.full_acceleration_mm_s2,
@@ -363,7 +363,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         limited = self._image.bit(2, 14) and self.homed
         end = self._limits()[way > 0] if limited else way * FARTHER_THAN_ANY_SWITCH_mm
         rate = self.settings.full_acceleration_mm_s2
-        self._start(Command(end, self.settings.jog_speed_mm_s, rate, rate))
+        self._start(AxisCommand(end, self.settings.jog_speed_mm_s, rate, rate))
 
     def _begin(self, by: str, again: bool = False) -> None:
         """Take the task in the image; what cannot be done is not acknowledged."""
@@ -385,7 +385,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
             return
         self._target_mm, self._acknowledged, self._jogging = target, True, 0
         if not again:
-            self._port.beginnings.begin(self.settings.name, self._port.now_us)
+            self._port.tasks.begin(self.settings.name, self._port.now_us)
         self._go(by, quiet=again)
 
     def _limits(self) -> tuple[float, float]:
@@ -415,9 +415,9 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         if not quiet:
             self._log("move", {"target_mm": round(self._target_mm, 6), "speed_mm_s": speed}, by)
         target = self._target_mm if self._runs_to_mm is None else self._runs_to_mm
-        self._start(Command(target, speed * self._speed_share, *rates))
+        self._start(AxisCommand(target, speed * self._speed_share, *rates))
 
-    def _start(self, command: Command) -> None:
+    def _start(self, command: AxisCommand) -> None:
         self._fixed_stop, self.warning, self._moving = False, 0, True
         self.axis.move(self._port.now_us, command)
 
@@ -524,7 +524,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         return 0x10
 
 
-def _factory_parameters(settings: DriveSettings) -> dict[int, bytes]:
+def _factory_parameters(settings: SimulatedCmmtSettings) -> dict[int, bytes]:
     unit = settings.position_unit_mm
     low, high = (
         round(mm / unit)

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from drivers.simulated.faults.plan import DriveFault, MoveFault
 from drivers.simulated.ports import AxisPort
 from drivers.simulated.transports.modbus_tcp import ILLEGAL_ADDRESS, ModbusError
-from drivers.simulated.world.axis import Command, Event, Mechanics
+from drivers.simulated.world.axis import AxisCommand, AxisEvent, Mechanics
 from drivers.simulated.world.drive import Due, SimulatedDrive
 
 SLAVE_ERROR = 4
@@ -75,8 +75,8 @@ ROOM_TEMPERATURE = 312
 
 
 @dataclass(frozen=True)
-class DriveSettings:
-    """How one simulated drive is parametrised, and what is to befall it."""
+class SimulatedAzSettings:
+    """How one simulated drive is set up, and its faults."""
 
     name: str = "stage_z"
     """Its name in the World, its log and fault plans."""
@@ -98,7 +98,7 @@ class DriveSettings:
 class AzDrive(SimulatedDrive[MoveFault]):
     """One drive and its actuator; a `LineDevice` for `RtuLine`."""
 
-    def __init__(self, settings: DriveSettings, port: AxisPort):
+    def __init__(self, settings: SimulatedAzSettings, port: AxisPort):
         super().__init__(
             settings.name,
             settings.mechanics,
@@ -186,7 +186,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         for happening in self.axis.happenings(t_us):
             if self.homing:
                 self._fail(HOMING_FAILED, happening.t_us, braking=True)
-            elif happening.event is Event.FOLLOWING_ERROR:
+            elif happening.event is AxisEvent.FOLLOWING_ERROR:
                 self._fail(POSITION_DEVIATION, happening.t_us, braking=True)
             else:
                 self._fail(LIMIT_SENSOR, happening.t_us, braking=True)
@@ -266,7 +266,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         own = self.settings
         self._log("homing", own.home_mm, by)
         rate = own.homing_rate_mm_s2
-        self._start(Command(own.home_mm, own.homing_speed_mm_s, rate, rate))
+        self._start(AxisCommand(own.home_mm, own.homing_speed_mm_s, rate, rate))
 
     def _operate(self, by: str) -> None:
         """Direct data operation with what stands in its registers."""
@@ -296,7 +296,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         again = self._target_mm is not None  # until a stop or an alarm
         self._target_mm = target
         if not again:
-            self._port.beginnings.begin(self.settings.name, self._port.now_us)
+            self._port.tasks.begin(self.settings.name, self._port.now_us)
         speed_mm_s = speed / self.settings.steps_per_mm
         if not again:
             self._log("move", {"target_mm": round(target, 6), "speed_mm_s": speed_mm_s}, by)
@@ -306,7 +306,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         rates = (
             values[rate] / self.settings.steps_per_mm for rate in (STARTING_RATE, STOPPING_RATE)
         )
-        self._start(Command(goes_to, speed_mm_s * self._speed_share, *rates))
+        self._start(AxisCommand(goes_to, speed_mm_s * self._speed_share, *rates))
 
     def _limited(self, target_mm: float) -> float:
         """Software overtravel: as far as it lets it go (UNCONFIRMED)."""
@@ -318,7 +318,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         )
         return min(max(target_mm, low), high)
 
-    def _start(self, command: Command) -> None:
+    def _start(self, command: AxisCommand) -> None:
         self._moving = True
         self.axis.move(self._port.now_us, command)
 
@@ -397,7 +397,7 @@ _SHOWN: dict[int, Callable[[AzDrive, int], int]] = {
 """Values that are made when they are read, by upper register."""
 
 
-def _factory_values(settings: DriveSettings) -> dict[int, int]:
+def _factory_values(settings: SimulatedAzSettings) -> dict[int, int]:
     """Everything that can be written, as it is after power-up."""
     low, high = (
         round(mm * settings.steps_per_mm)

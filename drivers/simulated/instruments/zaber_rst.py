@@ -24,10 +24,9 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.simulated.faults.plan import RaisedFlag, RotaryFault, TurnedKnob
-from drivers.simulated.faults.wire import Dialect
-from drivers.simulated.ports import DrivePort
-from drivers.simulated.transports.serial_server import Exchange
-from drivers.simulated.world.axis import Command, Event, Mechanics
+from drivers.simulated.faults.wire import WireDialect
+from drivers.simulated.ports import DrivePort, Exchange
+from drivers.simulated.world.axis import AxisCommand, AxisEvent, Mechanics
 from drivers.simulated.world.drive import SimulatedDrive
 
 PRIORITY = (
@@ -48,8 +47,8 @@ KNOB_SPEED_deg_s = 5.0
 
 
 @dataclass(frozen=True)
-class StageSettings:
-    """How one simulated stage is built and set up, and what is to befall it."""
+class SimulatedRotarySettings:
+    """How one simulated stage is built and set up, and its faults."""
 
     name: str = "rotary"
     """Its name in the World, its log and fault plans."""
@@ -83,10 +82,10 @@ class _RejectedError(Exception):
     """A command that is not obeyed; its only argument is the reason."""
 
 
-class RotaryStage(SimulatedDrive[RotaryFault]):
+class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
     """One stage; `line` gives what a connection to it talks to."""
 
-    def __init__(self, settings: StageSettings, port: DrivePort):
+    def __init__(self, settings: SimulatedRotarySettings, port: DrivePort):
         window = settings.stall_window_deg if settings.encoder else math.inf
         mechanics = Mechanics(
             start_mm=settings.start_deg,
@@ -224,7 +223,7 @@ class RotaryStage(SimulatedDrive[RotaryFault]):
         self.flags |= {"WR", "WH"}
         self._log("homing", 0.0, by)
         acceleration = self._acceleration(self.values["accel"])
-        self._start(Command(0.0, self.settings.homing_speed_deg_s, acceleration, acceleration))
+        self._start(AxisCommand(0.0, self.settings.homing_speed_deg_s, acceleration, acceleration))
 
     def _move(self, words: list[str], by: str) -> None:
         """``abs N``, ``rel N``, ``min`` or ``max``, each with speed and acceleration or without."""
@@ -249,10 +248,10 @@ class RotaryStage(SimulatedDrive[RotaryFault]):
         fresh = not self._moving
         self._interrupt()
         if fresh:
-            self._port.beginnings.begin(self.settings.name, self._port.now_us)
+            self._port.tasks.begin(self.settings.name, self._port.now_us)
             told = {"target_deg": round(target_deg, 6), "speed_deg_s": round(speed_deg_s, 6)}
             self._log("turn", told, by)
-        self._start(Command(target_deg, speed_deg_s * self._speed_share, rate, rate))
+        self._start(AxisCommand(target_deg, speed_deg_s * self._speed_share, rate, rate))
 
     def _require_power(self) -> None:
         if self.flags & POWERLESS:
@@ -266,7 +265,7 @@ class RotaryStage(SimulatedDrive[RotaryFault]):
             self.flags.add("NI")
         self.homing = False
 
-    def _start(self, command: Command) -> None:
+    def _start(self, command: AxisCommand) -> None:
         self._moving = True
         self.axis.move(self._port.now_us, command)
 
@@ -274,7 +273,7 @@ class RotaryStage(SimulatedDrive[RotaryFault]):
 
     def _catch_up(self, t_us: int) -> None:
         for happening in self.axis.happenings(t_us):
-            stalled = happening.event is Event.FOLLOWING_ERROR
+            stalled = happening.event is AxisEvent.FOLLOWING_ERROR
             self._raise("FS" if stalled else "WL", happening.t_us)
         if not self._moving or not self.axis.finished(t_us):
             return
@@ -311,7 +310,7 @@ class RotaryStage(SimulatedDrive[RotaryFault]):
         self.homing, self._moving = False, True
         rate = self._acceleration(self.values["accel"])
         target = self.axis.position(t_us) + by_deg
-        self.axis.move(t_us, Command(target, KNOB_SPEED_deg_s, rate, rate))
+        self.axis.move(t_us, AxisCommand(target, KNOB_SPEED_deg_s, rate, rate))
 
     # --- units --------------------------------------------------------------------------------
 
@@ -338,7 +337,7 @@ class RotaryStage(SimulatedDrive[RotaryFault]):
 class ChainLine:
     """What a connection to a stage talks to: cuts bytes into commands; a `SerialInstrument`."""
 
-    def __init__(self, stage: RotaryStage):
+    def __init__(self, stage: SimulatedRotaryStage):
         self._stage = stage
         self._came = b""
 
@@ -384,4 +383,4 @@ def _rejection(reply: bytes, reason: str) -> bytes | None:
     return b"@" + spoilt + b":%02X\r\n" % _check(spoilt)
 
 
-ZABER_DIALECT = Dialect(rejection=_rejection, checksum=_wrong_check)
+ZABER_DIALECT = WireDialect(rejection=_rejection, checksum=_wrong_check)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from drivers.simulated.faults.plan import MoveFault, RotaryFault, SlowAxis
 from drivers.simulated.ports import DrivePort
-from drivers.simulated.world.axis import Axis, Load, Mechanics
+from drivers.simulated.world.axis import Load, Mechanics, SimulatedAxis
 from drivers.simulated.world.schedule import Schedule
 
 FARTHER_THAN_ANY_SWITCH_mm = 1e5
@@ -39,7 +39,7 @@ class SimulatedDrive(ABC, Generic[F]):
     def __init__(
         self, name: str, mechanics: Mechanics, load: Load, faults: Iterable[F], port: DrivePort
     ):
-        self.axis = Axis(mechanics, load)
+        self.axis = SimulatedAxis(mechanics, load)
         self._drive_name = name
         self._port = port
         self._moving = False
@@ -49,7 +49,7 @@ class SimulatedDrive(ABC, Generic[F]):
         self._runs_to_mm: float | None = None
         """Where a runaway goes instead of its target, until it is stopped."""
         self._schedule = Schedule(faults)
-        port.beginnings.listen(self._schedule.hear)
+        port.tasks.listen(self._schedule.hear)
 
     # --- the World's side ---------------------------------------------------------------------
 
