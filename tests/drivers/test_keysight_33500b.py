@@ -110,15 +110,13 @@ def test_several_errors_are_told_together_and_do_not_blame_the_next_command() ->
     exchanges = (
         *CONNECT,
         (SINE, '+2.0E+02;+1.4E+00;-222,"Data out of range"'),
-        ("SYST:ERR?", '-221,"Keysight33500BSettings conflict"'),
+        ("SYST:ERR?", '-221,"Settings conflict"'),
         ("SYST:ERR?", NO_ERROR),
         (SINE, DONE),
     )
     with playing("socket", *exchanges) as resource:
         generator = connected(resource)
-        with pytest.raises(
-            InstrumentError, match=r"error -222: .*; error -221: Keysight33500BSettings conflict"
-        ):
+        with pytest.raises(InstrumentError, match=r"error -222: .*; error -221: Settings conflict"):
             generator.sine(200, 0.75)
         generator.sine(200, 0.75)
         generator.close()
