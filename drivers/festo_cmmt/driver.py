@@ -36,7 +36,6 @@ from __future__ import annotations
 
 import contextlib
 import struct
-import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -55,13 +54,24 @@ from drivers.festo_cmmt.frames import (
     Zsw1,
 )
 from drivers.festo_cmmt.link import INPUT_IMAGE, OUTPUT_IMAGE, CmmtLink, ParameterRefusedError
-from drivers.festo_cmmt.settings import FAULTS, Settings
+from drivers.festo_cmmt.settings import FAULTS, FestoCmmtSettings
+from drivers.shared.stage import (
+    MotionRefusedError,
+    MotionWatch,
+    StageInterlock,
+    Ticket,
+    prepared,
+    stop_and_close,
+)
 from rig.core.clock import Clock, WallClock
-from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError
 from rig.instruments.roles import Identity, Reach
 
 ROLES = ("stage_z", "stage_x")
 """The roles this driver can play; which one, its settings say."""
+
+Settings = FestoCmmtSettings
+"""The settings of a bench file, under the name by which the bench asks any driver for them."""
 
 # Parameters (PNU), from the vendor's pnu_map.csv.
 TELEGRAM_SELECTION = 3490
@@ -90,9 +100,9 @@ REJECT_HOLD_S = 0.02
 """How long a stop is held before it may be lifted: many of the drive's cycles."""
 SETTLING_S = 1.0
 """What a motion may take beyond its profile."""
-PAST_mm = 0.1
-"""How far beyond its target an axis may be seen that has come to it from rest: many times what a
-drive overshoots, and less than the way to anything."""
+MAX_OVERTRAVEL_mm = 0.1
+"""How far beyond its target an axis may be seen that has started from rest: many times what a drive
+overshoots, and less than the distance to any obstacle."""
 
 _POWER_OFF = (
     Stw1.NO_COAST_STOP
@@ -107,13 +117,13 @@ _HOME = _STOP | Stw1.DO_NOT_REJECT_TASK | Stw1.START_HOMING
 _LIMITS = PosStw2.SOFTWARE_LIMITS | PosStw2.HARDWARE_LIMITS
 
 
-class Axis:
+class FestoAxis:
     """One drive and its axis. `connect` has identified it and set its limits.
 
     One thread at a time commands motions; any thread may call `stop` or `make_safe` at any time.
     """
 
-    def __init__(self, settings: Settings, clock: Clock):
+    def __init__(self, settings: FestoCmmtSettings, clock: Clock):
         self._settings = settings
         self._clock = clock
         self._device = settings.role
@@ -126,27 +136,17 @@ class Axis:
             clock,
         )
         self._identity: Identity | None = None
-        self._sending = threading.Lock()
-        self._made_safe = 0
-        """How often the axis was made safe, and how many of these a stop has answered."""
-        self._rearmed = 0
-        self._halts = 0
-        """How often it was told to stop and wait for rest."""
+        self._interlock = StageInterlock(self._device)
         self._in_charge = False
-        """Whether this connection has taken the drive over: from then on, faults are ours."""
-        self._told_fault = 0
-        self._halting = False
+        """Whether this connection has taken the drive over: from then on its faults are ours."""
+        self._reported_fault = 0
+        """The fault that has been raised already; `keep_alive` does not raise it again."""
         self._seen = Inputs()
         self._seen_at_s = -1.0
-        self._target: int | None = None
-        """Where the task under way ends, in counts."""
-        self._way = 0
-        """In which direction from where the task began: 1, -1, or 0 where it stood there."""
-        self._past_mm = PAST_mm
-        """How far beyond the target it may be seen."""
+        self._motion: MotionWatch | None = None
+        """The task under way; None where there is none. Another thread's stop clears it."""
         self._acknowledged = False
         """Whether the drive has shown that it has taken that task."""
-        self._arrive_by_s = 0.0
 
     # --- the role -----------------------------------------------------------------------------
 
@@ -167,16 +167,19 @@ class Axis:
 
     def homed(self) -> bool:
         """Whether the drive knows where it is (ZSW1.11)."""
-        return Zsw1.HOMED in self._look().zsw1
+        return Zsw1.HOMED in self._poll().zsw1
 
     def home(self) -> None:
         """Find the reference by the method in the drive's parameters, and wait for it."""
-        self._take_charge()
+        ticket = self._interlock.ticket()
+        self._take_charge(ticket)
         self._halt()  # homing begins with a rising bit: it must have been low
+        ticket = ticket.after_own_stop()
         was_homed = Zsw1.HOMED in self._seen.zsw1
-        self._tell(replace(_at_rest(self._settings), stw1=_HOME))
+        self._send(replace(_at_rest(self._settings), stw1=_HOME), ticket, "home")
         self._await(
             "home",
+            ticket,
             lambda seen: (
                 PosZsw1.HOMING in seen.pos_zsw1
                 or (not was_homed and Zsw1.HOMED in seen.zsw1)  # it stood there: over at once
@@ -186,40 +189,43 @@ class Axis:
         )
         self._await(
             "home",
+            ticket,
             lambda seen: Zsw1.HOMED in seen.zsw1 and PosZsw1.HOMING not in seen.pos_zsw1,
             self._settings.homing_timeout_s,
             "did not find its reference",
             ARRIVAL_POLL_S,
         )
-        self.stop()
+        self._end_motion(ticket, "home")
 
     def position_mm(self) -> float:
         """The measured position."""
-        return self._look().position * self._settings.position_unit_mm
+        return self._poll().position * self._settings.position_unit_mm
 
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
         """Begin to move there, or change the target of the motion under way.
 
-        A running task is changed by one read, which ends a motion that met a fault, the torque
-        limit or somebody else's stop, and one write; what was read within `JUST_SEEN_S` before is
-        not read again. LimitError outside `reach`; InstrumentError, and nothing sent, where another
-        thread stops the axis meanwhile.
+        A running task is changed by one read and one write. The read ends a motion that met a
+        fault, the torque limit or another client's stop; what was read within `JUST_SEEN_S` before
+        is not read again. Raises LimitError outside `reach`, and InstrumentError with nothing sent
+        where another thread stops the axis or makes it safe meanwhile.
         """
-        own, halts = self._settings, self._halts
+        self._start(position_mm, speed_mm_s)
+
+    def _start(self, position_mm: float, speed_mm_s: float) -> Ticket:
+        """`start_move`; returns the ticket of the motion."""
+        own, ticket = self._settings, self._interlock.ticket()
         reach = self.reach()
         reach["position"].require(self._device, "position", position_mm)
         reach["speed"].require(self._device, "speed", speed_mm_s)
-        fresh = self._target is None or not self._acknowledged
+        fresh = self._motion is None or not self._acknowledged
         if fresh:
-            self._prepare_task()
+            self._prepare_task(ticket)
         else:
-            self._refuse_if_made_safe("move")
+            self._interlock.require_armed("move")
             just_seen = self._clock.now() - self._seen_at_s < JUST_SEEN_S
-            self._require_task(self._seen if just_seen else self._look())
+            self._require_task(self._seen if just_seen else self._poll())
         target = round(position_mm / own.position_unit_mm)
-        way = target - self._seen.position
-        distance = abs(way) * own.position_unit_mm
-        ramps = 4 * own.max_speed_mm_s / min(own.acceleration_mm_s2, own.deceleration_mm_s2)
+        motion = self._watch(target, speed_mm_s, fresh)
         wish = replace(
             _at_rest(own),
             stw1=_TASK,
@@ -227,62 +233,82 @@ class Axis:
             target=target,
             speed=round(speed_mm_s / own.speed_unit_mm_s),
         )
-        self._target, self._acknowledged = target, not fresh
-        self._way = (way > 0) - (way < 0)
-        braking_mm = 0.0 if fresh else own.max_speed_mm_s**2 / (2 * own.deceleration_mm_s2)
-        self._past_mm = PAST_mm + braking_mm  # what moves already may have to come back
-        self._tell(wish, halts=halts)
-        self._arrive_by_s = self._clock.now() + distance / speed_mm_s + ramps + SETTLING_S
+        # Set before it is sent: a task whose answer is lost has to be watched all the same.
+        self._motion, self._acknowledged = motion, not fresh
+        try:
+            self._send(wish, ticket, "move")
+        except MotionRefusedError:
+            self._motion = None
+            raise
         if fresh:
-            self._await("move", _taken, ACKNOWLEDGE_TIMEOUT_S, "did not take the task")
+            self._await("move", ticket, _taken, ACKNOWLEDGE_TIMEOUT_S, "did not take the task")
             self._acknowledged = True
+        return ticket
+
+    def _watch(self, target: int, speed_mm_s: float, fresh: bool) -> MotionWatch:
+        """What is to be seen of a motion to `target` from where the axis was seen last."""
+        own = self._settings
+        distance_mm = abs(self._mm(target - self._seen.position))
+        ramps_s = 4 * own.max_speed_mm_s / min(own.acceleration_mm_s2, own.deceleration_mm_s2)
+        # An axis that moves already may have to pass the new target, brake and come back.
+        braking_mm = 0.0 if fresh else own.max_speed_mm_s**2 / (2 * own.deceleration_mm_s2)
+        return MotionWatch.towards(
+            self._mm(target),
+            self._mm(self._seen.position),
+            MAX_OVERTRAVEL_mm + braking_mm,
+            distance_mm / speed_mm_s + ramps_s + SETTLING_S,
+            self._clock.now(),
+        )
 
     def moving(self) -> bool:
-        """Whether a motion is under way; a fault, or a motion that ended elsewhere, raises."""
-        seen = self._look()
-        self._refuse_if_made_safe("move")
-        target = self._target  # another thread may stop the axis
-        if target is None:
+        """Whether a motion is under way; raises InstrumentError for a fault and for a motion that
+        was not ended by us."""
+        seen = self._poll()
+        self._interlock.require_armed("move")
+        motion = self._motion  # another thread may stop the axis
+        if motion is None:
             return Zsw1.STOPPED not in seen.zsw1
-        if self._arrived(seen, target):
+        if self._arrived(seen, motion):
             return False
         if self._acknowledged:
             self._require_task(seen)
-        if self._clock.now() > self._arrive_by_s:
+        if self._clock.now() > motion.arrive_by_s:
             raise self._error(
                 "move",
                 f"stands at {self._mm(seen.position):g} mm and has not arrived at "
-                f"{self._mm(target):g} mm",
+                f"{motion.target:g} mm",
                 "look for what holds the axis; the motion may still be under way",
             )
         return True
 
     def move_to(self, position_mm: float, speed_mm_s: float) -> None:
-        """Move there, wait, verify by measured position, and end the task."""
-        self.start_move(position_mm, speed_mm_s)
+        """Move there, wait, verify by measured position, and end the task.
+
+        Raises InstrumentError where another thread stops the axis or makes it safe on its way.
+        """
+        ticket = self._start(position_mm, speed_mm_s)
         while self.moving():
             self._clock.sleep(ARRIVAL_POLL_S)
-        self.stop()
+        self._end_motion(ticket, "move")
 
     def stop(self) -> None:
-        """Stop in a controlled way and wait for rest; afterwards the axis may move again.
+        """Stop in a controlled way and wait for rest; an axis that was made safe may move again.
 
-        A fault does not keep it from being verified; it is raised by the next call.
+        A fault does not keep the stop from being verified; it is raised by the next call.
         """
-        answered = self._made_safe
-        self._halt()
-        self._rearmed = answered
+        self._halt(rearm=True)
 
     def keep_alive(self) -> None:
-        """Read the drive's state, unless that has just been done: it feeds the communication
-        time-out. What ended a motion raises, and so does a fault, once when it appears."""
+        """Feed the communication time-out by reading the drive's state, unless that has just been
+        done. Raises InstrumentError for what ended a motion, and for a fault once, when it
+        appears."""
         every_s = self._settings.communication_timeout_ms * 1e-3 / KEEP_ALIVES_PER_TIMEOUT
         if self._link.charging or self._clock.now() - self._seen_at_s < every_s:
             return
         seen = self._read()
         if not self._in_charge or Zsw1.FAULT not in seen.zsw1:
-            self._told_fault = 0
-        elif self._halting or seen.fault == self._told_fault:
+            self._reported_fault = 0
+        elif self._interlock.is_stopping or seen.fault == self._reported_fault:
             return
         self._require_sound(seen)
 
@@ -292,19 +318,13 @@ class Axis:
         It waits for answers, not for time, so that a watcher may call it while the bench's clock
         stands: the axis is at rest after speed / deceleration at most. No motion is begun
         afterwards until `stop` has been called, which waits for rest. A connection that turns out
-        to be broken is opened anew, once: a stop may arrive twice.
+        to be broken is opened anew, once.
         """
-        self._made_safe += 1
-        try:
-            self._command_stop()
-        except InstrumentTimeoutError:
-            raise
-        except InstrumentError:
-            self._command_stop()
+        self._interlock.make_safe(self._command_stop)
 
     def _command_stop(self) -> None:
         give_up = time.monotonic() + self._settings.timeout_s
-        self._tell(self._stopping(), stopping=True, charge=False)
+        self._send_stop(charge=False)
         while not _gives_way(self._read(charge=False)):
             if time.monotonic() > give_up:
                 raise self._error("make safe", "did not take the stop", _LOOK)
@@ -395,51 +415,55 @@ class Axis:
 
     # --- taking charge ------------------------------------------------------------------------
 
-    def _take_charge(self) -> None:
-        """Control by PLC, old faults acknowledged once, power on; nothing where that is so."""
-        self._refuse_if_made_safe("switch on")
-        seen = self._look()
+    def _take_charge(self, ticket: Ticket) -> None:
+        """Take control, acknowledge old faults once and switch the power on, unless it is on."""
+        self._interlock.require_armed("switch on")
+        seen = self._poll()
         if Zsw1.OPERATION_ENABLED in seen.zsw1:
             self._in_charge = True
             return
         off = replace(_at_rest(self._settings), stw1=_POWER_OFF)
-        self._tell(off)
+        self._send(off, ticket, "switch on")
         if Zsw1.FAULT in seen.zsw1:
-            self._acknowledge(off)
+            self._acknowledge(off, ticket)
         self._in_charge = True
         self._await(
             "switch on",
+            ticket,
             lambda seen: Zsw1.CONTROL_REQUESTED in seen.zsw1,
             ACKNOWLEDGE_TIMEOUT_S,
             "does not let itself be controlled",
         )
-        self._tell(_at_rest(self._settings))
+        self._send(_at_rest(self._settings), ticket, "switch on")
         self._await(
             "switch on",
+            ticket,
             lambda seen: Zsw1.OPERATION_ENABLED in seen.zsw1,
             ENABLE_TIMEOUT_S,
             "did not switch on",
         )
 
-    def _acknowledge(self, off: Outputs) -> None:
-        """Pulse the acknowledge bit; a fault that stays is told."""
-        self._tell(replace(off, stw1=off.stw1 | Stw1.ACKNOWLEDGE_FAULT))
+    def _acknowledge(self, off: Outputs, ticket: Ticket) -> None:
+        """Pulse the acknowledge bit; a fault that remains raises."""
+        pulse = replace(off, stw1=off.stw1 | Stw1.ACKNOWLEDGE_FAULT)
+        self._send(pulse, ticket, "switch on")
         give_up = self._clock.now() + FAULT_TIMEOUT_S
         while Zsw1.FAULT in (seen := self._read()).zsw1:
             if self._clock.now() > give_up:
                 raise self._fault(seen)
             self._clock.sleep(POLL_S)
-        self._tell(off)
+        self._send(off, ticket, "switch on")
 
-    def _prepare_task(self) -> None:
+    def _prepare_task(self, ticket: Ticket) -> None:
         """Before the first write of a task: power on, homed, and no old task acknowledged."""
-        self._take_charge()
-        if Zsw1.HOMED not in self._look().zsw1:
+        self._take_charge(ticket)
+        if Zsw1.HOMED not in self._poll().zsw1:
             raise self._error("move", "the axis has not been homed", "home it first")
-        if Zsw1.TASK_ACKNOWLEDGED in self._seen.zsw1:  # the rising bit would be none
-            self._tell(_at_rest(self._settings))
+        if Zsw1.TASK_ACKNOWLEDGED in self._seen.zsw1:  # the task bit has to be low to rise
+            self._send(_at_rest(self._settings), ticket, "move")
             self._await(
                 "move",
+                ticket,
                 lambda seen: Zsw1.TASK_ACKNOWLEDGED not in seen.zsw1,
                 ACKNOWLEDGE_TIMEOUT_S,
                 "still shows an earlier task",
@@ -447,18 +471,20 @@ class Axis:
 
     # --- stopping -----------------------------------------------------------------------------
 
-    def _halt(self) -> None:
-        """Stop and wait for rest; faults are not news meanwhile."""
-        with self._sending:
-            self._target = None
-            self._halts += 1
-        self._halting = True
-        try:
-            self._tell(self._stopping(), stopping=True)
+    def _halt(self, rearm: bool = False) -> None:
+        """Stop and wait for rest; faults are not reported meanwhile."""
+        with self._interlock.stopping(rearm):
+            self._motion = None
+            self._send_stop()
             self._clock.sleep(REJECT_HOLD_S)
             self._await_rest()
-        finally:
-            self._halting = False
+
+    def _end_motion(self, ticket: Ticket, command: str) -> None:
+        """End the task of a motion that has arrived. This stop re-arms nothing, and a stop or
+        make_safe by another thread since the motion began raises."""
+        self._interlock.permit(ticket, command)
+        self._halt()
+        self._interlock.permit(ticket.after_own_stop(), command)
 
     def _await_rest(self) -> None:
         longest = self._settings.max_speed_mm_s / self._settings.deceleration_mm_s2 + SETTLING_S
@@ -476,17 +502,16 @@ class Axis:
 
     # --- one exchange -------------------------------------------------------------------------
 
-    def _tell(
-        self, wish: Outputs, stopping: bool = False, charge: bool = True, halts: int | None = None
-    ) -> None:
-        """Send an image, unless it could move an axis that has been made safe, or that was stopped
-        after so many `halts`."""
-        with self._sending:
-            if not stopping:
-                self._refuse_if_made_safe("move")
-            if halts is not None:
-                self._refuse_if_stopped(halts)
-            self._link.write(OUTPUT_IMAGE, wish.registers(), charge)
+    def _send(self, wish: Outputs, ticket: Ticket, command: str) -> None:
+        """Send an image that may set the axis going, as the interlock permits."""
+        self._link.write(
+            OUTPUT_IMAGE,
+            wish.registers(),
+            permit=lambda: self._interlock.permit(ticket, command),
+        )
+
+    def _send_stop(self, charge: bool = True) -> None:
+        self._link.write(OUTPUT_IMAGE, self._stopping().registers(), charge)
 
     def _read(self, charge: bool = True) -> Inputs:
         registers = self._link.read(INPUT_IMAGE, IMAGE_REGISTERS, charge)
@@ -494,8 +519,8 @@ class Axis:
         self._seen_at_s = self._clock.now()
         return self._seen
 
-    def _look(self) -> Inputs:
-        """The drive's state; what `_require_sound` finds raises."""
+    def _poll(self) -> Inputs:
+        """Read the drive's state; raises as `_require_sound` does."""
         seen = self._read()
         self._require_sound(seen)
         return seen
@@ -503,15 +528,16 @@ class Axis:
     def _await(
         self,
         command: str,
+        ticket: Ticket,
         condition: Callable[[Inputs], bool],
         timeout_s: float,
         otherwise: str,
         poll_s: float = POLL_S,
     ) -> None:
-        """Poll until the drive's state meets the condition."""
+        """Poll until the drive's state meets the condition; a stop by another thread raises."""
         give_up = self._clock.now() + timeout_s
-        while not condition(self._look()):
-            self._refuse_if_made_safe(command)
+        while not condition(self._poll()):
+            self._interlock.permit(ticket, command)
             if self._clock.now() > give_up:
                 raise self._error(command, f"{otherwise} within {timeout_s:g} s", _LOOK)
             self._clock.sleep(poll_s)
@@ -523,73 +549,64 @@ class Axis:
         if not self._in_charge:
             return
         if Zsw1.FAULT in seen.zsw1:
-            self._told_fault = seen.fault
+            self._reported_fault = seen.fault
             raise self._fault(seen)
-        target = self._target  # another thread may stop the axis
-        if target is None:
+        motion = self._motion  # another thread may stop the axis
+        if motion is None:
             return
         if Zsw1.OPERATION_ENABLED not in seen.zsw1:
-            self._target = None
+            self._motion = None
             raise self._error("move", "the drive has switched its power off", _LOOK)
         if Zsw1.HOMED not in seen.zsw1:
-            self._target = None
+            self._motion = None
             raise self._error("move", "the axis has lost its reference", "home it again")
         if _taken(seen) and PosZsw2.FIXED_STOP_REACHED in seen.pos_zsw2:
-            self._end_at_fixed_stop(seen, target)
-        if self._mm(seen.position - target) * self._way > self._past_mm:
-            self._end_past_target(seen, target)
+            self._end_at_fixed_stop(seen, motion)
+        if motion.has_passed(self._mm(seen.position)):
+            self._end_past_target(seen, motion)
 
     def _require_task(self, seen: Inputs) -> None:
-        """The task under way is still in force: an update must not set another's stop aside."""
+        """Require that the task under way is still in force: a new target must not override a stop
+        that another client commanded."""
         if not _taken(seen):
-            self._target = None
-            raise self._error("move", "the motion was ended by somebody else", _LOOK)
+            self._motion = None
+            raise self._error("move", _STOPPED_BY_OTHERS, _LOOK)
 
-    def _arrived(self, seen: Inputs, target: int) -> bool:
-        """Target reached, and truly there: the bit alone may still be the last target's."""
-        tolerance = self._settings.position_tolerance_mm / self._settings.position_unit_mm
-        return Zsw1.TARGET_REACHED in seen.zsw1 and abs(seen.position - target) <= tolerance
+    def _arrived(self, seen: Inputs, motion: MotionWatch) -> bool:
+        """Whether the target is reached by position too: the bit may still be the last target's."""
+        missing_mm = abs(self._mm(seen.position) - motion.target)
+        within = missing_mm <= self._settings.position_tolerance_mm
+        return Zsw1.TARGET_REACHED in seen.zsw1 and within
 
-    def _end_at_fixed_stop(self, seen: Inputs, target: int) -> None:
-        """The barrier behind the force limit has held: let the torque go, then say so."""
-        with contextlib.suppress(InstrumentError):  # the barrier is the news
-            self._tell(self._stopping(), stopping=True)
-        self._target = None
+    def _end_at_fixed_stop(self, seen: Inputs, motion: MotionWatch) -> None:
+        """The torque limit has held the axis back: stop pushing, then raise."""
+        with contextlib.suppress(InstrumentError):  # the torque limit is what has to be reported
+            self._send_stop()
+        self._motion = None
         raise self._error(
             "move",
             f"stopped by its torque limit at {self._mm(seen.position):g} mm on the way to "
-            f"{self._mm(target):g} mm",
+            f"{motion.target:g} mm",
             "something is in the way; if it belongs there, raise torque_limit_percent",
         )
 
-    def _end_past_target(self, seen: Inputs, target: int) -> None:
-        """The axis goes on where it should have stopped: stop it, then say so."""
-        with contextlib.suppress(InstrumentError):  # that it runs away is the news
-            self._tell(self._stopping(), stopping=True)
-        self._target = None
+    def _end_past_target(self, seen: Inputs, motion: MotionWatch) -> None:
+        """The axis has not stopped at its target: stop it, then raise."""
+        with contextlib.suppress(InstrumentError):  # the overtravel is what has to be reported
+            self._send_stop()
+        self._motion = None
         raise self._error(
             "move",
             f"ran past its target: it is at {self._mm(seen.position):g} mm on the way to "
-            f"{self._mm(target):g} mm",
+            f"{motion.target:g} mm",
             "look at the encoder and at the drive's settings before it moves again",
         )
-
-    def _refuse_if_made_safe(self, command: str) -> None:
-        if self._made_safe != self._rearmed:
-            raise self._error(
-                command, "the axis was made safe meanwhile", "stop it before the next motion"
-            )
-
-    def _refuse_if_stopped(self, halts: int) -> None:
-        if self._halts != halts:
-            self._target = None
-            raise self._error("move", "the axis was stopped meanwhile", "begin it again")
 
     def _mm(self, counts: int) -> float:
         return counts * self._settings.position_unit_mm
 
     def _fault(self, seen: Inputs) -> InstrumentError:
-        self._target = None
+        self._motion = None
         known = FAULTS.get(seen.fault)
         meaning = known.meaning if known else "see the drive's manual"
         remedy = known.remedy if known else "look the number up in the vendor's software"
@@ -600,26 +617,23 @@ class Axis:
 
 
 _LOOK = "look at the drive's display and at the axis"
+_STOPPED_BY_OTHERS = (
+    "the motion was stopped, not on our command (make-safe from another terminal, or the drive "
+    "itself)"
+)
 
 
-def connect(settings: Settings, clock: Clock) -> Axis:
+def connect(settings: FestoCmmtSettings, clock: Clock) -> FestoAxis:
     """Connect to the drive, leaving its axis at rest and its own limits set."""
-    axis = Axis(settings, clock)
-    try:
-        axis.prepare()
-    except BaseException:
-        axis.close()
-        raise
-    return axis
+    return prepared(FestoAxis(settings, clock))
 
 
-def make_safe(settings: Settings) -> None:
-    """Stop the axis over a connection of its own and wait for rest; idempotent."""
-    with contextlib.closing(Axis(settings, WallClock())) as axis:
-        axis.stop_and_wait()
+def make_safe(settings: FestoCmmtSettings) -> None:
+    """Stop the axis over a connection of its own and wait for rest; may be called repeatedly."""
+    stop_and_close(FestoAxis(settings, WallClock()))
 
 
-def _at_rest(settings: Settings) -> Outputs:
+def _at_rest(settings: FestoCmmtSettings) -> Outputs:
     """The image of an axis under power that has nothing to do: its task is rejected."""
     full = settings.full_acceleration_mm_s2
     fixed_stop = Stw2.NONE if settings.torque_limit_percent is None else Stw2.TRAVEL_TO_FIXED_STOP

@@ -92,13 +92,24 @@ class CmmtLink:
             raise self.garbage(what, f"{len(registers)} registers", f"{count} registers")
         return registers
 
-    def write(self, address: int, values: Sequence[int], charge: bool = True) -> None:
-        """Write consecutive registers in one request; the drive acknowledges address and count."""
+    def write(
+        self,
+        address: int,
+        values: Sequence[int],
+        charge: bool = True,
+        permit: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Write consecutive registers in one request; the drive acknowledges address and count.
+
+        `permit` is called when it is this request's turn and nothing has been sent; what it raises
+        keeps the request from being sent.
+        """
         what = f"write register {address}"
         reply = self._ask(
             what,
             lambda client: client.write_registers(address, list(values), device_id=self._unit_id),
             charge,
+            permit,
         )
         if (reply.address, reply.count) != (address, len(values)):
             raise self.garbage(what, (reply.address, reply.count), (address, len(values)))
@@ -192,12 +203,19 @@ class CmmtLink:
                 "the firmware may not know this parameter, or it cannot be changed now",
             )
 
-    def _ask(self, what: str, request: Callable[[Any], Any], charge: bool = True) -> Any:
+    def _ask(
+        self,
+        what: str,
+        request: Callable[[Any], Any],
+        charge: bool = True,
+        permit: Callable[[], None] = lambda: None,
+    ) -> Any:
         """One transaction, sent once; every failure closes the link and names its cause."""
         from pymodbus.exceptions import ModbusException
 
         failed: Exception | None = None
         with self._lock:
+            permit()
             begun = time.monotonic()
             try:
                 reply = request(self._opened(what))

@@ -13,7 +13,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from drivers.festo_cmmt.frames import FULL_SCALE
-from rig.core.settings import Settings as BaseSettings
+from rig.core.settings import Settings
 
 LARGEST_COUNT = 2**31 - 1
 """Positions travel as signed 32-bit integers; speeds are held to the same."""
@@ -53,7 +53,7 @@ FAULTS: Mapping[int, Fault] = {
 """Numbers from the vendor's icp_map.csv, in our words."""
 
 
-class Settings(BaseSettings):
+class FestoCmmtSettings(Settings):
     """Where the drive is, what its numbers mean and what the axis may do."""
 
     driver: Literal["festo-cmmt"] = "festo-cmmt"

@@ -30,7 +30,7 @@ OPEN_CIRCUIT_REPLY = 9.9e37
 READBACK_TOLERANCE = 1e-5  # relative; the 16-bit amplitude and 1 uHz frequency are finer
 
 
-class Settings(BaseSettings):
+class Keysight33500BSettings(BaseSettings):
     """Where the generator is and what it may put out."""
 
     driver: Literal["keysight-33500b"] = "keysight-33500b"
@@ -44,10 +44,14 @@ class Settings(BaseSettings):
     """Largest peak voltage at the vibrator amplifier's input, set in the instrument too."""
 
 
-class Generator:
+Settings = Keysight33500BSettings
+"""The settings of a bench file, under the name by which the bench asks any driver for them."""
+
+
+class Generator33500B:
     """One output of a 33500B series generator."""
 
-    def __init__(self, settings: Settings, clock: Clock):
+    def __init__(self, settings: Keysight33500BSettings, clock: Clock):
         self._settings = settings
         self._link = VisaLink("generator", settings.resource, settings.timeout_s, clock)
         self._source = f"SOUR{settings.channel}"
@@ -144,9 +148,9 @@ class Generator:
             )
 
 
-def connect(settings: Settings, clock: Clock) -> Generator:
+def connect(settings: Keysight33500BSettings, clock: Clock) -> Generator33500B:
     """Connect to the generator, leaving its output off and its limits set."""
-    generator = Generator(settings, clock)
+    generator = Generator33500B(settings, clock)
     try:
         generator.prepare()
     except BaseException:
@@ -155,7 +159,7 @@ def connect(settings: Settings, clock: Clock) -> Generator:
     return generator
 
 
-def make_safe(settings: Settings) -> None:
+def make_safe(settings: Keysight33500BSettings) -> None:
     """Switch the output off over a connection of its own; idempotent."""
-    with contextlib.closing(Generator(settings, WallClock())) as generator:
+    with contextlib.closing(Generator33500B(settings, WallClock())) as generator:
         generator.make_safe()

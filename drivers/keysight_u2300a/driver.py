@@ -37,7 +37,7 @@ WIDE_RANGES_V = (10.0, 5.0, 2.5, 1.25)
 
 
 @dataclass(frozen=True)
-class Model:
+class U2300AModel:
     """What the sheet says of one model."""
 
     bits: int
@@ -49,20 +49,20 @@ class Model:
     terminals: int = 64
 
 
-MODELS: dict[str, Model] = {
-    "U2331A": Model(12, 1e6, False, (10, 5, 2.5, 2, 1.25, 1, 0.5, 0.25, 0.2, 0.05)),
-    "U2351A": Model(16, 250e3, False, terminals=16),
-    "U2352A": Model(16, 250e3, False, terminals=16),
-    "U2353A": Model(16, 500e3, False, terminals=16),
-    "U2354A": Model(16, 500e3, False, terminals=16),
-    "U2355A": Model(16, 250e3, False),
-    "U2356A": Model(16, 500e3, False),
-    "U2541A": Model(16, 250e3, True, terminals=4),
-    "U2542A": Model(16, 500e3, True, terminals=4),  # simultaneous sampling is unconfirmed
+MODELS: dict[str, U2300AModel] = {
+    "U2331A": U2300AModel(12, 1e6, False, (10, 5, 2.5, 2, 1.25, 1, 0.5, 0.25, 0.2, 0.05)),
+    "U2351A": U2300AModel(16, 250e3, False, terminals=16),
+    "U2352A": U2300AModel(16, 250e3, False, terminals=16),
+    "U2353A": U2300AModel(16, 500e3, False, terminals=16),
+    "U2354A": U2300AModel(16, 500e3, False, terminals=16),
+    "U2355A": U2300AModel(16, 250e3, False),
+    "U2356A": U2300AModel(16, 500e3, False),
+    "U2541A": U2300AModel(16, 250e3, True, terminals=4),
+    "U2542A": U2300AModel(16, 500e3, True, terminals=4),  # simultaneous sampling is unconfirmed
 }
 
 
-class Settings(BaseSettings):
+class KeysightU2300ASettings(BaseSettings):
     """Where the DAQ is and what is wired to it."""
 
     driver: Literal["keysight-u2300a"] = "keysight-u2300a"
@@ -84,10 +84,14 @@ class Settings(BaseSettings):
         return channels
 
 
-class Daq:
+Settings = KeysightU2300ASettings
+"""The settings of a bench file, under the name by which the bench asks any driver for them."""
+
+
+class U2300ADaq:
     """A U2300A or U2500A series unit. Any thread may call `stop`; otherwise one at a time."""
 
-    def __init__(self, settings: Settings, clock: Clock):
+    def __init__(self, settings: KeysightU2300ASettings, clock: Clock):
         self._settings = settings
         self._clock = clock
         self._link = VisaLink("daq", settings.resource, settings.timeout_s, clock)
@@ -107,7 +111,7 @@ class Daq:
         return self._identity
 
     @property
-    def model(self) -> Model:
+    def model(self) -> U2300AModel:
         """The connected model's data."""
         return MODELS[self.identity.model]
 
@@ -354,9 +358,9 @@ class Daq:
         return self._scaling
 
 
-def connect(settings: Settings, clock: Clock) -> Daq:
+def connect(settings: KeysightU2300ASettings, clock: Clock) -> U2300ADaq:
     """Connect to the DAQ, with nothing running."""
-    daq = Daq(settings, clock)
+    daq = U2300ADaq(settings, clock)
     try:
         daq.prepare()
     except BaseException:
@@ -365,7 +369,7 @@ def connect(settings: Settings, clock: Clock) -> Daq:
     return daq
 
 
-def make_safe(settings: Settings) -> None:
+def make_safe(settings: KeysightU2300ASettings) -> None:
     """End any acquisition over a connection of its own; idempotent."""
-    with contextlib.closing(Daq(settings, WallClock())) as daq:
+    with contextlib.closing(U2300ADaq(settings, WallClock())) as daq:
         daq.make_safe()

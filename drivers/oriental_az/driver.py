@@ -36,20 +36,39 @@ is never used; `make_safe` is a stop under power.
 from __future__ import annotations
 
 import contextlib
-import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntFlag
 
-from drivers.oriental_az.link import AzLink, RefusedError, RtuLine, halves, reading, signed, writing
-from drivers.oriental_az.settings import ALARMS, Settings
+from drivers.oriental_az.link import (
+    AzLine,
+    AzLink,
+    AzRefusalError,
+    halves,
+    reading,
+    signed,
+    writing,
+)
+from drivers.oriental_az.settings import ALARMS, OrientalAzSettings
+from drivers.shared.stage import (
+    MotionRefusedError,
+    MotionWatch,
+    StageInterlock,
+    StageState,
+    Ticket,
+    prepared,
+    stop_and_close,
+)
 from rig.core.clock import Clock, WallClock
-from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError
 from rig.instruments.roles import Identity, Reach
 
 ROLES = ("stage_z", "stage_x")
 """The roles this driver can play; which one, its settings say."""
+
+Settings = OrientalAzSettings
+"""The settings of a bench file, under the name by which the bench asks any driver for them."""
 
 # Upper registers of 32-bit values.
 DIRECT_DATA, OPERATION_TYPE = 0x58, 0x5A
@@ -67,7 +86,7 @@ STATE_REGISTERS = (6, 4)
 POSITION_REGISTERS = (8, 10)
 """Command position up to feedback position; in turn with the feedback speed."""
 OUTSIDE_C = (-40.0, 150.0)
-"""Beyond these no drive or motor tells a temperature."""
+"""No drive or motor reports a temperature beyond these."""
 
 ARRIVAL_POLL_S = 0.02
 POLL_S = 0.005
@@ -85,11 +104,11 @@ ACKNOWLEDGE_TIMEOUT_S = 0.5
 ALARM_TIMEOUT_S = 5.0
 SETTLING_S = 1.0
 """What a motion may take beyond its profile."""
-PAST_mm = 0.1
-"""How far beyond its target an axis may be seen that has come to it from rest."""
+MAX_OVERTRAVEL_mm = 0.1
+"""How far beyond its target an axis may be seen that has started from rest."""
 
 
-class Input(IntFlag):
+class AzInput(IntFlag):
     """Driver input command, lower register."""
 
     NONE = 0
@@ -97,7 +116,7 @@ class Input(IntFlag):
     STOP = 0x20
 
 
-class Output(IntFlag):
+class AzOutput(IntFlag):
     """Driver output status, lower register, as assigned at the factory."""
 
     READY = 1 << 5
@@ -105,7 +124,7 @@ class Output(IntFlag):
     MOVE = 1 << 13
 
 
-class Internal(IntFlag):
+class AzInternalOutput(IntFlag):
     """Internal outputs, upper register."""
 
     HOME_END = 1 << 0
@@ -113,8 +132,8 @@ class Internal(IntFlag):
 
 
 @dataclass(frozen=True)
-class State:
-    """What a drive shows of itself."""
+class AzState:
+    """Inputs, outputs and alarm of a drive at one instant."""
 
     inputs: int
     outputs: int
@@ -122,51 +141,41 @@ class State:
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where an axis is told to be and where it is, in steps."""
+class AzPosition:
+    """Commanded and measured position of an axis, in steps."""
 
     command: int
     feedback: int
 
 
-class Axis:
+class AzAxis:
     """One drive and its axis. `connect` has identified it and set its limits.
 
     One thread at a time commands motions; any thread may call `stop` or `make_safe` at any time: a
     target that another thread was about to send is not sent afterwards.
     """
 
-    def __init__(self, settings: Settings, clock: Clock, line: RtuLine):
+    def __init__(self, settings: OrientalAzSettings, clock: Clock, line: AzLine):
         self._settings = settings
         self._clock = clock
         self._device = settings.role
         self._link = AzLink(self._device, line, settings.unit_id, settings.timeout_s, clock)
         self._line = line
         self._identity = Identity("Oriental Motor", "AZ", "unknown", "unknown")
-        self._sending = threading.Lock()
-        self._made_safe = 0
-        """How often the axis was made safe, and how many of these a stop has answered."""
-        self._rearmed = 0
-        self._halts = 0
-        """How often it was told to stop and wait for rest."""
+        self._interlock = StageInterlock(self._device)
         self._in_charge = False
-        """Whether this connection has taken the drive over: from then on, alarms are ours."""
-        self._told_alarm = 0
-        self._halting = False
+        """Whether this connection has taken the drive over: from then on its alarms are ours."""
+        self._reported_alarm = 0
+        """The alarm that has been raised already; `keep_alive` does not raise it again."""
         self._stop_stands = False
         """Whether a stop of ours may not have been lifted."""
         self._turn = 0
         """Which of two lengths is next."""
         self._state_at_s = -1.0
-        self._target: int | None = None
-        """Where the motion under way ends, in steps."""
-        self._way = 0
-        """In which direction from where it began: 1, -1, or 0 where it stood there."""
-        self._past_mm = PAST_mm
-        self._begun_at_s = 0.0
-        self._arrive_by_s = 0.0
-        self._place = Place(0, 0)
-        self._place_at_s = -1.0
+        self._motion: MotionWatch | None = None
+        """The motion under way; None where there is none. Another thread's stop clears it."""
+        self._position = AzPosition(0, 0)
+        self._position_at_s = -1.0
         self._abspen_seen = -1
         """The link's failures when the drive was seen to know where it is: it forgets that only
         with an alarm or without power, and without power it does not answer."""
@@ -175,7 +184,7 @@ class Axis:
 
     @property
     def identity(self) -> Identity:
-        """Who answered at connect; an AZ tells neither serial number nor firmware."""
+        """Who answered at connect; an AZ reports neither serial number nor firmware."""
         return self._identity
 
     def reach(self) -> Mapping[str, Reach]:
@@ -190,152 +199,173 @@ class Axis:
 
     def homed(self) -> bool:
         """Whether the drive knows where it is (ABSPEN)."""
-        self._look()
-        return bool(self._internal() & Internal.ABSPEN)
+        self._poll()
+        return bool(self._internal() & AzInternalOutput.ABSPEN)
 
     def home(self) -> None:
         """Find the reference by the method in the drive's parameters, and wait for it."""
+        ticket = self._interlock.ticket()
         self._take_charge()
-        self._halt(self._rearmed)
+        self._halt()
+        ticket = ticket.after_own_stop()
         self._abspen_seen = -1
-        was_homed = bool(self._internal() & Internal.ABSPEN)
-        self._put(INPUT_COMMAND, halves(Input.HOME))
+        was_homed = bool(self._internal() & AzInternalOutput.ABSPEN)
+        self._send(INPUT_COMMAND, halves(AzInput.HOME), ticket, "home")
         self._await(
             "home",
+            ticket,
             lambda: (
-                bool(self._look().outputs & Output.MOVE)
-                or (not was_homed and bool(self._internal() & Internal.ABSPEN))
+                bool(self._poll().outputs & AzOutput.MOVE)
+                or (not was_homed and bool(self._internal() & AzInternalOutput.ABSPEN))
             ),
             ACKNOWLEDGE_TIMEOUT_S,
             "did not begin to home",
         )
         self._await(
             "home",
-            lambda: not self._look().outputs & Output.MOVE and self._internal() & _HOMED == _HOMED,
+            ticket,
+            lambda: (
+                not self._poll().outputs & AzOutput.MOVE and self._internal() & _HOMED == _HOMED
+            ),
             self._settings.homing_timeout_s,
             "did not find its reference",
             ARRIVAL_POLL_S,
         )
-        self.stop()
+        self._end_motion(ticket, "home")
 
     def position_mm(self) -> float:
         """The measured position."""
-        return self._mm(self._where().feedback)
+        return self._mm(self._read_position().feedback)
 
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
         """Begin to move there, or change the target of the motion under way.
 
-        A motion under way is changed by one write. What ended it meanwhile (an alarm, somebody
-        else's stop) is read as often as keep-alives do; the drive itself refuses to start while it
-        stands. LimitError outside `reach`; InstrumentError, and nothing sent, where another thread
-        stops the axis meanwhile.
+        A motion under way is changed by one write. What ended it meanwhile (an alarm, another
+        client's stop) is read as often as keep-alives do; the drive itself refuses to start while
+        the stop stands. Raises LimitError outside `reach`, and InstrumentError with nothing sent
+        where another thread stops the axis or makes it safe meanwhile.
         """
+        self._start(position_mm, speed_mm_s)
+
+    def _start(self, position_mm: float, speed_mm_s: float) -> Ticket:
+        """`start_move`; returns the ticket of the motion."""
+        ticket = self._interlock.ticket()
         reach = self.reach()
         reach["position"].require(self._device, "position", position_mm)
         reach["speed"].require(self._device, "speed", speed_mm_s)
-        fresh = self._target is None
+        fresh = self._motion is None
         if fresh:
-            self._prepare_motion()
+            ticket = self._prepare_motion(ticket)
         else:
-            self._refuse_if_made_safe("move")
+            self._interlock.require_armed("move")
             if self._clock.now() - self._state_at_s >= OVERDUE * self._keep_alive_s():
-                self._require_own(self._look())
+                self._require_own(self._poll())
         target = round(position_mm * self._settings.steps_per_mm)
-        halts = self._halts
-        way_mm = self._mm(target - self._place.feedback)
-        unseen_mm = self._settings.max_speed_mm_s * (self._clock.now() - self._place_at_s)
-        self._target = target
-        self._way = (way_mm > 0) - (way_mm < 0)
-        self._past_mm = PAST_mm if fresh else PAST_mm + unseen_mm + self._braking_mm()
-        self._arrive_by_s = self._longest_s(abs(way_mm) + unseen_mm, speed_mm_s)
+        # Set before it is sent: a motion whose answer is lost has to be watched all the same.
+        self._motion = motion = self._watch(target, speed_mm_s, fresh)
         try:
-            self._put(*self._motion(target, speed_mm_s), halts)
-        except RefusedError as refused:
-            self._target = None
+            self._send(*self._operation(target, speed_mm_s), ticket, "move")
+        except MotionRefusedError:
+            self._motion = None
+            raise
+        except AzRefusalError as refused:
+            self._motion = None
             raise self._why_refused(refused) from refused
-        self._begun_at_s = self._clock.now()
-        self._arrive_by_s += self._begun_at_s
+        motion.begun_at_s = self._clock.now()  # it may have waited for the line
+        return ticket
+
+    def _watch(self, target: int, speed_mm_s: float, fresh: bool) -> MotionWatch:
+        """What is to be seen of a motion to `target` from where the axis was seen last."""
+        own, now_s = self._settings, self._clock.now()
+        from_mm, target_mm = self._mm(self._position.feedback), self._mm(target)
+        unseen_mm = own.max_speed_mm_s * (now_s - self._position_at_s)
+        overtravel_mm = MAX_OVERTRAVEL_mm
+        if not fresh:  # it may have to pass the new target, brake and come back
+            overtravel_mm += unseen_mm + self._braking_mm()
+        longest_s = self._longest_s(abs(target_mm - from_mm) + unseen_mm, speed_mm_s)
+        return MotionWatch.towards(target_mm, from_mm, overtravel_mm, longest_s, now_s)
 
     def moving(self) -> bool:
-        """Whether a motion is under way; an alarm, or a motion that ended elsewhere, raises.
+        """Whether a motion is under way; raises InstrumentError for an alarm and for a motion that
+        was not ended by us.
 
         An axis that has just been seen on its way is not asked again.
         """
-        self._refuse_if_made_safe("move")
+        self._interlock.require_armed("move")
         if self._just_seen_on_its_way():
             return True
-        state = self._look()
-        moves = bool(state.outputs & Output.MOVE)
-        target = self._target  # another thread may stop the axis
-        if target is None:
+        state = self._poll()
+        moves = bool(state.outputs & AzOutput.MOVE)
+        motion = self._motion  # another thread may stop the axis
+        if motion is None:
             return moves
         self._require_own(state)
-        here = self._where().feedback
+        here_mm = self._mm(self._read_position().feedback)
         now_s = self._clock.now()
-        if moves and now_s <= self._arrive_by_s:
+        if moves and now_s <= motion.arrive_by_s:
             return True
-        if not moves and self._is_there(here, target):
+        if not moves and self._is_there(here_mm, motion):
             return False
-        if not moves and now_s < self._begun_at_s + BEGIN_S:
+        if not moves and now_s < motion.begun_at_s + BEGIN_S:
             return True
         raise self._error(
             "move",
-            f"stands at {self._mm(here):g} mm and has not arrived at {self._mm(target):g} mm",
+            f"stands at {here_mm:g} mm and has not arrived at {motion.target:g} mm",
             "look for what holds the axis; the motion may still be under way",
         )
 
     def move_to(self, position_mm: float, speed_mm_s: float) -> None:
-        """Move there, wait, verify by measured position, and end the motion."""
-        self.start_move(position_mm, speed_mm_s)
+        """Move there, wait, verify by measured position, and end the motion.
+
+        Raises InstrumentError where another thread stops the axis or makes it safe on its way.
+        """
+        ticket = self._start(position_mm, speed_mm_s)
         while self.moving():
             self._clock.sleep(ARRIVAL_POLL_S)
-        self.stop()
+        self._end_motion(ticket, "move")
 
     def stop(self) -> None:
-        """Stop by the STOP input, wait for rest and lift it: afterwards the axis may move again.
+        """Stop by the STOP input, wait for rest and lift it; an axis that was made safe may move
+        again.
 
-        An alarm does not keep it from being verified; it is raised by the next call.
+        An alarm does not keep the stop from being verified; it is raised by the next call.
         """
-        answered = self._made_safe
-        self._halt(answered)
-        self._rearmed = answered
+        self._halt(rearm=True)
 
     def keep_alive(self) -> None:
-        """Read the drive's state, unless that has just been done: it feeds the communication
-        time-outs of the whole line. Where the line is busy and there is time, it is left for later:
-        the drives of a line take turns. What ended a motion raises, and so does an alarm, once when
-        it appears, and a drive of the line that is not heard while another one is."""
+        """Feed the communication time-outs of the whole line by reading the drive's state, unless
+        that has just been done.
+
+        Where the line is busy and there is time, the read is left for later: the drives of a line
+        take turns. Raises InstrumentError for what ended a motion, for an alarm once, when it
+        appears, and for a drive of the line that does not answer while another one does.
+        """
         if self._link.charging or self._line.waiting:
             return
         age = (self._clock.now() - self._state_at_s) / self._keep_alive_s()
         if age >= OVERDUE or (age >= 1 and self._line.free):
             state = self._read_state()
             if not state.alarm:
-                self._told_alarm = 0
-            if self._in_charge and not self._halting and state.alarm != self._told_alarm:
+                self._reported_alarm = 0
+            stopping = self._interlock.is_stopping
+            if self._in_charge and not stopping and state.alarm != self._reported_alarm:
                 self._require_sound(state)
-            if self._target is not None:
+            if self._motion is not None:
                 self._require_own(state)
-        self._mind_the_line()
+        self._check_peer_drives()
 
     def make_safe(self) -> None:
         """Have the STOP input stand, and verify that the drive has it.
 
         It waits for answers, not for bench time, so that a watcher may call it while the bench's
         clock stands: the axis is at rest after speed / deceleration at most. No motion is begun
-        afterwards until `stop` has been called, which waits for rest. Over a connection that turns
-        out to be broken it is said again, once: a stop may arrive twice.
+        afterwards until `stop` has been called, which waits for rest. A connection that turns out
+        to be broken is tried once more.
         """
-        self._made_safe += 1
-        try:
-            self._command_stop()
-        except InstrumentTimeoutError:
-            raise
-        except InstrumentError:
-            self._command_stop()
+        self._interlock.make_safe(self._command_stop)
 
     def close(self) -> None:
-        """Let go of the line; where nobody else talks on it, its drives meet their time-out."""
+        """Release the line; its drives meet their time-out unless another axis still uses it."""
         self._link.close()
 
     # --- connecting ---------------------------------------------------------------------------
@@ -347,29 +377,30 @@ class Axis:
         self._link.set_value(LINE_TIMEOUT_ms, own.communication_timeout_ms)
         self._line.watch(own.unit_id, self._device, own.communication_timeout_ms * 1e-3)
         self._link.set_value(SLAVE_ERROR_RESPONSE, EXCEPTION_REPLY)
-        self._halt(self._rearmed)
+        self._halt()
         self._link.set_value(LOW_LIMIT, round(own.low_limit_mm * own.steps_per_mm))
         self._link.set_value(HIGH_LIMIT, round(own.high_limit_mm * own.steps_per_mm))
         if self._link.read_value(OVERTRAVEL) < 0:  # switched off
             self._link.set_value(OVERTRAVEL, DECELERATION_STOP)
 
     def stop_and_wait(self) -> None:
-        """A stop for somebody who only came to stop; it stands until a run lifts it."""
+        """Stop and wait for rest, whatever state the drive is in; the stop stands until a run lifts
+        it."""
         self._command_stop()
         self._await_rest()
 
     def _identify(self) -> None:
-        """An AZ tells no name; what has none of its registers is none."""
+        """An AZ reports no name: it is known by its registers."""
         try:
             words = self._link.read(TEMPERATURES, 4)
-        except RefusedError as refused:
-            raise self._stranger(f"has no register {TEMPERATURES:04X}h") from refused
+        except AzRefusalError as refused:
+            raise self._not_an_az(f"has no register {TEMPERATURES:04X}h") from refused
         for pair in (words[:2], words[2:]):
             celsius = signed(pair[0] << 16 | pair[1]) / 10
             if not OUTSIDE_C[0] < celsius < OUTSIDE_C[1]:
-                raise self._stranger(f"tells a temperature of {celsius:g} C")
+                raise self._not_an_az(f"reports a temperature of {celsius:g} C")
 
-    def _stranger(self, why: str) -> InstrumentError:
+    def _not_an_az(self, why: str) -> InstrumentError:
         return self._error(
             "identify",
             f"{self._link.where} {why}",
@@ -379,97 +410,110 @@ class Axis:
     # --- taking charge ------------------------------------------------------------------------
 
     def _take_charge(self) -> None:
-        """Old alarms are reset once; nothing where that has been done."""
-        self._refuse_if_made_safe("switch on")
-        state = self._look()
+        """Reset old alarms, once for each connection."""
+        self._interlock.require_armed("switch on")
+        state = self._poll()
         if state.alarm and not self._in_charge:
             self._reset_alarm()
         self._in_charge = True
 
     def _reset_alarm(self) -> None:
-        """Pulse the reset; an alarm that stays is told."""
+        """Pulse the reset, which starts no motion; an alarm that remains raises."""
         for value in (1, 0):
-            self._put(ALARM_RESET, halves(value))
+            self._line.wait_until_free()
+            self._link.write(
+                ALARM_RESET,
+                halves(value),
+                permit=lambda: self._interlock.require_armed("switch on"),
+            )
         give_up = self._clock.now() + ALARM_TIMEOUT_S
         while alarm := self._read_state().alarm:
             if self._clock.now() > give_up:
                 raise self._alarmed(alarm)
             self._clock.sleep(POLL_S)
 
-    def _prepare_motion(self) -> None:
-        """Before the first write of a motion: no alarm, no stop of ours that was not lifted because
-        an answer was lost, homed, and its place known. What has just been seen is not asked again:
-        with an alarm the drive does not start."""
-        self._refuse_if_made_safe("move")
+    def _prepare_motion(self, ticket: Ticket) -> Ticket:
+        """Before the first write of a motion: no alarm, no stop of ours left standing because an
+        answer was lost, homed, and the position known. What has just been seen is not read again:
+        with an alarm the drive does not start. Returns the ticket to go on with."""
+        self._interlock.require_armed("move")
         now_s = self._clock.now()
         unseen = now_s - self._state_at_s > OVERDUE * self._keep_alive_s()
-        if not self._in_charge or self._told_alarm or unseen:
+        if not self._in_charge or self._reported_alarm or unseen:
             self._take_charge()
         if self._stop_stands:
-            self._halt(self._rearmed)
+            self._halt()
+            ticket = ticket.after_own_stop()
         if self._abspen_seen != self._link.failures:
-            if not self._internal() & Internal.ABSPEN:
+            if not self._internal() & AzInternalOutput.ABSPEN:
                 raise self._error("move", "the axis has not been homed", "home it first")
             self._abspen_seen = self._link.failures
-        if now_s - self._place_at_s > JUST_SEEN_S:
-            self._where()
+        if now_s - self._position_at_s > JUST_SEEN_S:
+            self._read_position()
+        return ticket
 
     # --- stopping -----------------------------------------------------------------------------
 
-    def _halt(self, answered: int) -> None:
-        """Stop, wait for rest, and lift the stop unless the axis is made safe meanwhile; alarms are
-        not news meanwhile."""
-        with self._sending:
-            self._target = None
-            self._halts += 1
-        self._halting = self._stop_stands = True
-        try:
+    def _halt(self, rearm: bool = False) -> None:
+        """Stop, wait for rest, and lift the STOP input unless the axis has been made safe
+        meanwhile; alarms are not reported meanwhile."""
+        with self._interlock.stopping(rearm) as stop:
+            self._motion = None
+            self._stop_stands = True
             self._line.wait_until_free()
-            self._say_stop(charge=True)
+            self._send_stop(charge=True)
             self._await_rest()
             self._line.wait_until_free()
-            with self._sending:
-                if self._made_safe == answered:
-                    self._link.write(INPUT_COMMAND, halves(Input.NONE))
-                    self._stop_stands = False
-        finally:
-            self._halting = False
+            # A make_safe that begins after this check sends its stop after the lifting.
+            self._lift_stop(lambda: self._interlock.answers_all(stop))
 
-    def _say_stop(self, charge: bool) -> None:
-        with self._sending:
-            self._link.write(INPUT_COMMAND, halves(Input.STOP), charge, urgent=True)
+    def _lift_stop(self, allowed: Callable[[], bool]) -> None:
+        """Clear the STOP input where that is allowed when it is this write's turn."""
+
+        def permit() -> None:
+            if not allowed():
+                raise _StopStandsError
+
+        with contextlib.suppress(_StopStandsError):
+            self._link.write(INPUT_COMMAND, halves(AzInput.NONE), permit=permit)
+            self._stop_stands = False
+
+    def _end_motion(self, ticket: Ticket, command: str) -> None:
+        """End a motion that has arrived. This stop re-arms nothing, and a stop or make_safe by
+        another thread since the motion began raises."""
+        self._interlock.permit(ticket, command)
+        self._halt()
+        self._interlock.permit(ticket.after_own_stop(), command)
+
+    def _send_stop(self, charge: bool) -> None:
+        self._link.write(INPUT_COMMAND, halves(AzInput.STOP), charge, urgent=True)
 
     def _command_stop(self) -> None:
         """STOP stands, read back, within the drive's time-out."""
         give_up = time.monotonic() + self._settings.timeout_s
-        self._say_stop(charge=False)
-        while not self._link.read(INPUT_COMMAND, 2, waits=False)[1] & Input.STOP:
+        self._send_stop(charge=False)
+        while not self._link.read(INPUT_COMMAND, 2, waits=False)[1] & AzInput.STOP:
             if time.monotonic() > give_up:
                 raise self._error("make safe", "did not take the stop", _LOOK)
 
     def _await_rest(self) -> None:
         longest = self._settings.max_speed_mm_s / self._settings.deceleration_mm_s2 + SETTLING_S
         give_up = self._clock.now() + longest
-        while self._read_state().outputs & Output.MOVE:
+        while self._read_state().outputs & AzOutput.MOVE:
             if self._clock.now() > give_up:
                 raise self._error("stop", f"is still moving after {longest:g} s", _LOOK)
             self._clock.sleep(POLL_S)
 
     # --- one exchange -------------------------------------------------------------------------
 
-    def _put(self, address: int, words: tuple[int, ...], halts: int | None = None) -> None:
-        """Write what may set the axis going, unless it has been made safe, or was stopped after so
-        many `halts`."""
+    def _send(self, address: int, words: tuple[int, ...], ticket: Ticket, command: str) -> None:
+        """Write what may set the axis going, as the interlock permits."""
         self._line.wait_until_free()
-        with self._sending:
-            self._refuse_if_made_safe("move")
-            if halts not in (None, self._halts):
-                self._target = None
-                raise self._error("move", "the axis was stopped meanwhile", "begin it again")
-            self._link.write(address, words)
+        self._link.write(address, words, permit=lambda: self._interlock.permit(ticket, command))
 
-    def _motion(self, target: int, speed_mm_s: float) -> tuple[int, tuple[int, ...]]:
-        """Where and what to write for a motion; in turn without the data's number."""
+    def _operation(self, target: int, speed_mm_s: float) -> tuple[int, tuple[int, ...]]:
+        """Address and words of the write that starts a motion: in turn with and without the number
+        of the operation data, so that two writes in a row differ in length."""
         own = self._settings
         values = (
             0,  # operation data number
@@ -488,16 +532,16 @@ class Axis:
         self._turn ^= 1
         return self._turn
 
-    def _read_state(self) -> State:
+    def _read_state(self) -> AzState:
         count = STATE_REGISTERS[self._next_turn()]
         words = self._link.read(INPUT_COMMAND, count)
-        if count == 4 and words[3] & Output.ALARM:
+        if count == 4 and words[3] & AzOutput.ALARM:
             words = self._link.read(INPUT_COMMAND, 6)
         alarm = words[5] if len(words) == 6 else 0
         self._state_at_s = self._clock.now()
-        return State(words[1], words[3], alarm)
+        return AzState(words[1], words[3], alarm)
 
-    def _look(self) -> State:
+    def _poll(self) -> AzState:
         """The drive's state; an alarm raises."""
         state = self._read_state()
         self._require_sound(state)
@@ -506,109 +550,107 @@ class Axis:
     def _internal(self) -> int:
         return self._link.read(INTERNAL_OUTPUTS, 2)[0]
 
-    def _where(self) -> Place:
-        """Where the axis is; one that is held back, or runs past its target, raises."""
+    def _read_position(self) -> AzPosition:
+        """Read where the axis is; one that is held back, or runs past its target, raises."""
         words = self._link.read(COMMAND_POSITION, POSITION_REGISTERS[self._next_turn()])
-        place = Place(signed(words[0] << 16 | words[1]), signed(words[6] << 16 | words[7]))
-        self._place, self._place_at_s = place, self._clock.now()
-        target = self._target  # another thread may stop the axis
-        if self._in_charge and target is not None:
-            self._require_way(place, target)
-        return place
+        position = AzPosition(signed(words[0] << 16 | words[1]), signed(words[6] << 16 | words[7]))
+        self._position, self._position_at_s = position, self._clock.now()
+        motion = self._motion  # another thread may stop the axis
+        if self._in_charge and motion is not None:
+            self._require_way(position, motion)
+        return position
 
     def _await(
         self,
         command: str,
+        ticket: Ticket,
         condition: Callable[[], bool],
         timeout_s: float,
         otherwise: str,
         poll_s: float = POLL_S,
     ) -> None:
-        """Poll until the condition is met."""
+        """Poll until the condition is met; a stop by another thread raises."""
         give_up = self._clock.now() + timeout_s
         while not condition():
-            self._refuse_if_made_safe(command)
+            self._interlock.permit(ticket, command)
             if self._clock.now() > give_up:
                 raise self._error(command, f"{otherwise} within {timeout_s:g} s", _LOOK)
             self._clock.sleep(poll_s)
 
     # --- judging ------------------------------------------------------------------------------
 
-    def _require_sound(self, state: State) -> None:
+    def _require_sound(self, state: AzState) -> None:
         """Once we are in charge: no alarm."""
         if self._in_charge and state.alarm:
-            self._told_alarm = state.alarm
+            self._reported_alarm = state.alarm
             raise self._alarmed(state.alarm)
 
-    def _require_own(self, state: State) -> None:
-        """The motion under way is still in force: nobody else has stopped it."""
-        if state.inputs & Input.STOP and self._made_safe == self._rearmed:
-            self._target = None
-            raise self._error("move", "the motion was ended by somebody else", _LOOK)
+    def _require_own(self, state: AzState) -> None:
+        """Require that the motion under way is still in force: no other client has stopped it."""
+        ours = self._interlock.state is not StageState.ARMED
+        if state.inputs & AzInput.STOP and not ours:
+            self._motion = None
+            raise self._error("move", _STOPPED_BY_OTHERS, _LOOK)
 
-    def _require_way(self, place: Place, target: int) -> None:
-        lag_mm = self._mm(place.command - place.feedback)
+    def _require_way(self, position: AzPosition, motion: MotionWatch) -> None:
+        """Require that nothing holds the axis back and that it has not run past its target."""
+        here_mm = self._mm(position.feedback)
+        lag_mm = self._mm(position.command - position.feedback)
         if abs(lag_mm) > self._settings.following_limit_mm:
-            self._end_motion(
-                f"is held back by {abs(lag_mm):.3g} mm at {self._mm(place.feedback):g} mm on the "
-                f"way to {self._mm(target):g} mm, at {self._settings.torque_limit_percent:g} % of "
-                "its current",
+            self._abort(
+                f"is held back by {abs(lag_mm):.3g} mm at {here_mm:g} mm on the way to "
+                f"{motion.target:g} mm, at {self._settings.torque_limit_percent:g} % of its "
+                "current",
                 "something is in the way; if it belongs there, raise torque_limit_percent",
             )
-        if self._mm(place.feedback - target) * self._way > self._past_mm:
-            self._end_motion(
-                f"ran past its target: it is at {self._mm(place.feedback):g} mm on the way to "
-                f"{self._mm(target):g} mm",
+        if motion.has_passed(here_mm):
+            self._abort(
+                f"ran past its target: it is at {here_mm:g} mm on the way to {motion.target:g} mm",
                 "look at the sensor and at the drive's settings before it moves again",
             )
 
-    def _end_motion(self, cause: str, hint: str) -> None:
-        """Stop, then say why."""
-        self._target = None
-        with contextlib.suppress(InstrumentError):  # why it is stopped is the news
-            self._say_stop(charge=True)
+    def _abort(self, cause: str, hint: str) -> None:
+        """Stop, then raise."""
+        self._motion = None
+        with contextlib.suppress(InstrumentError):  # the cause is what has to be reported
+            self._send_stop(charge=True)
         raise self._error("move", cause, hint)
 
-    def _why_refused(self, refused: RefusedError) -> InstrumentError:
-        """What the drive shows after it would not start."""
-        state = self._look()
-        if state.inputs & Input.STOP:
-            return self._error("move", "the axis was stopped by somebody else", "stop it first")
+    def _why_refused(self, refused: AzRefusalError) -> InstrumentError:
+        """The error for a motion that the drive refused to start."""
+        state = self._poll()
+        if state.inputs & AzInput.STOP:
+            return self._error("move", _HELD_BY_OTHERS, "stop the axis first, which lifts it")
         return refused
 
-    def _mind_the_line(self) -> None:
-        unheard = self._line.unheard()
-        if unheard is not None:
-            device, silent_s = unheard
+    def _check_peer_drives(self) -> None:
+        """Raise for a drive of this line that has gone silent while another one is talked to."""
+        silent = self._line.silent_peer()
+        if silent is not None:
+            device, silent_s = silent
             raise InstrumentError(
                 device,
                 "keep alive",
                 f"has not answered for {silent_s:.1f} s while another drive on {self._line.path} "
-                "is talked to, which feeds its communication time-out: it may go on moving",
+                "is talked to, which feeds its communication time-out: it may still be moving",
                 "switch it off by hand if it moves; check its cable and its power",
             )
 
     def _just_seen_on_its_way(self) -> bool:
-        now_s, target = self._clock.now(), self._target
+        now_s, motion = self._clock.now(), self._motion
         return (
-            target is not None
-            and now_s - self._place_at_s <= JUST_SEEN_S
+            motion is not None
+            and now_s - self._position_at_s <= JUST_SEEN_S
             and now_s - self._state_at_s <= OVERDUE * self._keep_alive_s()
-            and now_s <= self._arrive_by_s
-            and not self._is_there(self._place.feedback, target)
+            and now_s <= motion.arrive_by_s
+            and not self._is_there(self._mm(self._position.feedback), motion)
         )
 
-    def _is_there(self, feedback: int, target: int) -> bool:
-        return abs(self._mm(feedback - target)) <= self._settings.position_tolerance_mm
-
-    def _refuse_if_made_safe(self, command: str) -> None:
-        if self._made_safe != self._rearmed:
-            raise self._error(
-                command, "the axis was made safe meanwhile", "stop it before the next motion"
-            )
+    def _is_there(self, here_mm: float, motion: MotionWatch) -> bool:
+        return abs(here_mm - motion.target) <= self._settings.position_tolerance_mm
 
     def _alarmed(self, code: int) -> InstrumentError:
-        self._target, self._abspen_seen = None, -1
+        self._motion, self._abspen_seen = None, -1
         known = ALARMS.get(code)
         meaning = known.meaning if known else "see the drive's manual"
         remedy = known.remedy if known else "look the number up in the vendor's software"
@@ -643,25 +685,27 @@ class Axis:
         return max(UPDATE_S, (line.exchange_s(look) + line.exchange_s(target)) / (1 - kept_alive))
 
 
-_HOMED = Internal.HOME_END | Internal.ABSPEN
+_HOMED = AzInternalOutput.HOME_END | AzInternalOutput.ABSPEN
 _LOOK = "look at the drive's display and at the axis"
+_STOPPED_BY_OTHERS = (
+    "the motion was stopped, not on our command (make-safe from another terminal, or the drive "
+    "itself)"
+)
+_HELD_BY_OTHERS = "a stop stands in the drive, not on our command (make-safe from another terminal)"
 
 
-def connect(settings: Settings, clock: Clock) -> Axis:
+class _StopStandsError(Exception):
+    """The STOP input may not be lifted: the axis has been made safe meanwhile."""
+
+
+def connect(settings: OrientalAzSettings, clock: Clock) -> AzAxis:
     """Connect to the drive, leaving its axis at rest and its own limits set."""
-    line = RtuLine.shared(settings.port, settings.baudrate, settings.parity, clock, settings.role)
-    axis = Axis(settings, clock, line)
-    try:
-        axis.prepare()
-    except BaseException:
-        axis.close()
-        raise
-    return axis
+    line = AzLine.shared(settings.port, settings.baudrate, settings.parity, clock, settings.role)
+    return prepared(AzAxis(settings, clock, line))
 
 
-def make_safe(settings: Settings) -> None:
-    """Stop the axis over a connection of its own and wait for rest; idempotent."""
+def make_safe(settings: OrientalAzSettings) -> None:
+    """Stop the axis over a connection of its own and wait for rest; may be called repeatedly."""
     clock = WallClock()
-    line = RtuLine(settings.port, settings.baudrate, settings.parity, clock)
-    with contextlib.closing(Axis(settings, clock, line)) as axis:
-        axis.stop_and_wait()
+    line = AzLine(settings.port, settings.baudrate, settings.parity, clock)
+    stop_and_close(AzAxis(settings, clock, line))

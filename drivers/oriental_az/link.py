@@ -1,7 +1,7 @@
 """A Modbus RTU line with AZ drives on it: one request at a time, and no answer taken for another's.
 
 What is written and read, nothing about motion. Every request is sent once: only the caller knows
-whether a repetition is harmless. The drives of one RS-485 line share one `RtuLine` in a process;
+whether a repetition is harmless. The drives of one RS-485 line share one `AzLine` in a process;
 each has its own `AzLink` on it, with its own time-out and its own name in errors.
 
 RTU answers say neither which request nor which moment they belong to. What keeps a late, doubled or
@@ -27,7 +27,7 @@ import itertools
 import struct
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -75,7 +75,7 @@ _CRC_TABLE = tuple(_crc_of(byte) for byte in range(256))
 
 
 @dataclass(frozen=True)
-class Request:
+class AzRequest:
     """One frame to a drive, and how its answer begins and how long it is."""
 
     unit: int
@@ -101,23 +101,23 @@ class Request:
         return begins and len(frame) == self.answer_bytes
 
 
-def reading(unit: int, address: int, count: int) -> Request:
+def reading(unit: int, address: int, count: int) -> AzRequest:
     """`count` registers from `address` on."""
     pdu = struct.pack(">BHH", READ, address, count)
-    return Request(unit, pdu, bytes((READ, 2 * count)), 5 + 2 * count)
+    return AzRequest(unit, pdu, bytes((READ, 2 * count)), 5 + 2 * count)
 
 
-def writing(unit: int, address: int, words: Sequence[int]) -> Request:
+def writing(unit: int, address: int, words: Sequence[int]) -> AzRequest:
     """Consecutive registers; the answer repeats address and count."""
     head = struct.pack(">BHH", WRITE, address, len(words))
     body = struct.pack(f">B{len(words)}H", 2 * len(words), *words)
-    return Request(unit, head + body, head, 8)
+    return AzRequest(unit, head + body, head, 8)
 
 
-def echoing(unit: int, number: int) -> Request:
+def echoing(unit: int, number: int) -> AzRequest:
     """A number that comes back; nothing else happens."""
     pdu = struct.pack(">BHH", ECHO, 0, number)
-    return Request(unit, pdu, pdu, 8)
+    return AzRequest(unit, pdu, pdu, 8)
 
 
 class NoAnswerError(Exception):
@@ -128,14 +128,14 @@ class BrokenAnswerError(Exception):
     """Bytes that are no frame, or a port that failed."""
 
 
-class RtuLine:
+class AzLine:
     """One serial port with drives on it; any thread may ask.
 
     Waits of the line's own are on the bench's clock, where the caller may wait on it: so a bench
     whose time is slaved has the pace of a real line.
     """
 
-    _open: ClassVar[dict[str, RtuLine]] = {}
+    _open: ClassVar[dict[str, AzLine]] = {}
     _opening = threading.Lock()
 
     def __init__(self, path: str, baudrate: int, parity: str, clock: Clock):
@@ -158,10 +158,10 @@ class RtuLine:
         self._numbers = itertools.cycle(range(1, 0x10000))
         self._heard_s: dict[int, float] = {}
         self._watched: dict[int, tuple[str, float]] = {}
-        self._told: set[int] = set()
+        self._reported: set[int] = set()
 
     @classmethod
-    def shared(cls, path: str, baudrate: int, parity: str, clock: Clock, device: str) -> RtuLine:
+    def shared(cls, path: str, baudrate: int, parity: str, clock: Clock, device: str) -> AzLine:
         """The line at `path`, which all its drives use together; each lets go by `release`.
 
         InstrumentError where it is in use with other settings.
@@ -183,12 +183,12 @@ class RtuLine:
 
     def release(self) -> None:
         """One user less; the last one closes the port."""
-        with RtuLine._opening:
+        with AzLine._opening:
             self._users -= 1
             if self._users <= 0:
                 self.close()
-                if RtuLine._open.get(self.path) is self:
-                    del RtuLine._open[self.path]
+                if AzLine._open.get(self.path) is self:
+                    del AzLine._open[self.path]
 
     def close(self) -> None:
         """Close the port; the next request opens it again."""
@@ -198,25 +198,26 @@ class RtuLine:
     # --- who has been heard -------------------------------------------------------------------
 
     def forget(self, unit: int) -> None:
-        """Nobody minds this drive any more."""
+        """Stop watching this drive for silence."""
         self._watched.pop(unit, None)
 
     def watch(self, unit: int, device: str, patience_s: float) -> None:
-        """From now on `unheard` minds this drive."""
+        """Have `silent_peer` watch this drive from now on."""
         self._watched[unit] = device, patience_s
         self._heard_s[unit] = self._clock.now()
 
-    def unheard(self) -> tuple[str, float] | None:
-        """A drive that has not answered for longer than its communication time-out while another
-        one has, which feeds both, and for how many s; each silence is told once."""
+    def silent_peer(self) -> tuple[str, float] | None:
+        """A watched drive that has not answered for longer than its communication time-out while
+        another one has, which feeds both, and for how many s; None where all answer. Each silence
+        is reported once."""
         now_s = self._clock.now()
         last_s = max(self._heard_s.values(), default=now_s)
         for unit, (device, patience_s) in self._watched.items():
             silent_s = now_s - self._heard_s[unit]
             if silent_s <= patience_s:
-                self._told.discard(unit)
-            elif now_s - last_s <= patience_s and unit not in self._told:
-                self._told.add(unit)
+                self._reported.discard(unit)
+            elif now_s - last_s <= patience_s and unit not in self._reported:
+                self._reported.add(unit)
                 return device, silent_s
         return None
 
@@ -243,11 +244,20 @@ class RtuLine:
         finally:
             del self._waits[wait]
 
-    def exchange(self, request: Request, timeout_s: float, trusting: bool = False) -> bytes:
-        """The answer's PDU; what is left of the line's silence passes in wall time.
+    def exchange(
+        self,
+        request: AzRequest,
+        timeout_s: float,
+        trusting: bool = False,
+        permit: Callable[[], None] = lambda: None,
+    ) -> bytes:
+        """Send a request and return the PDU of its answer; what is left of the line's silence
+        passes in wall time.
 
         A drive that owes an answer echoes first, unless `trusting`: then the request is sent in any
-        case, and any answer of its kind is taken. Raises NoAnswerError or BrokenAnswerError.
+        case, and any answer of its kind is taken. `permit` is called last, when nothing but the
+        request itself is left to be sent; what it raises is raised. Otherwise raises NoAnswerError
+        or BrokenAnswerError.
         """
         import termios
 
@@ -258,6 +268,7 @@ class RtuLine:
                 self._open_port()
                 if not trusting and request.unit in self._doubtful | {request.unit} - self._known:
                     self._synchronise(request.unit, timeout_s)
+                permit()
                 return self._ask(request, timeout_s)
             except NoAnswerError:
                 self._doubtful.add(request.unit)
@@ -284,7 +295,7 @@ class RtuLine:
         self._doubtful.discard(unit)
         self._known.add(unit)
 
-    def _ask(self, request: Request, timeout_s: float) -> bytes:
+    def _ask(self, request: AzRequest, timeout_s: float) -> bytes:
         give_up = self._send(request) + timeout_s
         got = b""
         while True:
@@ -295,7 +306,7 @@ class RtuLine:
                 self._answered(request)
                 return frame[1:-2]
 
-    def _send(self, request: Request) -> float:
+    def _send(self, request: AzRequest) -> float:
         """When it was sent, in wall time."""
         time.sleep(max(0.0, self._free_at_s - self._clock.now()))
         self._port.reset_input_buffer()
@@ -312,17 +323,17 @@ class RtuLine:
             raise NoAnswerError(f"only {got.hex(' ')} came" if got else "")
         return data
 
-    def _answered(self, request: Request) -> None:
+    def _answered(self, request: AzRequest) -> None:
         now_s = self._clock.now()
         self._heard_s[request.unit] = now_s
         self._free_at_s = max(self._free_at_s, now_s + self._gap_s)
 
-    def _wire_s(self, request: Request) -> float:
+    def _wire_s(self, request: AzRequest) -> float:
         """What request and answer take on the line."""
         on_wire = len(request.pdu) + 3 + request.answer_bytes
         return on_wire * BITS_A_BYTE / self._baudrate + RESPONSE_WAIT_S
 
-    def exchange_s(self, request: Request) -> float:
+    def exchange_s(self, request: AzRequest) -> float:
         """What it takes in all, up to when the next may be sent."""
         return self._wire_s(request) + self._gap_s
 
@@ -373,7 +384,7 @@ def _first_frame(got: bytes) -> tuple[bytes | None, bytes]:
 class AzLink:
     """One drive on a line. `device` is the name used in errors; the time-out is wall time."""
 
-    def __init__(self, device: str, line: RtuLine, unit_id: int, timeout_s: float, clock: Clock):
+    def __init__(self, device: str, line: AzLine, unit_id: int, timeout_s: float, clock: Clock):
         self.device = device
         self.line = line
         self.where = f"unit {unit_id} on {line.path}"
@@ -392,13 +403,22 @@ class AzLink:
         return list(struct.unpack(f">{count}H", pdu[2:]))
 
     def write(
-        self, address: int, words: Sequence[int], charge: bool = True, urgent: bool = False
+        self,
+        address: int,
+        words: Sequence[int],
+        charge: bool = True,
+        urgent: bool = False,
+        permit: Callable[[], None] = lambda: None,
     ) -> None:
         """Write consecutive registers in one request, without waiting on the bench's clock: call
-        `line.wait_until_free` before, where that may be. `charge` off: a time-out does not move
-        that clock. `urgent`: sent whatever the drive owes; what came of it has to be read."""
+        `line.wait_until_free` before, where that may be.
+
+        `charge` off: a time-out does not move that clock. `urgent`: sent whatever the drive owes;
+        what came of it has to be read. `permit` is called when it is this request's turn and
+        nothing has been sent; what it raises keeps the request from being sent.
+        """
         request = writing(self._unit, address, words)
-        self._ask(f"write register {address:04X}h", request, charge, urgent)
+        self._ask(f"write register {address:04X}h", request, charge, urgent, permit)
 
     def read_value(self, address: int) -> int:
         """A signed 32-bit value, upper register first."""
@@ -428,8 +448,8 @@ class AzLink:
             self.line.release()
 
     @contextlib.contextmanager
-    def _told(self, what: str, charge: bool) -> Iterator[None]:
-        """The line's failures as InstrumentErrors."""
+    def _line_errors(self, what: str, charge: bool) -> Iterator[None]:
+        """Turn the line's failures into InstrumentErrors."""
         try:
             yield
         except NoAnswerError as nothing:
@@ -452,12 +472,19 @@ class AzLink:
                 f"check the cable, and baudrate and parity of {self.where}",
             ) from broken
 
-    def _ask(self, what: str, request: Request, charge: bool, trusting: bool = False) -> bytes:
-        with self._told(what, charge):
-            pdu = self.line.exchange(request, self._timeout_s, trusting)
+    def _ask(
+        self,
+        what: str,
+        request: AzRequest,
+        charge: bool,
+        trusting: bool = False,
+        permit: Callable[[], None] = lambda: None,
+    ) -> bytes:
+        with self._line_errors(what, charge):
+            pdu = self.line.exchange(request, self._timeout_s, trusting, permit)
         if pdu[0] & 0x80:
             code = pdu[1]
-            raise RefusedError(
+            raise AzRefusalError(
                 self.device,
                 what,
                 f"the drive refused it (Modbus exception {code}: {EXCEPTIONS.get(code, '?')})",
@@ -478,7 +505,7 @@ class AzLink:
             self.charging = False
 
 
-class RefusedError(InstrumentError):
+class AzRefusalError(InstrumentError):
     """The drive answered, and would not."""
 
     def __init__(self, device: str, command: str, cause: str, hint: str, exception: int):

@@ -12,7 +12,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from rig.core.settings import Settings as BaseSettings
+from rig.core.settings import Settings
 
 LARGEST_STEP = 2**31 - 1
 """Positions travel as signed 32-bit integers."""
@@ -67,7 +67,7 @@ ALARMS: Mapping[int, Alarm] = {
 """In our words."""
 
 
-class Settings(BaseSettings):
+class OrientalAzSettings(Settings):
     """Where the drive is, what its numbers mean and what the axis may do."""
 
     driver: Literal["oriental-az"] = "oriental-az"

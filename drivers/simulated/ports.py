@@ -1,19 +1,23 @@
-"""What the simulated instruments ask of the World they stand in: ports, no implementation.
+"""Ports between the parts of a simulated bench: protocols and values, no implementation.
 
-A simulated instrument knows its own terminals and the World's time; it never knows what is wired to
-those terminals. The World implements these protocols; a test may implement them with a few lines of
-ideal physics.
+What the instruments ask of the World they stand in: a simulated instrument knows its own terminals
+and the World's time, never what is wired to those terminals. The World implements these protocols;
+a test may implement them with a few lines of ideal physics.
+
+What a transport asks of an instrument on a serial line (`SerialInstrument`): it stands here so that
+the World may watch such a line without knowing any transport.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from drivers.simulated.task_log import Beginnings
+from drivers.simulated.task_log import TaskLog
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,7 @@ class Excitation:
     phase_rad: float
 
 
-class Timeline(Protocol):
+class TimePort(Protocol):
     """The World's time."""
 
     @property
@@ -39,7 +43,7 @@ class Timeline(Protocol):
         ...
 
 
-class GeneratorPort(Timeline, Protocol):
+class GeneratorPort(TimePort, Protocol):
     """Where a signal generator's output terminals end."""
 
     def excite(self, channel: int, excitation: Excitation, by: str) -> None:
@@ -47,7 +51,7 @@ class GeneratorPort(Timeline, Protocol):
         ...
 
 
-class AnalogueInputPort(Timeline, Protocol):
+class AnalogueInputPort(TimePort, Protocol):
     """What a data acquisition unit's input terminals see."""
 
     def begin_acquisition(self) -> int:
@@ -73,12 +77,12 @@ class AnalogueInputPort(Timeline, Protocol):
         ...
 
 
-class BeginningsPort(Protocol):
-    """Where it is told what begins."""
+class TaskLogPort(Protocol):
+    """Where an instrument records that a task of its own begins."""
 
     @property
-    def beginnings(self) -> Beginnings:
-        """Of tasks and acquisitions."""
+    def tasks(self) -> TaskLog:
+        """The bench's log of tasks and acquisitions."""
         ...
 
 
@@ -87,4 +91,42 @@ class LogPort(Protocol):
 
     def log(self, device: str, what: str, value: object, by: str) -> None:
         """Write down that ``by`` changed ``what`` of ``device`` to ``value``, now."""
+        ...
+
+
+class DrivePort(TimePort, LogPort, TaskLogPort, Protocol):
+    """What a simulated drive stands in."""
+
+
+class AxisPort(DrivePort, Protocol):
+    """What a drive with a linear axis stands in: something may push against its carriage."""
+
+    def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
+        """Force in N along the axis's positive direction on its carriage, standing at
+        `position_mm` at a World time that is not in the future."""
+        ...
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """One request, as a fault plan names it, and its reply; None where there is none."""
+
+    request: bytes
+    reply: bytes | None
+    device: str = ""
+    """Which of several devices on the line replies."""
+    delay_s: float = 0.0
+    """When the reply has arrived in real time, wire time included. In slaved time it comes at
+    once: a client that models the line's time lets it pass itself."""
+
+
+class SerialInstrument(Protocol):
+    """A simulated instrument on a serial line."""
+
+    def exchanges(self, data: bytes, by: str) -> Iterable[Exchange]:
+        """Take bytes from the line; returns the requests that they complete, with their replies."""
+        ...
+
+    def frames_until(self, now_us: int) -> bytes:
+        """What the instrument sends without being asked since the last call; empty for most."""
         ...

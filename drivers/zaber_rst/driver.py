@@ -29,6 +29,14 @@ import math
 import re
 from collections.abc import Callable, Mapping
 
+from drivers.shared.stage import (
+    MotionRefusedError,
+    MotionWatch,
+    StageInterlock,
+    Ticket,
+    prepared,
+    stop_and_close,
+)
 from drivers.zaber_rst.frames import Reply
 from drivers.zaber_rst.link import ZaberLink
 from drivers.zaber_rst.settings import (
@@ -39,13 +47,17 @@ from drivers.zaber_rst.settings import (
     REASONS,
     UNKNOWN_FLAG,
     UNKNOWN_REASON,
-    Settings,
+    ZaberRstSettings,
 )
 from rig.core.clock import Clock, WallClock
-from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError
 from rig.instruments.roles import Identity, Reach
 
 ROLES = ("rotary",)
+"""The roles this driver can play."""
+
+Settings = ZaberRstSettings
+"""The settings of a bench file, under the name by which the bench asks any driver for them."""
 
 DEVICE = "rotary"
 THE_DEVICE = 0
@@ -59,21 +71,21 @@ SETTLING_S = 1.0
 """What a motion may take beyond its profile."""
 SETTLED_S = 0.2
 """How long a stage that reports no motion may stand beside its target, for its loop to settle."""
-PAST_deg = 0.1
-"""How far beyond its target a stage may be seen that has come to it from rest."""
+MAX_OVERTRAVEL_deg = 0.1
+"""How far beyond its target a stage may be seen that has started from rest."""
 
 _NUMBER = re.compile(r"-?\d+(\.\d+)?")
 _LOOK = "look at the stage and at what is mounted on it"
 
 
-class RotaryAxis:
+class ZaberAxis:
     """One axis. `connect` has identified it and set its limits.
 
     One thread at a time commands motions; any thread may call `stop` or `make_safe` at any time: a
     turn that another thread was about to send is not sent afterwards.
     """
 
-    def __init__(self, settings: Settings, clock: Clock):
+    def __init__(self, settings: ZaberRstSettings, clock: Clock):
         self._settings = settings
         self._clock = clock
         self._link = ZaberLink(
@@ -86,32 +98,22 @@ class RotaryAxis:
         )
         self._identity: Identity | None = None
         self._position = "pos"
-        """The setting that tells the angle: the encoder's, where there is one."""
-        self._made_safe = 0
-        """How often the stage was made safe, and how many of these a stop has answered."""
-        self._rearmed = 0
+        """The setting that holds the angle: the encoder's, where there is one."""
+        self._interlock = StageInterlock(DEVICE, "stage")
         self._referenced = False
         self._disturbed = ""
         """The flag that keeps it from turning until it is homed."""
-        self._halting = False
-        self._halts = 0
-        """How often it was told to stop and wait for rest."""
-        self._let_go = False
+        self._closed = False
         self._seen_deg = 0.0
         self._seen_busy = False
         self._seen_at_s = -math.inf
         self._idle_from_s = math.inf
         """Since when it has reported no motion; infinite while it moves."""
-        self._target_deg: float | None = None
-        """Where the turn under way ends."""
-        self._way = 0
-        """In which direction: 1, -1, or 0 where it stood there."""
-        self._past_deg = PAST_deg
-        """How far beyond the target it may be seen."""
+        self._motion: MotionWatch | None = None
+        """The turn under way; None where there is none. Another thread's stop clears it."""
         self._full_stop_s = settings.max_speed_deg_s / settings.max_acceleration_deg_s2
         self._braking_s = self._full_stop_s
-        """What a stop takes at most: it may brake with the turn's own acceleration."""
-        self._arrive_by_s = 0.0
+        """How long a stop may take: the stage may brake with the turn's own acceleration."""
 
     # --- the role -----------------------------------------------------------------------------
 
@@ -139,42 +141,53 @@ class RotaryAxis:
     def home(self) -> None:
         """Acknowledge the stage's flags, find the reference and wait for it.
 
-        InstrumentError where a flag stands on or appears meanwhile.
+        Raises InstrumentError where a flag remains or appears meanwhile.
         """
+        ticket = self._interlock.ticket()
         self._halt()
-        self._move("warnings clear", "home")
+        ticket = ticket.after_own_stop()
+        self._move("warnings clear", ticket, "home")
         self._referenced, self._disturbed = False, ""
-        self._move("home", "home")
+        self._move("home", ticket, "home")
         give_up = self._clock.now() + self._settings.homing_timeout_s
-        while self._look():
-            self._refuse_if_made_safe("home")
+        while self._poll():
+            self._interlock.permit(ticket, "home")
             if self._clock.now() > give_up:
                 raise self._error(
-                    "home", f"still searches after {self._settings.homing_timeout_s:g} s", _LOOK
+                    "home",
+                    f"is still searching after {self._settings.homing_timeout_s:g} s",
+                    _LOOK,
                 )
             self._clock.sleep(POLL_S)
+        self._interlock.permit(ticket, "home")  # a stop ends homing as finding the reference does
         if left := self._doubts():
             raise self._flagged("home", left)
         self._referenced = True
 
     def angle_deg(self) -> float:
         """The angle by the encoder; without one, the angle that the stage has counted."""
-        self._look()
+        self._poll()
         return self._seen_deg
 
     def start_turn(self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> None:
         """Begin to turn there, or change the turn under way; LimitError outside `reach`.
 
-        From rest the flags are asked for first. A turn under way is changed by one command, whose
-        answer tells the flags as well: one that it brings stops the stage. What came and went since
-        the last keep-alive is not seen, and a hand at the knob is overruled by the next set point.
+        From rest the flags are read first. A turn under way is changed by one command, whose answer
+        carries the gravest flag as well: one that disturbs stops the stage. What came and went
+        since the last keep-alive is not seen, and the next set point overrides a hand at the knob.
+        Raises InstrumentError with nothing sent where another thread stops the stage or makes it
+        safe meanwhile.
         """
-        halts = self._halts
+        self._start(angle_deg, speed_deg_s, acceleration_deg_s2)
+
+    def _start(self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> Ticket:
+        """`start_turn`; returns the ticket of the turn."""
+        ticket = self._interlock.ticket()
         self._require_reach(angle_deg, speed_deg_s, acceleration_deg_s2)
         self._require_undisturbed("turn")
-        fresh = self._target_deg is None
+        fresh = self._motion is None
         if fresh:
-            self._look()
+            self._poll()
             if doubt := self._doubts():
                 raise self._flagged("turn", doubt)
         own = self._settings
@@ -182,65 +195,75 @@ class RotaryAxis:
             f"move abs {own.microsteps(angle_deg)} {own.speed_data(speed_deg_s)} "
             f"{own.acceleration_data(acceleration_deg_s2)}"
         )
-        self._refuse_if_made_safe("turn")
-        self._expect(angle_deg, speed_deg_s, acceleration_deg_s2, fresh)
-        reply = self._move(words, "turn", halts)
+        self._interlock.require_armed("turn")
+        # Set before it is sent: a turn whose answer is lost has to be watched all the same.
+        self._motion = self._watch(angle_deg, speed_deg_s, acceleration_deg_s2, fresh)
+        try:
+            reply = self._move(words, ticket, "turn")
+        except (MotionRefusedError, ZaberRejectionError):
+            self._motion = None
+            raise
         if self._note(reply.flag):
-            with contextlib.suppress(InstrumentError):  # the flag is the news
+            with contextlib.suppress(InstrumentError):  # the flag is what has to be reported
                 self._command("stop")
             raise self._flagged("turn", reply.flag)
+        return ticket
 
     def moving(self) -> bool:
-        """Whether a turn is under way; a flag, or a turn that ended elsewhere, raises."""
-        busy = self._look()
-        self._refuse_if_made_safe("turn")
+        """Whether a turn is under way; raises InstrumentError for a flag and for a turn that ended
+        elsewhere."""
+        busy = self._poll()
+        self._interlock.require_armed("turn")
         self._require_undisturbed("turn")
-        target_deg = self._target_deg  # another thread may stop the stage
-        if target_deg is None:
+        motion = self._motion  # another thread may stop the stage
+        if motion is None:
             return busy
-        missing_deg = abs(self._seen_deg - target_deg)
+        missing_deg = abs(self._seen_deg - motion.target)
         if not busy and missing_deg <= self._settings.angle_tolerance_deg:
-            self._target_deg = None
+            self._motion = None
             return False
         now = self._clock.now()
-        if now > self._arrive_by_s or now - self._idle_from_s > SETTLED_S:
+        if now > motion.arrive_by_s or now - self._idle_from_s > SETTLED_S:
             stands = "is still turning, at" if busy else "stands at"
-            self._target_deg = None
+            self._motion = None
             raise self._error(
                 "turn",
-                f"{stands} {self._seen_deg:.4f} deg and has not arrived at {target_deg:.4f} deg",
+                f"{stands} {self._seen_deg:.4f} deg and has not arrived at {motion.target:.4f} deg",
                 "look for what holds or slows the stage, then stop it",
             )
         return True
 
     def turn_to(self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> None:
-        """Turn there, wait, and verify by the encoder, or without one by the stage's count."""
-        self.start_turn(angle_deg, speed_deg_s, acceleration_deg_s2)
+        """Turn there, wait, and verify by the encoder, or without one by the stage's count.
+
+        Raises InstrumentError where another thread stops the stage or makes it safe on its way.
+        """
+        ticket = self._start(angle_deg, speed_deg_s, acceleration_deg_s2)
         while self.moving():
             self._clock.sleep(POLL_S)
+        self._interlock.permit(ticket, "turn")
 
     def stop(self) -> None:
-        """Stop and wait for rest; afterwards a stage that was made safe may turn again.
+        """Stop and wait for rest; a stage that was made safe may turn again.
 
-        A flag does not keep it from being verified, nor is it acknowledged.
+        A flag does not keep the stop from being verified, nor is it acknowledged.
         """
-        answered = self._made_safe
-        self._halt()
-        self._rearmed = answered
+        self._halt(rearm=True)
 
     def keep_alive(self) -> None:
-        """Ask for angle, status and flag, unless that has just been done; a flag raises, once when
-        it appears, and so does a stage that runs past its target. Nobody is asked after `close`."""
+        """Ask for angle, status and flag, unless that has just been done, or after `close`. Raises
+        InstrumentError for a flag once, when it appears, and for a stage that runs past its
+        target."""
         if (
-            self._let_go
+            self._closed
             or self._link.charging
             or self._clock.now() - self._seen_at_s < KEEP_ALIVE_S
         ):
             return
-        if self._halting:
+        if self._interlock.is_stopping:
             self._read()
         else:
-            self._look()
+            self._poll()
 
     def make_safe(self) -> None:
         """Command a stop and have the stage take it.
@@ -248,19 +271,16 @@ class RotaryAxis:
         It waits for the answer, not for time, so that a watcher may call it while the bench's clock
         stands: the stage is at rest after speed / acceleration at most. No turn is begun afterwards
         until `stop` has been called, which waits for rest. A connection that turns out to be broken
-        is opened anew, once: a stop may arrive twice.
+        is opened anew, once.
         """
-        self._made_safe += 1
-        try:
-            self._command("stop", charge=False)
-        except InstrumentTimeoutError:
-            raise
-        except InstrumentError:
-            self._command("stop", charge=False)
+        self._interlock.make_safe(self._command_stop)
+
+    def _command_stop(self) -> None:
+        self._command("stop", charge=False)
 
     def close(self) -> None:
-        """Let go of the port; a turn under way goes on to its target."""
-        self._let_go = True
+        """Close the port; a turn under way continues to its target."""
+        self._closed = True
         self._link.close()
 
     # --- connecting ---------------------------------------------------------------------------
@@ -277,12 +297,12 @@ class RotaryAxis:
         self._disturbed = next((flag for flag in flags if self._disturbs(flag)), "")
 
     def stop_and_wait(self) -> None:
-        """A stop for somebody who only came to stop."""
+        """Stop and wait for rest, whatever state the stage is in."""
         self._halt()
 
     def _identify(self) -> None:
-        number = self._tell("deviceid")
-        serial, firmware = self._tell("system.serial"), self._tell("version")
+        number = self._device_setting("deviceid")
+        serial, firmware = self._device_setting("system.serial"), self._device_setting("version")
         turn = self._turn()
         parts = re.fullmatch(r"(\d+)\.(\d+)", firmware)
         version = (int(parts[1]), int(parts[2])) if parts else (0, 0)
@@ -356,31 +376,33 @@ class RotaryAxis:
 
     # --- a motion and its watch ---------------------------------------------------------------
 
-    def _expect(
+    def _watch(
         self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float, fresh: bool
-    ) -> None:
+    ) -> MotionWatch:
         """What is to be seen of a turn from now on, whether its answer comes or not."""
         fastest = self._settings.max_speed_deg_s
-        way = angle_deg - self._seen_deg
         turning_s = speed_deg_s / acceleration_deg_s2
-        self._past_deg = PAST_deg
+        overtravel_deg = MAX_OVERTRAVEL_deg
         if fresh:
             self._braking_s = max(turning_s, self._full_stop_s)
         else:  # it moves already: it may have to come back, and was seen a while ago
             self._braking_s = max(turning_s, self._braking_s)
             turning_s += 2 * fastest / acceleration_deg_s2
-            self._past_deg += fastest * (KEEP_ALIVE_S + fastest / (2 * acceleration_deg_s2))
-        passing_s = (abs(way) + 2 * self._past_deg) / speed_deg_s
-        self._target_deg, self._way = angle_deg, (way > 0) - (way < 0)
+            overtravel_deg += fastest * (KEEP_ALIVE_S + fastest / (2 * acceleration_deg_s2))
+        passing_s = (abs(angle_deg - self._seen_deg) + 2 * overtravel_deg) / speed_deg_s
         self._idle_from_s = math.inf
-        self._arrive_by_s = self._clock.now() + passing_s + turning_s + SETTLING_S
+        return MotionWatch.towards(
+            angle_deg,
+            self._seen_deg,
+            overtravel_deg,
+            passing_s + turning_s + SETTLING_S,
+            self._clock.now(),
+        )
 
-    def _halt(self) -> None:
-        """Stop and wait for rest; flags are not news meanwhile."""
-        self._halts += 1
-        self._target_deg = None
-        self._halting = True
-        try:
+    def _halt(self, rearm: bool = False) -> None:
+        """Stop and wait for rest; flags are not reported meanwhile."""
+        with self._interlock.stopping(rearm):
+            self._motion = None
             self._command("stop")
             longest_s = self._braking_s + SETTLING_S
             give_up = self._clock.now() + longest_s
@@ -388,27 +410,23 @@ class RotaryAxis:
                 if self._clock.now() > give_up:
                     raise self._error("stop", f"is still turning after {longest_s:g} s", _LOOK)
                 self._clock.sleep(POLL_S)
-        finally:
-            self._halting = False
 
-    def _look(self) -> bool:
-        """Whether it is busy; a flag that has just appeared raises, and so does a stage that runs
-        past its target, which is stopped first."""
+    def _poll(self) -> bool:
+        """Whether the stage is busy; a flag that has just appeared raises, and so does a stage that
+        runs past its target, which is stopped first."""
         known = self._disturbed
         busy = self._read()
         if self._disturbed and not known:
             raise self._flagged("status", self._disturbed)
-        target_deg = self._target_deg  # another thread may stop the stage
-        if target_deg is None:
-            return busy
-        if (self._seen_deg - target_deg) * self._way > self._past_deg:
-            with contextlib.suppress(InstrumentError):  # that it runs away is the news
+        motion = self._motion  # another thread may stop the stage
+        if motion is not None and motion.has_passed(self._seen_deg):
+            with contextlib.suppress(InstrumentError):  # the overtravel is what has to be reported
                 self._command("stop")
-            self._target_deg = None
+            self._motion = None
             raise self._error(
                 "turn",
                 f"ran past its target: it is at {self._seen_deg:.4f} deg on the way to "
-                f"{target_deg:.4f} deg",
+                f"{motion.target:.4f} deg",
                 "look at the encoder and at the stage's settings before it turns again",
             )
         return busy
@@ -423,7 +441,7 @@ class RotaryAxis:
             self._idle_from_s = math.inf
         else:
             self._idle_from_s = min(self._idle_from_s, self._seen_at_s)
-        if not self._halting:
+        if not self._interlock.is_stopping:
             self._note(reply.flag)
         return reply.busy
 
@@ -453,7 +471,7 @@ class RotaryAxis:
         if not self._disturbs(flag):
             return False
         self._disturbed = self._disturbed or flag
-        self._target_deg = None
+        self._motion = None
         return True
 
     def _require_undisturbed(self, command: str) -> None:
@@ -466,21 +484,9 @@ class RotaryAxis:
 
     # --- one exchange -------------------------------------------------------------------------
 
-    def _move(self, words: str, command: str, halts: int | None = None) -> Reply:
-        """Send what could turn the stage, unless it has been made safe, or was stopped after so
-        many `halts`."""
-
-        def permit() -> None:
-            self._refuse_if_made_safe(command)
-            if halts not in (None, self._halts):
-                self._target_deg = None
-                raise self._error(command, "the stage was stopped meanwhile", "begin it again")
-
-        try:
-            return self._command(words, permit=permit)
-        except RejectedError:
-            self._target_deg = None
-            raise
+    def _move(self, words: str, ticket: Ticket, command: str) -> Reply:
+        """Send what could turn the stage, as the interlock permits."""
+        return self._command(words, permit=lambda: self._interlock.permit(ticket, command))
 
     def _command(
         self, words: str, charge: bool = True, permit: Callable[[], None] = lambda: None
@@ -492,11 +498,11 @@ class RotaryAxis:
         if reply.accepted:
             return reply
         known = REASONS.get(reply.data, UNKNOWN_REASON)
-        raise RejectedError(
+        raise ZaberRejectionError(
             DEVICE, words, f"rejected with {reply.data}: {known.meaning}", known.remedy
         )
 
-    def _tell(self, name: str) -> str:
+    def _device_setting(self, name: str) -> str:
         """A setting of the whole device."""
         words = f"get {name}"
         return self._accepted(words, self._link.ask(THE_DEVICE, words)).data
@@ -525,32 +531,19 @@ class RotaryAxis:
         ):
             reach[what].require(DEVICE, what, value)
 
-    def _refuse_if_made_safe(self, command: str) -> None:
-        if self._made_safe != self._rearmed:
-            raise self._error(
-                command, "the stage was made safe meanwhile", "stop it before the next motion"
-            )
-
     def _error(self, command: str, cause: str, hint: str) -> InstrumentError:
         return InstrumentError(DEVICE, command, cause, hint)
 
 
-class RejectedError(InstrumentError):
-    """The stage answered that it will not do it."""
+class ZaberRejectionError(InstrumentError):
+    """The stage rejected a command."""
 
 
-def connect(settings: Settings, clock: Clock) -> RotaryAxis:
+def connect(settings: ZaberRstSettings, clock: Clock) -> ZaberAxis:
     """Connect to the stage, leaving it at rest and its own limits set."""
-    axis = RotaryAxis(settings, clock)
-    try:
-        axis.prepare()
-    except BaseException:
-        axis.close()
-        raise
-    return axis
+    return prepared(ZaberAxis(settings, clock))
 
 
-def make_safe(settings: Settings) -> None:
-    """Stop the stage over a connection of its own and wait for rest; idempotent."""
-    with contextlib.closing(RotaryAxis(settings, WallClock())) as axis:
-        axis.stop_and_wait()
+def make_safe(settings: ZaberRstSettings) -> None:
+    """Stop the stage over a connection of its own and wait for rest; may be called repeatedly."""
+    stop_and_close(ZaberAxis(settings, WallClock()))

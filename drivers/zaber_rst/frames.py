@@ -25,7 +25,7 @@ _REPLY = re.compile(
 )
 
 
-class FrameError(ValueError):
+class ZaberFrameError(ValueError):
     """A line that is no message, or not the one that was sent."""
 
 
@@ -59,19 +59,20 @@ def check(body: bytes) -> int:
 def reply(line: bytes) -> Reply | None:
     """The reply in a line; None where the line is sound and answers nothing.
 
-    What stands before the last ``@`` is the rest of a message that was cut short. FrameError where
-    the check is missing or wrong, or where the line is neither reply, information nor alert.
+    What stands before the last ``@`` is the rest of a message that was cut short. Raises
+    ZaberFrameError where the check is missing or wrong, or where the line is neither reply,
+    information nor alert.
     """
     text = line.rstrip(b"\r\n")
     text = text[max(text.rfind(b"@"), 0) :]
     body, colon, told = text[1:].rpartition(b":")
     if text[:1] not in (b"@", b"#", b"!") or not colon or told != b"%02X" % check(body):
-        raise FrameError(f"it does not fit its checksum: {_shown(line)}")
+        raise ZaberFrameError(f"it does not fit its checksum: {_shown(line)}")
     if text[:1] != b"@":
         return None
     match = _REPLY.fullmatch(b"@" + body)
     if match is None:
-        raise FrameError(f"it is no reply: {_shown(line)}")
+        raise ZaberFrameError(f"it is no reply: {_shown(line)}")
     return Reply(
         int(match["device"]),
         int(match["axis"]),

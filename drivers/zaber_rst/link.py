@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Protocol
 from urllib.parse import urlsplit
 
 from drivers.zaber_rst import frames as zaber_frames
-from drivers.zaber_rst.frames import FrameError, Reply
+from drivers.zaber_rst.frames import Reply, ZaberFrameError
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ class ZaberLink:
                     raise
         except TimeoutError as error:
             raise self._timed_out(what, charge) from error
-        except FrameError as error:
+        except ZaberFrameError as error:
             raise self._error(what, f"the answer cannot be read ({error})") from error
         except (serial.SerialException, OSError, ValueError) as error:
             raise self._error(what, f"the connection failed ({error})") from error
@@ -181,7 +181,7 @@ class ZaberLink:
         """The next line; TimeoutError where none has come by the deadline."""
         while (end := self._input.find(b"\n")) < 0:
             if len(self._input) > LONGEST_LINE:
-                raise FrameError(f"{len(self._input)} bytes without an end")
+                raise ZaberFrameError(f"{len(self._input)} bytes without an end")
             if time.monotonic() > deadline:
                 raise TimeoutError
             self._input += port.read()

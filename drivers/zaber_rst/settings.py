@@ -4,8 +4,8 @@ Plain data: nothing here talks to a stage or knows a sequence. The names of the 
 those of the vendor's client zaber-motion 10.2.0. NOT CONFIRMED on a stage, and to be tried at the
 first bench; all of it stands here or is named here:
 
-* the microstep of a model (`Settings.microstep_deg` has no default for that reason): 0.00015625 deg
-  for an X-RST120AK, 0.000234375 deg for an X-RSW60A, both at resolution 64;
+* the microstep of a model (`ZaberRstSettings.microstep_deg` has no default for that reason):
+  0.00015625 deg for an X-RST120AK, 0.000234375 deg for an X-RSW60A, both at resolution 64;
 * how long a flag stands: NC until the next command to move, NI until one from rest, the faults
   F... until ``warnings clear``, WR and WH until homed (the firmware's manual as public clients
   quote it, of firmware 6);
@@ -26,7 +26,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from rig.core.settings import Settings as BaseSettings
+from rig.core.settings import Settings
 
 SPEED_DATA = 1.6384
 """Speed in the stage's numbers, by microsteps/s (zaber.com/w, A and X series)."""
@@ -110,7 +110,7 @@ REASONS: Mapping[str, Meaning] = {
 UNKNOWN_REASON = Meaning("for a reason that this program does not know", "look it up in the manual")
 
 
-class Settings(BaseSettings):
+class ZaberRstSettings(Settings):
     """Where the stage is, what its numbers mean and what it may do."""
 
     driver: Literal["zaber-rst"] = "zaber-rst"

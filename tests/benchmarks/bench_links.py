@@ -32,12 +32,15 @@ from drivers.me_gsv8.frames import request as gsv_request
 from drivers.oriental_az import driver as oriental_az
 from drivers.simulated.faults.plan import FaultPlan, ReplyFault, WireFault
 from drivers.simulated.faults.wire import WireFaults
-from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
 from drivers.simulated.instruments.keysight_33500b import Keysight33500B
 from drivers.simulated.instruments.me_gsv8 import Gsv8
-from drivers.simulated.instruments.oriental_az import POSITION, AzDrive
-from drivers.simulated.instruments.oriental_az import DriveSettings as AzDriveSettings
-from drivers.simulated.instruments.zaber_rst import ZABER_DIALECT, RotaryStage, StageSettings
+from drivers.simulated.instruments.oriental_az import POSITION, AzDrive, SimulatedAzSettings
+from drivers.simulated.instruments.zaber_rst import (
+    ZABER_DIALECT,
+    SimulatedRotarySettings,
+    SimulatedRotaryStage,
+)
 from drivers.simulated.transports.modbus_rtu import RtuLine
 from drivers.simulated.transports.modbus_tcp import ModbusTcpServer
 from drivers.simulated.transports.scpi_servers import HislipServer, ScpiSocketServer
@@ -76,7 +79,7 @@ class OneFault(WireFaults):
         self.dead = False
         self._request = request
 
-    def befalling(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
+    def fault_for(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
         if self.dead:
             return one("silence")
         if self.coming is None or not request.upper().startswith(self._request):
@@ -193,7 +196,7 @@ class Drive(Side):
 
     def __init__(self) -> None:
         super().__init__()
-        self._drive = CmmtDrive(DriveSettings(), AxisBench())
+        self._drive = CmmtDrive(SimulatedCmmtSettings(), AxisBench())
         self._server = ModbusTcpServer(self._drive, faults=self.faults)
 
     @property
@@ -279,7 +282,7 @@ class Stage(Side):
         self.name = f"Zaber {link}"
         self.faults.dialect = ZABER_DIALECT
         bench = IdealBench()
-        self._stage = RotaryStage(StageSettings(), bench)
+        self._stage = SimulatedRotaryStage(SimulatedRotarySettings(), bench)
         self._server: PtyServer | SerialTcpServer = (
             PtyServer(self._stage.line(), bench, slaved=True, faults=self.faults)
             if link == "serial"
@@ -332,7 +335,7 @@ class LineDrive(Side):
     def __init__(self) -> None:
         super().__init__()
         bench = AxisBench()
-        self._drive = AzDrive(AzDriveSettings("it"), bench)
+        self._drive = AzDrive(SimulatedAzSettings("it"), bench)
         self._server = PtyServer(
             RtuLine([self._drive], bench), bench, slaved=True, faults={"it": self.faults}
         )

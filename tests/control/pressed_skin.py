@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.simulated.world.axis import Axis, Command, Mechanics
+from drivers.simulated.world.axis import AxisCommand, Mechanics, SimulatedAxis
 from rig.control.approach import Approach
 from rig.control.force_servo import ContactShift, ForceServo, settings_from
 from rig.physics.contact.settings import ContactSettings, FrictionSettings, Plate
@@ -48,9 +48,9 @@ class PressedSkin:
     ):
         self._contact = ContactStepper(skin, ContactSettings(friction=friction), Plate())
         mechanics = Mechanics(start_mm=ORIGIN_mm - ABOVE_mm)
-        self._axis = Axis(mechanics, lambda position, t: 0.0)
+        self._axis = SimulatedAxis(mechanics, lambda position, t: 0.0)
         self._unit_mm = unit_mm
-        self._orders: list[tuple[int, Command]] = []
+        self._orders: list[tuple[int, AxisCommand]] = []
         self._rng = np.random.default_rng([35, seed])
         self._frames: list[float] = []
         self.now_ms = 0
@@ -72,7 +72,9 @@ class PressedSkin:
         """Send the axis there, to the nearest count; where that is."""
         counted = round(position_mm / self._unit_mm) * self._unit_mm
         acceleration = ACCELERATION_mm_s2
-        command = Command(ORIGIN_mm + counted, max(speed_mm_s, 1e-3), acceleration, acceleration)
+        command = AxisCommand(
+            ORIGIN_mm + counted, max(speed_mm_s, 1e-3), acceleration, acceleration
+        )
         self._orders.append((self.now_ms + LINK_ms, command))
         return counted
 

@@ -6,7 +6,12 @@ import pytest
 from pydantic import ValidationError
 from transcript import playing
 
-from drivers.keysight_33500b.driver import Generator, Settings, connect, make_safe
+from drivers.keysight_33500b.driver import (
+    Generator33500B,
+    Keysight33500BSettings,
+    connect,
+    make_safe,
+)
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
 
@@ -29,13 +34,13 @@ SINE = "SOUR1:FREQ 200;:SOUR1:VOLT 1.5;:SOUR1:FREQ?;:SOUR1:VOLT?;:SYST:ERR?"
 DONE = f"+2.000000000000000E+02;+1.500000000000000E+00;{NO_ERROR}"
 
 
-def settings(resource: str, **more: object) -> Settings:
-    return Settings.model_validate(
+def settings(resource: str, **more: object) -> Keysight33500BSettings:
+    return Keysight33500BSettings.model_validate(
         {"resource": resource, "timeout_s": 1.0, "max_amplitude_V": 2.5, **more}
     )
 
 
-def connected(resource: str, **more: object) -> Generator:
+def connected(resource: str, **more: object) -> Generator33500B:
     return connect(settings(resource, **more), WallClock())
 
 

@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 from transcript import playing
 
-from drivers.keysight_u2300a.driver import Daq, Settings, connect, make_safe
+from drivers.keysight_u2300a.driver import KeysightU2300ASettings, U2300ADaq, connect, make_safe
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError, LimitError
 from rig.instruments.roles import Acquisition, InputChannel
@@ -44,13 +44,13 @@ def block(words: np.ndarray = WORDS) -> bytes:
     return b"#8%08d" % words.nbytes + words.tobytes()
 
 
-def connected(resource: str) -> Daq:
+def connected(resource: str) -> U2300ADaq:
     return connect(settings(resource), WallClock())
 
 
-def settings(resource: str, **more: object) -> Settings:
+def settings(resource: str, **more: object) -> KeysightU2300ASettings:
     wiring = {"load_cell": 101, "film": 102}
-    return Settings.model_validate(
+    return KeysightU2300ASettings.model_validate(
         {"resource": resource, "timeout_s": 1.0, "channels": wiring, **more}
     )
 

@@ -19,7 +19,8 @@ from drivers.me_gsv8.driver import ForceAmplifier, Settings, connect, make_safe
 from drivers.simulated.faults.plan import FaultPlan
 from drivers.simulated.faults.wire import WireFaults
 from drivers.simulated.instruments.me_gsv8 import Gsv8, Memory, Sensor
-from drivers.simulated.transports.serial_server import Exchange, PtyServer
+from drivers.simulated.ports import Exchange
+from drivers.simulated.transports.serial_server import PtyServer
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments.roles import ForceFrames

@@ -9,8 +9,8 @@ import time
 import pytest
 from clients import python_with, seen_by, serving
 
-from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
-from drivers.simulated.task_log import Beginnings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
+from drivers.simulated.task_log import TaskLog
 from drivers.simulated.transports.modbus_tcp import ModbusTcpServer
 
 SCRIPT = """
@@ -94,7 +94,7 @@ class RealWorld:
 
     def __init__(self) -> None:
         self.moves: list[object] = []
-        self.beginnings = Beginnings()
+        self.tasks = TaskLog()
 
     @property
     def now_us(self) -> int:
@@ -112,7 +112,7 @@ class RealWorld:
 def test_the_vendors_client_drives_the_axis() -> None:
     python = python_with("festo-edcon", ["festo-edcon==0.14.12"])
     world = RealWorld()
-    drive = CmmtDrive(DriveSettings(), world)
+    drive = CmmtDrive(SimulatedCmmtSettings(), world)
     server = ModbusTcpServer(drive)
     with serving(server):
         seen = seen_by(python, SCRIPT, str(server.port))
@@ -148,7 +148,7 @@ def test_mbpoll_reads_and_writes_registers() -> None:
     mbpoll = shutil.which("mbpoll")
     if mbpoll is None:
         pytest.skip("mbpoll is not installed (Debian: apt install mbpoll)")
-    server = ModbusTcpServer(CmmtDrive(DriveSettings(), RealWorld()))
+    server = ModbusTcpServer(CmmtDrive(SimulatedCmmtSettings(), RealWorld()))
     with serving(server):
 
         def poll(*arguments: str) -> str:

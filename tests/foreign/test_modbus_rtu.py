@@ -19,8 +19,8 @@ from clients import python_with, seen_by, serving
 
 from drivers.simulated.faults.plan import FaultPlan
 from drivers.simulated.faults.wire import WireFaults
-from drivers.simulated.instruments.oriental_az import AzDrive, DriveSettings
-from drivers.simulated.task_log import Beginnings
+from drivers.simulated.instruments.oriental_az import AzDrive, SimulatedAzSettings
+from drivers.simulated.task_log import TaskLog
 from drivers.simulated.transports.modbus_rtu import RtuLine
 from drivers.simulated.transports.serial_server import PtyServer
 
@@ -131,7 +131,7 @@ class RealWorld:
     """The host's time and no resistance."""
 
     def __init__(self) -> None:
-        self.beginnings = Beginnings()
+        self.tasks = TaskLog()
 
     @property
     def now_us(self) -> int:
@@ -149,7 +149,7 @@ def pair() -> Iterator[PtyServer]:
     """Two drives on one line, not yet homed."""
     world = RealWorld()
     names = ("stage_z", "stage_x")
-    drives = [AzDrive(DriveSettings(name, unit), world) for unit, name in enumerate(names, 1)]
+    drives = [AzDrive(SimulatedAzSettings(name, unit), world) for unit, name in enumerate(names, 1)]
     faults = {name: WireFaults(FaultPlan(), name) for name in names}
     server = PtyServer(RtuLine(drives, world), world, faults=faults)
     with serving(server):

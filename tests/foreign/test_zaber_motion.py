@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from clients import python_with, seen_by, serving
 
-from drivers.simulated.instruments.zaber_rst import RotaryStage, StageSettings
-from drivers.simulated.task_log import Beginnings
+from drivers.simulated.instruments.zaber_rst import SimulatedRotarySettings, SimulatedRotaryStage
+from drivers.simulated.task_log import TaskLog
 from drivers.simulated.transports.serial_server import PtyServer
 from drivers.simulated.transports.serial_tcp import SerialTcpServer
 
@@ -88,7 +88,7 @@ class RealTime:
 
     def __init__(self) -> None:
         self.turned: list[Any] = []
-        self.beginnings = Beginnings()
+        self.tasks = TaskLog()
 
     @property
     def now_us(self) -> int:
@@ -100,10 +100,10 @@ class RealTime:
             if len(self.turned) == 5:
                 self.stage.axis.jammed = True
 
-    stage: RotaryStage
+    stage: SimulatedRotaryStage
 
 
-def server_of(stage: RotaryStage, link: str, world: RealTime) -> tuple[Any, Any]:
+def server_of(stage: SimulatedRotaryStage, link: str, world: RealTime) -> tuple[Any, Any]:
     """A server for the link, and where a client finds it once it has started."""
     if link == "tcp":
         tcp = SerialTcpServer(stage.line)
@@ -117,7 +117,7 @@ def server_of(stage: RotaryStage, link: str, world: RealTime) -> tuple[Any, Any]
 def test_the_vendors_client_homes_turns_and_is_refused(link: str) -> None:
     python = python_with("zaber-motion", REQUIREMENTS)
     world = RealTime()
-    stage = world.stage = RotaryStage(StageSettings(start_deg=5.0), world)
+    stage = world.stage = SimulatedRotaryStage(SimulatedRotarySettings(start_deg=5.0), world)
     server, where = server_of(stage, link, world)
     with serving(server):
         seen = seen_by(python, OPEN + DRIVE, link, where())
@@ -146,7 +146,7 @@ def test_the_vendors_client_identifies_it_as_far_as_its_database(link: str) -> N
     """A serial number of digits is asked for; then all that is missing is the database."""
     python = python_with("zaber-motion", REQUIREMENTS)
     world = RealTime()
-    stage = RotaryStage(StageSettings(serial="77001"), world)
+    stage = SimulatedRotaryStage(SimulatedRotarySettings(serial="77001"), world)
     server, where = server_of(stage, link, world)
     with serving(server):
         seen = seen_by(python, OPEN + IDENTIFY, link, where())

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from drivers.simulated.faults.plan import BEFALLEN, DEVICES, FORCE_STREAM, ROTARY, STAGE_X
+from drivers.simulated.faults.plan import DEVICES, DEVICES_BY_FAULT, FORCE_STREAM, ROTARY, STAGE_X
 
 Fault = dict[str, Any]
 
@@ -58,8 +58,8 @@ class Trial:
         return as_toml(self.faults)
 
 
-KINDS = tuple(BEFALLEN)
-ROTARY_KINDS = tuple(kind for kind, able in BEFALLEN.items() if set(able) == {ROTARY})
+KINDS = tuple(DEVICES_BY_FAULT)
+ROTARY_KINDS = tuple(kind for kind, able in DEVICES_BY_FAULT.items() if set(able) == {ROTARY})
 """That befall roll trials alone."""
 
 
@@ -138,8 +138,8 @@ def _roll(chance: random.Random) -> tuple[str, ...]:
 
 def fault(chance: random.Random, absent: set[str]) -> Fault:
     """A fault of any kind that befalls a device which is not `absent`."""
-    kind = chance.choice([kind for kind, able in BEFALLEN.items() if set(able) - absent])
-    device = chance.choice([name for name in BEFALLEN[kind] if name not in absent])
+    kind = chance.choice([kind for kind, able in DEVICES_BY_FAULT.items() if set(able) - absent])
+    device = chance.choice([name for name in DEVICES_BY_FAULT[kind] if name not in absent])
     return {"device": device, "kind": kind, **_KEYS.get(kind, _reply)(chance, device)}
 
 

@@ -118,14 +118,14 @@ channels = {{ {channels} }}"""
 def _rotary_table(options: Options, endpoints: Endpoints) -> str:
     if options.fixture != HEAD:
         return ""
-    from drivers.simulated.instruments.zaber_rst import StageSettings
+    from drivers.simulated.instruments.zaber_rst import SimulatedRotarySettings
 
     return f"""
 [rotary]
 driver = "zaber-rst"
 port = "{endpoints.rotary}"
 timeout_s = {LINK_TIMEOUT_S}
-microstep_deg = {StageSettings().microstep_deg}
+microstep_deg = {SimulatedRotarySettings().microstep_deg}
 low_limit_deg = 0.0
 high_limit_deg = {ROTARY_REACH_deg}
 max_speed_deg_s = 20.0

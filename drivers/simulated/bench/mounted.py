@@ -13,10 +13,10 @@ from drivers.simulated.faults.plan import FORCE_SENSOR
 
 if TYPE_CHECKING:
     from drivers.simulated.faults.plan import FaultPlan
-    from drivers.simulated.faults.wire import Dialect, WireFaults
+    from drivers.simulated.faults.wire import WireDialect, WireFaults
     from drivers.simulated.instruments.festo_cmmt import CmmtDrive
     from drivers.simulated.instruments.oriental_az import AzDrive
-    from drivers.simulated.instruments.zaber_rst import RotaryStage
+    from drivers.simulated.instruments.zaber_rst import SimulatedRotaryStage
     from drivers.simulated.transports.scpi_servers import HislipServer, ScpiSocketServer
     from drivers.simulated.transports.serial_server import PtyServer
     from drivers.simulated.world.contact_geometry import Where
@@ -55,7 +55,7 @@ class Instruments:
         from drivers.simulated.transports.serial_server import PtyServer
         from drivers.simulated.world.monitor import WatchedLine
 
-        def wire(device: str, dialect: Dialect) -> WireFaults:
+        def wire(device: str, dialect: WireDialect) -> WireFaults:
             tell = partial(world.log, device, "injected", by="plan")
             return WireFaults(faults, device, dialect, tell, world)
 
@@ -68,7 +68,7 @@ class Instruments:
             settings.daq_model, world, world, buffer_samples=settings.daq_buffer_samples
         )
         self.daq = HislipServer(daq, faults=wire(DAQ, SCPI_DIALECT))
-        world.befall(DAQ, lambda fault, t_us: daq.overrun())
+        world.on_fault(DAQ, lambda fault, t_us: daq.overrun())
         self.serial: list[PtyServer] = []
         """Servers that need be told when nobody owns the time any more."""
         self.rotary = _rotary(world, faults) if options.fixture == HEAD else None
@@ -102,11 +102,11 @@ class Instruments:
             assert isinstance(fault, SensorFault), "the World keeps the others to itself"
             amplifier.disturb(fault.kind, t_us * 1e-6, fault.for_s)
 
-        world.befall(FORCE_SENSOR, disturb)
+        world.on_fault(FORCE_SENSOR, disturb)
         self.serial.append(self.force)
 
     def _serve_stages(
-        self, options: Options, wire: Callable[[str, Dialect], WireFaults]
+        self, options: Options, wire: Callable[[str, WireDialect], WireFaults]
     ) -> list[Any]:
         """In front of z and x: a server each, or their common line."""
         from drivers.simulated.instruments.oriental_az import AzDrive
@@ -197,19 +197,19 @@ def _drive(
 
 def _cmmt_drive(world: World, faults: FaultPlan, fine: bool, name: str) -> CmmtDrive:
     from drivers.simulated.faults.plan import STAGE_Z, MoveFault
-    from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
+    from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
 
     serial = "SIMZ1" if name == STAGE_Z else "SIMX1"
-    own = DriveSettings(name, serial=serial, faults=faults.of(MoveFault, name))
+    own = SimulatedCmmtSettings(name, serial=serial, faults=faults.of(MoveFault, name))
     return CmmtDrive(replace(own, position_unit_mm=SKIN_UNIT_MM) if fine else own, world)
 
 
 def _az_drive(world: World, faults: FaultPlan, fine: bool, name: str) -> AzDrive:
     from drivers.simulated.faults.plan import STAGES, MoveFault
-    from drivers.simulated.instruments.oriental_az import AzDrive, DriveSettings
+    from drivers.simulated.instruments.oriental_az import AzDrive, SimulatedAzSettings
 
     unit_id = STAGES.index(name) + 1
-    own = DriveSettings(name, unit_id, AZ_STEPS_PER_MM, faults=faults.of(MoveFault, name))
+    own = SimulatedAzSettings(name, unit_id, AZ_STEPS_PER_MM, faults=faults.of(MoveFault, name))
     return AzDrive(own, world)
 
 
@@ -226,13 +226,18 @@ def _clamp_drives(
     return [z]
 
 
-def _rotary(world: World, faults: FaultPlan) -> RotaryStage:
+def _rotary(world: World, faults: FaultPlan) -> SimulatedRotaryStage:
     """The rotary stage, which carries the head."""
     from drivers.simulated.faults.plan import ROTARY, RotaryFault
-    from drivers.simulated.instruments.zaber_rst import RotaryStage, StageSettings
+    from drivers.simulated.instruments.zaber_rst import (
+        SimulatedRotarySettings,
+        SimulatedRotaryStage,
+    )
 
-    own = StageSettings(ROTARY, start_deg=ROTARY_START_deg, faults=faults.of(RotaryFault, ROTARY))
-    return RotaryStage(own, world)
+    own = SimulatedRotarySettings(
+        ROTARY, start_deg=ROTARY_START_deg, faults=faults.of(RotaryFault, ROTARY)
+    )
+    return SimulatedRotaryStage(own, world)
 
 
 def _skin_drives(
@@ -240,13 +245,13 @@ def _skin_drives(
 ) -> list[CmmtDrive | AzDrive]:
     """The z and the x stage, with the skin on them above the plate or the head that is turned."""
     from drivers.simulated.faults.plan import STAGES
-    from drivers.simulated.world.plate_world import PlateWorldSettings, hang_skin
+    from drivers.simulated.world.plate_world import PlateWorldSettings, mount_skin
 
     settings = world.settings
     assert isinstance(settings, PlateWorldSettings)
     drives = [make_drive(name) for name in STAGES]
     z, x = drives
-    stiffness = hang_skin(world, settings, z, x, turned_deg)
+    stiffness = mount_skin(world, settings, z, x, turned_deg)
     for drive in drives:
         drive.axis.stiffest_load_N_mm = stiffness
     if turned_deg is None and not settings.skin_mount.jitter_um:  # nothing else moves the load

@@ -66,7 +66,7 @@ def fault_plan(options: Options) -> FaultPlan:
         STAGE_X,
         STAGES,
         FaultPlan,
-        befallen_with,
+        devices_by_fault,
     )
 
     if options.fault is None:
@@ -76,6 +76,6 @@ def fault_plan(options: Options) -> FaultPlan:
     if not options.slaved:
         missing.add(DISK)  # whoever records is another process
     on_a_line = [name for name in STAGES if drive_kind(options.stages, name) == "az"]
-    befallen = befallen_with(on_a_line)
+    devices_by_kind = devices_by_fault(on_a_line)
     there = [name for name in DEVICES if name not in missing]
-    return FaultPlan.read(Path(options.fault), there, befallen)
+    return FaultPlan.read(Path(options.fault), there, devices_by_kind)

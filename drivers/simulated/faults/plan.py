@@ -20,10 +20,10 @@
     kind = "disk-full"      # under the recording's file calls: keyed to bytes written
     after_bytes = 50000
 
-This module may say what a plan can ask for, of whom, and why not. It may not do it: `faults` acts
-at the wire, `schedule` in the World, `disk_faults` under the file calls. Nothing is drawn at
-random: in slaved time the same plan does the same at the same instant. All kinds are described in
-docs/fault-plans.md.
+This module says what a plan can ask for, of which device, and why not. It does nothing itself:
+`faults.wire` acts at the wire, `world.schedule` in the World, `faults.disk` under the file calls.
+Nothing is drawn at random: in slaved time the same plan does the same at the same instant. All
+kinds are described in docs/fault-plans.md.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from typing import Annotated, Literal, TypeVar, get_args
 
 from pydantic import Field, ValidationError
 
-from drivers.simulated.task_log import Beginning
+from drivers.simulated.task_log import TaskStart
 from rig.core.errors import ConfigurationError, shortened
 from rig.core.settings import Settings
 from rig.core.toml_files import read_toml
@@ -42,7 +42,7 @@ from rig.core.toml_files import read_toml
 GENERATOR, DAQ, STAGE_Z, STAGE_X = "generator", "daq", "stage_z", "stage_x"
 ROTARY = "rotary"
 FORCE_SENSOR, FORCE_STREAM = "force_sensor", "force_sensor.stream"
-"""The amplifier's answers, and the frames that it sends of its own accord."""
+"""The amplifier's answers, and the frames that it sends without being asked."""
 CLOCK, DISK = "clock", "disk"
 STAGES = (STAGE_Z, STAGE_X)
 ON_TCP = (GENERATOR, DAQ, *STAGES)
@@ -68,8 +68,8 @@ class Placed(Settings):
     """How long after that began."""
 
     @property
-    def beginning(self) -> Beginning | None:
-        """What `after_s` counts from; None: the World's beginning."""
+    def task(self) -> TaskStart | None:
+        """The task from whose beginning `after_s` counts; None means the World's beginning."""
         if self.acquisition is not None:
             return DAQ, self.acquisition
         return None if self.move is None else (self.of or self.device, self.move)
@@ -79,16 +79,16 @@ class Placed(Settings):
 
 
 class ReplyFault(Placed):
-    """What befalls a device's replies from its moment on."""
+    """A fault of a device's replies, from its moment on."""
 
     at: int = Field(default=1, ge=1)
-    """The first matching request it befalls, counted from 1 over all connections. Counted are only
-    requests from its moment on whose reply can be disturbed so: it has a checksum, can carry an
-    error."""
+    """The first matching request that is disturbed, from 1 over all connections. Only requests from
+    its moment on are counted whose reply can be disturbed in this way: it has a checksum, or can
+    carry an error."""
     count: int = Field(default=1, ge=0)
-    """How many matching requests it befalls; 0 is for ever."""
+    """How many matching requests are disturbed; 0 means all further ones."""
     for_s: float | None = Field(default=None, gt=0, le=LONGEST_AFTER_s)
-    """How long it befalls them instead, from the first one on."""
+    """How long requests are disturbed instead, from the first one on."""
     command: str = ""
     """Beginning of a command in the request (upper or lower case, without its leading colon)."""
 
@@ -98,7 +98,7 @@ class ReplyFault(Placed):
         units = request.upper().split(b";")
         return any(unit.strip().lstrip(b":").startswith(prefix) for unit in units)
 
-    def befalls(self, occurrence: int, since_us: int) -> bool:
+    def disturbs(self, occurrence: int, since_us: int) -> bool:
         """Whether the n-th matching request is disturbed, so long after the first one was."""
         if occurrence < self.at:
             return False
@@ -124,7 +124,7 @@ class WireFault(ReplyFault):
     """``silence`` loses the reply; ``garbage`` makes it unreadable; ``truncate`` sends its first
     half; ``double`` sends it twice; ``stale`` holds it back until the connection's next reply, in
     front of which it arrives late; ``checksum`` spoils its check; ``close`` ends the connection in
-    its place, ``reset`` breaks it; ``half-open`` leaves it standing with nobody behind it."""
+    its place, ``reset`` breaks it; ``half-open`` leaves it open while nothing answers any more."""
 
 
 class ErrorReply(ReplyFault):
@@ -145,19 +145,19 @@ class Rejection(ReplyFault):
 
 
 class RefusedConnections(Settings):
-    """Nobody listens any more for new connections; those that stand are not disturbed."""
+    """The device refuses new connections; existing ones are not disturbed."""
 
     device: str
     kind: Literal["refused"]
     at: int = Field(default=1, ge=1)
-    """The first TCP connection refused, from 1; a HiSLIP session is made of two."""
+    """The first TCP connection that is refused, from 1; a HiSLIP session consists of two."""
 
 
 # --- in the World -----------------------------------------------------------------------------
 
 
 class AxisFault(Placed):
-    """What befalls an axis without further ado."""
+    """A fault of an axis that needs no further settings."""
 
     kind: Literal["stuck", "runaway", "limit-switch", "reference-lost"]
     """No force moves the carriage any more; it runs past its target until it is stopped; the limit
@@ -173,11 +173,11 @@ class DriveFault(Placed):
 
 
 class SlowAxis(Placed):
-    """The axis does not reach the speed that it is told, from then on."""
+    """The axis does not reach the commanded speed, from then on."""
 
     kind: Literal["slow"]
     share: float = Field(default=0.1, gt=0, lt=1)
-    """Of the speed that it is told."""
+    """Share of the commanded speed that it reaches."""
 
 
 class RaisedFlag(Placed):
@@ -188,14 +188,14 @@ class RaisedFlag(Placed):
 
 
 class TurnedKnob(Placed):
-    """Somebody turns the rotary stage by its knob."""
+    """A person turns the rotary stage by its knob."""
 
     kind: Literal["knob"]
     by_deg: float = Field(default=1.0, ge=-360, le=360)
 
 
 class Spike(Placed):
-    """Somebody or something pushes on the probe for a while."""
+    """Something pushes on the probe for a while."""
 
     kind: Literal["spike"]
     for_s: float = Field(default=0.05, gt=0)
@@ -260,7 +260,7 @@ FileFault = DiskFault | SlowSync
 WireKind = WireFault | ErrorReply | Rejection | RefusedConnections
 Fault = WireKind | MoveFault | RotaryFault | TimedFault | FileFault
 
-BEFALLEN: dict[str, tuple[str, ...]] = {
+DEVICES_BY_FAULT: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("silence", "garbage", "truncate", "stale", "close"), ON_A_WIRE),
     "double": (DAQ, *STAGES, ROTARY, FORCE_SENSOR),
     "checksum": (ROTARY, FORCE_SENSOR, FORCE_STREAM),
@@ -278,21 +278,21 @@ BEFALLEN: dict[str, tuple[str, ...]] = {
     "clock-jump": (CLOCK,),
     **dict.fromkeys(("disk-full", "read-only", "slow-sync"), (DISK,)),
 }
-"""Whom each kind may befall, where the stages are on Modbus TCP."""
+"""The devices to which each kind of fault can happen, where the stages are on Modbus TCP."""
 
 
-def befallen_with(on_a_line: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """The same where these stages are on a serial line."""
+def devices_by_fault(on_a_line: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """`DEVICES_BY_FAULT` where the stages `on_a_line` are on a serial line."""
     tcp_only = ("reset", "half-open", "refused")
     there = {kind: tuple(d for d in ON_TCP if d not in on_a_line) for kind in tcp_only}
-    return {**BEFALLEN, "checksum": (*BEFALLEN["checksum"], *on_a_line), **there}
+    return {**DEVICES_BY_FAULT, "checksum": (*DEVICES_BY_FAULT["checksum"], *on_a_line), **there}
 
 
 _WHY_NOT = {
     "double": "nothing in its protocol tells a doubled message from the next one",
     "checksum": "its protocol has no checksum of its own",
-    "error": "it answers with no error numbers",
-    **dict.fromkeys(("reset", "half-open", "refused"), "it is on no TCP connection"),
+    "error": "its answers carry no error numbers",
+    **dict.fromkeys(("reset", "half-open", "refused"), "it is not on a TCP connection"),
 }
 F = TypeVar("F")
 
@@ -307,23 +307,24 @@ class FaultPlan(Settings):
         cls,
         path: Path,
         devices: Iterable[str] = DEVICES,
-        befallen: Mapping[str, tuple[str, ...]] = BEFALLEN,
+        devices_by_kind: Mapping[str, tuple[str, ...]] = DEVICES_BY_FAULT,
     ) -> FaultPlan:
-        """The plan in a TOML file; `devices` are the names that exist on this bench, `befallen`
-        says whom each kind may befall there.
+        """The plan in a TOML file; `devices` are the names that exist on this bench,
+        `devices_by_kind` says to which of them each kind can happen there.
 
         Raises ConfigurationError for an unreadable file, unknown keys, kinds or devices, and for a
-        kind that cannot befall its device.
+        kind that cannot happen to its device.
         """
         tables = read_toml(path, "fault plan")
         try:
             plan = cls.model_validate(tables)
         except ValidationError as error:
-            hint = f"a fault has a device, a kind ({', '.join(BEFALLEN)}), and what its kind needs"
+            kinds = ", ".join(DEVICES_BY_FAULT)
+            hint = f"a fault has a device, a kind ({kinds}), and what its kind needs"
             raise ConfigurationError.from_validation(error, str(path), hint) from error
         known = tuple(devices)
         for index, fault in enumerate(plan.fault):
-            _require_device(f"{path}: fault.{index}", fault, known, befallen)
+            _require_device(f"{path}: fault.{index}", fault, known, devices_by_kind)
         return plan
 
     def of(self, kind: type[F] | object, device: str | None = None) -> tuple[F, ...]:
@@ -336,9 +337,9 @@ class FaultPlan(Settings):
 
 
 def _require_device(
-    where: str, fault: Fault, known: tuple[str, ...], befallen: Mapping[str, tuple[str, ...]]
+    where: str, fault: Fault, known: tuple[str, ...], devices_by_kind: Mapping[str, tuple[str, ...]]
 ) -> None:
-    device, able = fault.device, befallen[fault.kind]
+    device, able = fault.device, devices_by_kind[fault.kind]
     if device not in known:
         raise ConfigurationError(
             f"{where}: device = {shortened(device)!r}: no such device on this bench",
@@ -347,8 +348,8 @@ def _require_device(
     if device not in able:
         why = f": {_WHY_NOT[fault.kind]}" if fault.kind in _WHY_NOT else ""
         raise ConfigurationError(
-            f"{where}: kind = {fault.kind!r} cannot befall {device}{why}",
-            f"it befalls {', '.join(able)}",
+            f"{where}: kind = {fault.kind!r} cannot happen to {device}{why}",
+            f"it can happen to {', '.join(able)}",
         )
     if isinstance(fault, Placed):
         _require_moment(where, fault, known)
@@ -356,8 +357,8 @@ def _require_device(
         low, high = (-32768, 32767) if device in (GENERATOR, DAQ) else (1, 255)
         if not low <= fault.code <= high or fault.code == 0:
             raise ConfigurationError(
-                f"{where}: code = {fault.code} is no error of the {device}'s protocol, which has "
-                f"{low} to {high} without 0",
+                f"{where}: code = {fault.code} is not an error of the {device}'s protocol, "
+                f"which has {low} to {high} without 0",
                 "give a number of its manual",
             )
 

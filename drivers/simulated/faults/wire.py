@@ -1,11 +1,11 @@
 """Faults on the wire between a simulated instrument and its client, as a fault plan has them.
 
-This module may decide what becomes of a reply on its way. It may not touch an instrument or a
-client: the instrument always receives the request and acts on it, as one does whose answer is lost;
-only behind a half-open connection nobody is left who could. What a reply looks like is its
-protocol's to know (`Dialect`).
+This module decides what becomes of a reply on its way; it touches neither instrument nor client.
+The instrument always receives the request and acts on it, as one does whose answer is lost; only
+behind a half-open connection nothing receives it. What a reply looks like, its protocol knows
+(`WireDialect`).
 
-A new kind is one more function in `_KINDS`, and a line in `fault_plan`.
+A new kind is one more function in `_KINDS`, and a line in `faults.plan`.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from drivers.simulated.faults.plan import (
     ReplyFault,
     WireFault,
 )
-from drivers.simulated.ports import BeginningsPort, Timeline
-from drivers.simulated.task_log import Beginnings
+from drivers.simulated.ports import TaskLogPort, TimePort
+from drivers.simulated.task_log import TaskLog
 
 
-class MomentPort(Timeline, BeginningsPort, Protocol):
-    """What tells moments."""
+class MomentPort(TimePort, TaskLogPort, Protocol):
+    """The World's time and tasks, by which a fault's moment is found."""
 
 
 class _Standing:
     """A bench on which no time passes and nothing begins."""
 
     now_us = 0
-    beginnings = Beginnings()
+    tasks = TaskLog()
 
 
 def _never(reply: bytes, code: object = None) -> bytes | None:
@@ -42,8 +42,8 @@ def _never(reply: bytes, code: object = None) -> bytes | None:
 
 
 @dataclass(frozen=True)
-class Dialect:
-    """How a protocol says that something went wrong; each None where the reply cannot."""
+class WireDialect:
+    """How a protocol reports that something went wrong; each returns None where a reply cannot."""
 
     error: Callable[[bytes, int], bytes | None] = _never
     """The reply with an error code in it instead of success."""
@@ -74,20 +74,20 @@ class Delivery:
 class WireFaults:
     """The faults of one device; counts requests over all its connections.
 
-    `tell` hears the kind of every fault when it befalls something; `bench` knows the time and what
-    has begun.
+    `report` is called with the kind of every fault when it disturbs something; `bench` knows the
+    time and which tasks have begun.
     """
 
     def __init__(
         self,
         plan: FaultPlan,
         device: str,
-        dialect: Dialect | None = None,
-        tell: Callable[[str], None] = lambda kind: None,
+        dialect: WireDialect | None = None,
+        report: Callable[[str], None] = lambda kind: None,
         bench: MomentPort | None = None,
     ):
-        self.dialect = dialect or Dialect()
-        self.tell = tell
+        self.dialect = dialect or WireDialect()
+        self.report = report
         self._bench = bench or _Standing()
         refused: tuple[RefusedConnections, ...] = plan.of(RefusedConnections, device)
         self.refused_from = min((fault.at for fault in refused), default=None)
@@ -95,27 +95,27 @@ class WireFaults:
         self._faults: tuple[ReplyFault, ...] = plan.of(ReplyFault, device)
         self._matched = [0] * len(self._faults)
         self._first_us: dict[int, int] = {}
-        """When each befell its first request."""
+        """World time in us at which each fault disturbed its first request, by index."""
 
     def link(self) -> FaultyLink:
         """The faults as one connection meets them."""
         return FaultyLink(self)
 
-    def befalling(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
-        """Count a request; the first fault of the plan that befalls its reply."""
-        befallen: ReplyFault | None = None
+    def fault_for(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
+        """Count a request; returns the first fault of the plan that disturbs its reply, or None."""
+        chosen: ReplyFault | None = None
         now_us = self._bench.now_us
         for index, fault in enumerate(self._faults):
-            come = self._bench.beginnings.is_past(fault.beginning, fault.after_s, now_us)
+            come = self._bench.tasks.is_past(fault.task, fault.after_s, now_us)
             if come and fault.matches(request) and self._can_carry(fault, reply):
                 self._matched[index] += 1
                 since_us = now_us - self._first_us.get(index, now_us)
-                if fault.befalls(self._matched[index], since_us):
+                if fault.disturbs(self._matched[index], since_us):
                     self._first_us.setdefault(index, now_us)
-                    befallen = befallen or fault
-        if befallen is not None:
-            self.tell(_name(befallen))
-        return befallen
+                    chosen = chosen or fault
+        if chosen is not None:
+            self.report(_name(chosen))
+        return chosen
 
     def _can_carry(self, fault: ReplyFault, reply: bytes | None) -> bool:
         if isinstance(fault, ErrorReply):
@@ -134,11 +134,11 @@ class FaultyLink:
         self.faults = faults
         self.withheld: list[WireReply] = []
         self.half_open = False
-        """Whether nobody is behind it any more: what is sent on it reaches no instrument."""
+        """Whether what is sent on it reaches no instrument any more."""
 
     def exchange(self, request: bytes, reply: bytes | None, tag: int = 0) -> Delivery:
         """What becomes of a request's reply (None: it has none); ``tag`` comes back with it."""
-        fault = self.faults.befalling(request, reply)
+        fault = self.faults.fault_for(request, reply)
         whole = None if reply is None else WireReply(reply, tag)
         if isinstance(fault, ErrorReply):
             code = fault.code

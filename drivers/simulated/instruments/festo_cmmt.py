@@ -19,18 +19,14 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Protocol
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
-import numpy as np
-import numpy.typing as npt
-
-from drivers.simulated.faults.plan import DriveFault, MoveFault, SlowAxis
-from drivers.simulated.ports import BeginningsPort, Timeline
+from drivers.simulated.faults.plan import DriveFault, MoveFault
+from drivers.simulated.ports import AxisPort
 from drivers.simulated.transports.modbus_tcp import ILLEGAL_ADDRESS, ModbusError
-from drivers.simulated.world.axis import Axis, Command, Event, Mechanics
-from drivers.simulated.world.schedule import Schedule
+from drivers.simulated.world.axis import AxisCommand, AxisEvent, Mechanics
+from drivers.simulated.world.drive import Due, FARTHER_THAN_ANY_SWITCH_mm, SimulatedDrive
 
 IMAGE_WORDS = 28
 OUTPUTS, INPUTS, TIMEOUT, MAILBOX, MAILBOX_DATA = 0, 100, 400, 500, 510
@@ -39,7 +35,7 @@ MAILBOX_WORDS, DATA_WORDS = 5, 100
 TIMEOUT_FAULT = 391  # "process data communication failed"; UNCONFIRMED for Modbus
 SOFTWARE_LIMIT_FAULTS = (109, 110)  # negative, positive
 LIMIT_PARAMETERS_FAULT = 113
-SWITCH_FAULTS = {Event.LOW_SWITCH: 114, Event.HIGH_SWITCH: 115}
+SWITCH_FAULTS = {AxisEvent.LOW_SWITCH: 114, AxisEvent.HIGH_SWITCH: 115}
 FOLLOWING_FAULT = 126
 HOMING_FAULT = 58
 STOP_NOT_FOUND_WARNING = 279
@@ -49,7 +45,6 @@ ARRIVED_mm = 0.01
 """Window of "target reached"."""
 NOMINAL_SPEED_mm_s = 1000.0
 """What NIST_B calls 100 %."""
-FARTHER_THAN_ANY_SWITCH_mm = 1e5
 
 # Parameter numbers (PNU), from the vendor's pnu_map.csv.
 _TELEGRAM, _SERIAL, _FIRMWARE, _TIMEOUT_ms = 3490, 2021, 2266, 4854
@@ -58,22 +53,9 @@ _CLAMPING, _LOW_LIMIT, _HIGH_LIMIT = 12168, 11584, 11585
 _WRITABLE = frozenset({_TELEGRAM, _CLAMPING, _LOW_LIMIT, _HIGH_LIMIT})
 
 
-class AxisPort(Timeline, BeginningsPort, Protocol):
-    """What an axis stands in."""
-
-    def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
-        """Force in N along the axis's positive direction on its carriage, standing at
-        `position_mm` at a World time that is not in the future."""
-        ...
-
-    def log(self, device: str, what: str, value: object, by: str) -> None:
-        """Write down that ``by`` changed ``what`` of ``device`` to ``value``, now."""
-        ...
-
-
 @dataclass(frozen=True)
-class DriveSettings:
-    """How one simulated drive is parametrised, and what is to befall it."""
+class SimulatedCmmtSettings:
+    """How one simulated drive is set up, and its faults."""
 
     name: str = "stage_z"
     """Its name in the World, its log and fault plans."""
@@ -125,12 +107,18 @@ class _Image:
         return (self.words[7] | self.words[8] << 16) * min(self.words[4] / 0x4000, 1.0)
 
 
-class CmmtDrive:
+class CmmtDrive(SimulatedDrive[MoveFault]):
     """One drive and its axis; a `RegisterDevice` for `ModbusTcpServer`."""
 
-    def __init__(self, settings: DriveSettings, port: AxisPort):
+    def __init__(self, settings: SimulatedCmmtSettings, port: AxisPort):
+        super().__init__(
+            settings.name,
+            settings.mechanics,
+            lambda mm, t_us: port.load_N(settings.name, mm, t_us),
+            settings.faults,
+            port,
+        )
         self.settings = settings
-        self.axis = Axis(settings.mechanics, lambda mm, t_us: port.load_N(settings.name, mm, t_us))
         self.fault = 0
         self.warning = 0
         self.enabled = False
@@ -140,7 +128,6 @@ class CmmtDrive:
             0: "Festo SE & Co. KG", 1: settings.model, 2: "V000.0.0-simulated",
             3: "www.festo.com", 4: "Servo drive", 5: settings.model,
         }  # fmt: skip
-        self._port = port
         self._image = _Image()
         self._controlled = False
         self._enable_at_us: int | None = None
@@ -149,7 +136,6 @@ class CmmtDrive:
         self._acknowledged = False
         self._paused = False
         self._fixed_stop = False
-        self._moving = False
         self._jogging = 0
         """Which way: 1, -1, or 0 for not at all."""
         self._timeout_ms = 0
@@ -157,54 +143,14 @@ class CmmtDrive:
         self._mailbox = [0] * MAILBOX_WORDS
         self._data = [0] * DATA_WORDS
         self._parameters = _factory_parameters(settings)
-        self._share = 1.0
-        """Of the speed that it is told, which the axis reaches."""
-        self._runs_to_mm: float | None = None
-        """Where it goes instead of its target, until it is stopped."""
-        self._schedule = Schedule(settings.faults)
-        port.beginnings.listen(self._schedule.hear)
 
     # --- the World's side ---------------------------------------------------------------------
-
-    def position_mm(self, t_us: int) -> float:
-        """Where the carriage is or was."""
-        self.settle(t_us)
-        return self.axis.position(t_us)
-
-    def positions_mm(self, times_us: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-        """The same at several ascending World times."""
-        if times_us.size:
-            self.settle(int(times_us[-1]))
-        return self.axis.positions(times_us)
-
-    def highest_mm(self, begin_us: int, end_us: int) -> float:
-        """The largest of them between two instants."""
-        self.settle(end_us)
-        return self.axis.highest_mm(begin_us, end_us)
-
-    def velocity_mm_s(self, t_us: int) -> float:
-        """How fast it moves or moved."""
-        self.settle(t_us)
-        return self.axis.velocity(t_us)
 
     def trip(self, code: int) -> None:
         """A fault plan's doing: the drive reports this fault now."""
         now = self._port.now_us
         self.settle(now)
         self._fail(code, now)
-
-    def settle(self, now_us: int) -> None:
-        """Let everything happen that was due by now, in its order and at its time.
-
-        A load that asks for the position meanwhile gets the history as it is.
-        """
-        if self.axis.settling:
-            return
-        while (due := self._next_due(now_us)) is not None:
-            t_us, happen = due
-            self._catch_up(t_us)
-            happen(t_us)
-        self._catch_up(now_us)
 
     # --- the registers' side ------------------------------------------------------------------
 
@@ -257,41 +203,22 @@ class CmmtDrive:
 
     # --- what happens by itself ---------------------------------------------------------------
 
-    def _next_due(self, now_us: int) -> tuple[int, Callable[[int], None]] | None:
-        """The first of the coming faults and the time-out, where it lies in the past."""
-        due: list[tuple[int, Callable[[int], None]]] = []
-        if self._controlled and self._timeout_ms and not self.fault:
-            deadline = self._fed_us + 1000 * self._timeout_ms
-            if deadline < now_us:
-                due.append((deadline, self._miss_everybody))
-        if (fault_us := self._schedule.due(now_us)) is not None:
-            due.append((fault_us, self._befall))
-        return min(due, key=lambda one: one[0], default=None)
+    def _own_due(self, now_us: int) -> Due | None:
+        """The communication time-out, where it has expired."""
+        if not self._controlled or not self._timeout_ms or self.fault:
+            return None
+        deadline = self._fed_us + 1000 * self._timeout_ms
+        return (deadline, self._expire) if deadline < now_us else None
 
-    def _miss_everybody(self, t_us: int) -> None:
-        if not self.fault:
+    def _expire(self, t_us: int) -> None:
+        if not self.fault:  # the axis may have met something just before
             self._fail(TIMEOUT_FAULT, t_us)
 
-    def _befall(self, t_us: int) -> None:
-        fault = self._schedule.take()
-        self._log("injected", fault.kind, "plan")
-        command = None if self.axis.finished(t_us) else self.axis.command
-        velocity = self.axis.velocity(t_us)
+    def _apply_own_fault(self, fault: MoveFault, t_us: int, velocity_mm_s: float) -> None:
         if isinstance(fault, DriveFault):
             self._fail(fault.code or FOLLOWING_FAULT, t_us)
-        elif isinstance(fault, SlowAxis):
-            self._share = fault.share
-            if command is not None:
-                slower = replace(command, speed_mm_s=command.speed_mm_s * fault.share)
-                self.axis.move(t_us, slower)
-        elif fault.kind == "stuck":
-            self.axis.jammed = True
-        elif fault.kind == "runaway":
-            if command is not None:
-                self._runs_to_mm = math.copysign(FARTHER_THAN_ANY_SWITCH_mm, velocity)
-                self.axis.move(t_us, replace(command, target_mm=self._runs_to_mm))
         elif fault.kind == "limit-switch":
-            met = Event.LOW_SWITCH if velocity < 0 else Event.HIGH_SWITCH
+            met = AxisEvent.LOW_SWITCH if velocity_mm_s < 0 else AxisEvent.HIGH_SWITCH
             self._fail(SWITCH_FAULTS[met], t_us)
         else:
             self.homed = False
@@ -306,8 +233,8 @@ class CmmtDrive:
         if self._moving and self.axis.finished(t_us):
             self._arrive(t_us)
 
-    def _meet(self, event: Event, t_us: int) -> None:
-        if event is Event.FIXED_STOP:
+    def _meet(self, event: AxisEvent, t_us: int) -> None:
+        if event is AxisEvent.FIXED_STOP:
             self._fixed_stop = True
             self._log("fixed-stop", round(self.axis.position(t_us), 6), "drive")
         elif self.homing:
@@ -416,7 +343,7 @@ class CmmtDrive:
     def _home(self, by: str) -> None:
         self._target_mm, self.homed, self.homing, self._jogging = None, False, True, 0
         self._log("homing", self.settings.home_mm, by)
-        self._start(Command(
+        self._start(AxisCommand(
             self.settings.home_mm,
             self.settings.homing_speed_mm_s,
             self.settings.full_acceleration_mm_s2,
@@ -436,7 +363,7 @@ class CmmtDrive:
         limited = self._image.bit(2, 14) and self.homed
         end = self._limits()[way > 0] if limited else way * FARTHER_THAN_ANY_SWITCH_mm
         rate = self.settings.full_acceleration_mm_s2
-        self._start(Command(end, self.settings.jog_speed_mm_s, rate, rate))
+        self._start(AxisCommand(end, self.settings.jog_speed_mm_s, rate, rate))
 
     def _begin(self, by: str, again: bool = False) -> None:
         """Take the task in the image; what cannot be done is not acknowledged."""
@@ -458,7 +385,7 @@ class CmmtDrive:
             return
         self._target_mm, self._acknowledged, self._jogging = target, True, 0
         if not again:
-            self._port.beginnings.begin(self.settings.name, self._port.now_us)
+            self._port.tasks.begin(self.settings.name, self._port.now_us)
         self._go(by, quiet=again)
 
     def _limits(self) -> tuple[float, float]:
@@ -488,9 +415,9 @@ class CmmtDrive:
         if not quiet:
             self._log("move", {"target_mm": round(self._target_mm, 6), "speed_mm_s": speed}, by)
         target = self._target_mm if self._runs_to_mm is None else self._runs_to_mm
-        self._start(Command(target, speed * self._share, *rates))
+        self._start(AxisCommand(target, speed * self._speed_share, *rates))
 
-    def _start(self, command: Command) -> None:
+    def _start(self, command: AxisCommand) -> None:
         self._fixed_stop, self.warning, self._moving = False, 0, True
         self.axis.move(self._port.now_us, command)
 
@@ -596,11 +523,8 @@ class CmmtDrive:
         self._log("parameter", {"number": number, "raw": raw.hex()}, by)
         return 0x10
 
-    def _log(self, what: str, value: object, by: str) -> None:
-        self._port.log(self.settings.name, what, value, by)
 
-
-def _factory_parameters(settings: DriveSettings) -> dict[int, bytes]:
+def _factory_parameters(settings: SimulatedCmmtSettings) -> dict[int, bytes]:
     unit = settings.position_unit_mm
     low, high = (
         round(mm / unit)

@@ -9,7 +9,7 @@ Limits of the simulation: bursts are set and read back but not played. While a b
 the terminals rest at the offset, so that nothing mistakes an endless wave for a burst. Arbitrary
 waveforms are stored; the World is told function ``ARB``, not its samples.
 
-Command set: Keysight 33500 series Operating and Service Guide as two public clients use it
+ScpiCommand set: Keysight 33500 series Operating and Service Guide as two public clients use it
 (PyMeasure's and QCoDeS's drivers). Behaviour not confirmed on a real unit is marked UNCONFIRMED.
 """
 
@@ -27,13 +27,13 @@ from drivers.simulated.transports.scpi import (
     Boolean,
     Call,
     Choice,
-    Command,
     Numeric,
     Parameter,
-    Quantity,
     Rest,
+    ScpiCommand,
     ScpiError,
     ScpiInstrument,
+    ScpiQuantity,
     Text,
 )
 
@@ -241,7 +241,7 @@ class Keysight33500B(ScpiInstrument):
 
     # --- the command table -------------------------------------------------------------------
 
-    def _commands(self) -> list[Command]:
+    def _commands(self) -> list[ScpiCommand]:
         return [
             *self._wave_commands(),
             *self._voltage_commands(),
@@ -249,15 +249,15 @@ class Keysight33500B(ScpiInstrument):
             *self._waveform_commands(),
             *(row for number in STORED_NUMBERS for row in self._stored_number(number)),
             *(row for word in STORED_WORDS for row in self._stored_word(word)),
-            Command("UNIT:ANGLe", lambda _: None, (Choice("DEGree"),)),
-            Command("UNIT:ANGLe?", lambda _: "DEG"),
-            Command("SYSTem:BEEPer[:IMMediate]", lambda _: None),
+            ScpiCommand("UNIT:ANGLe", lambda _: None, (Choice("DEGree"),)),
+            ScpiCommand("UNIT:ANGLe?", lambda _: "DEG"),
+            ScpiCommand("SYSTem:BEEPer[:IMMediate]", lambda _: None),
         ]
 
-    def _wave_commands(self) -> list[Command]:
+    def _wave_commands(self) -> list[ScpiCommand]:
         return [
-            Command("[SOURce#:]FUNCtion", self._set_function, (_FUNCTIONS,)),
-            Command("[SOURce#:]FUNCtion?", lambda call: self._state_of(call).function),
+            ScpiCommand("[SOURce#:]FUNCtion", self._set_function, (_FUNCTIONS,)),
+            ScpiCommand("[SOURce#:]FUNCtion?", lambda call: self._state_of(call).function),
             *self._number(
                 "[SOURce#:]FREQuency[:CW|:FIXed]",
                 ("HZ",),
@@ -279,7 +279,7 @@ class Keysight33500B(ScpiInstrument):
                 lambda state: state.phase_deg,
                 lambda state, value: replace(state, phase_deg=value),
             ),
-            Command("[SOURce#:]PHASe:SYNChronize", self._synchronise),
+            ScpiCommand("[SOURce#:]PHASe:SYNChronize", self._synchronise),
             *self._flag(
                 "[SOURce#:]BURSt:STATe",
                 lambda state: state.burst,
@@ -287,14 +287,14 @@ class Keysight33500B(ScpiInstrument):
             ),
         ]
 
-    def _voltage_commands(self) -> list[Command]:
+    def _voltage_commands(self) -> list[ScpiCommand]:
         amplitude = "[SOURce#:]VOLTage[:LEVel][:IMMediate][:AMPLitude]"
         units = ("VPP", "VRMS", "DBM", "V")
         return [
-            Command(amplitude, self._set_amplitude, (Numeric(units),)),
-            Command(amplitude + "?", self._get_amplitude, (Numeric(),), optional=1),
-            Command("[SOURce#:]VOLTage:UNIT", self._set_unit, (Choice("VPP", "VRMS", "DBM"),)),
-            Command("[SOURce#:]VOLTage:UNIT?", lambda call: self._units[_channel(call)]),
+            ScpiCommand(amplitude, self._set_amplitude, (Numeric(units),)),
+            ScpiCommand(amplitude + "?", self._get_amplitude, (Numeric(),), optional=1),
+            ScpiCommand("[SOURce#:]VOLTage:UNIT", self._set_unit, (Choice("VPP", "VRMS", "DBM"),)),
+            ScpiCommand("[SOURce#:]VOLTage:UNIT?", lambda call: self._units[_channel(call)]),
             *self._volts("OFFSet", _offset_bounds, _get_offset, _put_offset),
             *self._volts("HIGH", _high_bounds, _get_high, _put_high),
             *self._volts("LOW", _low_bounds, _get_low, _put_low),
@@ -313,7 +313,7 @@ class Keysight33500B(ScpiInstrument):
             *self._flag("[SOURce#:]VOLTage:LIMit:STATe", lambda state: state.limited, _put_limited),
         ]
 
-    def _output_commands(self) -> list[Command]:
+    def _output_commands(self) -> list[ScpiCommand]:
         load = Numeric(("OHM",), ("MIN", "MAX", "DEF", "INF"))
         return [
             *self._flag(
@@ -321,23 +321,23 @@ class Keysight33500B(ScpiInstrument):
                 lambda state: state.on,
                 lambda state, on: replace(state, on=on),
             ),
-            Command("OUTPut#:LOAD", self._set_load, (load,)),
-            Command("OUTPut#:LOAD?", lambda call: _number(self._state_of(call).load_ohm)),
-            Command("OUTPut#:POLarity", self._set_polarity, (Choice("NORMal", "INVerted"),)),
-            Command(
+            ScpiCommand("OUTPut#:LOAD", self._set_load, (load,)),
+            ScpiCommand("OUTPut#:LOAD?", lambda call: _number(self._state_of(call).load_ohm)),
+            ScpiCommand("OUTPut#:POLarity", self._set_polarity, (Choice("NORMal", "INVerted"),)),
+            ScpiCommand(
                 "OUTPut#:POLarity?", lambda call: "INV" if self._state_of(call).inverted else "NORM"
             ),
         ]
 
-    def _waveform_commands(self) -> list[Command]:
+    def _waveform_commands(self) -> list[ScpiCommand]:
         upload: tuple[Parameter, ...] = (Text(), Rest())
         return [
-            Command("[SOURce#:]DATA:VOLatile:CLEar", self._clear_waveforms),
-            Command("[SOURce#:]DATA:VOLatile:CATalog?", self._catalogue),
-            Command("[SOURce#:]DATA:ARBitrary", self._upload_floats, upload),
-            Command("[SOURce#:]DATA:ARBitrary:DAC", self._upload_codes, upload),
-            Command("[SOURce#:]FUNCtion:ARBitrary", self._select_waveform, (Text(),)),
-            Command(
+            ScpiCommand("[SOURce#:]DATA:VOLatile:CLEar", self._clear_waveforms),
+            ScpiCommand("[SOURce#:]DATA:VOLatile:CATalog?", self._catalogue),
+            ScpiCommand("[SOURce#:]DATA:ARBitrary", self._upload_floats, upload),
+            ScpiCommand("[SOURce#:]DATA:ARBitrary:DAC", self._upload_codes, upload),
+            ScpiCommand("[SOURce#:]FUNCtion:ARBitrary", self._select_waveform, (Text(),)),
+            ScpiCommand(
                 "[SOURce#:]FUNCtion:ARBitrary?", lambda call: f'"{self._selected[_channel(call)]}"'
             ),
         ]
@@ -352,7 +352,7 @@ class Keysight33500B(ScpiInstrument):
         get: Callable[[ChannelState], float],
         put: Callable[[ChannelState, float], ChannelState],
         shown: Callable[[ChannelState], float] = lambda _: 1.0,
-    ) -> list[Command]:
+    ) -> list[ScpiCommand]:
         def write(call: Call) -> None:
             state = self._state_of(call)
             scale, allowed = shown(state), bounds(state)
@@ -368,8 +368,8 @@ class Keysight33500B(ScpiInstrument):
             return _number(value * shown(state))
 
         return [
-            Command(pattern, write, (Numeric(units),)),
-            Command(pattern + "?", read, (Numeric(),), optional=1),
+            ScpiCommand(pattern, write, (Numeric(units),)),
+            ScpiCommand(pattern + "?", read, (Numeric(),), optional=1),
         ]
 
     def _volts(
@@ -378,7 +378,7 @@ class Keysight33500B(ScpiInstrument):
         bounds: Callable[[ChannelState], Bounds],
         get: Callable[[ChannelState], float],
         put: Callable[[ChannelState, float], ChannelState],
-    ) -> list[Command]:
+    ) -> list[ScpiCommand]:
         pattern = f"[SOURce#:]VOLTage:{node}"
         return self._number(pattern, ("V",), bounds, get, put, lambda state: state.shown)
 
@@ -387,19 +387,19 @@ class Keysight33500B(ScpiInstrument):
         pattern: str,
         get: Callable[[ChannelState], bool],
         put: Callable[[ChannelState, bool], ChannelState],
-    ) -> list[Command]:
+    ) -> list[ScpiCommand]:
         def write(call: Call) -> None:
             state = put(self._state_of(call), call.arguments[0])
             self._become(_channel(call), state, call.by)
 
         return [
-            Command(pattern, write, (Boolean(),)),
-            Command(pattern + "?", lambda call: str(int(get(self._state_of(call))))),
+            ScpiCommand(pattern, write, (Boolean(),)),
+            ScpiCommand(pattern + "?", lambda call: str(int(get(self._state_of(call))))),
         ]
 
-    def _stored_number(self, row: StoredNumber) -> list[Command]:
+    def _stored_number(self, row: StoredNumber) -> list[ScpiCommand]:
         def write(call: Call) -> None:
-            asked: Quantity = call.arguments[0]
+            asked: ScpiQuantity = call.arguments[0]
             value = _asked(asked, row.bounds, 1.0)
             if asked.keyword != "INF":
                 value = self._clip(value, row.bounds.low, row.bounds.high)
@@ -410,11 +410,11 @@ class Keysight33500B(ScpiInstrument):
             return _number(_asked(call.arguments[0], row.bounds, 1.0) if call.arguments else value)
 
         return [
-            Command(row.pattern, write, (Numeric(row.units, row.keywords),)),
-            Command(row.pattern + "?", read, (Numeric(),), optional=1),
+            ScpiCommand(row.pattern, write, (Numeric(row.units, row.keywords),)),
+            ScpiCommand(row.pattern + "?", read, (Numeric(),), optional=1),
         ]
 
-    def _stored_word(self, row: StoredWord) -> list[Command]:
+    def _stored_word(self, row: StoredWord) -> list[ScpiCommand]:
         def write(call: Call) -> None:
             self._stored[row.pattern, _channel(call)] = call.arguments[0]
 
@@ -422,7 +422,7 @@ class Keysight33500B(ScpiInstrument):
             value = self._stored[row.pattern, _channel(call)]
             return str(int(value)) if isinstance(value, bool) else str(value)
 
-        return [Command(row.pattern, write, (row.kind,)), Command(row.pattern + "?", read)]
+        return [ScpiCommand(row.pattern, write, (row.kind,)), ScpiCommand(row.pattern + "?", read)]
 
     # --- commands with a meaning of their own ------------------------------------------------
 
@@ -450,7 +450,7 @@ class Keysight33500B(ScpiInstrument):
 
     def _set_amplitude(self, call: Call) -> None:
         channel, state = _channel(call), self._state_of(call)
-        asked: Quantity = call.arguments[0]
+        asked: ScpiQuantity = call.arguments[0]
         allowed = _amplitude_bounds(state)
         if asked.keyword:
             value = _asked(asked, allowed, 1.0)
@@ -532,7 +532,7 @@ def _channel(call: Call) -> int:
     return channel
 
 
-def _asked(quantity: Quantity, bounds: Bounds, shown: float) -> float:
+def _asked(quantity: ScpiQuantity, bounds: Bounds, shown: float) -> float:
     """What a parameter asks for; numbers are displayed values, bounds and result are kept ones."""
     if not quantity.keyword:
         return quantity.value / shown

@@ -32,16 +32,16 @@ import numpy.typing as npt
 
 from drivers.simulated.ports import AnalogueInputPort, LogPort
 from drivers.simulated.transports.scpi import (
-    Block,
     Boolean,
     Call,
     ChannelList,
     Choice,
-    Command,
     Numeric,
-    Quantity,
+    ScpiBlock,
+    ScpiCommand,
     ScpiError,
     ScpiInstrument,
+    ScpiQuantity,
 )
 
 RANGES_12_BIT_V = (10.0, 5.0, 2.5, 2.0, 1.25, 1.0, 0.5, 0.25, 0.2, 0.05)
@@ -57,7 +57,7 @@ FIRST_CHANNEL = 101
 
 
 @dataclass(frozen=True)
-class Model:
+class SimulatedDaqModel:
     """What distinguishes the units of the family."""
 
     bits: int
@@ -84,21 +84,21 @@ class Model:
         return tuple(position / conversions_per_s for position in range(channels))
 
 
-MODELS: dict[str, Model] = {
-    "U2331A": Model(12, 64, 3_000_000, 1_000_000, RANGES_12_BIT_V),
-    "U2351A": Model(16, 16, 250_000, 250_000, RANGES_16_BIT_V),
-    "U2352A": Model(16, 16, 250_000, 250_000, RANGES_16_BIT_V),
-    "U2353A": Model(16, 16, 500_000, 500_000, RANGES_16_BIT_V),
-    "U2354A": Model(16, 16, 500_000, 500_000, RANGES_16_BIT_V),
-    "U2355A": Model(16, 64, 250_000, 250_000, RANGES_16_BIT_V),
-    "U2356A": Model(16, 64, 500_000, 500_000, RANGES_16_BIT_V),
-    "U2541A": Model(16, 4, 250_000, 1_000_000, RANGES_16_BIT_V, simultaneous=True),
-    "U2542A": Model(16, 4, 500_000, 2_000_000, RANGES_16_BIT_V, simultaneous=True),
+MODELS: dict[str, SimulatedDaqModel] = {
+    "U2331A": SimulatedDaqModel(12, 64, 3_000_000, 1_000_000, RANGES_12_BIT_V),
+    "U2351A": SimulatedDaqModel(16, 16, 250_000, 250_000, RANGES_16_BIT_V),
+    "U2352A": SimulatedDaqModel(16, 16, 250_000, 250_000, RANGES_16_BIT_V),
+    "U2353A": SimulatedDaqModel(16, 16, 500_000, 500_000, RANGES_16_BIT_V),
+    "U2354A": SimulatedDaqModel(16, 16, 500_000, 500_000, RANGES_16_BIT_V),
+    "U2355A": SimulatedDaqModel(16, 64, 250_000, 250_000, RANGES_16_BIT_V),
+    "U2356A": SimulatedDaqModel(16, 64, 500_000, 500_000, RANGES_16_BIT_V),
+    "U2541A": SimulatedDaqModel(16, 4, 250_000, 1_000_000, RANGES_16_BIT_V, simultaneous=True),
+    "U2542A": SimulatedDaqModel(16, 4, 500_000, 2_000_000, RANGES_16_BIT_V, simultaneous=True),
 }
 
 
 @dataclass(frozen=True)
-class Input:
+class SimulatedInput:
     """How one channel is read."""
 
     range_V: float = 10.0
@@ -107,14 +107,14 @@ class Input:
 
 
 @dataclass(frozen=True)
-class Acquisition:
+class SimulatedAcquisition:
     """An acquisition from its start, with all that later settings must not change."""
 
     number: int
     start_us: int
     rate_S_s: int
     channels: tuple[int, ...]
-    inputs: tuple[Input, ...]
+    inputs: tuple[SimulatedInput, ...]
     skew_s: tuple[float, ...]
     points: int
     """Per channel: of the single shot, or of one block."""
@@ -178,7 +178,7 @@ class KeysightU2300A(ScpiInstrument):
         self._port = port
         self._log = log
         self._name = name
-        self._acquisition: Acquisition | None = None
+        self._acquisition: SimulatedAcquisition | None = None
         self._defaults()
         super().__init__(
             ("Agilent Technologies", model, "SIMULATED", "A.2010.01.01"), self._commands()
@@ -197,7 +197,7 @@ class KeysightU2300A(ScpiInstrument):
 
     # --- the command table -------------------------------------------------------------------
 
-    def _commands(self) -> list[Command]:
+    def _commands(self) -> list[ScpiCommand]:
         return [
             *self._scan_commands(),
             *self._input_commands(),
@@ -206,30 +206,30 @@ class KeysightU2300A(ScpiInstrument):
             *self._data_commands(),
         ]
 
-    def _scan_commands(self) -> list[Command]:
+    def _scan_commands(self) -> list[ScpiCommand]:
         if self.model.simultaneous:
             return [
-                Command("ROUTe:ENABle", self._enable, (Boolean(), ChannelList())),
-                Command("ROUTe:ENABle?", self._enabled, (ChannelList(),)),
+                ScpiCommand("ROUTe:ENABle", self._enable, (Boolean(), ChannelList())),
+                ScpiCommand("ROUTe:ENABle?", self._enabled, (ChannelList(),)),
             ]
         return [
-            Command("ROUTe:SCAN", self._set_scan, (ChannelList(),)),
-            Command("ROUTe:SCAN?", lambda _: f"(@{','.join(map(str, self._scan))})"),
+            ScpiCommand("ROUTe:SCAN", self._set_scan, (ChannelList(),)),
+            ScpiCommand("ROUTe:SCAN?", lambda _: f"(@{','.join(map(str, self._scan))})"),
         ]
 
-    def _input_commands(self) -> list[Command]:
+    def _input_commands(self) -> list[ScpiCommand]:
         types = Choice("SINGle", "DIFFerential", "NRSingle")
-        rows: list[Command] = []
+        rows: list[ScpiCommand] = []
         for root in ("[ROUTe:]CHANnel:", "[SENSe:]VOLTage:"):
             rows += [
-                Command(root + "RANGe", self._set_range, (Numeric(("V",)), ChannelList())),
-                Command(root + "RANGe?", self._get_range, (ChannelList(),)),
+                ScpiCommand(root + "RANGe", self._set_range, (Numeric(("V",)), ChannelList())),
+                ScpiCommand(root + "RANGe?", self._get_range, (ChannelList(),)),
                 *self._input_word(root + "POLarity", "polarity", Choice("BIPolar", "UNIPolar")),
                 *self._input_word(root + "STYPe", "signal_type", types),
             ]
         return rows
 
-    def _input_word(self, pattern: str, field: str, kind: Choice) -> list[Command]:
+    def _input_word(self, pattern: str, field: str, kind: Choice) -> list[ScpiCommand]:
         def write(call: Call) -> None:
             word, channels = call.arguments
             for channel in self._known(channels):
@@ -240,20 +240,20 @@ class KeysightU2300A(ScpiInstrument):
             return ",".join(getattr(self._inputs[channel], field) for channel in channels)
 
         return [
-            Command(pattern, write, (kind, ChannelList())),
-            Command(pattern + "?", read, (ChannelList(),)),
+            ScpiCommand(pattern, write, (kind, ChannelList())),
+            ScpiCommand(pattern + "?", read, (ChannelList(),)),
         ]
 
-    def _acquisition_commands(self) -> list[Command]:
+    def _acquisition_commands(self) -> list[ScpiCommand]:
         return [
             *self._whole_number("ACQuire:SRATe", "_rate", self._rate_bounds, ("HZ",)),
             *self._whole_number("ACQuire:POINts", "_points", self._points_bounds),
             *self._whole_number("WAVeform:POINts", "_block_points", self._block_bounds),
-            Command("ACQuire:BURSt", self._set_burst, (Boolean(),)),
-            Command("ACQuire:BURSt?", lambda _: str(int(self._burst))),
-            Command("DIGitize", lambda call: self._begin(call.by, continuous=False)),
-            Command("RUN", lambda call: self._begin(call.by, continuous=True)),
-            Command("STOP", lambda call: self._end("stop", call.by)),
+            ScpiCommand("ACQuire:BURSt", self._set_burst, (Boolean(),)),
+            ScpiCommand("ACQuire:BURSt?", lambda _: str(int(self._burst))),
+            ScpiCommand("DIGitize", lambda call: self._begin(call.by, continuous=False)),
+            ScpiCommand("RUN", lambda call: self._begin(call.by, continuous=True)),
+            ScpiCommand("STOP", lambda call: self._end("stop", call.by)),
         ]
 
     def _whole_number(
@@ -262,8 +262,8 @@ class KeysightU2300A(ScpiInstrument):
         field: str,
         bounds: Callable[[], tuple[int, int]],
         units: tuple[str, ...] = (),
-    ) -> list[Command]:
-        def asked(quantity: Quantity) -> float:
+    ) -> list[ScpiCommand]:
+        def asked(quantity: ScpiQuantity) -> float:
             low, high = bounds()
             return {"": quantity.value, "MIN": low, "MAX": high}[quantity.keyword]
 
@@ -275,9 +275,12 @@ class KeysightU2300A(ScpiInstrument):
             return f"{asked(call.arguments[0]) if call.arguments else getattr(self, field):.0f}"
 
         kind = Numeric(units, ("MIN", "MAX"))
-        return [Command(pattern, write, (kind,)), Command(pattern + "?", read, (kind,), optional=1)]
+        return [
+            ScpiCommand(pattern, write, (kind,)),
+            ScpiCommand(pattern + "?", read, (kind,), optional=1),
+        ]
 
-    def _trigger_commands(self) -> list[Command]:
+    def _trigger_commands(self) -> list[ScpiCommand]:
         words = {
             "TRIGger:SOURce": Choice("NONE", "EXTD", "EXTA", "STRG"),
             "TRIGger:TYPe": Choice("POST", "PRE", "MID", "DELay"),
@@ -286,28 +289,28 @@ class KeysightU2300A(ScpiInstrument):
         }
         return [row for item in words.items() for row in self._trigger_word(*item)]
 
-    def _trigger_word(self, pattern: str, kind: Choice) -> list[Command]:
+    def _trigger_word(self, pattern: str, kind: Choice) -> list[ScpiCommand]:
         def write(call: Call) -> None:
             self._words[pattern] = call.arguments[0]
 
         return [
-            Command(pattern, write, (kind,)),
-            Command(pattern + "?", lambda _: self._words[pattern]),
+            ScpiCommand(pattern, write, (kind,)),
+            ScpiCommand(pattern + "?", lambda _: self._words[pattern]),
         ]
 
-    def _data_commands(self) -> list[Command]:
+    def _data_commands(self) -> list[ScpiCommand]:
         return [
-            Command("WAVeform:COMPlete?", lambda _: "YES" if self._is_complete() else "NO"),
-            Command("WAVeform:STATus?", self._status),
-            Command("WAVeform:DATA?", self._data),
-            Command("MEASure[:VOLTage][:DC]?", self._measure, (ChannelList(),)),
+            ScpiCommand("WAVeform:COMPlete?", lambda _: "YES" if self._is_complete() else "NO"),
+            ScpiCommand("WAVeform:STATus?", self._status),
+            ScpiCommand("WAVeform:DATA?", self._data),
+            ScpiCommand("MEASure[:VOLTage][:DC]?", self._measure, (ChannelList(),)),
         ]
 
     # --- settings ----------------------------------------------------------------------------
 
     def _defaults(self) -> None:
         first = FIRST_CHANNEL
-        self._inputs = {first + index: Input() for index in range(self.model.channels)}
+        self._inputs = {first + index: SimulatedInput() for index in range(self.model.channels)}
         self._scan: tuple[int, ...] = (first,)
         self._rate = DEFAULT_RATE_S_s
         self._points = DEFAULT_POINTS
@@ -395,7 +398,7 @@ class KeysightU2300A(ScpiInstrument):
 
     def _begin(self, by: str, continuous: bool) -> None:
         self._refuse_while_running()
-        self._acquisition = Acquisition(
+        self._acquisition = SimulatedAcquisition(
             number=self._port.begin_acquisition(),
             start_us=self._port.now_us,
             rate_S_s=self._rate,
@@ -413,7 +416,7 @@ class KeysightU2300A(ScpiInstrument):
             self._log.log(self._name, "acquisition", why, by)
         self._acquisition = None
 
-    def _caught_up(self) -> Acquisition | None:
+    def _caught_up(self) -> SimulatedAcquisition | None:
         """The acquisition as it is now; a full buffer has stopped it and lost its data."""
         acquisition = self._acquisition
         if acquisition is None or not acquisition.continuous or acquisition.lost:
@@ -423,7 +426,7 @@ class KeysightU2300A(ScpiInstrument):
             return self._lose(acquisition)
         return acquisition
 
-    def _lose(self, acquisition: Acquisition) -> Acquisition:
+    def _lose(self, acquisition: SimulatedAcquisition) -> SimulatedAcquisition:
         self._log.log(self._name, "acquisition", "overrun", "itself")
         self._acquisition = lost = replace(acquisition, lost=True)
         return lost
@@ -447,7 +450,7 @@ class KeysightU2300A(ScpiInstrument):
             return "EPTY"
         return "DATA" if unread >= acquisition.points else "FRAG"
 
-    def _data(self, call: Call) -> Block:
+    def _data(self, call: Call) -> ScpiBlock:
         """One block, or the whole single shot; an empty block and -230 when there is none yet.
 
         What a real unit answers to a read that comes too early is UNCONFIRMED.
@@ -455,11 +458,11 @@ class KeysightU2300A(ScpiInstrument):
         acquisition = self._caught_up()
         if acquisition is None or acquisition.lost:
             self.report(ScpiError(-230, "no acquisition"))
-            return Block(b"")
+            return ScpiBlock(b"")
         first = acquisition.read if acquisition.continuous else 0
         if acquisition.taken(self._port.now_us) < first + acquisition.points:
             self.report(ScpiError(-230, "not acquired yet"))
-            return Block(b"")
+            return ScpiBlock(b"")
         self._acquisition = replace(acquisition, read=first + acquisition.points)
         words = self._samples_of(acquisition, first)
         codes = np.right_shift(words, 16 - self.model.bits).astype("<i2")
@@ -470,9 +473,9 @@ class KeysightU2300A(ScpiInstrument):
             "crc32": zlib.crc32(codes.tobytes()),
         }
         self._log.log(self._name, "block", handed_out, call.by)
-        return Block(words.astype("<i2").tobytes())
+        return ScpiBlock(words.astype("<i2").tobytes())
 
-    def _samples_of(self, acquisition: Acquisition, first: int) -> npt.NDArray[np.int16]:
+    def _samples_of(self, acquisition: SimulatedAcquisition, first: int) -> npt.NDArray[np.int16]:
         volts = self._port.volts(
             acquisition.number,
             acquisition.channels,

@@ -25,9 +25,8 @@ from typing import Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from drivers.simulated.faults.wire import Dialect
-from drivers.simulated.ports import LogPort, Timeline
-from drivers.simulated.transports.serial_server import Exchange
+from drivers.simulated.faults.wire import WireDialect
+from drivers.simulated.ports import Exchange, LogPort, TimePort
 
 CHANNELS = 8
 CONVERSIONS_PER_S = 48_000
@@ -62,7 +61,7 @@ UNSERVED = frozenset(
 """Commands of the protocol that this simulator answers with "not implemented"."""
 
 
-class ForcePort(Timeline, Protocol):
+class ForcePort(TimePort, Protocol):
     """What a force sensor in the World feels."""
 
     @property
@@ -655,7 +654,7 @@ def _wrong_check(reply: bytes) -> bytes | None:
     return reply[:-2] + bytes((reply[-2] ^ 0xFF, reply[-1]))
 
 
-GSV_DIALECT = Dialect(error=_refusal, checksum=_wrong_check)
+GSV_DIALECT = WireDialect(error=_refusal, checksum=_wrong_check)
 
 
 def _crc8(data: bytes) -> int:

@@ -18,18 +18,14 @@ and 70h, what software overtravel does to a target beyond it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
-import numpy as np
-import numpy.typing as npt
-
-from drivers.simulated.faults.plan import DriveFault, MoveFault, SlowAxis
-from drivers.simulated.instruments.festo_cmmt import AxisPort, FARTHER_THAN_ANY_SWITCH_mm
+from drivers.simulated.faults.plan import DriveFault, MoveFault
+from drivers.simulated.ports import AxisPort
 from drivers.simulated.transports.modbus_tcp import ILLEGAL_ADDRESS, ModbusError
-from drivers.simulated.world.axis import Axis, Command, Event, Mechanics
-from drivers.simulated.world.schedule import Schedule
+from drivers.simulated.world.axis import AxisCommand, AxisEvent, Mechanics
+from drivers.simulated.world.drive import Due, SimulatedDrive
 
 SLAVE_ERROR = 4
 
@@ -79,8 +75,8 @@ ROOM_TEMPERATURE = 312
 
 
 @dataclass(frozen=True)
-class DriveSettings:
-    """How one simulated drive is parametrised, and what is to befall it."""
+class SimulatedAzSettings:
+    """How one simulated drive is set up, and its faults."""
 
     name: str = "stage_z"
     """Its name in the World, its log and fault plans."""
@@ -99,65 +95,27 @@ class DriveSettings:
     faults: tuple[MoveFault, ...] = ()
 
 
-class AzDrive:
+class AzDrive(SimulatedDrive[MoveFault]):
     """One drive and its actuator; a `LineDevice` for `RtuLine`."""
 
-    def __init__(self, settings: DriveSettings, port: AxisPort):
+    def __init__(self, settings: SimulatedAzSettings, port: AxisPort):
+        super().__init__(
+            settings.name,
+            settings.mechanics,
+            lambda mm, t_us: port.load_N(settings.name, mm, t_us),
+            settings.faults,
+            port,
+        )
         self.settings = settings
-        self.axis = Axis(settings.mechanics, lambda mm, t_us: port.load_N(settings.name, mm, t_us))
         self.alarm = 0
         self.homed = False
         """ABSPEN: the drive knows where it is."""
         self.homing = False
-        self._port = port
         self._values = _factory_values(settings)
         self._zero_mm = -settings.unhomed_offset_mm
         self._target_mm: float | None = None
-        self._moving = False
         self._home_end = False
         self._heard_us = port.now_us
-        self._share = 1.0
-        """Of the speed that it is told, which the axis reaches."""
-        self._runs_to_mm: float | None = None
-        """Where it goes instead of its target, until it is stopped."""
-        self._schedule = Schedule(settings.faults)
-        port.beginnings.listen(self._schedule.hear)
-
-    # --- the World's side ---------------------------------------------------------------------
-
-    def position_mm(self, t_us: int) -> float:
-        """Where the carriage is or was."""
-        self.settle(t_us)
-        return self.axis.position(t_us)
-
-    def positions_mm(self, times_us: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-        """The same at several ascending World times."""
-        if times_us.size:
-            self.settle(int(times_us[-1]))
-        return self.axis.positions(times_us)
-
-    def highest_mm(self, begin_us: int, end_us: int) -> float:
-        """The largest of them between two instants."""
-        self.settle(end_us)
-        return self.axis.highest_mm(begin_us, end_us)
-
-    def velocity_mm_s(self, t_us: int) -> float:
-        """How fast it moves or moved."""
-        self.settle(t_us)
-        return self.axis.velocity(t_us)
-
-    def settle(self, now_us: int) -> None:
-        """Let everything happen that was due by now, in its order and at its time.
-
-        A load that asks for the position meanwhile gets the history as it is.
-        """
-        if self.axis.settling:
-            return
-        while (due := self._next_due(now_us)) is not None:
-            t_us, happen = due
-            self._catch_up(t_us)
-            happen(t_us)
-        self._catch_up(now_us)
 
     # --- the line's side ----------------------------------------------------------------------
 
@@ -204,35 +162,19 @@ class AzDrive:
 
     # --- what happens by itself ---------------------------------------------------------------
 
-    def _next_due(self, now_us: int) -> tuple[int, Callable[[int], None]] | None:
-        """The first of the coming faults and the time-out, where it lies in the past."""
-        due: list[tuple[int, Callable[[int], None]]] = []
-        if self._values[LINE_TIMEOUT_ms] and not self.alarm:
-            deadline = self._heard_us + 1000 * self._values[LINE_TIMEOUT_ms]
-            if deadline < now_us:
-                due.append((deadline, lambda t_us: self._fail(LINE_TIMEOUT, t_us)))
-        if (fault_us := self._schedule.due(now_us)) is not None:
-            due.append((fault_us, self._befall))
-        return min(due, key=lambda one: one[0], default=None)
+    def _own_due(self, now_us: int) -> Due | None:
+        """The communication time-out, where it has expired."""
+        if not self._values[LINE_TIMEOUT_ms] or self.alarm:
+            return None
+        deadline = self._heard_us + 1000 * self._values[LINE_TIMEOUT_ms]
+        return (deadline, self._expire) if deadline < now_us else None
 
-    def _befall(self, t_us: int) -> None:
-        fault = self._schedule.take()
-        self._log("injected", fault.kind, "plan")
-        command = None if self.axis.finished(t_us) else self.axis.command
-        velocity = self.axis.velocity(t_us)
+    def _expire(self, t_us: int) -> None:
+        self._fail(LINE_TIMEOUT, t_us)
+
+    def _apply_own_fault(self, fault: MoveFault, t_us: int, velocity_mm_s: float) -> None:
         if isinstance(fault, DriveFault):
             self._fail(fault.code or POSITION_DEVIATION, t_us)
-        elif isinstance(fault, SlowAxis):
-            self._share = fault.share
-            if command is not None:
-                slower = replace(command, speed_mm_s=command.speed_mm_s * fault.share)
-                self.axis.move(t_us, slower)
-        elif fault.kind == "stuck":
-            self.axis.jammed = True
-        elif fault.kind == "runaway":
-            if command is not None:
-                self._runs_to_mm = math.copysign(FARTHER_THAN_ANY_SWITCH_mm, velocity)
-                self.axis.move(t_us, replace(command, target_mm=self._runs_to_mm))
         elif fault.kind == "limit-switch":
             self._fail(LIMIT_SENSOR, t_us)
         else:
@@ -244,7 +186,7 @@ class AzDrive:
         for happening in self.axis.happenings(t_us):
             if self.homing:
                 self._fail(HOMING_FAILED, happening.t_us, braking=True)
-            elif happening.event is Event.FOLLOWING_ERROR:
+            elif happening.event is AxisEvent.FOLLOWING_ERROR:
                 self._fail(POSITION_DEVIATION, happening.t_us, braking=True)
             else:
                 self._fail(LIMIT_SENSOR, happening.t_us, braking=True)
@@ -324,7 +266,7 @@ class AzDrive:
         own = self.settings
         self._log("homing", own.home_mm, by)
         rate = own.homing_rate_mm_s2
-        self._start(Command(own.home_mm, own.homing_speed_mm_s, rate, rate))
+        self._start(AxisCommand(own.home_mm, own.homing_speed_mm_s, rate, rate))
 
     def _operate(self, by: str) -> None:
         """Direct data operation with what stands in its registers."""
@@ -354,7 +296,7 @@ class AzDrive:
         again = self._target_mm is not None  # until a stop or an alarm
         self._target_mm = target
         if not again:
-            self._port.beginnings.begin(self.settings.name, self._port.now_us)
+            self._port.tasks.begin(self.settings.name, self._port.now_us)
         speed_mm_s = speed / self.settings.steps_per_mm
         if not again:
             self._log("move", {"target_mm": round(target, 6), "speed_mm_s": speed_mm_s}, by)
@@ -364,7 +306,7 @@ class AzDrive:
         rates = (
             values[rate] / self.settings.steps_per_mm for rate in (STARTING_RATE, STOPPING_RATE)
         )
-        self._start(Command(goes_to, speed_mm_s * self._share, *rates))
+        self._start(AxisCommand(goes_to, speed_mm_s * self._speed_share, *rates))
 
     def _limited(self, target_mm: float) -> float:
         """Software overtravel: as far as it lets it go (UNCONFIRMED)."""
@@ -376,7 +318,7 @@ class AzDrive:
         )
         return min(max(target_mm, low), high)
 
-    def _start(self, command: Command) -> None:
+    def _start(self, command: AxisCommand) -> None:
         self._moving = True
         self.axis.move(self._port.now_us, command)
 
@@ -436,9 +378,6 @@ class AzDrive:
         )
         return upper << 16 | lower
 
-    def _log(self, what: str, value: object, by: str) -> None:
-        self._port.log(self.settings.name, what, value, by)
-
 
 _SHOWN: dict[int, Callable[[AzDrive, int], int]] = {
     OUTPUT_STATUS: AzDrive._status,
@@ -458,7 +397,7 @@ _SHOWN: dict[int, Callable[[AzDrive, int], int]] = {
 """Values that are made when they are read, by upper register."""
 
 
-def _factory_values(settings: DriveSettings) -> dict[int, int]:
+def _factory_values(settings: SimulatedAzSettings) -> dict[int, int]:
     """Everything that can be written, as it is after power-up."""
     low, high = (
         round(mm * settings.steps_per_mm)

@@ -17,19 +17,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from drivers.simulated.faults.plan import RaisedFlag, RotaryFault, SlowAxis, TurnedKnob
-from drivers.simulated.faults.wire import Dialect
-from drivers.simulated.ports import BeginningsPort, LogPort, Timeline
-from drivers.simulated.transports.serial_server import Exchange
-from drivers.simulated.world.axis import Axis, Command, Event, Mechanics
-from drivers.simulated.world.schedule import Schedule
+from drivers.simulated.faults.plan import RaisedFlag, RotaryFault, TurnedKnob
+from drivers.simulated.faults.wire import WireDialect
+from drivers.simulated.ports import DrivePort, Exchange
+from drivers.simulated.world.axis import AxisCommand, AxisEvent, Mechanics
+from drivers.simulated.world.drive import SimulatedDrive
 
 PRIORITY = (
     *("FF", "FN", "FZ", "FH", "FV", "FO", "FC", "FM", "FD", "FQ", "FI", "FA", "FR", "FS", "FB"),
@@ -45,17 +43,12 @@ SPEED_DATA = 1.6384
 ACCELERATION_DATA = 1.6384e-4
 LARGEST = 2**31 - 1
 LONGEST_COMMAND = 200
-FARTHER_THAN_ANY_TURN_deg = 1e5
 KNOB_SPEED_deg_s = 5.0
 
 
-class StagePort(Timeline, LogPort, BeginningsPort, Protocol):
-    """What a rotary stage stands in."""
-
-
 @dataclass(frozen=True)
-class StageSettings:
-    """How one simulated stage is built and set up, and what is to befall it."""
+class SimulatedRotarySettings:
+    """How one simulated stage is built and set up, and its faults."""
 
     name: str = "rotary"
     """Its name in the World, its log and fault plans."""
@@ -89,11 +82,10 @@ class _RejectedError(Exception):
     """A command that is not obeyed; its only argument is the reason."""
 
 
-class RotaryStage:
+class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
     """One stage; `line` gives what a connection to it talks to."""
 
-    def __init__(self, settings: StageSettings, port: StagePort):
-        self.settings = settings
+    def __init__(self, settings: SimulatedRotarySettings, port: DrivePort):
         window = settings.stall_window_deg if settings.encoder else math.inf
         mechanics = Mechanics(
             start_mm=settings.start_deg,
@@ -101,43 +93,27 @@ class RotaryStage:
             high_switch_mm=math.inf,
             following_window_mm=window,
         )
-        self.axis = Axis(mechanics, lambda angle, t_us: 0.0)
+        super().__init__(settings.name, mechanics, lambda angle, t_us: 0.0, settings.faults, port)
+        self.settings = settings
         self.flags: set[str] = set() if settings.referenced else {"WR", "WH"}
         self.homing = False
         self.values: dict[str, int] = self._factory_values()
         """Settings that can be changed."""
-        self._port = port
         self._zero_deg = 0.0 if settings.referenced else settings.start_deg
-        self._moving = False
-        self._share = 1.0
-        """Of the speed that it is told, which the stage reaches."""
-        self._schedule = Schedule(settings.faults)
-        port.beginnings.listen(self._schedule.hear)
 
     # --- the World's side ---------------------------------------------------------------------
 
     def angle_deg(self, t_us: int) -> float:
-        """Where it stands or stood."""
-        self.settle(t_us)
-        return self.axis.position(t_us)
+        """Where the stage stands or stood at a World time."""
+        return self.position_mm(t_us)
 
     def angles_deg(self, times_us: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-        """The same at several ascending World times."""
-        if times_us.size:
-            self.settle(int(times_us[-1]))
-        return self.axis.positions(times_us)
+        """Where the stage stands or stood at ascending World times; shape of `times_us`."""
+        return self.positions_mm(times_us)
 
     def speed_deg_s(self, t_us: int) -> float:
-        """How fast it turns or turned."""
-        self.settle(t_us)
-        return self.axis.velocity(t_us)
-
-    def settle(self, now_us: int) -> None:
-        """Let everything happen that was due by now, in its order and at its time."""
-        while (t_us := self._schedule.due(now_us)) is not None:
-            self._catch_up(t_us)
-            self._befall(self._schedule.take(), t_us)
-        self._catch_up(now_us)
+        """How fast the stage turns or turned at a World time."""
+        return self.velocity_mm_s(t_us)
 
     # --- the chain's side ---------------------------------------------------------------------
 
@@ -247,7 +223,7 @@ class RotaryStage:
         self.flags |= {"WR", "WH"}
         self._log("homing", 0.0, by)
         acceleration = self._acceleration(self.values["accel"])
-        self._start(Command(0.0, self.settings.homing_speed_deg_s, acceleration, acceleration))
+        self._start(AxisCommand(0.0, self.settings.homing_speed_deg_s, acceleration, acceleration))
 
     def _move(self, words: list[str], by: str) -> None:
         """``abs N``, ``rel N``, ``min`` or ``max``, each with speed and acceleration or without."""
@@ -272,10 +248,10 @@ class RotaryStage:
         fresh = not self._moving
         self._interrupt()
         if fresh:
-            self._port.beginnings.begin(self.settings.name, self._port.now_us)
+            self._port.tasks.begin(self.settings.name, self._port.now_us)
             told = {"target_deg": round(target_deg, 6), "speed_deg_s": round(speed_deg_s, 6)}
             self._log("turn", told, by)
-        self._start(Command(target_deg, speed_deg_s * self._share, rate, rate))
+        self._start(AxisCommand(target_deg, speed_deg_s * self._speed_share, rate, rate))
 
     def _require_power(self) -> None:
         if self.flags & POWERLESS:
@@ -289,7 +265,7 @@ class RotaryStage:
             self.flags.add("NI")
         self.homing = False
 
-    def _start(self, command: Command) -> None:
+    def _start(self, command: AxisCommand) -> None:
         self._moving = True
         self.axis.move(self._port.now_us, command)
 
@@ -297,7 +273,7 @@ class RotaryStage:
 
     def _catch_up(self, t_us: int) -> None:
         for happening in self.axis.happenings(t_us):
-            stalled = happening.event is Event.FOLLOWING_ERROR
+            stalled = happening.event is AxisEvent.FOLLOWING_ERROR
             self._raise("FS" if stalled else "WL", happening.t_us)
         if not self._moving or not self.axis.finished(t_us):
             return
@@ -318,29 +294,13 @@ class RotaryStage:
             self.homing = False
             self.axis.stop(t_us, self.axis.mechanics.quick_deceleration_mm_s2)
 
-    def _befall(self, fault: RotaryFault, t_us: int) -> None:
-        self._log("injected", fault.kind, "plan")
-        command = None if self.axis.finished(t_us) else self.axis.command
-        velocity = self.axis.velocity(t_us)
+    def _apply_own_fault(self, fault: RotaryFault, t_us: int, velocity_mm_s: float) -> None:
         if isinstance(fault, RaisedFlag):
             self._raise(fault.flag, t_us)
         elif isinstance(fault, TurnedKnob):
             self._turn_by_hand(fault.by_deg, t_us)
-        elif isinstance(fault, SlowAxis):
-            self._share = fault.share
-            if command is not None:
-                slower = replace(command, speed_mm_s=command.speed_mm_s * fault.share)
-                self.axis.move(t_us, slower)
-        elif fault.kind == "stuck":
-            self.axis.jammed = True
-        elif fault.kind == "runaway":
-            if command is not None:
-                away = math.copysign(FARTHER_THAN_ANY_TURN_deg, velocity)
-                self.axis.move(t_us, replace(command, target_mm=away))
-        elif fault.kind == "limit-switch":
-            self._raise("WL", t_us)
         else:
-            self._raise("WR", t_us)
+            self._raise("WL" if fault.kind == "limit-switch" else "WR", t_us)
 
     def _turn_by_hand(self, by_deg: float, t_us: int) -> None:
         """The knob takes the stage over, also out of a turn under way."""
@@ -350,7 +310,7 @@ class RotaryStage:
         self.homing, self._moving = False, True
         rate = self._acceleration(self.values["accel"])
         target = self.axis.position(t_us) + by_deg
-        self.axis.move(t_us, Command(target, KNOB_SPEED_deg_s, rate, rate))
+        self.axis.move(t_us, AxisCommand(target, KNOB_SPEED_deg_s, rate, rate))
 
     # --- units --------------------------------------------------------------------------------
 
@@ -373,14 +333,11 @@ class RotaryStage:
     def _acceleration(self, data: int) -> float:
         return data / ACCELERATION_DATA * self.settings.microstep_deg
 
-    def _log(self, what: str, value: object, by: str) -> None:
-        self._port.log(self.settings.name, what, value, by)
-
 
 class ChainLine:
     """What a connection to a stage talks to: cuts bytes into commands; a `SerialInstrument`."""
 
-    def __init__(self, stage: RotaryStage):
+    def __init__(self, stage: SimulatedRotaryStage):
         self._stage = stage
         self._came = b""
 
@@ -426,4 +383,4 @@ def _rejection(reply: bytes, reason: str) -> bytes | None:
     return b"@" + spoilt + b":%02X\r\n" % _check(spoilt)
 
 
-ZABER_DIALECT = Dialect(rejection=_rejection, checksum=_wrong_check)
+ZABER_DIALECT = WireDialect(rejection=_rejection, checksum=_wrong_check)

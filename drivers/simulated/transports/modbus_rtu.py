@@ -14,11 +14,10 @@ import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Protocol
 
-from drivers.simulated.faults.wire import Dialect
-from drivers.simulated.ports import Timeline
+from drivers.simulated.faults.wire import WireDialect
+from drivers.simulated.ports import Exchange, TimePort
 from drivers.simulated.transports import modbus_tcp as modbus
 from drivers.simulated.transports.modbus_tcp import ILLEGAL_FUNCTION, ModbusError, Registers
-from drivers.simulated.transports.serial_server import Exchange
 
 BROADCAST = 0
 SHORTEST_FRAME, LONGEST_FRAME = 4, 256
@@ -84,7 +83,7 @@ def _wrong_checksum(reply: bytes) -> bytes:
     return reply[:-1] + bytes([reply[-1] ^ 0xFF])
 
 
-RTU_DIALECT = Dialect(error=_exception, checksum=_wrong_checksum)
+RTU_DIALECT = WireDialect(error=_exception, checksum=_wrong_checksum)
 
 
 class RtuLine:
@@ -97,7 +96,7 @@ class RtuLine:
     def __init__(
         self,
         devices: Sequence[LineDevice],
-        timeline: Timeline,
+        timeline: TimePort,
         baudrate: int = 230_400,
         response_wait_us: int = 3000,
         gap_us: int = 2500,

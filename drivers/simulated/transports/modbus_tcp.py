@@ -15,7 +15,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol, TypeVar
 
-from drivers.simulated.faults.wire import Dialect, WireFaults
+from drivers.simulated.faults.wire import WireDialect, WireFaults
 from drivers.simulated.transports.tcp import TcpPeer, TcpServer
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
@@ -177,7 +177,7 @@ def _unpack(layout: str, data: bytes) -> tuple[int, ...]:
 # --- frames ----------------------------------------------------------------------------------
 
 
-class FrameError(Exception):
+class ModbusFrameError(Exception):
     """Bytes that are no Modbus TCP frame: the connection cannot be understood any more."""
 
 
@@ -188,13 +188,13 @@ class FrameSplitter:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[tuple[int, int, bytes]]:
-        """The complete frames so far; FrameError where there can be none."""
+        """The complete frames so far; ModbusFrameError where there can be none."""
         self._buffer += data
         frames = []
         while len(self._buffer) >= _HEADER.size:
             transaction, protocol, length, unit = _HEADER.unpack(self._buffer[: _HEADER.size])
             if protocol != 0 or not 2 <= length <= LONGEST_REPLY_PDU + 1:
-                raise FrameError(f"protocol {protocol}, length {length}")
+                raise ModbusFrameError(f"protocol {protocol}, length {length}")
             end = 6 + length
             if len(self._buffer) < end:
                 break
@@ -213,7 +213,7 @@ def _exception(reply: bytes, code: int) -> bytes:
     return frame(transaction, unit, bytes((reply[_HEADER.size] | 0x80, code)))
 
 
-MODBUS_DIALECT = Dialect(error=_exception)
+MODBUS_DIALECT = WireDialect(error=_exception)
 """Modbus TCP has no checksum of its own: TCP's is enough."""
 
 
@@ -248,7 +248,7 @@ class _ModbusPeer(TcpPeer):
     def data_received(self, data: bytes) -> None:
         try:
             frames = self._splitter.feed(data)
-        except FrameError:
+        except ModbusFrameError:
             self.abort()
             return
         for transaction, unit, pdu in frames:

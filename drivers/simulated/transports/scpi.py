@@ -138,7 +138,7 @@ class MessageSplitter:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class ScpiQuantity:
     """A numeric parameter: a value in its base unit, or one of MIN, MAX, DEF, INF."""
 
     value: float = 0.0
@@ -168,16 +168,16 @@ class Numeric:
     units: tuple[str, ...] = ()
     keywords: tuple[str, ...] = ("MIN", "MAX", "DEF")
 
-    def parse(self, data: bytes) -> Quantity:
+    def parse(self, data: bytes) -> ScpiQuantity:
         text = data.decode("latin-1").strip()
         keyword = _match_choice(text, _KEYWORDS)
         if keyword in self.keywords:
-            return Quantity(keyword=keyword)
+            return ScpiQuantity(keyword=keyword)
         found = _NUMBER.fullmatch(text)
         if found is None:
             raise ScpiError(-104)
         scale, unit = self._unit(found.group(2).upper())
-        return Quantity(float(found.group(1)) * scale, unit)
+        return ScpiQuantity(float(found.group(1)) * scale, unit)
 
     def _unit(self, suffix: str) -> tuple[float, str]:
         if not suffix:
@@ -279,17 +279,17 @@ class Call:
 
 
 @dataclass(frozen=True)
-class Block:
+class ScpiBlock:
     """A reply that is a binary block."""
 
     data: bytes
 
 
-Reply = str | Block | None
+Reply = str | ScpiBlock | None
 
 
 @dataclass(frozen=True)
-class Command:
+class ScpiCommand:
     """A row of an instrument's command table; the last ``optional`` parameters may be left out."""
 
     pattern: str
@@ -317,11 +317,11 @@ def compile_pattern(pattern: str) -> re.Pattern[str]:
 class _CommandTable:
     """Finds the row of a header, and remembers headers already found."""
 
-    def __init__(self, commands: Sequence[Command]):
+    def __init__(self, commands: Sequence[ScpiCommand]):
         self._rows = [(compile_pattern(command.pattern), command) for command in commands]
-        self._known: dict[str, tuple[Command, tuple[int, ...]]] = {}
+        self._known: dict[str, tuple[ScpiCommand, tuple[int, ...]]] = {}
 
-    def find(self, header: str) -> tuple[Command, tuple[int, ...]]:
+    def find(self, header: str) -> tuple[ScpiCommand, tuple[int, ...]]:
         header = header.upper()
         if header not in self._known:
             if len(self._known) > 1000:  # a client that sends garbage for hours
@@ -329,14 +329,14 @@ class _CommandTable:
             self._known[header] = self._search(header)
         return self._known[header]
 
-    def _search(self, header: str) -> tuple[Command, tuple[int, ...]]:
+    def _search(self, header: str) -> tuple[ScpiCommand, tuple[int, ...]]:
         for expression, command in self._rows:
             if found := expression.fullmatch(header):
                 return command, tuple(int(group or 1) for group in found.groups())
         raise ScpiError(-113)
 
 
-def _parse_arguments(command: Command, data: bytes) -> tuple[Any, ...]:
+def _parse_arguments(command: ScpiCommand, data: bytes) -> tuple[Any, ...]:
     if command.parameters and isinstance(command.parameters[-1], Rest):
         pieces = _split(data, b",")
         fixed = len(command.parameters) - 1
@@ -372,7 +372,7 @@ class ScpiInstrument(ABC):
     BLOCK_TERMINATOR = b"\n"
     """What follows a binary block that ends a response."""
 
-    def __init__(self, identity: tuple[str, str, str, str], commands: Sequence[Command]):
+    def __init__(self, identity: tuple[str, str, str, str], commands: Sequence[ScpiCommand]):
         self.identity = identity
         self._table = _CommandTable([*commands, *self._common_commands()])
         self._errors: deque[ScpiError] = deque()
@@ -402,8 +402,10 @@ class ScpiInstrument(ABC):
                 self.report(error)
                 continue
             if reply is not None:
-                binary = isinstance(reply, Block)
-                replies.append(block(reply.data) if isinstance(reply, Block) else reply.encode())
+                binary = isinstance(reply, ScpiBlock)
+                replies.append(
+                    block(reply.data) if isinstance(reply, ScpiBlock) else reply.encode()
+                )
                 terminator = self.BLOCK_TERMINATOR if binary else b"\n"
         return b";".join(replies) + terminator if replies else None
 
@@ -426,26 +428,26 @@ class ScpiInstrument(ABC):
         command, suffixes = self._table.find(header)
         return command.run(Call(by, suffixes, _parse_arguments(command, arguments)))
 
-    def _common_commands(self) -> list[Command]:
+    def _common_commands(self) -> list[ScpiCommand]:
         byte = (Numeric(),)
         return [
-            Command("*IDN?", lambda _: ",".join(self.identity)),
-            Command("*RST", lambda call: self.reset(call.by)),
-            Command("*CLS", self._clear_status),
-            Command("*OPC", lambda _: self._raise_event(_OPERATION_COMPLETE)),
-            Command("*OPC?", lambda _: "1"),
-            Command("*WAI", lambda _: None),
-            Command("*TRG", lambda call: self.trigger(call.by)),
-            Command("*TST?", lambda _: "+0"),
-            Command("*OPT?", lambda _: "0"),
-            Command("*ESR?", self._read_event_status),
-            Command("*STB?", lambda _: f"{self.status_byte():+d}"),
-            Command("*ESE", self._set_event_enable, byte),
-            Command("*ESE?", lambda _: f"{self._event_enable:+d}"),
-            Command("*SRE", self._set_service_enable, byte),
-            Command("*SRE?", lambda _: f"{self._service_enable:+d}"),
-            Command("SYSTem:ERRor[:NEXT]?", self._next_error),
-            Command("SYSTem:VERSion?", lambda _: "1999.0"),
+            ScpiCommand("*IDN?", lambda _: ",".join(self.identity)),
+            ScpiCommand("*RST", lambda call: self.reset(call.by)),
+            ScpiCommand("*CLS", self._clear_status),
+            ScpiCommand("*OPC", lambda _: self._raise_event(_OPERATION_COMPLETE)),
+            ScpiCommand("*OPC?", lambda _: "1"),
+            ScpiCommand("*WAI", lambda _: None),
+            ScpiCommand("*TRG", lambda call: self.trigger(call.by)),
+            ScpiCommand("*TST?", lambda _: "+0"),
+            ScpiCommand("*OPT?", lambda _: "0"),
+            ScpiCommand("*ESR?", self._read_event_status),
+            ScpiCommand("*STB?", lambda _: f"{self.status_byte():+d}"),
+            ScpiCommand("*ESE", self._set_event_enable, byte),
+            ScpiCommand("*ESE?", lambda _: f"{self._event_enable:+d}"),
+            ScpiCommand("*SRE", self._set_service_enable, byte),
+            ScpiCommand("*SRE?", lambda _: f"{self._service_enable:+d}"),
+            ScpiCommand("SYSTem:ERRor[:NEXT]?", self._next_error),
+            ScpiCommand("SYSTem:VERSion?", lambda _: "1999.0"),
         ]
 
     def _raise_event(self, bit: int) -> None:
@@ -473,7 +475,7 @@ class ScpiInstrument(ABC):
 
 
 def _byte(call: Call) -> int:
-    quantity: Quantity = call.arguments[0]
+    quantity: ScpiQuantity = call.arguments[0]
     if quantity.keyword or not 0 <= quantity.value <= 255:
         raise ScpiError(-222)
     return round(quantity.value)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 
-from drivers.simulated.faults.wire import Dialect, FaultyLink, WireFaults
+from drivers.simulated.faults.wire import FaultyLink, WireDialect, WireFaults
 from drivers.simulated.transports import hislip
 from drivers.simulated.transports.scpi import ERROR_TEXT, MessageSplitter, ScpiInstrument
 from drivers.simulated.transports.tcp import TcpPeer, TcpServer
@@ -24,7 +24,7 @@ def _queued_error(reply: bytes, code: int) -> bytes | None:
     return reply.replace(_NO_ERROR, b'%+d,"Device-specific error"' % code)
 
 
-SCPI_DIALECT = Dialect(error=_queued_error)
+SCPI_DIALECT = WireDialect(error=_queued_error)
 """Neither a raw socket nor HiSLIP has a checksum of its own: TCP's is enough."""
 
 

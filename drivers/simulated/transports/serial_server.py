@@ -19,45 +19,18 @@ import asyncio
 import os
 import tempfile
 import tty
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
 
 from drivers.simulated.faults.plan import FaultPlan
 from drivers.simulated.faults.wire import Delivery, WireFaults
-from drivers.simulated.ports import Timeline
+from drivers.simulated.ports import SerialInstrument, TimePort
 
 LONGEST_BACKLOG = 64 * 1024
 TICK_S = 0.001
 """How often a server in real time looks whether its instrument has something to say, and whether
 the kernel takes more of the queue."""
 READ_BYTES = 65536
-
-
-@dataclass(frozen=True)
-class Exchange:
-    """One request, as a fault plan names it, and its reply; None where there is none."""
-
-    request: bytes
-    reply: bytes | None
-    device: str = ""
-    """Who of several on the line replies."""
-    delay_s: float = 0.0
-    """When the reply has arrived in real time, wire time included. In slaved time it comes at
-    once: a client that minds the line's time lets it pass itself."""
-
-
-class SerialInstrument(Protocol):
-    """What a simulated instrument on a serial line has to do."""
-
-    def exchanges(self, data: bytes, by: str) -> Iterable[Exchange]:
-        """Take bytes from the line; the requests that they complete, with their replies."""
-        ...
-
-    def frames_until(self, now_us: int) -> bytes:
-        """What it has to say of its own accord since the last call; empty for most."""
-        ...
 
 
 class PtyServer:
@@ -75,7 +48,7 @@ class PtyServer:
     def __init__(
         self,
         instrument: SerialInstrument,
-        timeline: Timeline,
+        timeline: TimePort,
         slaved: bool = False,
         faults: WireFaults | Mapping[str, WireFaults] | None = None,
         stream_faults: WireFaults | None = None,

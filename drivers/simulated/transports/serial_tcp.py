@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from drivers.simulated.faults.wire import WireFaults
-from drivers.simulated.transports.serial_server import SerialInstrument
+from drivers.simulated.ports import SerialInstrument
 from drivers.simulated.transports.tcp import TcpPeer, TcpServer
 
 

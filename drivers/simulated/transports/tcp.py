@@ -78,7 +78,7 @@ class TcpServer(ABC):
 
     def _refuse(self) -> None:
         """Listen no longer, and keep the port, so that nobody else answers there."""
-        self.faults.tell("refused")
+        self.faults.report("refused")
         if self._server is not None:
             self._server.close()
         self._deaf = socket.socket()

@@ -58,7 +58,7 @@ class Mechanics:
     """What the drive can push with when nothing else limits it."""
 
 
-class Event(Enum):
+class AxisEvent(Enum):
     """What the axis met by itself; each ends its motion."""
 
     FOLLOWING_ERROR = "following error"
@@ -71,7 +71,7 @@ class Event(Enum):
 class Happening:
     """An event, when and where."""
 
-    event: Event
+    event: AxisEvent
     t_us: int
     position_mm: float
 
@@ -164,7 +164,7 @@ def move_profile(
     return [phase for phase in phases if phase.duration_s > 0]
 
 
-class Path:
+class MotionPath:
     """A history of stretches that ends at rest."""
 
     def __init__(self, start_mm: float):
@@ -241,7 +241,7 @@ class Path:
 
 
 @dataclass(frozen=True)
-class Command:
+class AxisCommand:
     """The move that was asked for last."""
 
     target_mm: float
@@ -260,7 +260,7 @@ class Command:
         )
 
 
-class Axis:
+class SimulatedAxis:
     """One axis. Commands never go back in time; positions may be asked for at any past instant."""
 
     def __init__(self, mechanics: Mechanics, load: Load):
@@ -271,14 +271,14 @@ class Axis:
         self.stiffest_load_N_mm = math.inf
         """No load in its way rises faster, where that is known: then a force far below the limit is
         not asked for in vain."""
-        self.beside: Axis | None = None
+        self.beside: SimulatedAxis | None = None
         """What else moves the load, where that is one other axis alone."""
         self.jammed = False
         """A fault: the carriage cannot be moved by any force."""
         self._load = load
-        self._setpoint = Path(mechanics.start_mm)
-        self._carriage = Path(mechanics.start_mm)
-        self._command: Command | None = None
+        self._setpoint = MotionPath(mechanics.start_mm)
+        self._carriage = MotionPath(mechanics.start_mm)
+        self._command: AxisCommand | None = None
         self._held_direction = 0.0
         """Which way the setpoint went on when the carriage was held back; 0 while it follows."""
         self._settled_us = 0
@@ -303,7 +303,7 @@ class Axis:
     def force_limit_N(self, limit_N: float) -> None:  # noqa: N802
         self._force_limit_N, self._asked, self._light_until_us = limit_N, None, 0
 
-    def move(self, now_us: int, command: Command) -> None:
+    def move(self, now_us: int, command: AxisCommand) -> None:
         """Go to a position, also out of a motion under way; ValueError for a speed of nothing."""
         if not command.speed_mm_s > 0:
             raise ValueError(f"cannot move at {command.speed_mm_s} mm/s")
@@ -326,7 +326,7 @@ class Axis:
     # --- what can be seen of it ---------------------------------------------------------------
 
     @property
-    def command(self) -> Command | None:
+    def command(self) -> AxisCommand | None:
         """The move that was asked for last; None once something has ended it."""
         return self._command
 
@@ -417,9 +417,9 @@ class Axis:
         elif self._command is None:
             return  # braking already
         elif velocity < 0 and position <= self.mechanics.low_switch_mm:
-            self._meet(Event.LOW_SWITCH, t_us, position)
+            self._meet(AxisEvent.LOW_SWITCH, t_us, position)
         elif velocity > 0 and position >= self.mechanics.high_switch_mm:
-            self._meet(Event.HIGH_SWITCH, t_us, position)
+            self._meet(AxisEvent.HIGH_SWITCH, t_us, position)
 
     def _held_back(self, position: float, going: float, t_us: int) -> bool:
         if self.jammed:
@@ -461,15 +461,17 @@ class Axis:
         ahead = (wanted - position) * self._held_direction
         seeking, mechanics = self.seeks_fixed_stop, self.mechanics
         if ahead > (mechanics.fixed_stop_window_mm if seeking else mechanics.following_window_mm):
-            self._meet(Event.FIXED_STOP if seeking else Event.FOLLOWING_ERROR, t_us, position)
+            self._meet(
+                AxisEvent.FIXED_STOP if seeking else AxisEvent.FOLLOWING_ERROR, t_us, position
+            )
         elif ahead <= 0 and not self.jammed and self._command is not None:
             self._held_direction = 0.0
             phases = self._command.profile(position, going)
             self._become(t_us, position, going, phases, self._command.target_mm)
         elif -ahead > mechanics.following_window_mm:
-            self._meet(Event.FOLLOWING_ERROR, t_us, position)
+            self._meet(AxisEvent.FOLLOWING_ERROR, t_us, position)
 
-    def _meet(self, event: Event, t_us: int, position: float) -> None:
+    def _meet(self, event: AxisEvent, t_us: int, position: float) -> None:
         self._happenings.append(Happening(event, t_us, position))
         self._brake(t_us, self.mechanics.quick_deceleration_mm_s2)
 

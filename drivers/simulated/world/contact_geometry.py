@@ -24,7 +24,7 @@ Reals = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 Where = Callable[[Times], Reals]
 """Where a carriage is or was in mm, or a rotary stage in deg, at ascending World times in us."""
-SURELY_mm = 1e-6
+CLEARANCE_TOLERANCE_mm = 1e-6
 """So far apart is apart, however positions are rounded."""
 
 
@@ -55,7 +55,7 @@ class HeadSettings(Settings):
 
 
 @dataclass(frozen=True)
-class Meeting:
+class ContactGeometry:
     """Skin and object at k instants; arrays (k,)."""
 
     approach_mm: Reals
@@ -65,8 +65,8 @@ class Meeting:
     turned_rad: Reals
     """By how much it is turned; positive rolls towards +x."""
 
-    def __getitem__(self, part: slice) -> Meeting:
-        return Meeting(self.approach_mm[part], self.x_mm[part], self.turned_rad[part])
+    def __getitem__(self, part: slice) -> ContactGeometry:
+        return ContactGeometry(self.approach_mm[part], self.x_mm[part], self.turned_rad[part])
 
 
 class Below(Protocol):
@@ -82,7 +82,7 @@ class Below(Protocol):
         is quickly known."""
         ...
 
-    def at(self, times_us: Times) -> Meeting:
+    def at(self, times_us: Times) -> ContactGeometry:
         """How it meets the skin at ascending World times."""
         ...
 
@@ -103,13 +103,13 @@ class PlateBelow:
 
     def apart(self, begin_us: int, end_us: int) -> bool:
         """See `Below`."""
-        return self.z.highest_mm(begin_us, end_us) < self.contact_mm - SURELY_mm
+        return self.z.highest_mm(begin_us, end_us) < self.contact_mm - CLEARANCE_TOLERANCE_mm
 
-    def at(self, times_us: Times) -> Meeting:
+    def at(self, times_us: Times) -> ContactGeometry:
         """See `Below`."""
         z_mm = self.z.positions_mm(times_us)
         x_mm = self.x.positions_mm(times_us)
-        return Meeting(z_mm - self.contact_mm, x_mm, np.zeros(z_mm.size))
+        return ContactGeometry(z_mm - self.contact_mm, x_mm, np.zeros(z_mm.size))
 
 
 @dataclass(frozen=True)
@@ -132,14 +132,14 @@ class HeadBelow:
         """See `Below`: a head that turns is looked at."""
         return False
 
-    def at(self, times_us: Times) -> Meeting:
+    def at(self, times_us: Times) -> ContactGeometry:
         """See `Below`."""
         body, head = self.settings.body, self.settings
         assert not isinstance(body, Plate), "a plate does not roll"
         arm_mm = body.radius_mm + head.axis_offset_mm
         z_mm, x_mm = self.z.positions_mm(times_us), self.x.positions_mm(times_us)
         turned = np.radians(self.angle_deg(times_us) - head.upright_deg)
-        return Meeting(
+        return ContactGeometry(
             z_mm - self.contact_mm + arm_mm * (1 - np.cos(turned)),
             x_mm - head.centre_mm + arm_mm * np.sin(turned),
             turned,

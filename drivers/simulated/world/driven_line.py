@@ -21,7 +21,7 @@ SEGMENTS_KEPT = 4096
 
 
 @dataclass(frozen=True)
-class Segment:
+class ExcitationSegment:
     """A stretch of constant excitation from `start_us` on."""
 
     start_us: int
@@ -36,7 +36,7 @@ class DrivenLine:
 
     def __init__(self, line: ModalSystem):
         self._line = line
-        self._segments = [Segment(0, SineDrive(), line.rest())]
+        self._segments = [ExcitationSegment(0, SineDrive(), line.rest())]
         self._starts_s = [0.0]
 
     @property
@@ -60,7 +60,7 @@ class DrivenLine:
             drive = replace(drive, amplitude=excitation.amplitude_V)
         if excitation.on and excitation.function in ("SIN", "DC"):
             drive = replace(drive, offset=excitation.offset_V)
-        self._segments.append(Segment(now_us, drive, state))
+        self._segments.append(ExcitationSegment(now_us, drive, state))
         self._starts_s.append(now_us * 1e-6)
         del self._segments[:-SEGMENTS_KEPT], self._starts_s[:-SEGMENTS_KEPT]
 
@@ -83,7 +83,7 @@ class DrivenLine:
                 result[begin:end] = self._driven(segment, column).at(since)[:, 0]
         return result
 
-    def _driven(self, segment: Segment, column: int) -> Driven:
+    def _driven(self, segment: ExcitationSegment, column: int) -> Driven:
         if column not in segment.driven:
             segment.driven[column] = self._line.driven(segment.state, segment.drive, [column])
         return segment.driven[column]

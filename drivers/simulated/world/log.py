@@ -10,13 +10,13 @@ import json
 from pathlib import Path
 from typing import IO
 
-from drivers.simulated.world.timeline import Timeline
+from drivers.simulated.world.timeline import WorldTimeline
 
 
 class WorldLog:
     """Writes the log to a file, or nowhere."""
 
-    def __init__(self, path: Path | None, timeline: Timeline):
+    def __init__(self, path: Path | None, timeline: WorldTimeline):
         self._timeline = timeline
         self._file: IO[str] | None = None
         if path is not None:

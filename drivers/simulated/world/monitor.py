@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from drivers.simulated.transports.serial_server import Exchange, SerialInstrument
+from drivers.simulated.ports import Exchange, SerialInstrument
 from rig.core.settings import Settings
 
 STEP_us = 1000

@@ -61,7 +61,7 @@ class HeadWorldSettings(PlateWorldSettings):
         return self
 
 
-def hang_skin(
+def mount_skin(
     world: World,
     settings: PlateWorldSettings,
     stage_z: Carriage,
@@ -89,5 +89,5 @@ def hang_skin(
         )
     except ValueError as error:
         raise ConfigurationError(f"World settings: {error}") from error
-    world.hang(skin, settings.strip_input)
+    world.mount_skin(skin, settings.strip_input)
     return VISCOUS * condensed.stiffest_N_mm

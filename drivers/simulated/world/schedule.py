@@ -1,6 +1,6 @@
-"""When faults of the World begin: at a bench time, or so long after something else began.
+"""When the faults of a plan begin: at a bench time, or some time after a task began.
 
-It may keep the order and tell whose time has come. What then happens is its owner's affair.
+A schedule keeps their order and says which is due; its owner makes them happen.
 """
 
 from __future__ import annotations
@@ -9,32 +9,32 @@ from collections.abc import Iterable
 from typing import Generic, TypeVar
 
 from drivers.simulated.faults.plan import Placed
-from drivers.simulated.task_log import Beginning
+from drivers.simulated.task_log import TaskStart
 
 F = TypeVar("F", bound=Placed)
 
 
 class Schedule(Generic[F]):
-    """Faults by World time in us, of which each comes once."""
+    """The faults of one device, or of the World, in the order in which they are due; each once."""
 
     def __init__(self, faults: Iterable[F]):
         self._faults = tuple(faults)
         self._coming: list[tuple[int, F]] = []
         self.hear(None, 0)
 
-    def hear(self, beginning: Beginning | None, now_us: int) -> None:
-        """Something begins now, or with None the World: expect what is placed by it."""
+    def hear(self, task: TaskStart | None, now_us: int) -> None:
+        """Schedule the faults that count from `task`, which begins now (None: the World)."""
         self._coming += [
             (now_us + round(fault.after_s * 1e6), fault)
             for fault in self._faults
-            if fault.beginning == beginning
+            if fault.task == task
         ]
         self._coming.sort(key=lambda one: one[0])
 
     def due(self, now_us: int) -> int | None:
-        """When the first of those that are due by now was due; None where none is."""
+        """World time in us at which the first fault was due; None where none is due by `now_us`."""
         return self._coming[0][0] if self._coming and self._coming[0][0] <= now_us else None
 
     def take(self) -> F:
-        """The first one, which then is expected no more."""
+        """Remove the first fault and return it."""
         return self._coming.pop(0)[1]

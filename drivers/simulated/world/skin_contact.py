@@ -37,7 +37,7 @@ from rig.physics.contact.stepper import OPEN, ContactStepper, ConvergenceError
 from rig.physics.transducer import TransducerChain, TransducerSettings
 
 if TYPE_CHECKING:
-    from drivers.simulated.world.contact_geometry import Below, Meeting
+    from drivers.simulated.world.contact_geometry import Below, ContactGeometry
     from rig.physics.skin.condensed import CondensedSkin
 
 Reals = npt.NDArray[np.float64]
@@ -178,7 +178,7 @@ class SkinContact:
             self._remember(end, last)
             self._keep(np.zeros((4, idle)))
 
-    def _remember(self, passed: Meeting, last: int) -> None:
+    def _remember(self, passed: ContactGeometry, last: int) -> None:
         """Where the object was when nothing touched it, `last` being the step of its newest."""
         shaken_mm = self._shaken_mm(passed.x_mm[-1:], last)
         self._object_at_mm = float(shaken_mm[0])
@@ -193,7 +193,7 @@ class SkinContact:
         shaken: Reals = x_mm + 1e-3 * self._mount.jitter_um * np.sin(2 * math.pi * turns)
         return shaken
 
-    def _advance(self, meeting: Meeting) -> None:
+    def _advance(self, meeting: ContactGeometry) -> None:
         approach, begin = meeting.approach_mm, 0
         while begin < approach.size:
             if self._at_rest:
@@ -210,7 +210,7 @@ class SkinContact:
             self._do(meeting[begin : begin + steps])
             begin += steps
 
-    def _do(self, meeting: Meeting) -> None:
+    def _do(self, meeting: ContactGeometry) -> None:
         """The steps of one block or of a part of it."""
         approach, x_mm, turned = meeting.approach_mm, meeting.x_mm, meeting.turned_rad
         if self._stepper is None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 
 
-class Timeline:
+class WorldTimeline:
     """Integer microseconds since the World began."""
 
     def __init__(self, slaved: bool):

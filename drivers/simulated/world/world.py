@@ -30,13 +30,13 @@ from drivers.simulated.faults.plan import (
     TimedFault,
 )
 from drivers.simulated.ports import Excitation
-from drivers.simulated.task_log import Beginnings
+from drivers.simulated.task_log import TaskLog
 from drivers.simulated.world.driven_line import DrivenLine
 from drivers.simulated.world.film_clamp import ClampedFilm
 from drivers.simulated.world.log import WorldLog
 from drivers.simulated.world.monitor import WatchSettings
 from drivers.simulated.world.schedule import Schedule
-from drivers.simulated.world.timeline import Timeline
+from drivers.simulated.world.timeline import WorldTimeline
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings
 from rig.core.toml_files import read_toml
@@ -118,7 +118,7 @@ class World:
         faults: Iterable[TimedFault] = (),
     ):
         self.settings = settings
-        self.timeline = Timeline(slaved)
+        self.timeline = WorldTimeline(slaved)
         self._log = WorldLog(log, self.timeline)
         self._seed = seed
         self._point_key = (0, 0)
@@ -141,9 +141,9 @@ class World:
         self._pushes: list[tuple[float, float, float]] = []
         """Begin and end in s, force in N."""
         self._schedule = Schedule(faults)
-        self.beginnings = Beginnings()
+        self.tasks = TaskLog()
         """Of tasks and acquisitions."""
-        self.beginnings.listen(self._schedule.hear)
+        self.tasks.listen(self._schedule.hear)
         self._elsewhere: dict[str, Callable[[TimedFault, int], None]] = {}
         self._excitation: Excitation | None = None
         self._clip_V = math.inf
@@ -162,7 +162,7 @@ class World:
         """The z stage carries the vibrator: where its carriage is or was."""
         self._clamp = ClampedFilm(self.settings.clamp, stage_z_mm)
 
-    def hang(self, skin: SkinContact, strips: FrontEndSettings) -> None:
+    def mount_skin(self, skin: SkinContact, strips: FrontEndSettings) -> None:
         """The stages carry a skin above the plate; `strips` are its channels' noise and hum."""
         self._skin, self._strip_input = skin, strips
 
@@ -172,13 +172,13 @@ class World:
         rest."""
         return None if self._skin is None else self._skin.failure
 
-    def befall(self, device: str, act: Callable[[TimedFault, int], None]) -> None:
+    def on_fault(self, device: str, act: Callable[[TimedFault, int], None]) -> None:
         """Leave a device's faults to it: what is told of each, and of its World time in us."""
         self._elsewhere[device] = act
 
     def settle(self) -> None:
         """Bring what is mounted up to the present, faults included."""
-        self._befall()
+        self._apply_due_faults()
         if self._skin is not None:
             self._skin.catch_up(self.now_us)
 
@@ -203,7 +203,7 @@ class World:
         self, times_s: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
         """Force on the sensor under film or plate, (n,) to (n, 3): weights, pushes, contact."""
-        self._befall()  # in real time frames come more often than `settle`
+        self._apply_due_faults()  # in real time frames come more often than `settle`
         weight_N = self._weight_N if np.count_nonzero(self._weight_N) else 0.0
         force = self.pressed_N(times_s) + weight_N
         for begin_s, end_s, push_N in self._pushes:
@@ -263,12 +263,12 @@ class World:
             given_V = min(self._excitation.amplitude_V, self._clip_V)
             self._line.excite(self.now_us, replace(self._excitation, amplitude_V=given_V))
 
-    def _befall(self) -> None:
+    def _apply_due_faults(self) -> None:
         """Begin the faults that are due by now, in their order."""
         while (t_us := self._schedule.due(self.now_us)) is not None:
-            self._begin(self._schedule.take(), t_us)
+            self._apply_fault(self._schedule.take(), t_us)
 
-    def _begin(self, fault: TimedFault, t_us: int) -> None:
+    def _apply_fault(self, fault: TimedFault, t_us: int) -> None:
         """A fault's time has come."""
         self.log(fault.device, "injected", fault.kind, "plan")
         if isinstance(fault, Spike):
@@ -287,7 +287,7 @@ class World:
         number = len(self._acquisition_keys)
         self._acquisition_keys[number] = (*self._point_key, self._acquisitions_of_point)
         self._acquisitions_of_point += 1
-        self.beginnings.begin(DAQ, self.now_us)
+        self.tasks.begin(DAQ, self.now_us)
         return number
 
     def volts(

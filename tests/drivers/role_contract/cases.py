@@ -22,13 +22,12 @@ from simulated.ideal import IdealBench, serving
 
 from drivers.simulated.faults.plan import FaultPlan, ReplyFault
 from drivers.simulated.faults.wire import FaultyLink, WireFaults
-from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
 from drivers.simulated.instruments.keysight_33500b import Keysight33500B
 from drivers.simulated.instruments.keysight_u2300a import KeysightU2300A
 from drivers.simulated.instruments.me_gsv8 import Gsv8
-from drivers.simulated.instruments.oriental_az import AzDrive
-from drivers.simulated.instruments.oriental_az import DriveSettings as AzDriveSettings
-from drivers.simulated.instruments.zaber_rst import RotaryStage, StageSettings
+from drivers.simulated.instruments.oriental_az import AzDrive, SimulatedAzSettings
+from drivers.simulated.instruments.zaber_rst import SimulatedRotarySettings, SimulatedRotaryStage
 from drivers.simulated.transports.modbus_rtu import RtuLine
 from drivers.simulated.transports.modbus_tcp import ILLEGAL_ADDRESS, ModbusError, ModbusTcpServer
 from drivers.simulated.transports.scpi import ScpiInstrument
@@ -71,10 +70,10 @@ class CountedFaults(WireFaults):
         """How many there were."""
         return len(self.heard)
 
-    def befalling(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
+    def fault_for(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
         """Count a request; the fault that befalls it."""
         self.heard.append(request)
-        return super().befalling(request, reply)
+        return super().fault_for(request, reply)
 
 
 class Service(ABC):
@@ -310,7 +309,7 @@ class AxisService(Service):
     def __init__(self, faults: CountedFaults):
         super().__init__(faults, FreeBench())
         self.drive = CmmtDrive(
-            DriveSettings(
+            SimulatedCmmtSettings(
                 homing_speed_mm_s=500.0,
                 full_acceleration_mm_s2=50_000.0,
                 mechanics=Mechanics(start_mm=3.0),
@@ -383,8 +382,10 @@ class RotaryService(Service):
 
     def __init__(self, faults: CountedFaults, link: str):
         super().__init__(faults, FreeBench())
-        self.stage = RotaryStage(
-            StageSettings(start_deg=3.0, homing_speed_deg_s=90.0, acceleration_deg_s2=2000.0),
+        self.stage = SimulatedRotaryStage(
+            SimulatedRotarySettings(
+                start_deg=3.0, homing_speed_deg_s=90.0, acceleration_deg_s2=2000.0
+            ),
             self.bench,
         )
         self.server: Any
@@ -480,7 +481,7 @@ class LineAxisService(Service):
 
     def _drive(self, name: str, unit_id: int) -> AzDrive:
         return AzDrive(
-            AzDriveSettings(
+            SimulatedAzSettings(
                 name,
                 unit_id,
                 homing_speed_mm_s=500.0,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
 
 from .ideal import IdealBench
 
@@ -39,7 +39,7 @@ class Controller:
     def of_a_drive(cls, **settings: Any) -> Controller:
         """A drive of its own on a bench of its own."""
         bench = AxisBench()
-        return cls(bench, CmmtDrive(DriveSettings(**settings), bench))
+        return cls(bench, CmmtDrive(SimulatedCmmtSettings(**settings), bench))
 
     def wait(self, seconds: float) -> None:
         """Let time pass and keep talking to the drive."""

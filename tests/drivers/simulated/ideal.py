@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.simulated.ports import Excitation
-from drivers.simulated.task_log import Beginnings
+from drivers.simulated.task_log import TaskLog
 from drivers.simulated.transports.scpi import ScpiInstrument
 
 
@@ -28,7 +28,7 @@ class IdealBench:
     excitations: list[tuple[int, Excitation, str]] = field(default_factory=list)
     entries: list[tuple[str, str, object, str]] = field(default_factory=list)
     acquisitions: int = 0
-    beginnings: Beginnings = field(default_factory=Beginnings)
+    tasks: TaskLog = field(default_factory=TaskLog)
 
     def excite(self, channel: int, excitation: Excitation, by: str) -> None:
         self.excitations.append((channel, excitation, by))

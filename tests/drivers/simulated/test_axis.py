@@ -10,12 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.simulated.world.axis import Axis, Command, Event, Mechanics, stopping_distance
+from drivers.simulated.world.axis import (
+    AxisCommand,
+    AxisEvent,
+    Mechanics,
+    SimulatedAxis,
+    stopping_distance,
+)
 
 MECHANICS = Mechanics(start_mm=10.0, low_switch_mm=-1000.0, high_switch_mm=1000.0)
 RATES = st.floats(200.0, 5000.0)
 """From 200 mm/s the slowest stops within 100 mm: it never meets a limit switch by overshooting."""
-COMMANDS = st.builds(Command, st.floats(-50.0, 50.0), st.floats(10.0, 200.0), RATES, RATES)
+COMMANDS = st.builds(AxisCommand, st.floats(-50.0, 50.0), st.floats(10.0, 200.0), RATES, RATES)
 SCRIPTS = st.lists(st.tuples(COMMANDS, st.integers(1, 200_000)), min_size=1, max_size=5)
 SOON_us = 10_000_000
 
@@ -24,12 +30,12 @@ def free(position_mm: float, t_us: int) -> float:
     return 0.0
 
 
-def axis(load: object = free, **mechanics: float) -> Axis:
-    return Axis(Mechanics(**{"start_mm": 10.0, **mechanics}), load)  # type: ignore[arg-type]
+def axis(load: object = free, **mechanics: float) -> SimulatedAxis:
+    return SimulatedAxis(Mechanics(**{"start_mm": 10.0, **mechanics}), load)  # type: ignore[arg-type]
 
 
-def go(target_mm: float, speed_mm_s: float = 50.0, rate_mm_s2: float = 500.0) -> Command:
-    return Command(target_mm, speed_mm_s, rate_mm_s2, rate_mm_s2)
+def go(target_mm: float, speed_mm_s: float = 50.0, rate_mm_s2: float = 500.0) -> AxisCommand:
+    return AxisCommand(target_mm, speed_mm_s, rate_mm_s2, rate_mm_s2)
 
 
 def wall(at_mm: float, stiffness_N_mm: float = 100.0) -> object:
@@ -40,9 +46,9 @@ def wall(at_mm: float, stiffness_N_mm: float = 100.0) -> object:
 @settings(max_examples=60, deadline=None)
 @given(SCRIPTS)
 def test_no_speed_or_acceleration_is_ever_exceeded_and_nothing_jumps(
-    script: list[tuple[Command, int]],
+    script: list[tuple[AxisCommand, int]],
 ) -> None:
-    moved, now = Axis(MECHANICS, free), 0
+    moved, now = SimulatedAxis(MECHANICS, free), 0
     fastest = 0.0
     for command, for_us in script:
         before = moved.position(now), moved.velocity(now)
@@ -68,9 +74,9 @@ def test_no_speed_or_acceleration_is_ever_exceeded_and_nothing_jumps(
 @settings(max_examples=60, deadline=None)
 @given(SCRIPTS)
 def test_the_last_target_is_reached_exactly_whatever_came_before(
-    script: list[tuple[Command, int]],
+    script: list[tuple[AxisCommand, int]],
 ) -> None:
-    moved, now = Axis(MECHANICS, free), 0
+    moved, now = SimulatedAxis(MECHANICS, free), 0
     for command, for_us in script:
         moved.move(now, command)
         now += for_us
@@ -84,9 +90,9 @@ def test_the_last_target_is_reached_exactly_whatever_came_before(
 @settings(max_examples=60, deadline=None)
 @given(COMMANDS, st.integers(0, 3_000_000), RATES)
 def test_a_stop_takes_v_squared_over_2a_and_not_more(
-    command: Command, after_us: int, deceleration: float
+    command: AxisCommand, after_us: int, deceleration: float
 ) -> None:
-    moved = Axis(MECHANICS, free)
+    moved = SimulatedAxis(MECHANICS, free)
     moved.move(0, command)
     position, velocity = moved.position(after_us), moved.velocity(after_us)
     moved.stop(after_us, deceleration)
@@ -99,9 +105,9 @@ def test_a_stop_takes_v_squared_over_2a_and_not_more(
 @settings(max_examples=30, deadline=None)
 @given(SCRIPTS, st.lists(st.integers(0, 2_000_000), min_size=1, max_size=20))
 def test_the_past_does_not_depend_on_when_it_was_asked_for(
-    script: list[tuple[Command, int]], asked: list[int]
+    script: list[tuple[AxisCommand, int]], asked: list[int]
 ) -> None:
-    def run(meanwhile: bool) -> Axis:
+    def run(meanwhile: bool) -> SimulatedAxis:
         moved, now = axis(wall(20.0)), 0
         for command, for_us in script:
             moved.move(now, command)
@@ -136,7 +142,7 @@ def test_the_highest_position_of_any_stretch_of_time_is_known_without_looking_at
     moved = axis()
     for at_ms, target_mm in ((0, 12.0), (300, 10.0), (500, 11.5), (520, 9.0)):
         moved.settle(1000 * at_ms)
-        moved.move(1000 * at_ms, Command(target_mm, 10.0, 200.0, 200.0))
+        moved.move(1000 * at_ms, AxisCommand(target_mm, 10.0, 200.0, 200.0))
     times = np.arange(0, 1_200_001, 100)
     positions = moved.positions(times)
     rng = np.random.default_rng(6)
@@ -181,9 +187,9 @@ def test_a_speed_of_nothing_is_refused(speed: float) -> None:
 
 @pytest.mark.parametrize(
     ("target", "event", "switch"),
-    [(-50.0, Event.LOW_SWITCH, -5.0), (200.0, Event.HIGH_SWITCH, 105.0)],
+    [(-50.0, AxisEvent.LOW_SWITCH, -5.0), (200.0, AxisEvent.HIGH_SWITCH, 105.0)],
 )
-def test_a_limit_switch_stops_the_axis_hard(target: float, event: Event, switch: float) -> None:
+def test_a_limit_switch_stops_the_axis_hard(target: float, event: AxisEvent, switch: float) -> None:
     moved = axis()
     moved.move(0, go(target))
     (met,) = moved.happenings(SOON_us)
@@ -201,7 +207,7 @@ def test_a_load_beyond_the_force_limit_holds_the_axis_until_it_lags_too_far() ->
     moved.force_limit_N = 50.0
     moved.move(0, go(40.0, 10.0))
     (met,) = moved.happenings(SOON_us)
-    assert met.event is Event.FOLLOWING_ERROR
+    assert met.event is AxisEvent.FOLLOWING_ERROR
     assert 20.5 < met.position_mm <= 20.5 + 0.01, "50 N at 100 N/mm, found within a cycle"
     assert moved.position(SOON_us) == met.position_mm
     assert moved.following_error(SOON_us) == 0
@@ -212,7 +218,7 @@ def test_travel_to_a_fixed_stop_ends_there_and_lets_go() -> None:
     moved.force_limit_N, moved.seeks_fixed_stop = 30.0, True
     moved.move(0, go(40.0, 10.0))
     (met,) = moved.happenings(SOON_us)
-    assert met.event is Event.FIXED_STOP
+    assert met.event is AxisEvent.FIXED_STOP
     assert 20.3 < met.position_mm <= 20.31
     moved.move(SOON_us, go(5.0))
     assert moved.position(2 * SOON_us) == 5.0
@@ -249,7 +255,7 @@ def test_a_jammed_axis_does_not_move_at_all() -> None:
     moved.jammed = True
     moved.move(0, go(40.0))
     (met,) = moved.happenings(SOON_us)
-    assert met.event is Event.FOLLOWING_ERROR
+    assert met.event is AxisEvent.FOLLOWING_ERROR
     assert moved.position(SOON_us) == pytest.approx(10.0, abs=1e-3)
 
 
@@ -258,7 +264,7 @@ def test_what_another_axis_does_to_the_load_is_never_felt_too_late(surge_mm_s: f
     """Both press on one spring: as if it were asked for in every cycle, also where the other axis,
     slow so far, comes fast."""
 
-    def pair(known: bool) -> tuple[Axis, Axis]:
+    def pair(known: bool) -> tuple[SimulatedAxis, SimulatedAxis]:
         def load(_: float, t_us: int) -> float:
             return -150.0 * max(0.0, z.position(t_us) + x.position(t_us) - 20.05)
 
@@ -284,7 +290,7 @@ def test_what_another_axis_does_to_the_load_is_never_felt_too_late(surge_mm_s: f
 
 def test_a_load_may_ask_where_the_axis_is() -> None:
     """Two axes that move the same thing ask for each other's positions."""
-    moved: Axis
+    moved: SimulatedAxis
 
     def load(position_mm: float, t_us: int) -> float:
         return -moved.position(t_us)

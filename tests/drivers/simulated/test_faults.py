@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.simulated.faults.plan import BEFALLEN, DEVICES, FaultPlan
-from drivers.simulated.faults.wire import Delivery, Dialect, WireFaults, WireReply
+from drivers.simulated.faults.plan import DEVICES, DEVICES_BY_FAULT, FaultPlan
+from drivers.simulated.faults.wire import Delivery, WireDialect, WireFaults, WireReply
 from rig.core.errors import ConfigurationError
 
 from .ideal import IdealBench
@@ -57,7 +57,7 @@ def test_only_requests_from_the_faults_moment_on_are_counted() -> None:
     assert b"" not in received(faults, FOUR), "nothing has begun"
     for device in ("stage_x", "stage_z", "stage_x"):
         bench.now_us += 900_000
-        bench.beginnings.begin(device, bench.now_us)
+        bench.tasks.begin(device, bench.now_us)
     assert b"" not in received(faults, FOUR), "half a second is not over"
     bench.now_us += 500_000
     assert received(faults, FOUR) == [b"A1?\n", b"", b"A3?\n", b"A4?\n"]
@@ -125,7 +125,7 @@ def test_a_half_open_connection_is_one_and_the_others_are_not() -> None:
     assert (first.half_open, second.half_open) == (False, True)
 
 
-CHECKED = Dialect(
+CHECKED = WireDialect(
     error=lambda reply, code: b"E%d" % code if reply.startswith(b"OK") else None,
     checksum=lambda reply: reply[:-1] + b"!" if reply.endswith(b"#") else None,
 )
@@ -148,7 +148,7 @@ def test_only_replies_that_have_a_check_get_a_wrong_one() -> None:
 
 def test_what_is_done_is_told_once_each_time_it_is_done() -> None:
     told: list[str] = []
-    link = WireFaults(plan(kind="silence", at=2, count=2), "daq", tell=told.append).link()
+    link = WireFaults(plan(kind="silence", at=2, count=2), "daq", report=told.append).link()
     for _ in range(5):
         link.exchange(b"a?", b"A")
     assert told == ["silence", "silence"]
@@ -174,8 +174,8 @@ def test_plan_is_read_from_toml(tmp_path: Path) -> None:
         ('[[fault]]\ndevice = "daq"\nkind = "checksum"\n', "has no checksum of its own"),
         ('[[fault]]\ndevice = "generator"\nkind = "double"\n', "doubled message"),
         ('[[fault]]\ndevice = "daq"\nkind = "error"\n', "code: missing"),
-        ('[[fault]]\ndevice = "daq"\nkind = "error"\ncode = 0\n', "code = 0 is no error"),
-        ('[[fault]]\ndevice = "daq"\nkind = "stuck"\n', "cannot befall daq"),
+        ('[[fault]]\ndevice = "daq"\nkind = "error"\ncode = 0\n', "code = 0 is not an error"),
+        ('[[fault]]\ndevice = "daq"\nkind = "stuck"\n', "cannot happen to daq"),
         ('[[fault]]\ndevice = "daq"\nkind = "silence"\nmove = 1\n', "'daq' does not move"),
         (
             '[[fault]]\ndevice = "daq"\nkind = "overrun"\nmove = 1\nof = "stage_x"\n',
@@ -211,7 +211,7 @@ NEEDED = {
 """What a kind does not do without."""
 
 
-@pytest.mark.parametrize("kind", BEFALLEN)
+@pytest.mark.parametrize("kind", DEVICES_BY_FAULT)
 def test_every_kind_is_taken_for_its_devices_and_refused_for_all_others(
     tmp_path: Path, kind: str
 ) -> None:
@@ -220,11 +220,11 @@ def test_every_kind_is_taken_for_its_devices_and_refused_for_all_others(
         path.write_text(
             f'[[fault]]\ndevice = "{device}"\nkind = "{kind}"\n{NEEDED.get(kind, "")}\n'
         )
-        if device in BEFALLEN[kind]:
+        if device in DEVICES_BY_FAULT[kind]:
             (fault,) = FaultPlan.read(path).fault
             assert (fault.device, fault.kind) == (device, kind)
         else:
-            with pytest.raises(ConfigurationError, match=f"cannot befall {device}"):
+            with pytest.raises(ConfigurationError, match=f"cannot happen to {device}"):
                 FaultPlan.read(path)
 
 
@@ -233,4 +233,4 @@ def test_every_kind_stands_in_the_table_for_people() -> None:
     rows = {
         line.split("|")[1].strip(" `") for line in table.read_text().splitlines() if "|" in line
     }
-    assert rows - {"kind", "---"} == set(BEFALLEN)
+    assert rows - {"kind", "---"} == set(DEVICES_BY_FAULT)

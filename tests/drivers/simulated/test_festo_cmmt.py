@@ -325,7 +325,7 @@ def test_a_fault_waits_for_the_task_of_another_axis() -> None:
     at.write(*RUN, ON, TASK, target=10_000)
     at.wait(0.1)
     assert at.fault == 0
-    at.bench.beginnings.begin("stage_x", at.bench.now_us)
+    at.bench.tasks.begin("stage_x", at.bench.now_us)
     at.wait(0.1)
     assert at.fault == 126
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.simulated.world.contact_geometry import Where
-from drivers.simulated.world.plate_world import HeadWorldSettings, hang_skin
+from drivers.simulated.world.plate_world import HeadWorldSettings, mount_skin
 from drivers.simulated.world.world import World
 from rig.core.cache import DiskCache
 from rig.physics.contact.settings import Sphere
@@ -43,7 +43,7 @@ class Rolled:
         given = {"skin": {"elements_per_ridge": 6}, "strip_input": QUIET, "head": head}
         settings = HeadWorldSettings.model_validate(given)
         self.world = World(settings, 0, slaved=True)
-        hang_skin(
+        mount_skin(
             self.world,
             settings,
             Curve(lambda t: CONTACT_mm + approach(t * 1e-6)),

@@ -17,9 +17,9 @@ from drivers.simulated.faults.plan import FaultPlan
 from drivers.simulated.faults.wire import WireFaults
 from drivers.simulated.transports.modbus_tcp import (
     MODBUS_DIALECT,
-    FrameError,
     FrameSplitter,
     ModbusError,
+    ModbusFrameError,
     ModbusTcpServer,
     describe,
     frame,
@@ -135,7 +135,7 @@ def test_frames_arrive_whole_however_the_stream_is_cut(
 
 @pytest.mark.parametrize("bad", ["0001 0001 0003 01 03", "0001 0000 0001 01", "0001 0000 0fff 01"])
 def test_what_is_no_frame_ends_the_connection(bad: str) -> None:
-    with pytest.raises(FrameError):
+    with pytest.raises(ModbusFrameError):
         FrameSplitter().feed(bytes.fromhex(bad))
 
 

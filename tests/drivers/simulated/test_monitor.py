@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 import numpy.typing as npt
 
-from drivers.simulated.transports.serial_server import Exchange
+from drivers.simulated.ports import Exchange
 from drivers.simulated.world.monitor import Monitor, WatchedLine, WatchSettings
 
 LIMIT = WatchSettings(force_limit_N=10.0, reaction_s=0.010)

@@ -13,7 +13,7 @@ from drivers.simulated.instruments.oriental_az import (
     OUTPUT_STATUS,
     PRESENT_ALARM,
     AzDrive,
-    DriveSettings,
+    SimulatedAzSettings,
 )
 from drivers.simulated.transports.modbus_rtu import RtuLine, crc16, frame
 
@@ -30,7 +30,7 @@ class Master:
     def __init__(self, **settings: Any) -> None:
         self.bench = AxisBench()
         self.drives = [
-            AzDrive(DriveSettings(name, unit, STEPS, **settings), self.bench)
+            AzDrive(SimulatedAzSettings(name, unit, STEPS, **settings), self.bench)
             for unit, name in ((1, "z"), (2, "x"))
         ]
         self.line = RtuLine(self.drives, self.bench)

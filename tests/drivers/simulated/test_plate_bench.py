@@ -18,7 +18,7 @@ import pytest
 from drivers.simulated.bench.options import Options
 from drivers.simulated.bench.start import start
 from drivers.simulated.instruments.me_gsv8 import NOISE_MV_V, Sensor
-from drivers.simulated.world.axis import Axis, Command, Mechanics
+from drivers.simulated.world.axis import AxisCommand, Mechanics, SimulatedAxis
 from rig.bench.bench import Bench, connect, parse_bench
 from rig.core.cache import DiskCache
 from rig.core.clock import ControlLink, SlavedClock
@@ -104,13 +104,15 @@ def started(tmp_path: Path) -> Iterator[Started]:
         yield bench
 
 
-def moved(bench: Started, stage: str) -> Axis:
+def moved(bench: Started, stage: str) -> SimulatedAxis:
     """The stage as the World's log says that it was moved, on an axis that nothing holds."""
-    axis = Axis(Mechanics(), lambda position_mm, t_us: 0.0)
-    orders = [(t, Command(home, 20.0, 1000.0, 1000.0)) for t, home in bench.log(stage, "homing")]
+    axis = SimulatedAxis(Mechanics(), lambda position_mm, t_us: 0.0)
+    orders = [
+        (t, AxisCommand(home, 20.0, 1000.0, 1000.0)) for t, home in bench.log(stage, "homing")
+    ]
     for t, move in bench.log(stage, "move"):
         own = (move["target_mm"], move["speed_mm_s"], ACCELERATION, ACCELERATION)
-        orders.append((t, Command(*own)))
+        orders.append((t, AxisCommand(*own)))
     for t, order in sorted(orders, key=lambda one: one[0]):
         axis.move(t, order)
     return axis

@@ -7,16 +7,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.simulated.transports.scpi import (
-    Block,
     Boolean,
     ChannelList,
     Choice,
-    Command,
     MessageSplitter,
     Numeric,
-    Quantity,
+    ScpiBlock,
+    ScpiCommand,
     ScpiError,
     ScpiInstrument,
+    ScpiQuantity,
     block,
 )
 
@@ -32,16 +32,16 @@ class Lamp(ScpiInstrument):
         super().__init__(
             ("Maker", "Lamp", "SIM1", "1.0"),
             [
-                Command(frequency, self.see, (Numeric(("HZ",)),)),
-                Command(frequency + "?", lambda call: f"frequency {call.suffixes[0]}"),
-                Command("SOURce#:VOLTage:OFFSet", self.see, (Numeric(("V",)),)),
-                Command("SOURce#:VOLTage:HIGH", self.see, (Numeric(("V",)),)),
-                Command("SOURce#:VOLTage:HIGH?", lambda _: "high"),
-                Command("SHAPe", self.see, (Choice("SINusoid", "SQUare"),)),
-                Command("OUTPut", self.see, (Boolean(),)),
-                Command("ROUTe:SCAN", self.see, (ChannelList(),)),
-                Command("RANGe", self.see, (Numeric(("V",)), ChannelList()), optional=1),
-                Command("DATA?", lambda _: Block(b"\n;\x00 ")),
+                ScpiCommand(frequency, self.see, (Numeric(("HZ",)),)),
+                ScpiCommand(frequency + "?", lambda call: f"frequency {call.suffixes[0]}"),
+                ScpiCommand("SOURce#:VOLTage:OFFSet", self.see, (Numeric(("V",)),)),
+                ScpiCommand("SOURce#:VOLTage:HIGH", self.see, (Numeric(("V",)),)),
+                ScpiCommand("SOURce#:VOLTage:HIGH?", lambda _: "high"),
+                ScpiCommand("SHAPe", self.see, (Choice("SINusoid", "SQUare"),)),
+                ScpiCommand("OUTPut", self.see, (Boolean(),)),
+                ScpiCommand("ROUTe:SCAN", self.see, (ChannelList(),)),
+                ScpiCommand("RANGe", self.see, (Numeric(("V",)), ChannelList()), optional=1),
+                ScpiCommand("DATA?", lambda _: ScpiBlock(b"\n;\x00 ")),
             ],
         )
 
@@ -82,7 +82,7 @@ def test_forms_in_between_are_undefined_headers(say: Talk, header: str) -> None:
 
 def test_header_without_colon_goes_on_at_the_level_before(lamp: Lamp, say: Talk) -> None:
     assert say("SOUR2:VOLT:OFFS 1;HIGH 2;HIGH?;:SHAP SQU") == "high"
-    assert lamp.seen == [(2, Quantity(1.0)), (2, Quantity(2.0)), ("SQU",)]
+    assert lamp.seen == [(2, ScpiQuantity(1.0)), (2, ScpiQuantity(2.0)), ("SQU",)]
     assert say.errors() == []
 
 
@@ -110,7 +110,7 @@ def test_numbers_with_units(lamp: Lamp, say: Talk, typed: str, value: float) -> 
 
 def test_millivolts_are_not_megavolts(lamp: Lamp, say: Talk) -> None:
     say("SOUR1:VOLT:HIGH 5 mV")
-    assert lamp.seen == [(1, Quantity(5e-3, "V"))]
+    assert lamp.seen == [(1, ScpiQuantity(5e-3, "V"))]
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_channel_lists_keep_their_order(lamp: Lamp, say: Talk) -> None:
 
 def test_commas_of_a_list_do_not_separate_parameters(lamp: Lamp, say: Talk) -> None:
     say("RANG 5,(@101,102);RANG 2")
-    assert lamp.seen == [(Quantity(5.0), (101, 102)), (Quantity(2.0),)]
+    assert lamp.seen == [(ScpiQuantity(5.0), (101, 102)), (ScpiQuantity(2.0),)]
 
 
 @pytest.mark.parametrize(("typed", "on"), [("1", True), ("ON", True), ("off", False), ("0", False)])

@@ -16,7 +16,8 @@ import serial
 
 from drivers.simulated.faults.plan import FaultPlan
 from drivers.simulated.faults.wire import WireFaults
-from drivers.simulated.transports.serial_server import LONGEST_BACKLOG, Exchange, PtyServer
+from drivers.simulated.ports import Exchange
+from drivers.simulated.transports.serial_server import LONGEST_BACKLOG, PtyServer
 from simulated.ideal import serving
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from drivers.simulated.bench.control import ControlServer
-from drivers.simulated.instruments.festo_cmmt import CmmtDrive, DriveSettings
+from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
 from drivers.simulated.world import skin_contact
-from drivers.simulated.world.axis import Command, Event
-from drivers.simulated.world.plate_world import PlateWorldSettings, hang_skin
+from drivers.simulated.world.axis import AxisCommand, AxisEvent
+from drivers.simulated.world.plate_world import PlateWorldSettings, mount_skin
 from drivers.simulated.world.world import STAGE_X, STAGE_Z, World, WorldSettings, read_world
 from rig.core.cache import DiskCache
 from rig.core.errors import ConfigurationError
@@ -49,9 +49,9 @@ class Hung:
         own = {"skin": {"elements_per_ridge": 6}, "strip_input": QUIET, **settings}
         chosen = PlateWorldSettings.model_validate(own)
         self.world = World(chosen, 0, slaved=True, log=log)
-        self.z = CmmtDrive(DriveSettings(name=STAGE_Z), self.world)
-        self.x = CmmtDrive(DriveSettings(name=STAGE_X), self.world)
-        hang_skin(self.world, chosen, self.z, self.x)
+        self.z = CmmtDrive(SimulatedCmmtSettings(name=STAGE_Z), self.world)
+        self.x = CmmtDrive(SimulatedCmmtSettings(name=STAGE_X), self.world)
+        mount_skin(self.world, chosen, self.z, self.x)
 
     @property
     def now_us(self) -> int:
@@ -59,7 +59,7 @@ class Hung:
 
     def go(self, drive: CmmtDrive, target_mm: float, speed_mm_s: float) -> None:
         """Begin to move."""
-        drive.axis.move(self.now_us, Command(target_mm, speed_mm_s, 200.0, 200.0))
+        drive.axis.move(self.now_us, AxisCommand(target_mm, speed_mm_s, 200.0, 200.0))
 
     def run(self, seconds: float, step_us: int = 10_000) -> None:
         """Let time pass as a slaved bench does."""
@@ -270,7 +270,7 @@ def test_a_stage_too_weak_for_the_contact_is_held_by_it(stage: str, four_newton_
     felt = hung.force()[0 if stage == STAGE_X else 2]
     assert drive.axis.happenings(hung.now_us) == [], "the drive has seen what it met"
     fixed = drive.read(100, 28, "test")[3] >> 8 & 1
-    assert fixed, f"{Event.FIXED_STOP.value} is shown"
+    assert fixed, f"{AxisEvent.FIXED_STOP.value} is shown"
     assert 1.4 < felt < 1.7, "1.5 N, found within a millisecond"
 
 

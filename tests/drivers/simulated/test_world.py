@@ -241,7 +241,7 @@ def test_a_spike_comes_so_long_after_its_acquisition_began(tmp_path: Path) -> No
 def test_a_fault_without_an_acquisition_comes_at_its_bench_time(tmp_path: Path) -> None:
     of, _ = befallen(tmp_path, device="daq", kind="overrun", after_s=0.025)
     heard: list[int] = []
-    of.befall("daq", lambda fault, t_us: heard.append(t_us))
+    of.on_fault("daq", lambda fault, t_us: heard.append(t_us))
     pass_time(of, steps=2)
     assert heard == []
     pass_time(of, steps=3)

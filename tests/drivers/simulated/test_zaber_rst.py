@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.simulated.faults.plan import FaultPlan, RotaryFault
-from drivers.simulated.instruments.zaber_rst import RotaryStage, StageSettings
+from drivers.simulated.instruments.zaber_rst import SimulatedRotarySettings, SimulatedRotaryStage
 
 from .ideal import IdealBench
 
@@ -20,7 +20,9 @@ class Talk:
         plan = FaultPlan.model_validate({"fault": [{"device": "rotary", **one} for one in faults]})
         self.bench = IdealBench()
         own = {"referenced": True, "start_deg": 0.0, **settings}
-        self.stage = RotaryStage(StageSettings(faults=plan.of(RotaryFault), **own), self.bench)
+        self.stage = SimulatedRotaryStage(
+            SimulatedRotarySettings(faults=plan.of(RotaryFault), **own), self.bench
+        )
 
     def __call__(self, words: str, wait_s: float = 0.0) -> str:
         """The reply's status, flag and data."""

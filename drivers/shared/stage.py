@@ -1,0 +1,271 @@
+"""What every driver of a motorised stage shares: the interlock, and the watch over one motion.
+
+No I/O and no protocol. A driver of a new stage owns one `StageInterlock` and keeps three rules:
+
+1. Every command that could move the stage is sent with `StageInterlock.permit` as its last check,
+   under the same lock as the command itself (the links take a `permit` argument for this).
+2. Every stop of the driver runs inside `StageInterlock.stopping`.
+3. `make_safe` hands its stop command to `StageInterlock.make_safe`.
+
+Then these hold, whichever threads call what and when:
+
+* Between a check that passes and its command no other command goes out. A stop that begins after
+  the check is therefore sent after the motion, and one that began before makes the check fail.
+* After `make_safe` has begun, no motion is sent until a `stop` that began after it had ended has
+  seen the stage at rest.
+* Only a `stop` that was called from outside (`rearm=True`) re-arms. The stops by which a driver
+  ends its own motions do not: a watcher that makes the stage safe just as a motion arrives would
+  otherwise be answered by a line of the procedure that knows nothing of it.
+
+    state      entered when                             a motion is   left when
+    ---------  ---------------------------------------  ------------  ------------------------------
+    ARMED      connected; re-armed                      sent          a stop or make_safe begins
+    STOPPING   a stop has begun                         refused       the stop has ended, whether or
+                                                                      not it saw the stage at rest
+    MADE_SAFE  make_safe has begun, from any state,     refused       a re-arming stop that began
+               also where its command fails                           afterwards saw it at rest
+
+MADE_SAFE outlasts any number of stops that fail or do not re-arm, and covers STOPPING.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol, Self, TypeVar
+
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
+
+MAKE_SAFE_PATIENCE_S = 2.0
+"""Wall time for which a stop waits for a `make_safe` in another thread: several time-outs of a
+link, and less than a shutdown action may take (3 s)."""
+
+
+class StageState(Enum):
+    """Whether a stage may be set in motion."""
+
+    ARMED = "armed"
+    STOPPING = "stopping"
+    MADE_SAFE = "made safe"
+
+
+class MotionRefusedError(InstrumentError):
+    """The interlock did not permit a motion: nothing was sent."""
+
+
+@dataclass(frozen=True)
+class Ticket:
+    """What `StageInterlock.ticket` gives at the beginning of a motion: how many stops had begun."""
+
+    stops: int
+
+    def after_own_stop(self) -> Ticket:
+        """The ticket of the same motion after one stop that was a step of its own preparation.
+
+        A second stop, by another thread, still makes it invalid.
+        """
+        return Ticket(self.stops + 1)
+
+
+@dataclass(frozen=True)
+class StopUnderWay:
+    """One stop, as `StageInterlock.stopping` gives it."""
+
+    answers: int
+    """How many calls of `make_safe` it answers when it has seen the stage at rest."""
+
+
+class StageInterlock:
+    """Decides whether a stage may be set in motion; any thread may call any method.
+
+    `device` is the name used in errors, `noun` what they call the thing that moves. Nothing here
+    waits except `stopping`, for a `make_safe` in another thread, at most `MAKE_SAFE_PATIENCE_S`.
+    """
+
+    def __init__(self, device: str, noun: str = "axis"):
+        self._device, self._noun = device, noun
+        self._changed = threading.Condition()
+        self._made_safe = 0
+        """Calls of `make_safe` that have begun; `_answered` of them by a re-arming stop."""
+        self._answered = 0
+        self._making_safe = 0
+        """Calls of `make_safe` that have not ended yet."""
+        self._stops = 0
+        """Stops that have begun; `_stopping` of them have not ended yet."""
+        self._stopping = 0
+
+    @property
+    def state(self) -> StageState:
+        """The present state; another thread may change it at any time."""
+        with self._changed:
+            if self._made_safe != self._answered:
+                return StageState.MADE_SAFE
+            return StageState.STOPPING if self._stopping else StageState.ARMED
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether a stop is under way, made safe or not."""
+        return self._stopping > 0
+
+    # --- motions ------------------------------------------------------------------------------
+
+    def ticket(self) -> Ticket:
+        """What a motion needs for `permit`: take it first, before anything is checked or sent."""
+        with self._changed:
+            return Ticket(self._stops)
+
+    def permit(self, ticket: Ticket, command: str) -> None:
+        """Check that a motion may be sent, or may still be waited for.
+
+        Raises MotionRefusedError, naming `command`, where the stage has been made safe, or where a
+        stop that is not the motion's own has begun since the ticket was taken.
+        """
+        self.require_armed(command)
+        with self._changed:
+            stopped = self._stops != ticket.stops or self._stopping > 0
+        if stopped:
+            raise self._refusal(command, "stopped", "begin the motion again")
+
+    def require_armed(self, command: str) -> None:
+        """Raise MotionRefusedError, naming `command`, where the stage has been made safe."""
+        if self._made_safe != self._answered:
+            raise self._refusal(command, "made safe", "stop it before the next motion")
+
+    # --- stops --------------------------------------------------------------------------------
+
+    @contextmanager
+    def stopping(self, rearm: bool = False) -> Iterator[StopUnderWay]:
+        """A stop: the body commands it and returns when it has seen the stage at rest.
+
+        Tickets taken before become invalid at once. With `rearm` the end of the body re-arms a
+        stage that had been made safe before; what the body raises leaves the state as it was.
+
+        A re-arming stop first waits for a `make_safe` under way in another thread, whose command
+        might otherwise arrive late and end the next motion, such as the one that lifts the skin.
+        Where that takes longer than `MAKE_SAFE_PATIENCE_S`, the stop is carried out but does not
+        re-arm.
+        """
+        with self._changed:
+            self._stops += 1
+            self._stopping += 1
+            answers = self._answered
+            if rearm and self._changed.wait_for(
+                lambda: not self._making_safe, MAKE_SAFE_PATIENCE_S
+            ):
+                answers = self._made_safe
+        stop = StopUnderWay(answers)
+        try:
+            yield stop
+            with self._changed:
+                self._answered = max(self._answered, stop.answers)
+        finally:
+            with self._changed:
+                self._stopping -= 1
+
+    def answers_all(self, stop: StopUnderWay) -> bool:
+        """Whether the stage will be armed when `stop` has seen it at rest.
+
+        False where it has been made safe since the stop began: a stop input that the drive holds
+        must then be left standing.
+        """
+        with self._changed:
+            return self._made_safe == max(self._answered, stop.answers)
+
+    def make_safe(self, command_stop: Callable[[], None]) -> None:
+        """Refuse all motions from now on, then run `command_stop`, which verifies what it commands.
+
+        A connection that turns out to be broken is tried once more, which opens it anew: a stop may
+        arrive twice. Not so after a time-out, which has taken its time already. What
+        `command_stop` raises is raised; the motions stay refused.
+        """
+        with self._changed:
+            self._made_safe += 1
+            self._making_safe += 1
+        try:
+            try:
+                command_stop()
+            except InstrumentTimeoutError:
+                raise
+            except InstrumentError:
+                command_stop()
+        finally:
+            with self._changed:
+                self._making_safe -= 1
+                self._changed.notify_all()
+
+    def _refusal(self, command: str, what: str, hint: str) -> MotionRefusedError:
+        cause = f"the {self._noun} was {what} meanwhile"
+        return MotionRefusedError(self._device, command, cause, hint)
+
+
+@dataclass
+class MotionWatch:
+    """What is to be seen of one motion; lengths in the axis's own unit (mm or deg).
+
+    A driver makes one for every motion and drops it when the motion ends, in whichever thread.
+    """
+
+    target: float
+    direction: int
+    """Towards larger positions 1, towards smaller ones -1, 0 where the axis stood at the target."""
+    overtravel: float
+    """How far beyond the target the axis may be seen."""
+    longest_s: float
+    """How long the motion may take."""
+    begun_at_s: float
+    """Bench time at which it was sent; a driver sets it again when the stage has acknowledged."""
+
+    @classmethod
+    def towards(
+        cls, target: float, position: float, overtravel: float, longest_s: float, begun_at_s: float
+    ) -> Self:
+        """The watch over a motion from `position` to `target`."""
+        direction = (target > position) - (target < position)
+        return cls(target, direction, overtravel, longest_s, begun_at_s)
+
+    @property
+    def arrive_by_s(self) -> float:
+        """Bench time by which the axis has to have arrived."""
+        return self.begun_at_s + self.longest_s
+
+    def has_passed(self, position: float) -> bool:
+        """Whether the axis has run past its target: a broken encoder, or a drive that runs away."""
+        return (position - self.target) * self.direction > self.overtravel
+
+
+class ConnectingStage(Protocol):
+    """A stage whose `prepare` identifies it, sets its limits and stops what moves."""
+
+    def prepare(self) -> None:
+        """Identify the stage and leave it at rest with its own limits set."""
+        ...
+
+    def stop_and_wait(self) -> None:
+        """Stop the stage and wait for rest, whatever state it is in."""
+        ...
+
+    def close(self) -> None:
+        """Close the connection."""
+        ...
+
+
+S = TypeVar("S", bound=ConnectingStage)
+
+
+def prepared(stage: S) -> S:
+    """Prepare a stage that has just been made and return it; one that fails is closed."""
+    try:
+        stage.prepare()
+    except BaseException:
+        stage.close()
+        raise
+    return stage
+
+
+def stop_and_close(stage: ConnectingStage) -> None:
+    """Stop a stage over its connection, wait for rest and close it: a module's `make_safe`."""
+    with closing(stage):
+        stage.stop_and_wait()

@@ -1,0 +1,134 @@
+"""What every simulated drive shares: one axis, its faults, and its history for the World.
+
+No protocol: a drive of a model adds its registers or commands. Everything is evaluated lazily at
+exact World times: what was due before a request or a question happens first, in its order and at
+its own time, as if somebody had watched.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Generic, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.simulated.faults.plan import MoveFault, RotaryFault, SlowAxis
+from drivers.simulated.ports import DrivePort
+from drivers.simulated.world.axis import Load, Mechanics, SimulatedAxis
+from drivers.simulated.world.schedule import Schedule
+
+FARTHER_THAN_ANY_SWITCH_mm = 1e5
+"""Where an axis without a target goes: beyond whatever may end its motion."""
+
+F = TypeVar("F", bound=MoveFault | RotaryFault)
+Due = tuple[int, Callable[[int], None]]
+"""World time in us at which something happens by itself, and what, given that time."""
+
+
+class SimulatedDrive(ABC, Generic[F]):
+    """One drive and its axis; of a rotary stage the millimetres are degrees.
+
+    A subclass says what happens by itself (`_own_due`, `_catch_up`) and what its own kinds of fault
+    do (`_apply_own_fault`). Faults of the mechanics are applied here.
+    """
+
+    def __init__(
+        self, name: str, mechanics: Mechanics, load: Load, faults: Iterable[F], port: DrivePort
+    ):
+        self.axis = SimulatedAxis(mechanics, load)
+        self._drive_name = name
+        self._port = port
+        self._moving = False
+        """Whether a motion has begun whose end has not been seen."""
+        self._speed_share = 1.0
+        """The share of a commanded speed that the axis reaches."""
+        self._runs_to_mm: float | None = None
+        """Where a runaway goes instead of its target, until it is stopped."""
+        self._schedule = Schedule(faults)
+        port.tasks.listen(self._schedule.hear)
+
+    # --- the World's side ---------------------------------------------------------------------
+
+    def position_mm(self, t_us: int) -> float:
+        """Where the carriage is or was at a World time."""
+        self.settle(t_us)
+        return self.axis.position(t_us)
+
+    def positions_mm(self, times_us: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+        """Where the carriage is or was at ascending World times; shape of `times_us`."""
+        if times_us.size:
+            self.settle(int(times_us[-1]))
+        return self.axis.positions(times_us)
+
+    def highest_mm(self, begin_us: int, end_us: int) -> float:
+        """The largest position between two World times."""
+        self.settle(end_us)
+        return self.axis.highest_mm(begin_us, end_us)
+
+    def velocity_mm_s(self, t_us: int) -> float:
+        """How fast the carriage moves or moved at a World time."""
+        self.settle(t_us)
+        return self.axis.velocity(t_us)
+
+    def settle(self, now_us: int) -> None:
+        """Let everything happen that was due by now, in its order and at its time.
+
+        A load that asks for the position meanwhile gets the history as it is.
+        """
+        if self.axis.settling:
+            return
+        while (due := self._next_due(now_us)) is not None:
+            t_us, happen = due
+            self._catch_up(t_us)
+            happen(t_us)
+        self._catch_up(now_us)
+
+    # --- what a model of drive adds -----------------------------------------------------------
+
+    @abstractmethod
+    def _catch_up(self, t_us: int) -> None:
+        """React to what the axis has met by itself up to a World time."""
+
+    @abstractmethod
+    def _apply_own_fault(self, fault: F, t_us: int, velocity_mm_s: float) -> None:
+        """A fault of the drive itself begins: its number, a limit switch, a lost reference."""
+
+    def _own_due(self, now_us: int) -> Due | None:
+        """What else was due by now and has not happened, such as a communication time-out."""
+        return None
+
+    # --- faults -------------------------------------------------------------------------------
+
+    def _next_due(self, now_us: int) -> Due | None:
+        """The earliest of what is due by now."""
+        due = [one for one in (self._own_due(now_us),) if one is not None]
+        if (fault_us := self._schedule.due(now_us)) is not None:
+            due.append((fault_us, self._apply_fault))
+        return min(due, key=lambda one: one[0], default=None)
+
+    def _apply_fault(self, t_us: int) -> None:
+        """The next fault of the plan begins."""
+        fault = self._schedule.take()
+        self._log("injected", fault.kind, "plan")
+        command = None if self.axis.finished(t_us) else self.axis.command
+        velocity = self.axis.velocity(t_us)
+        if isinstance(fault, SlowAxis):
+            self._speed_share = fault.share
+            if command is not None:
+                slower = replace(command, speed_mm_s=command.speed_mm_s * fault.share)
+                self.axis.move(t_us, slower)
+        elif fault.kind == "stuck":
+            self.axis.jammed = True
+        elif fault.kind == "runaway":
+            if command is not None:
+                self._runs_to_mm = math.copysign(FARTHER_THAN_ANY_SWITCH_mm, velocity)
+                self.axis.move(t_us, replace(command, target_mm=self._runs_to_mm))
+        else:
+            self._apply_own_fault(fault, t_us, velocity)
+
+    def _log(self, what: str, value: object, by: str) -> None:
+        self._port.log(self._drive_name, what, value, by)

@@ -1,0 +1,185 @@
+"""The stage drivers in the words that they have in common, for tests that all of them pass.
+
+Positions and speeds are in the stage's own unit: mm and mm/s, or deg and deg/s.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, ClassVar
+
+from drivers.shared.stage import MotionWatch
+
+from . import az, festo, zaber
+from .clock import BenchClock
+
+ACCELERATION_deg_s2 = 100.0
+
+
+class StageCase(ABC):
+    """One connected stage over its simulated one; `case` says what may go wrong with it."""
+
+    name: ClassVar[str]
+    quantities: ClassVar[tuple[str, str]] = ("position", "speed")
+    """What errors call where a motion ends and how fast it is."""
+    noun: ClassVar[str] = "axis"
+    stage: Any
+    clock: BenchClock
+
+    def start(self, position: float, speed: float) -> None:
+        """Begin a motion."""
+        self.stage.start_move(position, speed)
+
+    def go(self, position: float, speed: float) -> None:
+        """Move and wait."""
+        self.stage.move_to(position, speed)
+
+    def seen(self) -> float:
+        """The position by the driver."""
+        return self.stage.position_mm()
+
+    @property
+    @abstractmethod
+    def position(self) -> float:
+        """The true position."""
+
+    @property
+    @abstractmethod
+    def speed(self) -> float:
+        """The true speed."""
+
+    @abstractmethod
+    def said(self) -> Sequence[str]:
+        """What went over the wire since this was last asked, oldest first."""
+
+    def let_pass(self, seconds: float) -> None:
+        """Time passes, and the driver says nothing."""
+        self.clock.bench.now_us += round(seconds * 1e6)
+
+    def home(self) -> None:
+        """Home the stage, kept alive from now on."""
+        self.clock.each_slice(self.stage.keep_alive)
+        self.stage.home()
+        self.said()
+
+    @contextmanager
+    def before_a_motion_is_sent(self, act: Callable[[], object]) -> Iterator[None]:
+        """Do `act` once between the driver's last look at the stage and its command."""
+        usual = self.stage._watch
+
+        def watch(*given: Any) -> MotionWatch:
+            made = usual(*given)
+            del self.stage._watch
+            act()
+            return made
+
+        self.stage._watch = watch
+        yield
+
+    def after(self, seconds: float, act: Callable[[], object]) -> None:
+        """Do `act` once, out of a wait of the driver, when `seconds` have passed."""
+        due_s = self.clock.now() + seconds
+
+        def slept() -> None:
+            if self.clock.now() >= due_s:
+                self.clock.slept = None
+                act()
+
+        self.clock.slept = slept
+
+
+class FestoCase(StageCase):
+    """The CMMT."""
+
+    name = "festo-cmmt"
+
+    def __init__(self, it: festo.Service):
+        self._it, self.clock, self.stage = it, it.clock, it.connect()
+
+    @classmethod
+    @contextmanager
+    def running(cls, fault: dict[str, Any] | None) -> Iterator[FestoCase]:
+        faults = {"faults": festo.move_faults(fault)} if fault else {}
+        with festo.service(drive=faults) as it:
+            yield cls(it)
+
+    @property
+    def position(self) -> float:
+        return self._it.truth_mm
+
+    @property
+    def speed(self) -> float:
+        return self._it.speed
+
+    def said(self) -> Sequence[str]:
+        return self._it.wire.heard()
+
+
+class AzCase(StageCase):
+    """One AZ drive."""
+
+    name = "oriental-az"
+
+    def __init__(self, it: az.Service):
+        self._it, self.clock, self.stage = it, it.clock, it.connect()
+
+    @classmethod
+    @contextmanager
+    def running(cls, fault: dict[str, Any] | None) -> Iterator[AzCase]:
+        with az.service(*([{"device": "stage_z", **fault}] if fault else [])) as it:
+            yield cls(it)
+
+    @property
+    def position(self) -> float:
+        return self._it.z.position_mm(self._it.bench.now_us)
+
+    @property
+    def speed(self) -> float:
+        return self._it.speed(self._it.z)
+
+    def said(self) -> Sequence[str]:
+        said = list(self._it.line.said)
+        self._it.line.said.clear()
+        return said
+
+
+class ZaberCase(StageCase):
+    """The X-RST."""
+
+    name = "zaber-rst"
+    quantities = ("angle", "speed")
+    noun = "stage"
+
+    def __init__(self, it: zaber.Service):
+        self._it, self.clock, self.stage = it, it.clock, it.connect()
+
+    @classmethod
+    @contextmanager
+    def running(cls, fault: dict[str, Any] | None) -> Iterator[ZaberCase]:
+        with zaber.service(stage=zaber.suffering(**fault) if fault else None) as it:
+            yield cls(it)
+
+    def start(self, position: float, speed: float) -> None:
+        self.stage.start_turn(position, speed, ACCELERATION_deg_s2)
+
+    def go(self, position: float, speed: float) -> None:
+        self.stage.turn_to(position, speed, ACCELERATION_deg_s2)
+
+    def seen(self) -> float:
+        return self.stage.angle_deg()
+
+    @property
+    def position(self) -> float:
+        return self._it.angle
+
+    @property
+    def speed(self) -> float:
+        return self._it.speed
+
+    def said(self) -> Sequence[str]:
+        return self._it.wire.heard()
+
+
+CASES = (FestoCase, AzCase, ZaberCase)
