@@ -37,7 +37,7 @@ MEMORY = 1.3
 1.3 times the one assumed, and the axis's counts keep it going to and fro."""
 ARRIVAL_OF_TICK = 0.5
 """When a command counts as carried out: in the middle of the tick it has for it."""
-EVENLY = 1.02
+EVEN_MOVE_OVERSPEED = 1.02
 """How much faster than a tick needs it an even move is made: it fills the tick, so that an
 axis that follows a slow change goes on instead of jumping from tick to tick."""
 SLOWEST_mm_s = 0.01
@@ -165,7 +165,7 @@ class ForceServo:
         self._expected, self.shift = expected or ContactShift(), ContactShift()
 
     @property
-    def told_mm(self) -> float:
+    def commanded_mm(self) -> float:
         """Sum of the increments so far."""
         return self._axis.target_mm
 
@@ -206,8 +206,10 @@ class ForceServo:
         increment = max(-reach_mm, min(increment, reach_mm))
         speed_mm_s = own.speed_mm_s
         if own.evenly:
-            speed_mm_s = min(max(EVENLY * abs(increment) / own.tick_s, SLOWEST_mm_s), speed_mm_s)
-        axis.tell(increment, speed_mm_s)
+            speed_mm_s = min(
+                max(EVEN_MOVE_OVERSPEED * abs(increment) / own.tick_s, SLOWEST_mm_s), speed_mm_s
+            )
+        axis.command(increment, speed_mm_s)
         return ServoStep(increment, speed_mm_s)
 
     def correct(self, difference_mm: float) -> None:
@@ -235,7 +237,7 @@ class _AxisAccount:
         """In cycles."""
         past = self._delay + round(OLDEST_s / self._dt)
         self._past: deque[float] = deque([0.0] * (past + 1), maxlen=past + 1)
-        self._told = False
+        self._commanded = False
         self._speed = settings.speed_mm_s
         self._before = 0.0, self._speed
         """Target and speed that the latest replaced."""
@@ -243,18 +245,18 @@ class _AxisAccount:
     def seen_mm(self, ticks: int, late_s: float, older_s: float) -> float:
         """The position that the force given to the present step, so many ticks after the one
         before, belongs to; the latest target was late, the force is older than it should be."""
-        if self._told:
+        if self._commanded:
             late = round(late_s / self._dt)
             for cycle in range(ticks * self._cycles):
                 self._cycle(*(self._before if cycle < late else (self.target_mm, self._speed)))
         return self._past[-1 - self._delay - round(older_s / self._dt)]
 
-    def tell(self, increment_mm: float, speed_mm_s: float) -> None:
+    def command(self, increment_mm: float, speed_mm_s: float) -> None:
         """A new target, from now on, and how fast to go there."""
         self._before = self.target_mm, self._speed
         self.target_mm += increment_mm
         self._speed = speed_mm_s
-        self._told = True
+        self._commanded = True
 
     def correct(self, difference_mm: float) -> None:
         """It is another one."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.detector import kernel
-from rig.detector.events import EVENT_KINDS, Event
+from rig.detector.events import EVENT_KINDS, SlipEvent
 from rig.detector.low_pass import LowPass, design_low_pass
 from rig.detector.settings import DetectorSettings
 
@@ -29,7 +29,7 @@ _LOGICS = {"rig": kernel.RIG, "paper-literal": kernel.LITERAL, "paper-hp": kerne
 
 
 @dataclass(frozen=True)
-class Looks:
+class NetworkInputs:
     """What the network was shown."""
 
     rows: NDArray[np.int64]
@@ -81,7 +81,7 @@ class IncipientSlipDetector:
         """Rows taken so far, gaps included."""
         return self._first + int(self._state["row"][0])
 
-    def add(self, volts: ArrayLike, first_sample: int | None = None) -> list[Event]:
+    def add(self, volts: ArrayLike, first_sample: int | None = None) -> list[SlipEvent]:
         """What is to be said of further rows (n, 2) of v_1 and v_2 in V.
 
         `first_sample` is the index of the first of them, where it is known. Rows that are missing
@@ -99,21 +99,21 @@ class IncipientSlipDetector:
                 events += [self._event(row) for row in self._events[:told]]
         return events
 
-    def finish(self) -> list[Event]:
+    def finish(self) -> list[SlipEvent]:
         """What is left to be said at the end of a recording."""
         if self._state["ready"][0] or not self._state["row"][0]:
             return []
         reason = kernel.REASONS[kernel.NOT_QUIET]
-        return [Event("rejected", self.rows - 1, (self.rows - 1) / self.rate_Hz, 0.0, reason)]
+        return [SlipEvent("rejected", self.rows - 1, (self.rows - 1) / self.rate_Hz, 0.0, reason)]
 
-    def looks(self, volts: ArrayLike) -> Looks:
+    def network_inputs(self, volts: ArrayLike) -> NetworkInputs:
         """What the network is shown of a whole recording (n, 2); for training it."""
         rows = np.ascontiguousarray(volts, dtype=np.float64)
         seen, looked = np.zeros((len(rows), len(kernel.INPUTS))), np.zeros(len(rows), np.bool_)
         for begin in range(0, len(rows), _SLICE):
             part = slice(begin, begin + _SLICE)
             self._advance(rows[part], seen[part], looked[part])
-        return Looks(np.flatnonzero(looked), seen[looked])
+        return NetworkInputs(np.flatnonzero(looked), seen[looked])
 
     def _begin(self) -> None:
         self._state = np.zeros(1, kernel.STATE)
@@ -141,9 +141,9 @@ class IncipientSlipDetector:
             self._refuse_what_is_no_number(rows)
         return told
 
-    def _event(self, row: Reals) -> Event:
+    def _event(self, row: Reals) -> SlipEvent:
         sample = self._first + int(row[1])
-        return Event(
+        return SlipEvent(
             kind=EVENT_KINDS[int(row[0])],
             sample=sample,
             time_s=sample / self.rate_Hz,
@@ -152,7 +152,7 @@ class IncipientSlipDetector:
             features=dict(zip(kernel.EVENT_FEATURES, row[4:].tolist(), strict=True)),
         )
 
-    def _step_over_gap(self, first_sample: int) -> list[Event]:
+    def _step_over_gap(self, first_sample: int) -> list[SlipEvent]:
         expected = self.rows
         if first_sample == expected:
             return []
@@ -165,7 +165,7 @@ class IncipientSlipDetector:
         if not expected:
             return []
         reason = f"gap of {first_sample - expected} samples: offset and noise are judged anew"
-        return [Event("rejected", first_sample, first_sample / self.rate_Hz, 0.0, reason)]
+        return [SlipEvent("rejected", first_sample, first_sample / self.rate_Hz, 0.0, reason)]
 
     def _refuse_what_is_no_number(self, rows: Reals) -> NoReturn:
         row, channel = np.argwhere(~np.isfinite(rows))[0]

@@ -10,7 +10,7 @@ EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
 
 
 @dataclass(frozen=True)
-class Event:
+class SlipEvent:
     """A decision, and what it rests on."""
 
     kind: EventKind

@@ -84,15 +84,15 @@ STATE = np.dtype(
         ("still", "i8", (2,)),  # rows without any change
         ("still_at", "f8", (2,)),  # the other channel when that began
         ("still_span", "f8", (2,)),  # how far the other has moved since
-        ("told_hum", "i8"),
+        ("hum_reported", "i8"),
         ("armed", "i8"),
         ("armed_rows", "i8"),
         ("calm_rows", "i8"),
-        ("told_roll", "i8"),
+        ("roll_reported", "i8"),
         ("roll_rows", "i8"),
         ("look_rows", "i8"),
         ("silent_rows", "i8"),
-        ("deaf_rows", "i8"),
+        ("suppressed_rows", "i8"),
         ("suspect_rows", "i8"),
         ("mute_rows", "i8"),
         ("suspect", "f8", (3,)),  # impulse, its threshold, common part
@@ -205,43 +205,43 @@ def advance(
         if not (math.isfinite(volts[k, 0]) and math.isfinite(volts[k, 1])):
             return -1
     s, c = state[0], constants[0]
-    told = 0
+    reported = 0
     for k in range(volts.shape[0]):
         first, second = 1e3 * volts[k, 0], 1e3 * volts[k, 1]
-        told = _doubt(first, second, s, c, events, told)
+        reported = _check_channels(first, second, s, c, events, reported)
         if abs(first) >= c.saturation or abs(second) >= c.saturation:
             first, second = s.last[0], s.last[1]  # what it was before goes on: no filter rings
         s.last[0], s.last[1] = first, second
         _filter(first, second, s, line, c, taps, sections)
-        told = _judge_quiet(first, second, s, piece, room, c, events, told)
+        reported = _judge_quiet(first, second, s, piece, room, c, events, reported)
         if s.ready:
-            told = _follow(first, second, s, c, events, told)
-            told = _arm(s, c, events, told)
+            reported = _update_features(first, second, s, c, events, reported)
+            reported = _arm(s, c, events, reported)
             if c.logic == RIG:
-                looks = _looks(s, c)
+                looks = _network_due(s, c)
                 if looks:
-                    _see(s, c, seen[k if looked.size else 0])
-                    _ask(seen[k if looked.size else 0], hidden, output, units, s)
+                    _gather_inputs(s, c, seen[k if looked.size else 0])
+                    _evaluate_network(seen[k if looked.size else 0], hidden, output, units, s)
                 if looked.size:
                     looked[k] = looks
-                told = _decide(looks, s, c, events, told)
+                reported = _decide(looks, s, c, events, reported)
             else:
-                told = _compare(first, second, s, c, events, told)
+                reported = _compare(first, second, s, c, events, reported)
         s.row += 1
-    return told
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
-def _doubt(first: float, second: float, s: Any, c: Any, events: Any, told: int) -> int:
-    """A saturated or a dead channel makes deaf until 50 ms after."""
-    if s.deaf_rows > 0:
-        s.deaf_rows -= 1
-    deaf = s.deaf_rows
+def _check_channels(first: float, second: float, s: Any, c: Any, events: Any, reported: int) -> int:
+    """A saturated or a dead channel makes suppressed until 50 ms after."""
+    if s.suppressed_rows > 0:
+        s.suppressed_rows -= 1
+    suppressed = s.suppressed_rows
     now = round(50.0 * c.ms) + 1
     if abs(first) >= c.saturation or abs(second) >= c.saturation:
-        s.deaf_rows = now
-        if deaf == 0:
-            told = _tell(REJECTED, 0.0, SATURATED, 0.0, 0.0, s, events, told)
+        s.suppressed_rows = now
+        if suppressed == 0:
+            reported = _report(REJECTED, 0.0, SATURATED, 0.0, 0.0, s, events, reported)
     for j in range(2):
         x, other = (first, second) if j == 0 else (second, first)
         if x != s.last[j] or s.row == 0:
@@ -252,10 +252,10 @@ def _doubt(first: float, second: float, s: Any, c: Any, events: Any, told: int) 
         s.still[j] += 1
         s.still_span[j] = max(s.still_span[j], abs(other - s.still_at[j]))
         if s.still[j] >= c.dead_rows and s.still_span[j] > c.dead_span and abs(x) < c.saturation:
-            if s.deaf_rows == 0:
-                told = _tell(REJECTED, 0.0, FIRST_DEAD + j, 0.0, 0.0, s, events, told)
-            s.deaf_rows = now
-    return told
+            if s.suppressed_rows == 0:
+                reported = _report(REJECTED, 0.0, FIRST_DEAD + j, 0.0, 0.0, s, events, reported)
+            s.suppressed_rows = now
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
@@ -308,16 +308,16 @@ def _rest(x: float, memory: Any, sections: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _judge_quiet(
-    first: float, second: float, s: Any, piece: Any, room: Any, c: Any, events: Any, told: int
+    first: float, second: float, s: Any, piece: Any, room: Any, c: Any, events: Any, reported: int
 ) -> int:
     """Offset and noise from the last piece, if it was quiet: medians, so that single spikes do not
     count. Before the first quiet piece nothing else is judged."""
-    if s.ready and (s.armed or s.deaf_rows > 0):
+    if s.ready and (s.armed or s.suppressed_rows > 0):
         s.piece_rows = 0
-        return told
+        return reported
     if s.wait_rows > 0:
         s.wait_rows -= 1
-        return told
+        return reported
     at = s.piece_rows
     piece[0, at] = first - second
     piece[1, at] = first + second
@@ -325,7 +325,7 @@ def _judge_quiet(
     piece[3, at] = s.fast[1]
     s.piece_rows += 1
     if s.piece_rows < c.quiet_rows:
-        return told
+        return reported
     s.piece_rows = 0
     s.wait_rows = s.ready * (PIECES - 1) * c.quiet_rows
     offset, noise = s.fresh_offset, s.fresh_noise
@@ -337,19 +337,19 @@ def _judge_quiet(
     if not quiet:
         s.restless_rows += c.quiet_rows
         if not s.ready and s.restless_rows == 4 * c.quiet_rows:
-            return _tell(REJECTED, 0.0, NOT_QUIET, 0.0, 0.0, s, events, told)
-        return told
+            return _report(REJECTED, 0.0, NOT_QUIET, 0.0, 0.0, s, events, reported)
+        return reported
     hum = max(_hum(piece[0], offset[0], c), _hum(piece[1], offset[1], c) / 2.0)
-    if hum > c.hum and not s.told_hum:
-        s.told_hum = 1
-        told = _tell(REJECTED, 0.0, HUM, hum, c.hum, s, events, told)
+    if hum > c.hum and not s.hum_reported:
+        s.hum_reported = 1
+        reported = _report(REJECTED, 0.0, HUM, hum, c.hum, s, events, reported)
     weight = 0.25 if s.ready else 1.0
     for j in range(2):
         s.offset[j] += weight * (offset[j] - s.offset[j])
         s.noise[j] += weight * (noise[j] - s.noise[j])
         s.fast_noise[j] += weight * (noise[2 + j] - s.fast_noise[j])
     s.ready = 1
-    return told
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
@@ -428,7 +428,9 @@ def _hum(values: Any, middle: float, c: Any) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _follow(first: float, second: float, s: Any, c: Any, events: Any, told: int) -> int:
+def _update_features(
+    first: float, second: float, s: Any, c: Any, events: Any, reported: int
+) -> int:
     """Averages, peaks, powers and sums of what has just come; the first touch."""
     d = first - second - s.offset[0]
     v = first + second - s.offset[1]
@@ -447,25 +449,25 @@ def _follow(first: float, second: float, s: Any, c: Any, events: Any, told: int)
     s.sum[3] = s.sum[3] * c.sum_keeps[1] + v * c.row_ms
     for j in range(2):
         s.slow_peak[j] = max(abs(s.average[j, 4]), s.slow_peak[j] * c.slow_keeps)
-    return told if s.touched else _touch(s, c, events, told)
+    return reported if s.touched else _touch(s, c, events, reported)
 
 
 @njit(cache=True, error_model="numpy")
-def _touch(s: Any, c: Any, events: Any, told: int) -> int:
+def _touch(s: Any, c: Any, events: Any, reported: int) -> int:
     """Pressing drives both strips alike, and v_s negative: polarity is learned from it."""
     for j in range(2):
         if abs(s.average[j, 4]) > 5.0 * s.noise[j] / math.sqrt(16.0 * c.ms) + 0.5:
             s.touch[j] += s.average[j, 4] / c.ms
     if abs(s.touch[0]) + abs(s.touch[1]) < 300.0:
-        return told
+        return reported
     s.touched = 1
     if abs(s.touch[0]) > abs(s.touch[1]):
-        return _tell(REJECTED, 0.0, ONE_INVERTED, 0.0, 0.0, s, events, told)
-    return told
+        return _report(REJECTED, 0.0, ONE_INVERTED, 0.0, 0.0, s, events, reported)
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
-def _arm(s: Any, c: Any, events: Any, told: int) -> int:
+def _arm(s: Any, c: Any, events: Any, reported: int) -> int:
     """The predictive signal arms."""
     if s.silent_rows > 0:
         s.silent_rows -= 1
@@ -478,54 +480,54 @@ def _arm(s: Any, c: Any, events: Any, told: int) -> int:
         s.calm_rows = 0 if level > threshold / 2.0 else s.calm_rows + 1
         if s.calm_rows > c.armed_rows:
             s.armed = 0
-            s.told_roll = 0
+            s.roll_reported = 0
             s.roll_rows = 0
     elif level > threshold:
         s.armed = 1
         s.armed_rows = 0
         s.calm_rows = 0
         confidence = level / (level + threshold)
-        return _tell(PREDICTIVE, confidence, NO_REASON, 0.0, threshold, s, events, told)
-    return told
+        return _report(PREDICTIVE, confidence, NO_REASON, 0.0, threshold, s, events, reported)
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
-def _compare(first: float, second: float, s: Any, c: Any, events: Any, told: int) -> int:
+def _compare(first: float, second: float, s: Any, c: Any, events: Any, reported: int) -> int:
     """The published logics: over the threshold while armed."""
     if c.logic == LITERAL:
         level, noise = abs(first - second - s.offset[0]), s.noise[0]
     else:
         level, noise = abs(s.fast[0]), s.fast_noise[0]
     threshold = max(c.fire[0], c.fire[1] * noise)
-    if level <= threshold or s.deaf_rows > 0:
-        return told
+    if level <= threshold or s.suppressed_rows > 0:
+        return reported
     confidence = level / (level + threshold)
     if s.armed:
         if s.silent_rows == 0:
             s.silent_rows = c.silent_rows
-            return _tell(SLIP, confidence, NO_REASON, level, threshold, s, events, told)
+            return _report(SLIP, confidence, NO_REASON, level, threshold, s, events, reported)
     elif s.mute_rows == 0:
         s.mute_rows = c.silent_rows
-        return _tell(REJECTED, confidence, NOT_ARMED, level, threshold, s, events, told)
-    return told
+        return _report(REJECTED, confidence, NOT_ARMED, level, threshold, s, events, reported)
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
-def _looks(s: Any, c: Any) -> bool:
+def _network_due(s: Any, c: Any) -> bool:
     """Whether the network is asked about this row."""
     threshold = max(c.look[0], c.look[1] * s.fast_noise[0])
     if abs(s.fast[0]) > threshold:
         s.look_rows = c.look_rows
     elif s.look_rows > 0:
         s.look_rows -= 1
-    if not s.armed or s.deaf_rows > 0:
+    if not s.armed or s.suppressed_rows > 0:
         return False
     looks: bool = s.look_rows > 0 or s.row % c.idle_rows == 0
     return looks
 
 
 @njit(cache=True, error_model="numpy")
-def _see(s: Any, c: Any, x: Any) -> None:
+def _gather_inputs(s: Any, c: Any, x: Any) -> None:
     """The network's inputs, in the order of `INPUTS`."""
     sign = 1.0 if s.average[0, 5] >= 0.0 else -1.0
     pressed = -1.0 if s.touch[1] > 0.0 else 1.0
@@ -562,7 +564,7 @@ def _see(s: Any, c: Any, x: Any) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _ask(x: Any, hidden: Any, output: Any, units: Any, s: Any) -> None:
+def _evaluate_network(x: Any, hidden: Any, output: Any, units: Any, s: Any) -> None:
     """Probabilities of a slip now and of a roll under way."""
     inputs, n = x.size, units.size
     for u in range(n):
@@ -580,15 +582,15 @@ def _ask(x: Any, hidden: Any, output: Any, units: Any, s: Any) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _decide(looks: bool, s: Any, c: Any, events: Any, told: int) -> int:
-    """Our logic: the network's word while armed; what it refuses is told with the reason."""
+def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
+    """Our logic: the network's word while armed; what it refuses is reported with the reason."""
     threshold = max(c.fire[0], c.fire[1] * s.fast_noise[0])
     level = abs(s.fast[0])
-    if level > threshold and s.deaf_rows == 0 and s.mute_rows == 0 and s.silent_rows == 0:
+    if level > threshold and s.suppressed_rows == 0 and s.mute_rows == 0 and s.silent_rows == 0:
         if not s.armed:
             s.mute_rows = c.silent_rows
             confidence = level / (level + threshold)
-            return _tell(REJECTED, confidence, NOT_ARMED, level, threshold, s, events, told)
+            return _report(REJECTED, confidence, NOT_ARMED, level, threshold, s, events, reported)
         if s.suspect_rows == 0:
             s.suspect_rows = round(25.0 * c.ms)
             s.suspect[0], s.suspect[1], s.suspect[2] = level, threshold, s.peak[3]
@@ -596,8 +598,8 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, told: int) -> int:
         s.suspect_rows = 0
         if s.silent_rows == 0:
             s.silent_rows = c.silent_rows
-            return _tell(SLIP, s.slip, NO_REASON, s.peak[0], threshold, s, events, told)
-        return told
+            return _report(SLIP, s.slip, NO_REASON, s.peak[0], threshold, s, events, reported)
+        return reported
     if s.suspect_rows > 0:
         s.suspect[0] = max(s.suspect[0], level)
         s.suspect[2] = max(s.suspect[2], s.peak[3])
@@ -610,17 +612,19 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, told: int) -> int:
             elif s.suspect[2] > s.suspect[0]:
                 reason = COMMON
             confidence = 1.0 - s.slip
-            return _tell(REJECTED, confidence, reason, s.suspect[0], s.suspect[1], s, events, told)
-    if looks and s.armed and not s.told_roll:
+            return _report(
+                REJECTED, confidence, reason, s.suspect[0], s.suspect[1], s, events, reported
+            )
+    if looks and s.armed and not s.roll_reported:
         s.roll_rows = s.roll_rows + 1 if s.roll > c.roll_probability else 0
         if s.roll_rows >= 4:
-            s.told_roll = 1
-            return _tell(ROLL, s.roll, NO_REASON, s.peak[0], threshold, s, events, told)
-    return told
+            s.roll_reported = 1
+            return _report(ROLL, s.roll, NO_REASON, s.peak[0], threshold, s, events, reported)
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
-def _tell(
+def _report(
     kind: int,
     confidence: float,
     reason: int,
@@ -628,11 +632,11 @@ def _tell(
     threshold: float,
     s: Any,
     events: Any,
-    told: int,
+    reported: int,
 ) -> int:
-    row = events[told]
+    row = events[reported]
     row[0], row[1], row[2], row[3] = kind, s.row, confidence, reason
     row[4] = s.low - s.offset[0]
     row[5], row[6], row[7] = impulse, s.peak[3], threshold
     row[8], row[9] = s.slip, s.roll
-    return told + 1
+    return reported + 1

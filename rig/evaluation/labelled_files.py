@@ -26,7 +26,7 @@ from rig.core.toml_files import read_text
 from rig.evaluation.scored_trials import judge_one
 from rig.evaluation.scoring.contenders import Contender
 from rig.evaluation.scoring.outcomes import Truth
-from rig.evaluation.scoring.results import Judged
+from rig.evaluation.scoring.results import ScoredTrial
 from rig.evaluation.scoring.tables import NAMES
 from rig.files.runfile.reader import RunFile
 
@@ -41,7 +41,7 @@ MAX_LIST_BYTES = 16 << 20
 class ListedTrials:
     """All trials of a list, judged."""
 
-    judged: list[Judged]
+    judged: list[ScoredTrial]
     simulated: bool
     """Whether any of them comes from a simulated bench."""
 

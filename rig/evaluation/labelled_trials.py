@@ -25,7 +25,7 @@ from rig.physics.contact.settings import ContactSettings, Cylinder, FrictionSett
 from rig.physics.contact.stepper import ConvergenceError
 from rig.physics.skin.condensed import CondensedSkin
 from rig.physics.skin.settings import SkinSettings
-from rig.physics.trials import RollSettings, Script, SlideSettings, Trial, follow
+from rig.physics.trials import RollSettings, Script, SkinTrial, SlideSettings, follow
 
 Floats = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ class PopulationSettings(Settings):
     """Nothing touches before a trial."""
 
 
-class FrontEndSettings(Settings):
+class StripFrontEndSettings(Settings):
     """What the amplifiers and the mains add (assumed)."""
 
     noise_mV: Range = _by_ratio(0.1, 2.0)
@@ -137,8 +137,8 @@ class LabelledTrial:
     """What was drawn, by name and unit."""
 
 
-def heard(
-    trial: LabelledTrial, front_end: FrontEndSettings, hearing: int = 0
+def through_front_end(
+    trial: LabelledTrial, front_end: StripFrontEndSettings, hearing: int = 0
 ) -> tuple[Floats, dict[str, float]]:
     """Volts (n, 2) as a bench would record them, and what was laid on, by name and unit.
 
@@ -186,13 +186,13 @@ def _perform(
     for redraw in range(_REDRAWS):
         chance = np.random.default_rng([get_args(Kind).index(kind), seed, 0, redraw])
         try:
-            return _KINDS[kind](_Drawing(skin, kind, seed, population, chance))
+            return _KINDS[kind](_TrialDraw(skin, kind, seed, population, chance))
         except ConvergenceError as error:
             last = error
     raise last
 
 
-class _Drawing:
+class _TrialDraw:
     """The part that all kinds of trials draw alike, and the way from a script to a trial."""
 
     def __init__(
@@ -259,7 +259,7 @@ class _Drawing:
         *,
         body: Object | None = None,
         start_x_mm: float = 0.0,
-    ) -> Trial:
+    ) -> SkinTrial:
         """The trial of a script, with the stage's jitter."""
         body = Plate() if body is None else body
         times = self.contact.step_us * 1e-6 * np.arange(1.0, 1 + force_N.size)
@@ -271,7 +271,7 @@ class _Drawing:
         script = Script(force_N, shaken, angle, motion_s=self.motion_s, start_x_mm=start_x_mm)
         return follow(self.skin, settings, script)
 
-    def finish(self, trial: Trial, label: Label, end_s: float = math.inf) -> LabelledTrial:
+    def finish(self, trial: SkinTrial, label: Label, end_s: float = math.inf) -> LabelledTrial:
         """What is kept of a trial up to `end_s` after first touch."""
         at, truth = self.population.ridge - 1, trial.truth
         rate = SlideSettings().sample.rate_Hz
@@ -300,7 +300,7 @@ def _rounded(values: Floats) -> Floats:
     return values.astype(np.float32).astype(np.float64)
 
 
-def _to_gross_slip(drawing: _Drawing) -> tuple[Trial, float, float]:
+def _to_gross_slip(drawing: _TrialDraw) -> tuple[SkinTrial, float, float]:
     """A slide until everything slips, its velocity in mm/s, and when that is after first touch."""
     speed = drawing.draw("speed_mm_s")
     velocity = speed * drawing.draw_sign("direction")
@@ -318,12 +318,12 @@ def _to_gross_slip(drawing: _Drawing) -> tuple[Trial, float, float]:
     raise ConvergenceError(f"no gross slip within {reach_mm / 2:.2f} mm of a slide")
 
 
-def _slide(drawing: _Drawing) -> LabelledTrial:
+def _slide(drawing: _TrialDraw) -> LabelledTrial:
     trial, _, gross = _to_gross_slip(drawing)
     return drawing.finish(trial, "slip", gross + _AFTER_GROSS_S)
 
 
-def _hold(drawing: _Drawing) -> LabelledTrial:
+def _hold(drawing: _TrialDraw) -> LabelledTrial:
     """A slide that stops short; where the ridge slips as a whole all the same it is a slip."""
     whole, velocity, gross = _to_gross_slip(drawing)
     row = int(np.searchsorted(whole.time_s, gross))
@@ -342,7 +342,7 @@ def _hold(drawing: _Drawing) -> LabelledTrial:
     return drawing.finish(trial, "slip" if slipped else "hold")
 
 
-def _roll(drawing: _Drawing) -> LabelledTrial:
+def _roll(drawing: _TrialDraw) -> LabelledTrial:
     duration = drawing.draw("roll_s")
     body = Cylinder(radius_mm=drawing.draw("radius_mm"))
     angle = math.radians(drawing.draw("angle_deg")) * drawing.draw_sign("direction")
@@ -361,7 +361,7 @@ def _roll(drawing: _Drawing) -> LabelledTrial:
     return drawing.finish(trial, label)
 
 
-def _tap(drawing: _Drawing) -> LabelledTrial:
+def _tap(drawing: _TrialDraw) -> LabelledTrial:
     """Somebody knocks at the finger while an object rests on it."""
     duration = drawing.draw("tap_s")
     rise_N = drawing.draw("tap_share") * drawing.force_N
@@ -373,7 +373,7 @@ def _tap(drawing: _Drawing) -> LabelledTrial:
     return drawing.finish(trial, "slip" if slipped else "tap")
 
 
-_KINDS: dict[Kind, Callable[[_Drawing], LabelledTrial]] = {
+_KINDS: dict[Kind, Callable[[_TrialDraw], LabelledTrial]] = {
     "slide": _slide,
     "roll": _roll,
     "hold": _hold,

@@ -18,18 +18,18 @@ from numpy.typing import NDArray
 
 from rig.core.cache import Cache
 from rig.evaluation.labelled_trials import (
-    FrontEndSettings,
     Kind,
     LabelledTrial,
     PopulationSettings,
-    heard,
+    StripFrontEndSettings,
     labelled_trial,
+    through_front_end,
 )
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_score
 from rig.evaluation.scoring.contenders import FACTORS, Contender
 from rig.evaluation.scoring.outcomes import Truth, judge
 from rig.evaluation.scoring.patterns import roll_pattern
-from rig.evaluation.scoring.results import Judged
+from rig.evaluation.scoring.results import ScoredTrial
 from rig.evaluation.scoring.roc import tune
 from rig.evaluation.scoring.seeds import SeedRange
 from rig.physics.skin.condensed import CondensedSkin
@@ -51,7 +51,7 @@ class Population:
 
     skin: CondensedSkin
     settings: PopulationSettings
-    front_end: FrontEndSettings
+    front_end: StripFrontEndSettings
     swapped_gains: bool
     """Whether the amplifiers of the two channels, noise and mains included, change places."""
     kinds: tuple[Kind, ...]
@@ -70,17 +70,17 @@ def judge_trials(
     sweep: bool,
     jobs: int,
     done: Callable[[int], None],
-) -> list[Judged]:
+) -> list[ScoredTrial]:
     """Every trial of the population, judged; `done` is told how many there are so far."""
 
-    def work(trial: LabelledTrial, volts: Floats, traits: Traits) -> Judged:
+    def work(trial: LabelledTrial, volts: Floats, traits: Traits) -> ScoredTrial:
         return judge_one(
             f"{trial.kind} {trial.seed}", _truth(trial), volts, trial.rate_Hz, traits,
             contenders, sweep=sweep,
         )  # fmt: skip
 
     for one in contenders:  # compiled once, before there are workers
-        one.says(np.zeros((1000, 2)), 1000.0, (1.0,))
+        one.reports(np.zeros((1000, 2)), 1000.0, (1.0,))
     return list(each_trial(population, work, jobs, done))
 
 
@@ -93,15 +93,15 @@ def judge_one(
     contenders: Sequence[Contender],
     *,
     sweep: bool,
-) -> Judged:
+) -> ScoredTrial:
     """One recording, judged; ValueError where a contender cannot take it."""
     factors = (1.0, *FACTORS) if sweep else (1.0,)
     judged = [
-        [judge(truth, said, traits) for said in one.says(volts, rate_Hz, factors)]
+        [judge(truth, said, traits) for said in one.reports(volts, rate_Hz, factors)]
         for one in contenders
     ]
     swept = [outcomes[1:] for outcomes in judged]
-    return Judged(
+    return ScoredTrial(
         name=name,
         label=truth.label,
         outcomes=tuple(outcomes[0] for outcomes in judged),
@@ -147,14 +147,14 @@ def tune_baselines(
     return tuned
 
 
-def hear(population: Population, trial: LabelledTrial) -> tuple[Floats, Traits]:
+def recorded_volts(population: Population, trial: LabelledTrial) -> tuple[Floats, Traits]:
     """Volts (n, 2) as the population's front end records them, and what the trial was like."""
     if population.swapped_gains:
         turned = replace(trial, volts=trial.volts[:, ::-1])
-        volts, added = heard(turned, population.front_end)
+        volts, added = through_front_end(turned, population.front_end)
         volts, added["gain_mismatch"] = volts[:, ::-1], -added["gain_mismatch"]
     else:
-        volts, added = heard(trial, population.front_end)
+        volts, added = through_front_end(trial, population.front_end)
     traits: Traits = {**trial.traits, **added, "kind": trial.kind}
     if trial.kind == "roll":
         way_mm = trial.traits["radius_mm"] * np.radians(abs(trial.traits["angle_deg"]))
@@ -185,7 +185,7 @@ class _Work(Generic[Result]):
         trial = labelled_trial(
             population.skin, *drawn, population=population.settings, cache=population.cache
         )
-        return self.each(trial, *hear(population, trial))
+        return self.each(trial, *recorded_volts(population, trial))
 
 
 _inherited: _Work[Any] | None = None

@@ -28,7 +28,7 @@ ROLLING_FOR_S = 0.03
 
 
 @dataclass(frozen=True)
-class Lesson:
+class TrainingTrial:
     """Rows of one trial that the network was shown; times in s, NaN where it did not happen."""
 
     inputs: Reals
@@ -42,7 +42,7 @@ class Lesson:
 
 
 @dataclass(frozen=True)
-class Rows:
+class TrainingRows:
     """What the network is taught: inputs, and for slip and roll what is right and what counts."""
 
     inputs: Singles
@@ -53,7 +53,7 @@ class Rows:
     """(m, 2): 0 where it may say what it likes."""
 
 
-def rows_of(lesson: Lesson) -> Rows:
+def rows_of(lesson: TrainingTrial) -> TrainingRows:
     """What a trial teaches."""
     time, slip = lesson.time_s, lesson.ridge_slip_s
     right = np.zeros((time.size, 2), np.float32)
@@ -69,11 +69,11 @@ def rows_of(lesson: Lesson) -> Rows:
         undecided = (time > slip - EARLY_S - UNDECIDED_S) & (time < slip - EARLY_S)
         weight[undecided | (time > slip + LATE_S), 0] = 0
         weight[time > slip, 1] = 0
-    return Rows(lesson.inputs.astype(np.float32), right, weight)
+    return TrainingRows(lesson.inputs.astype(np.float32), right, weight)
 
 
 def learn(
-    rows: Rows,
+    rows: TrainingRows,
     units: int = 24,
     epochs: int = 30,
     seed: int = 0,

@@ -13,7 +13,7 @@ from rig.files.runfile.reader import Outcome
 from rig.files.runfile.write_entry import ending
 
 if TYPE_CHECKING:
-    from rig.detector.events import Event
+    from rig.detector.events import SlipEvent
     from rig.files.processed.reader import ProcessedFile
 
 
@@ -91,7 +91,7 @@ def describe_processed(file: ProcessedFile) -> dict[str, Any]:
     }
 
 
-def _event(event: Event) -> str:
+def _event(event: SlipEvent) -> str:
     """``incipient slip at 6.384 s, confidence 0.6``"""
     reason = f" ({event.reason})" if event.reason else ""
     return f"{event.kind} at {event.time_s:.3f} s, confidence {event.confidence:.2f}{reason}"

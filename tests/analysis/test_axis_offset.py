@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.analysis.trial.axis_offset import AxisOffsetError, Look, ROLLING_mm, axis_offset
+from rig.analysis.trial.axis_offset import AxisOffsetError, NudgeForce, ROLLING_mm, axis_offset
 
 SIDES = (0, 1, 0, -1, 0)
 STIFFNESS_N_mm = 18.0
@@ -14,7 +14,7 @@ def looks(rng, size, slope, drift_N=0.02, noise_N=0.005):
     found = []
     for number, side in enumerate(SIDES):
         force = 0.3 + slope * side * size + drift_N * number
-        found.append(Look(side * size, force + noise_N * rng.standard_normal(100)))
+        found.append(NudgeForce(side * size, force + noise_N * rng.standard_normal(100)))
     return found
 
 

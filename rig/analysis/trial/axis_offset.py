@@ -35,7 +35,7 @@ class AxisOffsetError(RigError):
 
 
 @dataclass(frozen=True)
-class Look:
+class NudgeForce:
     """The tangential force after a nudge."""
 
     by: float
@@ -44,7 +44,7 @@ class Look:
     """Frames (n,)."""
 
 
-def axis_offset(along_x: Sequence[Look], turned: Sequence[Look]) -> Estimate:
+def axis_offset(along_x: Sequence[NudgeForce], turned: Sequence[NudgeForce]) -> Estimate:
     """h in mm, positive where a positive turn drags as a positive way of the stage does.
 
     AxisOffsetError where the stage's nudges are not felt.
@@ -62,7 +62,7 @@ def axis_offset(along_x: Sequence[Look], turned: Sequence[Look]) -> Estimate:
     return Estimate.normal(offset, math.hypot(noise, ROLLING_mm), "mm")
 
 
-def _slope(looks: Sequence[Look]) -> tuple[float, float]:
+def _slope(looks: Sequence[NudgeForce]) -> tuple[float, float]:
     """Force by nudge and its standard error; a drift that is straight in the looks falls out."""
     nudges = np.array([look.by for look in looks])
     means = np.array([look.force_N.mean() for look in looks])

@@ -32,9 +32,9 @@ from rig.analysis.estimate import Estimate
 from rig.analysis.trial.touch_down import (
     GRID_Hz,
     Reals,
-    Series,
     SmoothForce,
     TouchDownError,
+    TouchRecord,
     standard_error,
     still_columns,
     volts_on_grid,
@@ -81,7 +81,7 @@ class ClockOffset:
     """Whether the force went back on its way, so that the offset could be told."""
 
 
-def clock_offset(force_N: Series, volts: Series, within_s: float = 0.2) -> ClockOffset:
+def clock_offset(force_N: TouchRecord, volts: TouchRecord, within_s: float = 0.2) -> ClockOffset:
     """Offset of the force's clock against the volts', searched for in ±`within_s`.
 
     `force_N` is F_n, `volts` the sum v_1 + v_2, raw or decimated; both hold the touch-down and some

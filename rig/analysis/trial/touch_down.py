@@ -39,7 +39,7 @@ class TouchDownError(RigError):
 
 
 @dataclass(frozen=True)
-class Series:
+class TouchRecord:
     """Equally spaced samples (n,) on a clock of their own."""
 
     values: Reals
@@ -58,7 +58,7 @@ def _gaussian(values: Reals, rate_Hz: float, order: int) -> Reals:
     return result
 
 
-def volts_on_grid(volts: Series) -> tuple[Reals, Reals]:
+def volts_on_grid(volts: TouchRecord) -> tuple[Reals, Reals]:
     """Times on the volts' clock, corrected, and smoothed volts."""
     values = np.asarray(volts.values, dtype=np.float64)
     start = volts.first_s - volts.delay_s
@@ -87,7 +87,7 @@ def _cubic(first_s: float, rate_Hz: float, values: Reals) -> Callable[[Reals], R
 class SmoothForce:
     """Smoothed force and its rate at any time of the force's clock."""
 
-    def __init__(self, series: Series):
+    def __init__(self, series: TouchRecord):
         values = np.asarray(series.values, dtype=np.float64)
         self._time = series.first_s - series.delay_s + np.arange(values.size) / series.rate_Hz
         self._force = _gaussian(values, series.rate_Hz, 0)

@@ -15,9 +15,9 @@ import numpy as np
 from rig.analysis.estimate import Estimate
 from rig.analysis.trial.touch_down import (
     Reals,
-    Series,
     SmoothForce,
     TouchDownError,
+    TouchRecord,
     standard_error,
     still_columns,
     volts_on_grid,
@@ -29,7 +29,7 @@ ENOUGH = 10
 """Samples for each of them."""
 
 
-def touch_gain(force_N: Series, volts: Series, offset_s: float) -> Estimate:
+def touch_gain(force_N: TouchRecord, volts: TouchRecord, offset_s: float) -> Estimate:
     """A strip's gain in V s/N, with its sign; what was at t on the volts' clock was at t +
     `offset_s` on the force's, which is taken as known.
 

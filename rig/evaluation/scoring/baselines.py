@@ -19,7 +19,7 @@ from pydantic import Field
 
 from rig.core.settings import Settings
 from rig.detector.low_pass import LowPassSettings, design_low_pass
-from rig.evaluation.scoring.outcomes import Said
+from rig.evaluation.scoring.outcomes import DetectorReport
 from rig.evaluation.scoring.seeds import SeedRange
 
 Floats = NDArray[np.float64]
@@ -96,9 +96,9 @@ def baseline_score(volts: ArrayLike, rate_Hz: float, settings: BaselineSettings)
     return _score(values, _armed(signal, rate_Hz, settings), settings)
 
 
-def baseline_says(
+def baseline_reports(
     volts: ArrayLike, rate_Hz: float, settings: BaselineSettings, factors: ArrayLike = (1.0,)
-) -> list[Said]:
+) -> list[DetectorReport]:
     """Alarms and armings in `volts` (n, 2), once for each factor on the threshold."""
     signal = _signal(volts, rate_Hz, settings)
     armed = _armed(signal, rate_Hz, settings)
@@ -116,7 +116,7 @@ def baseline_says(
             begin = alarms[-1] + silent
             if settings.statistic == "cusum":
                 left = _score(values, armed & (row >= begin), settings)
-        said.append(Said(np.array(alarms, dtype=np.float64) / rate_Hz, arms / rate_Hz))
+        said.append(DetectorReport(np.array(alarms, dtype=np.float64) / rate_Hz, arms / rate_Hz))
     return said
 
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from rig.core.settings import Settings
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.settings import DetectorSettings
-from rig.evaluation.scoring.baselines import BaselineSettings, baseline_says
-from rig.evaluation.scoring.outcomes import Said
+from rig.evaluation.scoring.baselines import BaselineSettings, baseline_reports
+from rig.evaluation.scoring.outcomes import DetectorReport
 from rig.evaluation.scoring.seeds import SeedRange
 
 Floats = NDArray[np.float64]
@@ -39,7 +39,9 @@ class Contender(Protocol):
         """Seeds of the trials that its parameters were chosen on, where they are known."""
         ...
 
-    def says(self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]) -> list[Said]:
+    def reports(
+        self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]
+    ) -> list[DetectorReport]:
         """Of a recording (n, 2) in V, once for each factor on its threshold."""
         ...
 
@@ -59,18 +61,22 @@ class DetectorContender:
             return None
         return SeedRange(first=network.first_seed, end=network.last_seed + 1)
 
-    def says(self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]) -> list[Said]:
+    def reports(
+        self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]
+    ) -> list[DetectorReport]:
         """Its events at each threshold."""
-        return [self._says(volts, rate_Hz, at_threshold(self.settings, one)) for one in factors]
+        return [self._report(volts, rate_Hz, at_threshold(self.settings, one)) for one in factors]
 
     @staticmethod
-    def _says(volts: Floats, rate_Hz: float, settings: DetectorSettings) -> Said:
+    def _report(volts: Floats, rate_Hz: float, settings: DetectorSettings) -> DetectorReport:
         detector = IncipientSlipDetector(settings, rate_Hz)
         events = [*detector.add(volts), *detector.finish()]
         slips = [one.time_s for one in events if one.kind == "incipient slip"]
         armings = [one.time_s for one in events if one.kind == "predictive"]
         rolls = [one.time_s for one in events if one.kind == "roll"]
-        return Said(*(np.array(times, dtype=np.float64) for times in (slips, armings, rolls)))
+        return DetectorReport(
+            *(np.array(times, dtype=np.float64) for times in (slips, armings, rolls))
+        )
 
 
 @dataclass(frozen=True)
@@ -89,9 +95,11 @@ class BaselineContender:
         """The seeds that its thresholds were chosen on."""
         return self.settings.tuned_on
 
-    def says(self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]) -> list[Said]:
+    def reports(
+        self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]
+    ) -> list[DetectorReport]:
         """Its alarms and armings at each threshold."""
-        return baseline_says(volts, rate_Hz, self.settings, factors)
+        return baseline_reports(volts, rate_Hz, self.settings, factors)
 
 
 def at_threshold(settings: DetectorSettings, factor: float) -> DetectorSettings:

@@ -53,7 +53,7 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Said:
+class DetectorReport:
     """What a detector said of a trial; times in s, ascending."""
 
     alarms_s: Floats = field(default_factory=lambda: _NOTHING)
@@ -65,7 +65,7 @@ class Said:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TrialOutcome:
     """What a trial says of a detector; times in s, NaN where there is none."""
 
     label: str
@@ -96,11 +96,11 @@ class Outcome:
     """Armings in that time."""
     in_vain: int
     """Armings in motions that never come to a slip of the whole ridge."""
-    told_roll: bool
+    classified_as_roll: bool
     """It said that this was a roll; in a slip only what it said before the whole ridge slipped."""
 
 
-def judge(truth: Truth, said: Said, traits: Mapping[str, float | str]) -> Outcome:
+def judge(truth: Truth, said: DetectorReport, traits: Mapping[str, float | str]) -> TrialOutcome:
     """What a detector is credited with for a trial.
 
     Raises ValueError for a trial labelled as a slip without the times of node and ridge.
@@ -123,7 +123,7 @@ def judge(truth: Truth, said: Said, traits: Mapping[str, float | str]) -> Outcom
     predicting = moving[moving <= truth.ridge_slip_s] if truth.slipped else _NOTHING
     rolls = said.rolls_s[said.rolls_s < truth.ridge_slip_s] if truth.slipped else said.rolls_s
     touching = alarms < truth.lift_off_s if math.isfinite(truth.lift_off_s) else alarms == alarms
-    return Outcome(
+    return TrialOutcome(
         label=truth.label,
         traits=traits,
         found=bool(finds.size),
@@ -139,5 +139,5 @@ def judge(truth: Truth, said: Said, traits: Mapping[str, float | str]) -> Outcom
         arming_lead_s=truth.ridge_slip_s - float(predicting[-1]) if predicting.size else math.nan,
         followed=int(predicting.size),
         in_vain=0 if truth.slipped else int(moving.size),
-        told_roll=bool(rolls.size),
+        classified_as_roll=bool(rolls.size),
     )

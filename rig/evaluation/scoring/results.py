@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.evaluation.scoring.contenders import FACTORS, Contender
-from rig.evaluation.scoring.outcomes import Outcome
+from rig.evaluation.scoring.outcomes import TrialOutcome
 from rig.evaluation.scoring.roc import AXES, ROLL_ALARMS, Roc, roc
 from rig.evaluation.scoring.tables import BINS, NAMES, Score, by_trait, score
 
@@ -21,13 +21,13 @@ ROW = (
 
 
 @dataclass(frozen=True)
-class Judged:
+class ScoredTrial:
     """A trial as every contender heard it."""
 
     name: str
     """The trial's: its kind and seed, or its file and point."""
     label: str
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[TrialOutcome, ...]
     """Of each contender at its own threshold."""
     found: NDArray[np.bool_]
     """At each of the swept thresholds, (contenders, k); k is 0 where none are swept."""
@@ -45,11 +45,11 @@ class GroupScore:
 
 
 @dataclass(frozen=True)
-class Result:
+class ContenderResult:
     """What the trials say of one contender."""
 
     contender: Contender
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[TrialOutcome, ...]
     """Trial by trial."""
     score: Score
     groups: tuple[GroupScore, ...]
@@ -57,7 +57,9 @@ class Result:
     """Found over false alarms, by the names of `AXES`; none where no threshold was swept."""
 
 
-def results(contenders: Sequence[Contender], judged: Sequence[Judged]) -> list[Result]:
+def results(
+    contenders: Sequence[Contender], judged: Sequence[ScoredTrial]
+) -> list[ContenderResult]:
     """What the trials say of each contender."""
     labels = [one.label for one in judged]
     found = []
@@ -75,11 +77,11 @@ def results(contenders: Sequence[Contender], judged: Sequence[Judged]) -> list[R
             for trait in (*BINS, *NAMES)
             for group in by_trait(outcomes, trait)
         )
-        found.append(Result(contender, outcomes, score(outcomes), groups, rocs))
+        found.append(ContenderResult(contender, outcomes, score(outcomes), groups, rocs))
     return found
 
 
-def rows(told: Sequence[Result], use: str) -> Iterator[tuple[str | float, ...]]:
+def rows(told: Sequence[ContenderResult], use: str) -> Iterator[tuple[str | float, ...]]:
     """Every number as a row of the columns `ROW`; `use` says what the trials are for."""
     for one in told:
         everything = [GroupScore("", "", one.score), *one.groups]

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from rig.analysis.estimate import COVERAGE_95
-from rig.evaluation.scoring.outcomes import Outcome
+from rig.evaluation.scoring.outcomes import TrialOutcome
 
 PERCENTILES = (5, 50, 95)
 RESAMPLES = 1000
@@ -20,7 +20,7 @@ FEWEST_OF_A_SPREAD = 5
 
 
 @dataclass(frozen=True)
-class Measured:
+class ScoredNumber:
     """A number found from `of` cases with its 95 % interval; NaN where there is none."""
 
     value: float
@@ -31,7 +31,7 @@ class Measured:
     """1 for a rate, else that of value and interval."""
 
 
-Score = dict[str, Measured]
+Score = dict[str, ScoredNumber]
 """What is told of a group of outcomes, by name; what cannot occur in the group is left out."""
 
 
@@ -41,7 +41,7 @@ class Group:
 
     trait: str
     bin: str
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[TrialOutcome, ...]
 
 
 BINS: dict[str, tuple[float, ...]] = {
@@ -58,26 +58,26 @@ NAMES = ("pattern", "kind")
 """Traits that are names, each of which is a bin."""
 
 
-def rate(hits: int, of: int) -> Measured:
+def rate(hits: int, of: int) -> ScoredNumber:
     """A share with Wilson's score interval (Wilson 1927, J. Am. Stat. Assoc. 22, 209)."""
     if of == 0:
-        return Measured(math.nan, math.nan, math.nan, 0, "1")
+        return ScoredNumber(math.nan, math.nan, math.nan, 0, "1")
     share, z2 = hits / of, COVERAGE_95**2
     middle = (share + z2 / (2 * of)) / (1 + z2 / of)
     half = COVERAGE_95 / (1 + z2 / of) * math.sqrt(share * (1 - share) / of + z2 / (4 * of**2))
     low = 0.0 if hits == 0 else middle - half
     high = 1.0 if hits == of else middle + half
-    return Measured(share, low, high, of, "1")
+    return ScoredNumber(share, low, high, of, "1")
 
 
-def percentiles(values: Sequence[float], unit: str) -> dict[int, Measured]:
+def percentiles(values: Sequence[float], unit: str) -> dict[int, ScoredNumber]:
     """`PERCENTILES` of those values that are numbers, with their bootstrap intervals.
 
     Percentile bootstrap (Efron 1979) with a fixed seed: the same values give the same interval.
     """
     known = np.array([value for value in values if math.isfinite(value)])
     if not known.size:
-        return dict.fromkeys(PERCENTILES, Measured(math.nan, math.nan, math.nan, 0, unit))
+        return dict.fromkeys(PERCENTILES, ScoredNumber(math.nan, math.nan, math.nan, 0, unit))
     found = np.percentile(known, PERCENTILES)
     if known.size < FEWEST_OF_A_SPREAD:
         low = high = np.full(found.size, math.nan)
@@ -86,17 +86,17 @@ def percentiles(values: Sequence[float], unit: str) -> dict[int, Measured]:
         again = np.percentile(known[drawn], PERCENTILES, axis=1)
         low, high = np.percentile(again, (2.5, 97.5), axis=1)
     return {
-        percent: Measured(float(found[k]), float(low[k]), float(high[k]), known.size, unit)
+        percent: ScoredNumber(float(found[k]), float(low[k]), float(high[k]), known.size, unit)
         for k, percent in enumerate(PERCENTILES)
     }
 
 
-def score(outcomes: Sequence[Outcome]) -> Score:
+def score(outcomes: Sequence[TrialOutcome]) -> Score:
     """Everything that is told of a group of outcomes of one detector."""
-    return dict(_told(outcomes))
+    return dict(_quantities(outcomes))
 
 
-def by_trait(outcomes: Sequence[Outcome], trait: str) -> list[Group]:
+def by_trait(outcomes: Sequence[TrialOutcome], trait: str) -> list[Group]:
     """The outcomes that have a trait, a group for each bin that is not empty, in order."""
     having = [one for one in outcomes if trait in one.traits]
     if trait in NAMES:
@@ -120,11 +120,11 @@ def _bin(low: float, high: float) -> str:
     return f"{low:g} to {high:g}" if math.isfinite(high) else f"{low:g} and more"
 
 
-def _told(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, Measured]]:
-    def share(of: Sequence[Outcome], holds: Callable[[Outcome], bool]) -> Measured:
+def _quantities(outcomes: Sequence[TrialOutcome]) -> Iterator[tuple[str, ScoredNumber]]:
+    def share(of: Sequence[TrialOutcome], holds: Callable[[TrialOutcome], bool]) -> ScoredNumber:
         return rate(sum(map(holds, of)), len(of))
 
-    def labelled(label: str) -> list[Outcome]:
+    def labelled(label: str) -> list[TrialOutcome]:
         return [one for one in outcomes if one.label == label]
 
     if slips := labelled("slip"):
@@ -145,9 +145,9 @@ def _told(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, Measured]]:
         yield "lift_off_alarms_before", share(lifting, lambda one: one.alarmed_touching)
         yield "lift_off_alarms", share(lifting, lambda one: one.alarmed)
     if rolls := labelled("roll"):
-        yield "rolls_recognised", share(rolls, lambda one: one.told_roll)
+        yield "rolls_recognised", share(rolls, lambda one: one.classified_as_roll)
     if others := [one for label in ("slip", "hold", "tap") for one in labelled(label)]:
-        yield "taken_for_rolls", share(others, lambda one: one.told_roll)
+        yield "taken_for_rolls", share(others, lambda one: one.classified_as_roll)
     if outcomes:
         yield "pressing_alarms", share(outcomes, lambda one: one.alarmed_pressing)
     if slips:
