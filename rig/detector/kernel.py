@@ -1,8 +1,9 @@
-"""The compiled heart of the detectors: one row of v_1 and v_2 after the other, and nothing else.
+"""The compiled core of the detectors. It takes one row of v_1 and v_2 after the other and does
+nothing else.
 
-Every row goes through the same scalar operations in the same order, with all state in one record,
-so that the outcome does not know how the rows came: one by one, in blocks or as a whole file. No
-operation may be reordered by the compiler (no fast mathematics).
+Every row passes through the same scalar operations in the same order, and all state is in one
+record. The events therefore do not depend on how the rows arrive: one by one, in blocks or as a
+whole file. The compiler must not reorder operations, so fast mathematics stays off.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ PREDICTIVE, SLIP, ROLL, REJECTED = range(4)
 ) = range(11)
 REASONS = (
     "",
-    "not armed: no predictive signal went before",
+    "not armed: no early warning preceded it",
     "roll",
     "common to both channels",
     "unlike a slip",
@@ -41,22 +42,27 @@ REASONS = (
     "the first touch drives v_1 and v_2 oppositely: one is inverted, or it was not recorded",
     "mains hum: thresholds rise with it",
 )
+"""Reasons of rejected events, in the order of the constants above."""
 RIG, LITERAL, HIGH_PASSED = range(3)
-"""Logics."""
+"""Logics, in the order of the names in `rig.detector.detector`."""
 
 AVERAGES_ms = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
-"""Time constants of the running averages whose differences are the bands."""
+"""Time constants of the running averages. The differences of neighbouring averages are the
+bands."""
 _A = len(AVERAGES_ms)
 PEAKS_ms = (3.0, 10.0, 40.0, 10.0)
-"""Over which peaks of the impulse fade: three of v_d, one of v_s."""
+"""Time constants with which peaks of the impulse decay: three of v_d, one of v_s."""
 POWERS_ms = (8.0, 64.0)
+"""Time constants of the powers of the impulse."""
 SUMS_ms = (100.0, 400.0)
+"""Time constants of the leaky sums."""
 SLOW_PEAK_ms = 150.0
-"""Time constants of powers, leaky sums and of the peak of the average over 16 ms."""
+"""Time constant of the peak of the average over 16 ms."""
 PIECES = 4
-"""Once offset and noise are known, one piece of so many is judged."""
+"""Once offset and noise are known, one piece out of this many is used to update them."""
 LOOK_ms, IDLE_ms = 12.0, 8.0
-"""The network is asked for so long after an impulse, and else so often."""
+"""The network is evaluated at every row for `LOOK_ms` after an impulse, and otherwise once every
+`IDLE_ms`."""
 
 STATE = np.dtype(
     [
@@ -100,6 +106,7 @@ STATE = np.dtype(
         ("roll", "f8"),
     ]
 )
+"""State of the detector between two rows. All voltages are in mV."""
 
 CONSTANTS = np.dtype(
     [
@@ -130,6 +137,7 @@ CONSTANTS = np.dtype(
         ("slow_keeps", "f8"),
     ]
 )
+"""Settings of the detector, converted to rows and mV."""
 
 INPUTS = (
     *(f"v_d band {AVERAGES_ms[k]:g} to {AVERAGES_ms[k + 1]:g} ms" for k in range(_A - 1)),
@@ -158,9 +166,12 @@ INPUTS = (
     "noise of v_s",
     "armed for",
 )
-"""What the network sees. Signs of v_d are taken so that its average over 32 ms is positive, those
-of v_s so that pressing was negative: neither swapped channels nor inverted polarity matter.
-Numbers are drawn together, x / sqrt(1 + |x|); voltages are in units of 0.5 mV."""
+"""Names of the network's inputs.
+
+The sign of v_d is chosen so that its average over 32 ms is positive, and that of v_s so that
+pressing was negative: swapped channels and inverted polarity make no difference. Large numbers are
+compressed by x / sqrt(1 + |x|). Voltages are in units of 0.5 mV.
+"""
 
 EVENT_FEATURES = (
     "predictive_mV",
@@ -170,8 +181,9 @@ EVENT_FEATURES = (
     "slip_probability",
     "roll_probability",
 )
+"""Names of the numbers that are reported with every event."""
 EVENT_COLUMNS = 4 + len(EVENT_FEATURES)
-"""Kind, row, confidence, reason, features."""
+"""Number of columns of an event: kind, row, confidence, reason, features."""
 
 _MEDIAN_TO_SIGMA = 1.4826
 
@@ -193,13 +205,14 @@ def advance(
     seen: Any,
     looked: Any,
 ) -> int:
-    """Take rows of volts (n, 2); fill `events` (n, columns) and say how many. -1 where a row is no
-    number: then none was taken.
+    """Takes rows of volts (n, 2), fills `events` (n, columns) and returns the number of events.
 
-    `line` (taps,) and `piece` (4, quiet rows) belong to the state;
-    `room` is as long as a piece. The network's weights are
-    `hidden` (inputs + 1, units) and `output` (2, units + 1); `units` is room for it. Where
-    `looked` has rows, its inputs are kept in `seen` (n, inputs) and `looked` (n,) says for which.
+    Returns -1 if a value is not finite; no row was taken then.
+
+    `line` (taps,) and `piece` (4, quiet rows) are part of the state, `room` (quiet rows,) and
+    `units` are work space. `hidden` (inputs + 1, units) and `output` (2, units + 1) are the weights
+    of the network. If `looked` has rows, the inputs of the network are saved in `seen` (n, inputs),
+    and `looked` (n,) is true where it was evaluated.
     """
     for k in range(volts.shape[0]):
         if not (math.isfinite(volts[k, 0]) and math.isfinite(volts[k, 1])):
@@ -210,7 +223,9 @@ def advance(
         first, second = 1e3 * volts[k, 0], 1e3 * volts[k, 1]
         reported = _check_channels(first, second, s, c, events, reported)
         if abs(first) >= c.saturation or abs(second) >= c.saturation:
-            first, second = s.last[0], s.last[1]  # what it was before goes on: no filter rings
+            # The last good row replaces a saturated one: the step into saturation would make the
+            # filters ring.
+            first, second = s.last[0], s.last[1]
         s.last[0], s.last[1] = first, second
         _filter(first, second, s, line, c, taps, sections)
         reported = _judge_quiet(first, second, s, piece, room, c, events, reported)
@@ -233,7 +248,7 @@ def advance(
 
 @njit(cache=True, error_model="numpy")
 def _check_channels(first: float, second: float, s: Any, c: Any, events: Any, reported: int) -> int:
-    """A saturated or a dead channel makes suppressed until 50 ms after."""
+    """Suppresses events until 50 ms after a channel was saturated or dead."""
     if s.suppressed_rows > 0:
         s.suppressed_rows -= 1
     suppressed = s.suppressed_rows
@@ -262,7 +277,8 @@ def _check_channels(first: float, second: float, s: Any, c: Any, events: Any, re
 def _filter(
     first: float, second: float, s: Any, line: Any, c: Any, taps: Any, sections: Any
 ) -> None:
-    """Low-pass of v_d, high-pass of v_d and v_s; as if the first row had been there for ever."""
+    """Applies the low-pass to v_d and the high-pass to v_d and v_s, as if the first row had been
+    present forever."""
     _low_pass(first - second, s, line, taps)
     for channel in range(2):
         y = first - second if channel == 0 else first + second
@@ -280,7 +296,11 @@ def _filter(
 
 @njit(cache=True, error_model="numpy")
 def _low_pass(x: float, s: Any, line: Any, taps: Any) -> None:
-    """The filter in its transposed form, whose sums do not depend on one another."""
+    """Runs the filter in its transposed form.
+
+    Its partial sums do not depend on one another, so that the compiler may use vector instructions
+    without changing the order of any sum.
+    """
     n = taps.size
     if s.row == 0:
         tail = 0.0
@@ -295,7 +315,7 @@ def _low_pass(x: float, s: Any, line: Any, taps: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _rest(x: float, memory: Any, sections: Any) -> None:
-    """The memory of the high-pass's sections after a constant input."""
+    """Sets the memory of the high-pass sections to its value after a constant input."""
     y = x
     for q in range(sections.shape[0]):
         b0, b1, b2 = sections[q, 0], sections[q, 1], sections[q, 2]
@@ -310,8 +330,11 @@ def _rest(x: float, memory: Any, sections: Any) -> None:
 def _judge_quiet(
     first: float, second: float, s: Any, piece: Any, room: Any, c: Any, events: Any, reported: int
 ) -> int:
-    """Offset and noise from the last piece, if it was quiet: medians, so that single spikes do not
-    count. Before the first quiet piece nothing else is judged."""
+    """Measures offset and noise on the last piece if it was quiet.
+
+    They are medians, so that single spikes have no influence. Before the first quiet piece nothing
+    else is judged.
+    """
     if s.ready and (s.armed or s.suppressed_rows > 0):
         s.piece_rows = 0
         return reported
@@ -343,6 +366,7 @@ def _judge_quiet(
     if hum > c.hum and not s.hum_reported:
         s.hum_reported = 1
         reported = _report(REJECTED, 0.0, HUM, hum, c.hum, s, events, reported)
+    # Later pieces count for a quarter, so that one odd piece does not move offset and noise far.
     weight = 0.25 if s.ready else 1.0
     for j in range(2):
         s.offset[j] += weight * (offset[j] - s.offset[j])
@@ -354,7 +378,7 @@ def _judge_quiet(
 
 @njit(cache=True, error_model="numpy")
 def _middle_and_noise(values: Any, room: Any, c: Any) -> tuple[float, float]:
-    """Median, and the median of the distances to it as a standard deviation."""
+    """Returns the median, and the median distance from it as a standard deviation."""
     n = values.size
     for i in range(n):
         room[i] = values[i]
@@ -366,7 +390,7 @@ def _middle_and_noise(values: Any, room: Any, c: Any) -> tuple[float, float]:
 
 @njit(cache=True, error_model="numpy")
 def _median(values: Any) -> float:
-    """The median; partly sorts them (Hoare's quickselect)."""
+    """Returns the median; partly sorts the values (Hoare's quickselect)."""
     n = values.size
     wanted = n // 2
     low, high = 0, n - 1
@@ -399,7 +423,7 @@ def _median(values: Any) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _is_quiet(values: Any, middle: float, noise: float) -> bool:
-    """Whether a piece neither moved nor jumped."""
+    """Returns whether a piece neither drifted nor jumped."""
     n = values.size
     half = n // 2
     moved, largest = 0.0, 0.0
@@ -415,7 +439,7 @@ def _is_quiet(values: Any, middle: float, noise: float) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def _hum(values: Any, middle: float, c: Any) -> float:
-    """Amplitude at the mains' frequency, 50 or 60 Hz."""
+    """Returns the amplitude at the mains frequency, the larger of 50 and 60 Hz."""
     n = values.size
     largest = 0.0
     for j in range(2):
@@ -431,7 +455,7 @@ def _hum(values: Any, middle: float, c: Any) -> float:
 def _update_features(
     first: float, second: float, s: Any, c: Any, events: Any, reported: int
 ) -> int:
-    """Averages, peaks, powers and sums of what has just come; the first touch."""
+    """Updates averages, peaks, powers and sums with the new row, and the first touch."""
     d = first - second - s.offset[0]
     v = first + second - s.offset[1]
     for j in range(_A):
@@ -454,10 +478,12 @@ def _update_features(
 
 @njit(cache=True, error_model="numpy")
 def _touch(s: Any, c: Any, events: Any, reported: int) -> int:
-    """Pressing drives both strips alike, and v_s negative: polarity is learned from it."""
+    """Learns the polarity from the first touch: pressing drives both strips alike and v_s
+    negative."""
     for j in range(2):
         if abs(s.average[j, 4]) > 5.0 * s.noise[j] / math.sqrt(16.0 * c.ms) + 0.5:
             s.touch[j] += s.average[j, 4] / c.ms
+    # In 900 simulated presses |sum of v_d| was at most 0.75 |sum of v_s| (decision 0049).
     if abs(s.touch[0]) + abs(s.touch[1]) < 300.0:
         return reported
     s.touched = 1
@@ -468,7 +494,7 @@ def _touch(s: Any, c: Any, events: Any, reported: int) -> int:
 
 @njit(cache=True, error_model="numpy")
 def _arm(s: Any, c: Any, events: Any, reported: int) -> int:
-    """The predictive signal arms."""
+    """Arms the detector while the predictive signal is above its threshold."""
     if s.silent_rows > 0:
         s.silent_rows -= 1
     if s.mute_rows > 0:
@@ -493,7 +519,7 @@ def _arm(s: Any, c: Any, events: Any, reported: int) -> int:
 
 @njit(cache=True, error_model="numpy")
 def _compare(first: float, second: float, s: Any, c: Any, events: Any, reported: int) -> int:
-    """The published logics: over the threshold while armed."""
+    """Published logics: reports a slip where the signal is above its threshold while armed."""
     if c.logic == LITERAL:
         level, noise = abs(first - second - s.offset[0]), s.noise[0]
     else:
@@ -514,7 +540,7 @@ def _compare(first: float, second: float, s: Any, c: Any, events: Any, reported:
 
 @njit(cache=True, error_model="numpy")
 def _network_due(s: Any, c: Any) -> bool:
-    """Whether the network is asked about this row."""
+    """Returns whether the network is evaluated at this row."""
     threshold = max(c.look[0], c.look[1] * s.fast_noise[0])
     if abs(s.fast[0]) > threshold:
         s.look_rows = c.look_rows
@@ -528,7 +554,7 @@ def _network_due(s: Any, c: Any) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def _gather_inputs(s: Any, c: Any, x: Any) -> None:
-    """The network's inputs, in the order of `INPUTS`."""
+    """Computes the inputs of the network, in the order of `INPUTS`."""
     sign = 1.0 if s.average[0, 5] >= 0.0 else -1.0
     pressed = -1.0 if s.touch[1] > 0.0 else 1.0
     for j in range(_A):
@@ -555,22 +581,25 @@ def _gather_inputs(s: Any, c: Any, x: Any) -> None:
     x[at + 14] = 0.05 * pressed * s.sum[3]
     x[at + 15] = 2.0 * s.slow_peak[0]
     x[at + 16] = 2.0 * s.slow_peak[1]
+    # 0.3 mV keeps the ratio finite and small where nothing has happened yet.
     x[at + 17] = sign * s.average[0, 4] / (s.slow_peak[0] + 0.3)
     x[at + 18] = 4.0 * s.noise[0]
     x[at + 19] = 4.0 * s.noise[1]
     x[at + 20] = s.armed_rows / (10.0 * c.ms)
-    for i in range(x.size):  # in a loop of its own, which the compiler can make vectors of
+    for i in range(x.size):
+        # A loop of its own, so that the compiler can use vector instructions.
         x[i] = x[i] / math.sqrt(1.0 + abs(x[i]))
 
 
 @njit(cache=True, error_model="numpy")
 def _evaluate_network(x: Any, hidden: Any, output: Any, units: Any, s: Any) -> None:
-    """Probabilities of a slip now and of a roll under way."""
+    """Computes the probabilities of a slip now and of a roll under way."""
     inputs, n = x.size, units.size
     for u in range(n):
         units[u] = hidden[inputs, u]
     for i in range(inputs):
-        for u in range(n):  # the inner loop, since the units do not depend on one another
+        for u in range(n):
+            # The units are the inner loop because they do not depend on one another.
             units[u] += hidden[i, u] * x[i]
     odds_slip, odds_roll = output[0, n], output[1, n]
     for u in range(n):
@@ -583,7 +612,8 @@ def _evaluate_network(x: Any, hidden: Any, output: Any, units: Any, s: Any) -> N
 
 @njit(cache=True, error_model="numpy")
 def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
-    """Our logic: the network's word while armed; what it refuses is reported with the reason."""
+    """Logic ``rig``: reports a slip or a roll that the network finds while armed, and what it
+    rejects with the reason."""
     threshold = max(c.fire[0], c.fire[1] * s.fast_noise[0])
     level = abs(s.fast[0])
     if level > threshold and s.suppressed_rows == 0 and s.mute_rows == 0 and s.silent_rows == 0:

@@ -124,7 +124,7 @@ def test_an_impulse_without_a_predictive_signal_is_rejected_with_the_reason():
     volts[700] += (0.02, -0.02)
     events = told(volts, "paper-hp")
     assert kinds(events) == ["rejected", "predictive"]  # its own low part comes after it
-    assert events[0].reason == "not armed: no predictive signal went before"
+    assert events[0].reason == "not armed: no early warning preceded it"
     assert events[0].sample == 700
 
 
