@@ -122,10 +122,10 @@ def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int
     )
     say(f"train: {len(rows.inputs)} rows")
 
-    def told(epoch: int, loss: float) -> None:
+    def show(epoch: int, loss: float) -> None:
         say(f"train: epoch {epoch + 1} of {epochs}, loss {loss:.5f}")
 
-    hidden, output = learn(rows, units=units, epochs=epochs, seed=seed, told=told)
+    hidden, output = learn(rows, units=units, epochs=epochs, seed=seed, on_epoch=show)
     return Network(
         name=f"rig-{DETECTOR_VERSION}",
         inputs=INPUTS,

@@ -67,7 +67,7 @@ def test_it_learns_what_can_be_learned():
     rows = plain_problem()
     losses: list[float] = []
     hidden, output = learn(
-        rows, units=12, epochs=400, seed=1, told=lambda _, loss: losses.append(loss)
+        rows, units=12, epochs=400, seed=1, on_epoch=lambda _, loss: losses.append(loss)
     )
     assert (answers(rows, hidden, output) == rows.right).mean(axis=0) == pytest.approx(1, abs=0.05)
     assert len(losses) == 400

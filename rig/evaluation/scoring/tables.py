@@ -1,4 +1,4 @@
-"""Rates and percentiles of outcomes, with 95 % intervals, for all trials and by their traits."""
+"""Rates and percentiles of outcomes with 95 % intervals, for all trials and by their conditions."""
 
 from __future__ import annotations
 
@@ -13,26 +13,33 @@ from rig.analysis.estimate import COVERAGE_95
 from rig.evaluation.scoring.outcomes import TrialOutcome
 
 PERCENTILES = (5, 50, 95)
+"""Percentiles that are computed of every delay."""
 RESAMPLES = 1000
-"""Of the bootstrap; the error of an end of its interval is then below a tenth of its width."""
+"""Resamples of the bootstrap. The error of an end of its interval is then below a tenth of its
+width."""
 FEWEST_OF_A_SPREAD = 5
-"""Of fewer values no interval of a percentile is told."""
+"""Fewest values for which the interval of a percentile is computed."""
 
 
 @dataclass(frozen=True)
 class ScoredNumber:
-    """A number found from `of` cases with its 95 % interval; NaN where there is none."""
+    """A number computed from `of` cases, with its 95 % interval. Values are NaN where there is
+    none."""
 
     value: float
+    """Best estimate."""
     low: float
+    """Lower end of the 95 % interval."""
     high: float
+    """Upper end of the 95 % interval."""
     of: int
+    """Number of cases."""
     unit: str
-    """1 for a rate, else that of value and interval."""
+    """Unit of value and interval; "1" for a rate."""
 
 
 Score = dict[str, ScoredNumber]
-"""What is told of a group of outcomes, by name; what cannot occur in the group is left out."""
+"""Numbers of a group of outcomes, by name. Numbers that cannot occur in the group are omitted."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +47,11 @@ class Group:
     """Outcomes whose trait lies in a bin."""
 
     trait: str
+    """Name of the trait."""
     bin: str
+    """The bin in words, for example "0.2 to 0.5"."""
     outcomes: tuple[TrialOutcome, ...]
+    """Outcomes in the bin."""
 
 
 BINS: dict[str, tuple[float, ...]] = {
@@ -52,14 +62,20 @@ BINS: dict[str, tuple[float, ...]] = {
     "normal_force_N": (4.0, 6.0),
     "gain_mismatch": (-0.03, 0.03),
 }
-"""Traits by which scores are told, and where one bin ends and the next begins; the outermost bins
-are open. The drop of friction is `friction_ratio`, μ_k / μ_s."""
+"""Traits by which scores are split, with the edges between their bins; the outermost bins are open.
+`friction_ratio`, μ_k / μ_s, is the drop of the friction."""
 NAMES = ("pattern", "kind")
-"""Traits that are names, each of which is a bin."""
+"""Traits that are names. Each name is a bin."""
 
 
 def rate(hits: int, of: int) -> ScoredNumber:
-    """A share with Wilson's score interval (Wilson 1927, J. Am. Stat. Assoc. 22, 209)."""
+    """Returns the share of hits with Wilson's score interval (Wilson 1927, J. Am. Stat. Assoc. 22,
+    209).
+
+    >>> half = rate(5, 10)
+    >>> half.value, round(half.low, 3), round(half.high, 3)
+    (0.5, 0.237, 0.763)
+    """
     if of == 0:
         return ScoredNumber(math.nan, math.nan, math.nan, 0, "1")
     share, z2 = hits / of, COVERAGE_95**2
@@ -71,9 +87,10 @@ def rate(hits: int, of: int) -> ScoredNumber:
 
 
 def percentiles(values: Sequence[float], unit: str) -> dict[int, ScoredNumber]:
-    """`PERCENTILES` of those values that are numbers, with their bootstrap intervals.
+    """Returns `PERCENTILES` of the finite values, with their bootstrap intervals.
 
-    Percentile bootstrap (Efron 1979) with a fixed seed: the same values give the same interval.
+    It is the percentile bootstrap (Efron 1979) with a fixed seed: the same values always give the
+    same interval.
     """
     known = np.array([value for value in values if math.isfinite(value)])
     if not known.size:
@@ -92,12 +109,13 @@ def percentiles(values: Sequence[float], unit: str) -> dict[int, ScoredNumber]:
 
 
 def score(outcomes: Sequence[TrialOutcome]) -> Score:
-    """Everything that is told of a group of outcomes of one detector."""
+    """Returns all numbers of a group of outcomes of one detector."""
     return dict(_quantities(outcomes))
 
 
 def by_trait(outcomes: Sequence[TrialOutcome], trait: str) -> list[Group]:
-    """The outcomes that have a trait, a group for each bin that is not empty, in order."""
+    """Returns the outcomes that have a trait, one group for each bin that is not empty, in
+    order."""
     having = [one for one in outcomes if trait in one.traits]
     if trait in NAMES:
         names = sorted({str(one.traits[trait]) for one in having})
