@@ -23,7 +23,7 @@ from hypothesis import settings
 from rig.core.cache import DiskCache
 from rig.physics.skin.condensed import CondensedSkin, build_skin
 from rig.physics.skin.settings import SkinSettings
-from rig.physics.trials import SlideSettings, Trial, slide
+from rig.physics.trials import SkinTrial, SlideSettings, slide
 
 settings.register_profile("any computer", deadline=None)
 settings.load_profile("any computer")
@@ -274,6 +274,6 @@ def skin8(skin_cache: DiskCache) -> CondensedSkin:
 
 
 @pytest.fixture(scope="session")
-def reference_slide(skin8: CondensedSkin) -> Trial:
+def reference_slide(skin8: CondensedSkin) -> SkinTrial:
     """The reference slide with its contact forces."""
     return slide(skin8, SlideSettings(), keep_forces=True)

@@ -15,7 +15,7 @@ from procedures.pressed.settings import AFTER_S
 from procedures.pressed.trial import PressedSeries, PressedTrial
 from procedures.roll_trial import NUDGED_S, NUDGES, SETTLED_S
 from procedures.roll_trial.reading import RollTaken, reading_of
-from rig.analysis.trial.axis_offset import Look, axis_offset
+from rig.analysis.trial.axis_offset import NudgeForce, axis_offset
 from rig.core.errors import LimitError
 from rig.run.aside import Aside
 
@@ -132,11 +132,11 @@ class AlignTrial(_OnHead):
             )
         return offset
 
-    def _nudged(self, by: float, nudge: Callable[[float], None]) -> Look:
+    def _nudged(self, by: float, nudge: Callable[[float], None]) -> NudgeForce:
         nudge(by)
         self._loop(NUDGED_S, self._hold)
         frames = self.run.force.latest_N(LOOKED_S)
-        return Look(by, frames[:, 0])
+        return NudgeForce(by, frames[:, 0])
 
     def _nudge_x(self, by_mm: float) -> None:
         self.x.start_move(self._start_mm + by_mm, NUDGE_mm_s)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from procedures.sweep import CHANNELS, LISTEN_S
 from rig.analysis.response.complex_response import DB_PER_RELATIVE, Response, complex_response
 from rig.analysis.response.levelling import (
-    HARDLY,
+    NEGLIGIBLE_INFLATION,
     RecordNeeds,
     affordable_inflation,
     range_for,
@@ -212,7 +212,8 @@ class Sampling:
         mains_Hz = self.settings.mains_Hz
         duration_s = len(record.counts) / record.scaling.rate_S_s
         strong = self.strong_mains(channel)
-        limit = HARDLY  # a line that hardly matters is fitted where that costs hardly anything
+        # A weak line is fitted only where fitting it costs next to nothing.
+        limit = NEGLIGIBLE_INFLATION
         if strong and not only_load:
             limit = affordable_inflation(needs, duration_s)
         lines: Sequence[float] = mains_lines(mains_Hz, MAINS_LINES)

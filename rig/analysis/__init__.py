@@ -1,1 +1,2 @@
-"""What runs mean: fits, curves, summaries and scores; no I/O."""
+"""What measured signals mean: responses of films, trials under force, calibrations. Arrays in,
+numbers out."""

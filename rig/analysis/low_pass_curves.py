@@ -1,4 +1,4 @@
-"""What a low-pass does, as curves and as numbers: paper Figure 14."""
+"""Curves and characteristic numbers of a low-pass filter (paper Figure 14)."""
 
 from __future__ import annotations
 
@@ -12,54 +12,68 @@ from rig.detector.low_pass import HALF_POWER_dB, LowPass
 Reals = NDArray[np.float64]
 
 LOWEST_Hz = 0.1
+"""Lowest frequency of the curves."""
 POINTS = 4000
-"""Frequencies of a curve, evenly by ratio: the lobes of the stop band are still told apart."""
+"""Number of frequencies of a curve, at equal ratios: enough to resolve the lobes of the stop
+band."""
 SETTLED = 0.01
-"""The step response has settled when it stays within this of 1."""
+"""The step response has settled once it stays within this of 1."""
 
 
 @dataclass(frozen=True)
 class LowPassCurves:
-    """Over frequency, each (k,), and over the time since a step, each (n,)."""
+    """Curves over frequency, (k,) each, and over the time since a step, (n,) each."""
 
     frequency_Hz: Reals
+    """Frequencies, in Hz."""
     gain_dB: Reals
+    """Gain, in dB."""
     phase_deg: Reals
-    """Unwrapped from 0 at 0 Hz."""
+    """Phase, unwrapped from 0 at 0 Hz, in degrees."""
     group_delay_ms: Reals
+    """Group delay, in ms."""
     time_ms: Reals
+    """Time since the step, in ms."""
     step_response: Reals
+    """Response to a unit step."""
     tap: Reals
+    """Taps of the filter, over the same time."""
 
 
 @dataclass(frozen=True)
 class LowPassSummary:
-    """The numbers that a filter is asked for, as the designed one has them."""
+    """Characteristic numbers of a filter as designed."""
 
     rate_Hz: float
+    """Sampling rate, in Hz."""
     taps: int
+    """Number of taps."""
     half_power_Hz: float
+    """Frequency at which the gain is -3 dB."""
     lag_Hz: float
+    """Frequency at which the phase lag is stated."""
     lag_deg: float
+    """Phase lag at `lag_Hz`."""
     delay_ms: float
     """Group delay at `lag_Hz`."""
     stop_Hz: float | None
-    """From there on the gain stays below the attenuation that was asked for; None where it never
+    """Frequency from which the gain stays below the specified attenuation; None if it never
     does."""
     largest_lobe_dB: float
-    """Gain of the largest lobe beyond the first zero. (Lobes of Kaiser's window fall with
-    frequency: the first may lie above what was asked for, before `stop_Hz`.)"""
+    """Gain of the largest lobe beyond the first zero. The lobes of Kaiser's window fall with
+    frequency, so the first may lie above the specified attenuation, below `stop_Hz`."""
     lobes_from_Hz: float
-    """Where the gain has first come down to that."""
+    """Frequency at which the gain first falls to that of the largest lobe."""
     step_half_ms: float
-    """When the step response passes one half."""
+    """Time at which the step response passes one half."""
     overshoot_percent: float
+    """Overshoot of the step response."""
     settled_ms: float
-    """When it stays within 1 % of its end."""
+    """Time from which the step response stays within 1 % of its end."""
 
 
 def low_pass_curves(low_pass: LowPass) -> LowPassCurves:
-    """Gain, phase, group delay and step response of a filter."""
+    """Returns gain, phase, group delay and step response of a filter."""
     frequency = np.geomspace(LOWEST_Hz, low_pass.rate_Hz / 2, POINTS)
     taps = low_pass.taps
     return LowPassCurves(
@@ -74,7 +88,7 @@ def low_pass_curves(low_pass: LowPass) -> LowPassCurves:
 
 
 def low_pass_summary(low_pass: LowPass) -> LowPassSummary:
-    """What the filter has become of its specification."""
+    """Returns the characteristic numbers of a filter, to compare with its specification."""
     asked, step = low_pass.settings, low_pass.step_response()
     lag_Hz = asked.lag_Hz
     even = np.linspace(0.0, low_pass.rate_Hz / 2, 8 * max(low_pass.taps.size, POINTS))
@@ -101,7 +115,7 @@ def low_pass_summary(low_pass: LowPass) -> LowPassSummary:
 
 
 def _crossing(x: Reals, y: Reals, value: float) -> float:
-    """Where y first passes a value, between the samples."""
+    """Returns where y first passes a value, interpolated between the samples."""
     after = int(np.flatnonzero((y[:-1] - value) * (y[1:] - value) <= 0)[0])
     share = (value - y[after]) / (y[after + 1] - y[after])
     return float(x[after] + share * (x[after + 1] - x[after]))

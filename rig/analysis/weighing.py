@@ -1,16 +1,18 @@
-"""Calibration from known weights: means of steady readings, and straight lines through them.
+"""Calibration with known weights: means of steady readings, and straight lines through them.
 
-Numbers in, numbers out. A *reading* is the mean of some seconds of a sensor's output under a known
-force, with its standard error. Every channel of a sensor is a straight line in the force,
+A *reading* is the mean of some seconds of a sensor's output under a known force, with its standard
+error. Every channel of a sensor is a straight line in the force,
 
-    reading = zero + B force,
+    reading = zero + B force
 
-fitted by weighted least squares; the calibration matrix is the inverse of B. Weights put on again
-do not repeat to the last digit, and zeros drift: where the readings of a channel lie further from
-its line than their own errors say, one more error, the same for all of the channel's readings, is
-added so that chi-square equals its degrees of freedom (Mandel and Paule 1970). Intervals then take
-Student's t of these degrees of freedom, else the normal distribution's 1.96. An error that all
-weights have in common (their tolerance) scales every result and is added at the end.
+fitted by weighted least squares. The calibration matrix is the inverse of B.
+
+Weights put on again do not repeat to the last digit, and zeros drift. If the readings of a channel
+lie further from its line than their own errors explain, one additional error, the same for all
+readings of the channel, is added such that chi-square equals its degrees of freedom (Mandel and
+Paule 1970). Intervals then use Student's t with these degrees of freedom, otherwise the 1.96 of the
+normal distribution. An error common to all weights (their tolerance) scales every result and is
+added at the end.
 """
 
 from __future__ import annotations
@@ -28,40 +30,47 @@ from rig.core.errors import ExitCode, RigError
 
 Reals = NDArray[np.float64]
 Vector = tuple[float, float, float]
+"""Force along x, y and z, in N."""
 
 BLOCKS = 10
-"""Parts of a reading whose scatter gives its standard error."""
+"""Number of blocks of a reading whose scatter gives its standard error."""
 CLEAR_TREND = 5.0
-"""Standard errors that a trend must have to be one."""
+"""Standard errors from which a trend is significant."""
 LARGEST_CONDITION = 20.0
-"""Of B with its channels scaled to their own largest entry; beyond it two axes look alike."""
+"""Largest condition number of B, its channels scaled to their own largest entry. Beyond it two axes
+cannot be distinguished."""
 LARGEST_RESIDUAL = 0.01
-"""Of the largest force: as far as a reading may lie from the fit."""
+"""Largest distance of a reading from the fit, as a share of the largest force."""
 CLEAR_SENSITIVITY = 10.0
-"""Standard errors that a sensor's sensitivity must have."""
+"""Standard errors that the sensitivity of a sensor must exceed."""
 
 _ROUNDS = 60
 
 
 class WeighingError(RigError):
-    """Readings under weights that make no calibration."""
+    """Raised when readings under weights do not determine a calibration."""
 
     code = ExitCode.FINISHED_WITH_FAILURES
 
 
 @dataclass(frozen=True, eq=False)
 class Mean:
-    """Mean of a steady output; all (k,), one value a channel."""
+    """Mean of a steady output, one value per channel, (k,)."""
 
     value: Reals
+    """Mean of the output."""
     standard_error: Reals
+    """Standard error of the mean."""
     trend: Reals
-    """Change of the output from the reading's beginning to its end."""
+    """Change of the output from the beginning of the reading to its end."""
     trend_error: Reals
+    """Standard error of the trend."""
     samples: int
+    """Number of samples."""
 
     def drifts(self, tolerated: float | Reals) -> NDArray[np.bool_]:
-        """Which channels changed during the reading, clearly and by more than is tolerated."""
+        """Returns which channels changed during the reading, significantly and by more than is
+        tolerated."""
         clear: NDArray[np.bool_] = np.abs(self.trend) > np.maximum(
             CLEAR_TREND * self.trend_error, tolerated
         )
@@ -69,12 +78,14 @@ class Mean:
 
 
 def mean_of(samples: ArrayLike, resolution: float = 0.0) -> Mean:
-    """Mean of samples (n,) or (n, k), its standard error from the scatter of ten blocks.
+    """Returns the mean of samples (n,) or (n, k), with a standard error from the scatter of ten
+    blocks.
 
-    So correlated noise, the mains for one, counts as it should. ``resolution`` is the converter's
-    step: where the samples scatter by less than half of it, its error, step / sqrt(12), is common
-    to all of them and no average takes it away. Raises WeighingError for fewer than two samples a
-    block.
+    Correlated noise, for example from the mains, is thus included correctly. ``resolution`` is the
+    step of the converter. If the samples scatter by less than half a step, the error of the
+    converter, step / sqrt(12), is common to all of them and is not reduced by averaging.
+
+    Raises WeighingError for fewer than two samples per block.
     """
     values = np.asarray(samples, dtype=np.float64)
     values = values.reshape(len(values), -1)
@@ -103,21 +114,24 @@ def mean_of(samples: ArrayLike, resolution: float = 0.0) -> Mean:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """One channel's straight line in the force: zero first, then one coefficient an axis."""
+    """Straight line of one channel in the force."""
 
     coefficients: Reals
+    """Zero, then one coefficient per axis."""
     covariance: Reals
+    """Covariance of the coefficients."""
     residuals: Reals
-    """Of the readings, (n,), in the reading's unit."""
+    """Residuals of the readings, (n,), in the unit of the readings."""
     excess_error: float
-    """What the readings scatter beyond their own errors, in the reading's unit."""
+    """Scatter of the readings beyond their own errors, in the unit of the readings."""
     chi_square: float
-    """With the readings' own errors alone."""
+    """Chi-square with the readings' own errors alone."""
     degrees: int
+    """Degrees of freedom of the fit."""
 
     @property
     def coverage(self) -> float:
-        """Standard errors on either side of a coefficient that hold 95 % of the cases."""
+        """Half-width of the 95 % interval of a coefficient, in standard errors."""
         if not self.excess_error:
             return COVERAGE_95
         from scipy.special import stdtrit
@@ -126,10 +140,10 @@ class Line:
 
 
 def fit_line(forces: ArrayLike, readings: ArrayLike, standard_errors: ArrayLike) -> Line:
-    """Weighted least squares of readings (n,) over forces (n, axes) in N.
+    """Fits readings (n,) over forces (n, axes) in N by weighted least squares.
 
-    Raises WeighingError for anything not finite, errors not above zero, and forces that leave a
-    coefficient undetermined or no degree of freedom.
+    Raises WeighingError for values that are not finite, errors that are not positive, and forces
+    that leave a coefficient undetermined or no degree of freedom.
     """
     forces = np.asarray(forces, dtype=np.float64)
     design = np.column_stack([np.ones(len(forces)), forces])
@@ -157,44 +171,47 @@ def fit_line(forces: ArrayLike, readings: ArrayLike, standard_errors: ArrayLike)
 
 @dataclass(frozen=True, eq=False)
 class WeighingFit:
-    """What the fit of a sensor to known forces leaves over."""
+    """Residuals of the fit of a sensor to known forces."""
 
     residuals: Reals
-    """Force computed from the readings less the known one, N, (n,) or (n, axes)."""
+    """Force computed from the readings minus the known force, in N, (n,) or (n, axes)."""
     coverage: float
-    """Standard errors that make the 95 % intervals; of several channels the largest."""
+    """Half-width of the 95 % intervals in standard errors; the largest of all channels."""
 
     @property
     def residual_rms(self) -> float:
-        """Over all axes and readings, N."""
+        """Root mean square of the residuals over all axes and readings, in N."""
         return math.sqrt(float(np.square(self.residuals).mean()))
 
     @property
     def largest_residual(self) -> float:
-        """N."""
+        """Largest residual, in N."""
         return float(np.abs(self.residuals).max())
 
 
 @dataclass(frozen=True, eq=False)
 class ForceFit(WeighingFit):
-    """Zero and matrix of a three-axis sensor; force = matrix (reading - zero)."""
+    """Zero and calibration matrix of a three-axis sensor: force = matrix (reading - zero)."""
 
     zero: Reals
-    """mV/V, (3,)."""
+    """Zero of each channel, in mV/V, (3,)."""
     zero_error: Reals
+    """Standard errors of the zeros, in mV/V, (3,)."""
     matrix: Reals
-    """N/(mV/V), (3, 3)."""
+    """Calibration matrix, in N/(mV/V), (3, 3)."""
     matrix_error: Reals
+    """Standard errors of the matrix, (3, 3)."""
     crosstalk_percent: float
-    """What a force seems to be along another axis, each bridge read for itself; the largest."""
+    """Largest force that appears along another axis if each bridge is read for itself, in
+    percent."""
 
     def half_widths(self) -> Reals:
-        """Of the 95 % intervals of the matrix."""
+        """Returns the half-widths of the 95 % intervals of the matrix, (3, 3)."""
         half: Reals = self.coverage * self.matrix_error
         return half
 
     def coefficients(self, forces: Sequence[Vector], means: Sequence[Mean]) -> dict[str, Any]:
-        """What the fit of these readings gives to the sensor's record, by its field names."""
+        """Returns the entries of the sensor's calibration record, by field name."""
         return {
             "coverage": self.coverage,
             "zero_mV_V": self.zero.tolist(),
@@ -222,10 +239,12 @@ def fit_force(
     standard_errors: ArrayLike,
     tolerance: float = 0.0,
 ) -> ForceFit:
-    """Fit a three-axis sensor: forces (n, 3) N, readings and errors (n, 3) mV/V.
+    """Fits a three-axis sensor: forces (n, 3) in N, readings and standard errors (n, 3) in mV/V.
 
-    ``tolerance`` is the limit of the weights' common relative error. Raises what :func:`fit_line`
-    raises, and WeighingError where the channels do not tell three directions apart.
+    ``tolerance`` is the limit of the relative error common to all weights.
+
+    Raises the errors of :func:`fit_line`, and WeighingError if the channels do not distinguish
+    three directions.
     """
     forces, readings = np.asarray(forces, float), np.asarray(readings, float)
     errors = np.asarray(standard_errors, float)
@@ -235,7 +254,8 @@ def fit_force(
     _require_three_directions(response, lines)
     matrix = np.linalg.inv(response)
     variance = np.zeros((3, 3))
-    for k, line in enumerate(lines):  # dM = -M dB M, the channels' errors independent
+    for k, line in enumerate(lines):
+        # dM = -M dB M; the errors of the channels are independent.
         own = np.einsum("lj,lm,mj->j", matrix, line.covariance[1:, 1:], matrix)
         variance += np.outer(np.square(matrix[:, k]), own)
     variance += np.square(_standard(tolerance) * matrix)
@@ -256,12 +276,12 @@ class CellFit(WeighingFit):
     """Zero and sensitivity of a load cell."""
 
     zero: Estimate
-    """V."""
+    """Output without load, in V."""
     sensitivity: Estimate
-    """V/N."""
+    """Sensitivity, in V/N."""
 
     def coefficients(self, loads: Sequence[float], means: Sequence[Mean]) -> dict[str, Any]:
-        """What the fit of these readings gives to the cell's record, by its field names."""
+        """Returns the entries of the cell's calibration record, by field name."""
         return {
             "coverage": self.coverage,
             "zero_V": self.zero.as_dict(),
@@ -283,10 +303,11 @@ class CellFit(WeighingFit):
 def fit_load_cell(
     loads: ArrayLike, readings: ArrayLike, standard_errors: ArrayLike, tolerance: float = 0.0
 ) -> CellFit:
-    """Fit a load cell: loads (n,) N, readings and errors (n,) V; ``tolerance`` as in `fit_force`.
+    """Fits a load cell: loads (n,) in N, readings and standard errors (n,) in V.
 
-    Raises what :func:`fit_line` raises, and WeighingError where the output does not follow the
-    load.
+    ``tolerance`` is the limit of the relative error common to all weights.
+
+    Raises the errors of :func:`fit_line`, and WeighingError if the output does not follow the load.
     """
     loads, readings = np.asarray(loads, float), np.asarray(readings, float)
     line = fit_line(loads[:, None], readings, standard_errors)
@@ -308,10 +329,10 @@ def fit_load_cell(
 
 
 def refuse_outlier(forces: ArrayLike, residuals: Reals) -> None:
-    """WeighingError where a reading lies off the fit by more than 1 % of the largest force.
+    """Raises WeighingError if a reading lies off the fit by more than 1 % of the largest force.
 
-    That is no scatter but another weight, another axis or another direction than was asked for.
-    Forces and residuals are (n,) or (n, axes), N.
+    Such a distance is not scatter: another weight, axis or direction was used than was asked for.
+    Forces and residuals are (n,) or (n, axes), in N.
     """
     known = np.asarray(forces, float).reshape(len(residuals), -1)
     off = np.abs(residuals.reshape(len(residuals), -1)).max(axis=1)
@@ -327,8 +348,12 @@ def refuse_outlier(forces: ArrayLike, residuals: Reals) -> None:
 
 
 def sequence(axes: Sequence[Vector], weights_N: Sequence[float]) -> list[Vector]:
-    """Known forces in the order of a calibration: nothing, then each axis with rising weights and
-    nothing again, so that a drift of the zero shows."""
+    """Returns the known forces of a calibration in order: none, then each axis with increasing
+    weights and none again, so that a drift of the zero shows.
+
+    >>> sequence([(0.0, 0.0, 1.0)], [2.0, 1.0])
+    [(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 2.0), (0.0, 0.0, 0.0)]
+    """
     forces: list[Vector] = [(0.0, 0.0, 0.0)]
     for x, y, z in axes:
         forces += [(x * weight, y * weight, z * weight) for weight in sorted(weights_N)]
@@ -341,11 +366,13 @@ def _estimate(value: float, error: float, coverage: float, unit: str) -> Estimat
 
 
 def _standard(tolerance: float) -> float:
-    """Standard error of something that lies anywhere within +- tolerance."""
+    """Returns the standard error of a quantity that lies anywhere within ± tolerance."""
     return tolerance / math.sqrt(3)
 
 
 def _least_squares(design: Reals, values: Reals, errors: Reals) -> tuple[Reals, Reals]:
+    # Columns are scaled to their largest entry: forces and the constant differ by orders of
+    # magnitude, which would make the normal matrix ill-conditioned.
     scale = np.maximum(np.abs(design).max(axis=0), 1e-300)
     weighted = design / scale / errors[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)
@@ -354,7 +381,7 @@ def _least_squares(design: Reals, values: Reals, errors: Reals) -> tuple[Reals, 
 
 
 def _excess(design: Reals, values: Reals, errors: Reals, degrees: int) -> float:
-    """The common further error that brings chi-square down to its degrees of freedom."""
+    """Returns the common additional error that reduces chi-square to its degrees of freedom."""
 
     def chi_square(excess: float) -> float:
         total = np.hypot(errors, excess)

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from rig.evaluation.scored_trials import Population
     from rig.evaluation.scoring.baselines import BaselineSettings
     from rig.evaluation.scoring.contenders import Contender
-    from rig.evaluation.scoring.results import Judged, Result
+    from rig.evaluation.scoring.results import ContenderResult, ScoredTrial
     from rig.evaluation.scoring.seeds import SeedRange
-    from rig.evaluation.scoring.tables import Measured
+    from rig.evaluation.scoring.tables import ScoredNumber
 
     Model = TypeVar("Model", bound=Settings)
 else:
@@ -130,7 +130,7 @@ def score(
     """Score detectors on trials whose truth is known: found, false alarms, delays, prediction."""
     with reported(debug, as_json), model_errors("leave its seed out"):
         from rig.evaluation.labelled_files import judge_files
-        from rig.evaluation.labelled_trials import FrontEndSettings, PopulationSettings
+        from rig.evaluation.labelled_trials import PopulationSettings, StripFrontEndSettings
         from rig.evaluation.scored_trials import judge_trials
         from rig.evaluation.scoring.contenders import BaselineContender
         from rig.evaluation.scoring.seeds import (
@@ -143,7 +143,7 @@ def score(
         ranges = _with_options(
             _read(PopulationSettings, population), skin, elements, ridge, youngs_modulus, speed
         )
-        front = _read(FrontEndSettings, front_end)
+        front = _read(StripFrontEndSettings, front_end)
         if show_population or show_front_end:
             typer.echo((ranges if show_population else front).model_dump_json(indent=2))
             return
@@ -312,7 +312,7 @@ def _tuned(
 
 def _report(
     contenders: Sequence[Contender],
-    judged: Sequence[Judged],
+    judged: Sequence[ScoredTrial],
     use: str,
     simulated: bool,
     said: dict[str, Any],
@@ -356,7 +356,7 @@ def _report(
     typer.echo(f"in {out}: score.json, score.csv, trials.csv, {len(drawn)} figures")
 
 
-def _tables(told: Sequence[Result], heading: str) -> Iterator[str]:
+def _tables(told: Sequence[ContenderResult], heading: str) -> Iterator[str]:
     names = [one.contender.name for one in told]
     known = dict.fromkeys(quantity for one in told for quantity in one.score)
     table = [
@@ -393,7 +393,7 @@ def _named(quantity: str) -> str:
     return f"{stem}, {percent} % (ms)" if percent.isdigit() else quantity
 
 
-def _shown(number: Measured | None) -> str:
+def _shown(number: ScoredNumber | None) -> str:
     """A number with its 95 % interval, a rate with the number of its cases."""
     if number is None or not number.of:
         return "-"
@@ -410,14 +410,16 @@ _TRIAL = (
 )  # fmt: skip
 
 
-def _trials(contenders: Sequence[Contender], judged: Sequence[Judged]) -> Iterator[tuple[Any, ...]]:
+def _trials(
+    contenders: Sequence[Contender], judged: Sequence[ScoredTrial]
+) -> Iterator[tuple[Any, ...]]:
     for trial in judged:
         for one, outcome in zip(contenders, trial.outcomes, strict=True):
             values = {"trial": trial.name, "detector": one.name, **outcome.traits, **vars(outcome)}
             yield tuple(values.get(name, "") for name in _TRIAL)
 
 
-def _draw(told: Sequence[Result], use: str, simulated: bool, out: Path) -> list[Path]:
+def _draw(told: Sequence[ContenderResult], use: str, simulated: bool, out: Path) -> list[Path]:
     from rig.figures import score as figures
     from rig.figures.style import save
 

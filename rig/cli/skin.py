@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rig.physics.skin.condensed import CondensedSkin
     from rig.physics.skin.elasticity import ElasticSkin
     from rig.physics.skin.settings import SkinSettings
-    from rig.physics.trials import Trial
+    from rig.physics.trials import SkinTrial
 
     Model = TypeVar("Model", bound=Settings)
 else:
@@ -258,7 +258,7 @@ def map_(
 
 
 def _report(
-    trial: Trial,
+    trial: SkinTrial,
     settings: Any,
     elastic: ElasticSkin,
     skin: CondensedSkin,
@@ -290,7 +290,7 @@ def _report(
 
 
 def _instants(
-    trial: Trial, settings: Any, elastic: ElasticSkin, at: list[float] | None
+    trial: SkinTrial, settings: Any, elastic: ElasticSkin, at: list[float] | None
 ) -> list[tuple[str, Any]]:
     """The section at the instants asked for, or at rest, at the ridge's slip and at the end."""
     import numpy as np

@@ -64,17 +64,21 @@ def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int
     from rig.detector.kernel import INPUTS
     from rig.detector.network import OUTPUTS, Network
     from rig.detector.settings import named_detectors
-    from rig.evaluation.labelled_trials import FrontEndSettings, LabelledTrial, PopulationSettings
+    from rig.evaluation.labelled_trials import (
+        LabelledTrial,
+        PopulationSettings,
+        StripFrontEndSettings,
+    )
     from rig.evaluation.scored_trials import Population, Traits, each_trial
     from rig.evaluation.scoring.seeds import SeedRange
-    from rig.evaluation.training import Lesson, Rows, learn, rows_of
+    from rig.evaluation.training import TrainingRows, TrainingTrial, learn, rows_of
     from rig.physics.skin.condensed import build_skin
 
     cache, ranges = user_cache(), PopulationSettings()
     population = Population(
         skin=build_skin(ranges.skin, cache),
         settings=ranges,
-        front_end=FrontEndSettings(),
+        front_end=StripFrontEndSettings(),
         swapped_gains=False,
         kinds=("slide", "roll", "hold", "tap"),
         seeds=SeedRange(first=first, end=end),
@@ -87,10 +91,10 @@ def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int
     parameters = named_detectors()["rig"].model_copy(update={"network": silent})
     IncipientSlipDetector(parameters, NETWORK_RATE_Hz)  # compiled once, before there are workers
 
-    def taught(trial: LabelledTrial, volts: Floats, _: Traits) -> Rows:
-        looks = IncipientSlipDetector(parameters, trial.rate_Hz).looks(volts)
+    def taught(trial: LabelledTrial, volts: Floats, _: Traits) -> TrainingRows:
+        looks = IncipientSlipDetector(parameters, trial.rate_Hz).network_inputs(volts)
         return rows_of(
-            Lesson(
+            TrainingTrial(
                 inputs=looks.inputs,
                 time_s=looks.rows / trial.rate_Hz,
                 rolls=trial.kind == "roll",
@@ -107,7 +111,7 @@ def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int
             say(f"train: {number} of {total} trials")
 
     lessons = list(each_trial(population, taught, jobs, done))
-    rows = Rows(
+    rows = TrainingRows(
         *(
             np.concatenate([getattr(one, name) for one in lessons])
             for name in ("inputs", "right", "weight")
@@ -115,10 +119,10 @@ def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int
     )
     say(f"train: {len(rows.inputs)} rows")
 
-    def told(epoch: int, loss: float) -> None:
+    def show(epoch: int, loss: float) -> None:
         say(f"train: epoch {epoch + 1} of {epochs}, loss {loss:.5f}")
 
-    hidden, output = learn(rows, units=units, epochs=epochs, seed=seed, told=told)
+    hidden, output = learn(rows, units=units, epochs=epochs, seed=seed, on_epoch=show)
     return Network(
         name=f"rig-{DETECTOR_VERSION}",
         inputs=INPUTS,

@@ -1,15 +1,16 @@
-"""From first touch to the target force without overshoot worth the name: the numbers only.
+"""Brings the force from first touch to its set point with almost no overshoot. Numbers only.
 
 While the axis moves at speed v, the force a controller knows is `delay_s` old, and stopping takes
-v^2 / 2a more. What is pressed meanwhile, k (v delay + v^2 / 2a), is the overshoot; k is the
-contact's stiffness, which nobody knows before touching it. So the search for contact is slow enough
-for the stiffest contact there may be, and from touch on the speed follows from what is missing and
-from the stiffness as it proves to be:
+another v²/2a. What is pressed meanwhile, k (v delay + v²/2a), is the overshoot. The stiffness k of
+the contact is unknown before touching it. The search for contact is therefore slow enough for the
+stiffest possible contact. After touch the speed follows from the missing force and the stiffness
+measured so far:
 
-    v = missing force / (k CLOSING delay).
+    v = missing force / (k CLOSING delay)
 
-That is a loop with one delay: without overshoot where the true stiffness is at most CLOSING / e of
-k, and below 10 % where it is at most 0.58 CLOSING (it is unstable from 1.57 CLOSING on).
+This is a loop with one delay. It does not overshoot where the true stiffness is at most CLOSING / e
+of the assumed k, overshoots by less than 10 % up to 0.58 CLOSING, and becomes unstable at 1.57
+CLOSING.
 """
 
 from __future__ import annotations
@@ -22,25 +23,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 STIFFEST_N_mm = 250.0
-"""Of a contact of skin and object below 10 N; a plate on the reference skin has 206 at 12 N."""
+"""Stiffest contact of skin and object expected below 10 N, in N/mm. A plate on the reference skin
+has 206 N/mm at 12 N."""
 CLOSING = 4.0
-"""Delays in which the missing force falls to 1/e: room for a stiffness of 1.4 times the known one,
-which the rise of a skin's stiffness with the force needs."""
+"""Time in which the missing force falls to 1/e, in delays. It leaves room for a stiffness of 1.4
+times the measured one, which is needed because the stiffness of a skin rises with the force."""
 TOUCH = 0.5
-"""Of the target: what the search for contact may press before it has stopped."""
+"""Share of the target force that the search for contact may press before it has stopped."""
 FELT = 0.05
-"""Of the target: force that is contact."""
+"""Share of the target force from which a force is taken as contact."""
 ARRIVED = 0.02
-"""Of the target: missing force at which the servo takes over."""
+"""Share of the target force that may be missing when the servo takes over."""
 LOCAL = 0.5
-"""Of the present force: the stiffness is that of the forces from here on."""
+"""Lower end of the force range in which the stiffness is measured, as a share of the present
+force."""
 AHEAD_s = 0.03
-"""Of motion at the wanted speed: how far ahead of the axis its target is put, so that a speed is a
-speed and a program that hangs does not press on."""
+"""How far ahead of the axis its target is set, in s of motion at the wanted speed. Far enough that
+the axis reaches that speed, and near enough that a program that hangs does not press on."""
 LEAST_AHEAD_mm = 0.0015
-"""An axis that counts in micrometres has to move at all."""
+"""Shortest distance that is commanded, in mm: an axis with a resolution of 1 µm has to move at
+all."""
 LEAST_POINTS = 4
+"""Fewest points from which a stiffness is computed."""
 KEPT = 4000
+"""Number of the latest points that are used."""
 
 
 def search_speed_mm_s(
@@ -49,21 +55,30 @@ def search_speed_mm_s(
     acceleration_mm_s2: float,
     stiffness_N_mm: float = STIFFEST_N_mm,
 ) -> float:
-    """Fastest speed that presses at most `press_N` between touch and standstill."""
+    """Returns the largest speed in mm/s that presses at most `press_N` between touch and
+    standstill.
+
+    >>> round(search_speed_mm_s(2.0, delay_s=0.01, acceleration_mm_s2=200.0), 2)
+    0.68
+    """
     room_mm = press_N / stiffness_N_mm
     return acceleration_mm_s2 * (math.sqrt(delay_s**2 + 2 * room_mm / acceleration_mm_s2) - delay_s)
 
 
 def closing_speed_mm_s(missing_N: float, stiffness_N_mm: float, delay_s: float) -> float:
-    """Speed at which the missing force falls by 1/e in `CLOSING` delays."""
+    """Returns the speed in mm/s at which the missing force falls to 1/e within `CLOSING` delays.
+
+    >>> round(closing_speed_mm_s(1.0, stiffness_N_mm=150.0, delay_s=0.0145), 3)  # 1 N missing
+    0.115
+    """
     return missing_N / (stiffness_N_mm * CLOSING * delay_s)
 
 
 class ContactStiffness:
-    """dF/dz of a contact that is being pressed, from positions and forces as they come.
+    """Measures dF/dz of a contact while it is pressed, from positions and forces as they arrive.
 
-    Each has its own time: a link that takes ten milliseconds to say where the axis is would else
-    make the contact seem half as stiff.
+    Each position and each force has its own time. Otherwise a link that takes 10 ms to report a
+    position would make the contact appear half as stiff.
     """
 
     def __init__(self) -> None:
@@ -73,7 +88,8 @@ class ContactStiffness:
         self._forces: deque[float] = deque(maxlen=KEPT)
 
     def add(self, seen_s: float, position_mm: float, felt_s: float, force_N: float) -> None:
-        """One look at both: where the axis was at `seen_s`, and the force at `felt_s`."""
+        """Adds one poll: the position at `seen_s` and the force at `felt_s`, both on the same
+        clock."""
         self._seen_s.append(seen_s)
         self._positions.append(position_mm)
         self._felt_s.append(felt_s)
@@ -82,8 +98,11 @@ class ContactStiffness:
     def at_N_mm(  # noqa: N802 - the unit keeps its capital, here and below
         self, force_N: float
     ) -> float | None:
-        """Stiffness at about this force, N/mm, from the forces between `LOCAL` of it and it; None
-        where too little was seen of them."""
+        """Returns the stiffness near `force_N` in N/mm, or None if there are too few points near
+        it.
+
+        The points used have forces between `LOCAL` times `force_N` and `force_N` / `LOCAL`.
+        """
         positions, forces = self._pairs()
         near = (forces >= LOCAL * force_N) & (forces <= force_N / LOCAL)
         if near.sum() < LEAST_POINTS:
@@ -92,14 +111,15 @@ class ContactStiffness:
         return slope if slope is not None and slope > 0 else None
 
     def secant_N_mm(self) -> float:  # noqa: N802
-        """Force by way from the first look to the latest, N/mm; 0 where there is no way."""
+        """Returns the mean stiffness from the first poll to the latest in N/mm; 0 if the axis has
+        not moved."""
         positions, forces = self._pairs()
         if len(forces) < LEAST_POINTS or positions[-1] <= positions[0]:
             return 0.0
         return max(0.0, float((forces[-1] - forces[0]) / (positions[-1] - positions[0])))
 
     def _pairs(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Forces, and where the axis was when they were felt, as far as it had been seen."""
+        """Returns positions and forces at the same times, as far as positions were recorded."""
         if not self._seen_s:
             return np.empty(0), np.empty(0)
         seen_s, felt_s = np.array(self._seen_s), np.array(self._felt_s)
@@ -110,25 +130,32 @@ class ContactStiffness:
 
 @dataclass(frozen=True)
 class ApproachStep:
-    """What the axis is to do until the next look."""
+    """The command of one tick of an approach."""
 
     speed_mm_s: float
-    """Into the skin; 0 where the force has arrived."""
+    """Speed into the skin, in mm/s; 0 once the force has reached its target."""
     ahead_mm: float
-    """Where to, from where the axis is."""
+    """Distance of the new target from the present position, in mm."""
     touched: bool
+    """True once contact has been felt."""
 
     @property
     def arrived(self) -> bool:
-        """Whether the servo may take over."""
+        """True once the servo may take over."""
         return self.touched and self.speed_mm_s == 0
 
 
 class Approach:
-    """Finds contact and brings the force up to `target_N`; one `step` a tick.
+    """Searches for contact and brings the force up to `target_N`, with one `step` per tick.
 
-    `delay_s` is the servo's (`ServoSettings.delay_s`); a tick is added to it, for which a speed
-    stands whatever happens.
+    `delay_s` is that of the servo (`ServoSettings.delay_s`). One tick is added to it, because a
+    commanded speed lasts for a whole tick whatever happens.
+
+    >>> approach = Approach(target_N=4.0, tick_s=0.01, delay_s=0.0045)
+    >>> round(approach.step(0.00, 1.000, 0.00, force_N=0.0).speed_mm_s, 2)  # searching
+    0.51
+    >>> approach.step(0.01, 1.005, 0.01, force_N=3.95).arrived  # within 2 % of 4 N
+    True
     """
 
     def __init__(
@@ -143,17 +170,17 @@ class Approach:
         self._acceleration = acceleration_mm_s2
         self._delay_s = delay_s + tick_s
         self.search_mm_s = search_speed_mm_s(TOUCH * target_N, self._delay_s, acceleration_mm_s2)
-        """Speed of the search for contact."""
+        """Speed of the search for contact, in mm/s."""
         self._stiffness = ContactStiffness()
         self._touched = False
         self._latest_N = 0.0
 
     @property
     def stiffness_N_mm(self) -> float:  # noqa: N802
-        """At the force reached so far, as far as is known: the servo's k once it has arrived.
+        """Stiffness at the force reached so far, in N/mm. Pass it to the servo after the approach.
 
-        No less than the force by the way since touch: a contact stiffens as it is pressed, and the
-        few points that a starved computer has seen may lie on any slope.
+        It is at least the secant stiffness since touch. A contact stiffens as it is pressed, and
+        the few points that an overloaded computer has recorded may have any slope.
         """
         known = self._stiffness.at_N_mm(self._latest_N) if self._touched else None
         if known is None:
@@ -168,9 +195,12 @@ class Approach:
         force_N: float,
         behind_s: float = 0.0,
     ) -> ApproachStep:
-        """What to do, given where the axis was at `seen_s` and the mean force of some milliseconds
-        about `felt_s`: an error of these times shows in the stiffness that comes out. `behind_s`:
-        by how much longer than `delay_s` things take just now."""
+        """Returns the move to command.
+
+        `position_mm` is the position of the axis at `seen_s`, and `force_N` the mean force of some
+        milliseconds about `felt_s`. An error of these times appears in the measured stiffness.
+        `behind_s` is how much longer than `delay_s` a reaction takes at present.
+        """
         self._latest_N = force_N
         if not self._touched and force_N < FELT * self.target_N:
             return self._go(self.search_mm_s)
@@ -189,10 +219,13 @@ class Approach:
 
 
 def _slope(x: NDArray[np.float64], y: NDArray[np.float64]) -> float | None:
-    """Slope at the last x of the parabola, or where there are few points the line, through them."""
+    """Returns the slope at the last x of a parabola through the points, or of a line through few
+    points."""
     spread = float(np.ptp(x))
     if spread <= 0:
         return None
+    # Scaled to the range of x: otherwise the powers of positions in mm make the fit
+    # ill-conditioned.
     scaled = (x - x[-1]) / spread
     degree = 2 if x.size >= 3 * LEAST_POINTS else 1
     return float(np.polynomial.polynomial.polyfit(scaled, y, degree)[1]) / spread

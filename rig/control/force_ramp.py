@@ -1,14 +1,14 @@
-"""A tangential force that rises at a given rate, by the speed of a stage: the numbers only.
+"""Raises a tangential force at a given rate by the speed of a stage. Numbers only.
 
-The stage drags the skin along, F_t rises with the travel, ever less steeply as ridges slip. While
-it moves at speed v, the force a controller knows is `delay_s` old. So the speed follows from the
-rate, from what is missing, and from the contact's tangential stiffness k as it proves to be,
+The stage drags the skin along, and F_t rises with the travel, ever less steeply as ridges slip.
+While the stage moves at speed v, the force a controller knows is `delay_s` old. The speed therefore
+follows from the rate, the missing force and the tangential stiffness k measured so far:
 
-    v = (rate + missing force / (CLOSING delay)) / k,
+    v = (rate + missing force / (CLOSING delay)) / k
 
-the closed form of `rig.control.approach` with the rate put ahead of it. When all of the skin slips,
-no speed makes the force rise any more: what is missing grows, the speed goes to its limit, and the
-ramp has become a slide.
+This is the loop of `rig.control.approach` with the rate added. Once all of the skin slips, no speed
+makes the force rise any further: the missing force grows, the speed reaches its limit, and the ramp
+has become a slide.
 """
 
 from __future__ import annotations
@@ -18,50 +18,61 @@ import math
 from rig.control.approach import CLOSING, ContactStiffness
 
 STIFFEST_N_mm = 60.0
-"""Of the reference skin under shear, at the beginning: 40 to 50 N/mm at 4 N, 23 after 10 µm."""
+"""Tangential stiffness assumed at the start, in N/mm. The reference skin has 40 to 50 N/mm at 4 N,
+and 23 N/mm after 10 µm."""
 SOFTEST_N_mm = 2.0
-"""Softer, it slips: what noise makes of the stiffness counts no more."""
+"""Lowest stiffness that is believed, in N/mm: a softer contact slips, and the measured value is
+noise."""
 SLOWEST_mm_s = 0.002
-"""A stage that is told to move has to."""
+"""Lowest speed that is commanded, in mm/s, because a stage cannot be commanded to move at 0."""
 FALLEN_BEHIND = 2.0
-"""Times of closing that the force is late by when the contact as a whole has slipped; it is late by
-at most one before, the beginning of the motion included."""
+"""Lateness of the force, in closing times, from which the whole contact is taken to slip. Before
+that it is at most 1 late, including the start of the motion."""
 
 
 class ForceRamp:
-    """Brings a force up at `rate_N_s`; one `step` a tick.
+    """Raises a force at `rate_N_s`, with one `step` per tick.
 
-    `delay_s` is from a command to the first force that shows it; a tick is added to it.
+    `delay_s` is the time from a command to the first force that shows it. One tick is added to it.
+
+    >>> ramp = ForceRamp(rate_N_s=2.0, largest_mm_s=1.0, tick_s=0.01, delay_s=0.005)
+    >>> ramp.wanted_N(0.5)
+    1.0
+    >>> round(ramp.step(0.5, seen_s=0.49, travel_mm=0.02, felt_s=0.495, force_N=1.0), 4)  # 2 / 60
+    0.0333
     """
 
     def __init__(self, rate_N_s: float, largest_mm_s: float, tick_s: float, delay_s: float):
         self.rate_N_s, self.largest_mm_s = rate_N_s, largest_mm_s
         self._closing_s = CLOSING * (delay_s + tick_s)
         self._contact = ContactStiffness()
-        self._looked_s = -math.inf
-        """When the latest look at the travel was."""
+        self._polled_s = -math.inf
+        """Time of the latest known travel."""
         self._stiffness_N_mm = STIFFEST_N_mm
         self._late_s = 0.0
         self.slipped = False
-        """Whether the contact gave way: at full speed, the force fell behind the ramp."""
+        """True once the contact gave way: at full speed the force fell behind the ramp."""
 
     @property
     def follows(self) -> bool:
-        """Whether the force is on its ramp."""
+        """True while the force follows the ramp."""
         return self._late_s <= self._closing_s
 
     def wanted_N(self, since_s: float) -> float:  # noqa: N802 - the unit keeps its capital
-        """The force that the ramp asks for, so long after its beginning."""
+        """Returns the force that the ramp requires `since_s` after its start, in N."""
         return self.rate_N_s * since_s
 
     def step(
         self, since_s: float, seen_s: float, travel_mm: float, felt_s: float, force_N: float
     ) -> float:
-        """Speed along the ramp, mm/s, `since_s` after its beginning, given the travel as it was
-        seen last, at `seen_s`, and the mean force of some milliseconds about `felt_s`, both
-        positive along the ramp. A look that was given before tells nothing new."""
-        if seen_s > self._looked_s:
-            self._looked_s = seen_s
+        """Returns the speed along the ramp in mm/s, `since_s` after the start of the ramp.
+
+        `travel_mm` is the latest known travel, measured at `seen_s`, and `force_N` the mean force
+        of some milliseconds about `felt_s`, both positive along the ramp. A travel that was passed
+        before is ignored.
+        """
+        if seen_s > self._polled_s:
+            self._polled_s = seen_s
             self._contact.add(seen_s, travel_mm, felt_s, force_N)
         missing_N = self.wanted_N(since_s) - force_N
         self._late_s = missing_N / self.rate_N_s

@@ -1,28 +1,34 @@
-"""The normal force held constant by a z axis that takes positions: the numbers, no instrument.
+"""Holds the normal force constant with a z axis that accepts positions. Numbers only.
 
-The axis is stiff and the skin is not: a position decides a force,
+The axis is stiff and the skin is soft, so a position determines a force:
 
-    F = k z + d,
+    F = k z + d
 
-with the contact's stiffness k near the target and everything else, creep and above all what the
-shear of a slide does to the normal force, in the disturbance d. What is known of d is old by the
-time anything can be done about it: a command is seen in the force `delay_s` after it was given. So
-the servo keeps account of where the axis is (trapezoids of speed, as a drive makes them), follows d
-and its slope with a fading-memory filter (alpha-beta, critically damped), and gives at every tick
-the position that makes the force right when that position will have been reached. A d that stands
-or changes evenly leaves no error in the mean: the account of positions is the integrator.
+k is the stiffness of the contact near the target. d, the disturbance, is everything else: creep
+and, above all, the change of the normal force caused by the shear of a slide. What is known of d is
+always old: a command shows in the force only `delay_s` after it was given. The servo therefore
 
-One number sets how quickly it believes what it sees, `memory_s`. It follows from delay and tick, so
-that k may be 1.3 times or half the one assumed: the skin's rises with the force, and changes when
-ridges slip. `rig.control.approach` comes before and measures k. How well it holds: decision 0035.
+- computes where the axis is from the commands it was given (trapezoids of speed, as a drive makes
+  them),
+- estimates d and its slope with a fading-memory filter (alpha-beta, critically damped), and
+- commands, at every tick, the position that makes the force right at the moment when that position
+  will have been reached.
 
-Both may take longer now and then: a target that a busy link has carried late, a force that was
-heard late. The servo is told of each (`ForceServo.step`), and puts the force seen to where the axis
-was then.
+A constant d, or one that changes at a constant rate, leaves no mean error: the record of positions
+is the integrator.
 
-A slide that is repeated disturbs the force again in the same way: what one slide has shown,
-`ContactShift`, may be given to the servo for the next ones, which then have only the difference to
-follow. What a slide shows that was helped itself is no better: noise adds up from one to the next.
+`memory_s` sets how fast the servo follows. It is derived from delay and tick such that the true k
+may be 1.3 times or half the assumed one: the stiffness of the skin rises with the force and changes
+when ridges slip. `rig.control.approach` runs before the servo and measures k. Decision 0035 has the
+measured accuracy.
+
+Delays vary: a busy link may carry a target late, and a force may arrive late. `ForceServo.step`
+takes both delays and relates each force to the position at which it was felt.
+
+A repeated slide disturbs the force in the same way each time. The `ContactShift` that one slide has
+shown may be passed to the servo for the following ones, which then only have to follow the
+difference. Do not pass on the shift of a slide that was itself helped: it is no better, because
+noise adds up from one slide to the next.
 """
 
 from __future__ import annotations
@@ -33,44 +39,52 @@ from collections import deque
 from dataclasses import dataclass
 
 MEMORY = 1.3
-"""Of the filter, in times from a command until its middle is seen. With less, it rings where k is
-1.3 times the one assumed, and the axis's counts keep it going to and fro."""
+"""Memory of the disturbance filter, in units of the time from a command to the middle of its
+effect. With a shorter memory the loop rings where k is 1.3 times the assumed one, and the finite
+resolution of the axis keeps it moving to and fro."""
 ARRIVAL_OF_TICK = 0.5
-"""When a command counts as carried out: in the middle of the tick it has for it."""
-EVENLY = 1.02
-"""How much faster than a tick needs it an even move is made: it fills the tick, so that an
-axis that follows a slow change goes on instead of jumping from tick to tick."""
+"""Share of a tick after which a command is taken as carried out: the middle of its tick."""
+EVEN_MOVE_OVERSPEED = 1.02
+"""Speed of an even move, relative to the speed that would just fill the tick. Slightly above 1, so
+that an axis that follows a slow change keeps moving instead of jumping from tick to tick."""
 SLOWEST_mm_s = 0.01
+"""Lowest speed that is commanded for an even move, in mm/s."""
 FASTEST_N_s = 200.0
-"""How fast the servo may change the force: many times what a slide needs, and no knock."""
+"""Largest rate at which the servo changes the force, in N/s: many times what a slide needs, and
+still no knock."""
 LATENESS_FADES = 0.8
-"""From step to step: how late targets usually are is their latest mean."""
+"""Weight of the old value in the running mean of how late targets reach the axis."""
 OLDEST_s = 0.2
-"""Beyond, a force is too old to be put to a place."""
+"""Largest extra age of a force that is taken into account, in s. An older force is treated as this
+old."""
 GRID_s = 0.00025
-"""Of the account of where the axis is: fine against its shortest move."""
+"""Time step of the computed axis position, in s: fine compared with the shortest move of the
+axis."""
 
 
 @dataclass(frozen=True)
 class ServoSettings:
-    """What a servo is made of; `settings_from` fills in what follows from the rest."""
+    """Parameters of a servo. `settings_from` derives those that follow from the others."""
 
     target_N: float
+    """Set point of the normal force, in N."""
     stiffness_N_mm: float
-    """dF/dz near the target, positive: z counts into the skin."""
+    """Stiffness dF/dz of the contact near the target, in N/mm. Positive: z increases into the
+    skin."""
     tick_s: float
-    """Between two steps."""
+    """Time between two steps, in s."""
     delay_s: float
-    """From a command to the first force that shows it, as `step` is given it: link, axis, frame,
-    half the stretch over which force is averaged, and the age of the newest frame."""
+    """Time from a command to the first force that shows it, as `step` receives it, in s: link,
+    axis, force frame, half the interval over which the force is averaged, and the age of the newest
+    frame."""
     acceleration_mm_s2: float
-    """Of the axis."""
+    """Acceleration of the axis, in mm/s²."""
     memory_s: float
-    """Of the filter that follows the disturbance."""
+    """Time constant of the filter that follows the disturbance, in s."""
     speed_mm_s: float
-    """Largest of any move."""
+    """Largest speed of any move, in mm/s."""
     evenly: bool = False
-    """Whether a move fills its tick instead of being over at once."""
+    """True if a move fills its tick instead of finishing as fast as it can."""
 
 
 def settings_from(
@@ -81,10 +95,19 @@ def settings_from(
     acceleration_mm_s2: float = 200.0,
     evenly: bool = False,
 ) -> ServoSettings:
-    """A servo for this contact at this tick and delay; ValueError where one is not positive.
+    """Returns the settings of a servo for this contact, tick and delay.
 
-    Where the force changes slowly, moves may be made `evenly`: the strips then feel no jump from
-    tick to tick, and a fast change is followed less well.
+    With `evenly`, moves are spread over the whole tick: the strips then feel no jump from tick to
+    tick, but a fast change of the force is followed less well. Use it where the force changes
+    slowly.
+
+    Raises ValueError if a number is not finite or not positive.
+
+    >>> settings = settings_from(target_N=4.0, stiffness_N_mm=150.0, tick_s=0.01, delay_s=0.0045)
+    >>> round(settings.memory_s, 5)  # 1.3 * (4.5 ms + half a tick)
+    0.01235
+    >>> round(settings.speed_mm_s, 2)  # 200 N/s on 150 N/mm
+    1.33
     """
     for name, value in (
         ("target_N", target_N),
@@ -109,28 +132,40 @@ def settings_from(
 
 @dataclass(frozen=True)
 class ServoStep:
-    """What the axis is to do in the tick that begins."""
+    """The command of one tick."""
 
     increment_mm: float
-    """Into the skin, from where the axis was last told to go."""
+    """Distance into the skin from the previously commanded position, in mm."""
     speed_mm_s: float
-    """At most."""
+    """Largest speed of the move, in mm/s."""
 
 
 class ContactShift:
-    """How far the axis would have had to move during a slide for the force to stay on target."""
+    """How far the axis would have had to move during a slide to keep the force at its set point,
+    over time."""
 
     def __init__(self) -> None:
         self._times: list[float] = []
         self._shifts: list[float] = []
 
     def add(self, since_s: float, shift_mm: float) -> None:
-        """What was seen `since_s` after the slide's beginning; times ascend."""
+        """Adds the shift found `since_s` after the start of the slide. Times must ascend."""
         self._times.append(since_s)
         self._shifts.append(shift_mm)
 
     def at_mm(self, since_s: float) -> float:
-        """At any time, 0 before the first."""
+        """Returns the shift in mm at a time after the start of the slide, relative to the first
+        one.
+
+        Values between the added ones are interpolated. The shift is 0 before the first one and
+        constant after the last.
+
+        >>> shift = ContactShift()
+        >>> shift.add(0.0, 0.010)
+        >>> shift.add(0.1, 0.014)
+        >>> round(shift.at_mm(0.05), 4)
+        0.002
+        """
         after = bisect_right(self._times, since_s)
         if after == 0:
             return 0.0
@@ -142,7 +177,13 @@ class ContactShift:
 
 
 class ForceServo:
-    """Holds a force; one `step` a tick, begun where the axis stands at rest near the target."""
+    """Holds a force with one `step` per tick. Create it while the axis stands still near the
+    target.
+
+    >>> servo = ForceServo(settings_from(4.0, stiffness_N_mm=100.0, tick_s=0.01, delay_s=0.005))
+    >>> round(servo.step(force_N=3.9).increment_mm * 1000, 1)  # 0.1 N missing: 1 µm deeper
+    1.0
+    """
 
     def __init__(self, settings: ServoSettings):
         self.settings = settings
@@ -150,33 +191,35 @@ class ForceServo:
         self._level_N: float | None = None
         self._slope_N_s = 0.0
         self._older_s = 0.0
-        """Of the force at the step before."""
+        """Extra age of the force at the previous step."""
         self._usually_late_s = 0.0
         self._since_s: float | None = -math.inf
-        """Since the slide under way has begun; None where it begins with the next step."""
+        """Time since the current slide began; None if it begins with the next step."""
         self._expected = ContactShift()
         self.shift = ContactShift()
-        """What the slide under way has shown so far."""
+        """The shift found so far in the current slide."""
 
     def slide_begins(self, expected: ContactShift | None = None) -> None:
-        """The next step is the first of a slide; `expected` is the `shift` of one like it, on the
-        same tick and delay, from the same force."""
+        """Declares that the next step is the first of a slide.
+
+        `expected` is the `shift` of an earlier slide with the same tick, delay and starting force.
+        """
         self._since_s = None
         self._expected, self.shift = expected or ContactShift(), ContactShift()
 
     @property
-    def told_mm(self) -> float:
-        """Sum of the increments so far."""
+    def commanded_mm(self) -> float:
+        """Sum of all commanded increments, in mm."""
         return self._axis.target_mm
 
     def step(
         self, force_N: float, ticks: int = 1, late_s: float = 0.0, older_s: float = 0.0
     ) -> ServoStep:
-        """What to do, given the mean force of the latest milliseconds, so many ticks after the step
-        before: more than one where some were left out.
+        """Returns the move to command, given the mean force of the last few milliseconds.
 
-        `late_s`: by how much later than `delay_s` takes for granted the target of the step before
-        has come to the axis; `older_s`: by how much older than that the force is.
+        `ticks` is the number of ticks since the previous step: more than one if some were missed.
+        `late_s` is how much later than `delay_s` assumes the previous target reached the axis, and
+        `older_s` how much older than that the force is.
         """
         own, axis = self.settings, self._axis
         older_s = min(max(older_s, 0.0), OLDEST_s)
@@ -193,7 +236,8 @@ class ForceServo:
         disturbance_N = force_N - own.stiffness_N_mm * (seen_mm - self._expected.at_mm(seen_s))
         if self._level_N is None:
             self._level_N = disturbance_N
-        elif passed_s > 0:  # else nothing new has been heard
+        # Without newer force data there is nothing to learn, and the slope would be divided by 0.
+        elif passed_s > 0:
             self._follow(self._level_N, disturbance_N, passed_s)
         ahead_s = ARRIVAL_OF_TICK * own.tick_s + self._usually_late_s
         until_s = own.delay_s + older_s + ahead_s
@@ -201,18 +245,23 @@ class ForceServo:
         wanted_mm = (own.target_N - expected_N) / own.stiffness_N_mm
         wanted_mm += self._expected.at_mm(since_s + ahead_s)
         self._since_s = since_s
+        # At most as far as the axis moves in one tick, which also bounds the change of the force.
         reach_mm = own.speed_mm_s * own.tick_s
         increment = wanted_mm - axis.target_mm
         increment = max(-reach_mm, min(increment, reach_mm))
         speed_mm_s = own.speed_mm_s
         if own.evenly:
-            speed_mm_s = min(max(EVENLY * abs(increment) / own.tick_s, SLOWEST_mm_s), speed_mm_s)
-        axis.tell(increment, speed_mm_s)
+            speed_mm_s = min(
+                max(EVEN_MOVE_OVERSPEED * abs(increment) / own.tick_s, SLOWEST_mm_s), speed_mm_s
+            )
+        axis.command(increment, speed_mm_s)
         return ServoStep(increment, speed_mm_s)
 
     def correct(self, difference_mm: float) -> None:
-        """The axis was told to go `difference_mm` further than the latest step said: its counts are
-        coarser, or a limit stood in the way."""
+        """Adds `difference_mm` to the latest increment, because another one was commanded.
+
+        Call it if the resolution of the axis is coarser than the increment, or a limit cut it off.
+        """
         self._axis.correct(difference_mm)
 
     def _follow(self, level_N: float, disturbance_N: float, passed_s: float) -> None:
@@ -224,7 +273,7 @@ class ForceServo:
 
 
 class _AxisAccount:
-    """Where the axis is, from what it was told: trapezoids of speed, late by the delay."""
+    """Computes where the axis is from its commands: trapezoids of speed, seen after the delay."""
 
     def __init__(self, settings: ServoSettings):
         self._settings = settings
@@ -232,38 +281,42 @@ class _AxisAccount:
         self._cycles = max(1, round(settings.tick_s / GRID_s))
         self._dt = settings.tick_s / self._cycles
         self._delay = max(1, round(settings.delay_s / self._dt))
-        """In cycles."""
+        """Delay in cycles."""
         past = self._delay + round(OLDEST_s / self._dt)
         self._past: deque[float] = deque([0.0] * (past + 1), maxlen=past + 1)
-        self._told = False
+        self._commanded = False
         self._speed = settings.speed_mm_s
         self._before = 0.0, self._speed
-        """Target and speed that the latest replaced."""
+        """Target and speed before the latest command."""
 
     def seen_mm(self, ticks: int, late_s: float, older_s: float) -> float:
-        """The position that the force given to the present step, so many ticks after the one
-        before, belongs to; the latest target was late, the force is older than it should be."""
-        if self._told:
+        """Advances by `ticks` and returns the position at which the present force was felt.
+
+        The latest target arrived `late_s` too late; the force is `older_s` older than usual.
+        """
+        if self._commanded:
             late = round(late_s / self._dt)
+            # Until the late target arrived the axis followed the previous one.
             for cycle in range(ticks * self._cycles):
                 self._cycle(*(self._before if cycle < late else (self.target_mm, self._speed)))
         return self._past[-1 - self._delay - round(older_s / self._dt)]
 
-    def tell(self, increment_mm: float, speed_mm_s: float) -> None:
-        """A new target, from now on, and how fast to go there."""
+    def command(self, increment_mm: float, speed_mm_s: float) -> None:
+        """Sets a new target, from now on, and the speed to approach it."""
         self._before = self.target_mm, self._speed
         self.target_mm += increment_mm
         self._speed = speed_mm_s
-        self._told = True
+        self._commanded = True
 
     def correct(self, difference_mm: float) -> None:
-        """It is another one."""
+        """Shifts the current target."""
         self.target_mm += difference_mm
 
     def _cycle(self, target_mm: float, speed_mm_s: float) -> None:
         dt, acceleration = self._dt, self._settings.acceleration_mm_s2
         rest = target_mm - self._position
         change = acceleration * dt
+        # Speed from which the axis can still stop on the target, in discrete steps of dt.
         allowed = change * (math.sqrt(0.25 + 2 * abs(rest) / (change * dt)) - 0.5)
         wanted = math.copysign(min(allowed, speed_mm_s, abs(rest) / dt), rest)
         before = self._velocity

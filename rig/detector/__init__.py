@@ -1,7 +1,7 @@
-"""The detector of incipient slip and what it is made of: arrays in, arrays out, no I/O.
+"""The detector of incipient slip and its parts: arrays in, arrays out, no input or output.
 
-The same code runs while a trial is under way and on a file years later.
+The same code runs during a trial and, years later, on its file.
 """
 
 DEFAULT_DETECTOR = "paper-hp"
-"""The name of the detector that is used where none is given (decision 0059)."""
+"""Name of the detector that is used where none is given. Decision 0059 says why it is not `rig`."""

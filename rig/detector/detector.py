@@ -1,4 +1,5 @@
-"""The incipient-slip detector: rows of v_1 and v_2 in, events out, live and on files alike."""
+"""The incipient-slip detector: rows of v_1 and v_2 in, events out. Live trials and files use the
+same code."""
 
 from __future__ import annotations
 
@@ -11,38 +12,51 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.detector import kernel
-from rig.detector.events import EVENT_KINDS, Event
+from rig.detector.events import EVENT_KINDS, SlipEvent
 from rig.detector.low_pass import LowPass, design_low_pass
 from rig.detector.settings import DetectorSettings
 
 Reals = NDArray[np.float64]
 
 DETECTOR_VERSION = "1"
-"""Raised with every change of what the same parameters make of the same rows."""
+"""Version of the detector. It is raised with every change of the events that the same parameters
+find in the same rows."""
 NETWORK_RATE_Hz = 1000.0
-"""The rate at which the network was trained."""
+"""Sampling rate at which the network was trained, in Hz."""
 SLOWEST_Hz, FASTEST_Hz = 500.0, 4000.0
+"""Sampling rates that are accepted, in Hz."""
 MAINS_Hz = (50.0, 60.0)
+"""Mains frequencies at which hum is looked for."""
 _SLICE = 4096
 _MOST_A_ROW = 6
 _LOGICS = {"rig": kernel.RIG, "paper-literal": kernel.LITERAL, "paper-hp": kernel.HIGH_PASSED}
 
 
 @dataclass(frozen=True)
-class Looks:
-    """What the network was shown."""
+class NetworkInputs:
+    """Inputs of the network at the rows at which it was evaluated."""
 
     rows: NDArray[np.int64]
-    """Rows at which it was asked, (m,)."""
+    """Rows at which it was evaluated, (m,)."""
     inputs: Reals
-    """(m, inputs), in the order of `kernel.INPUTS`."""
+    """Inputs (m, inputs), in the order of `kernel.INPUTS`."""
 
 
 class IncipientSlipDetector:
-    """Causal and streaming: events depend on the rows alone, bit by bit, not on their blocks."""
+    """A causal, streaming detector of incipient slip.
+
+    The events depend on the rows alone, to the last bit, and not on how they were cut into blocks.
+
+    >>> from rig.detector.settings import named_detectors
+    >>> detector = IncipientSlipDetector(named_detectors()["paper-hp"], rate_Hz=1000.0)
+    >>> detector.add(np.zeros((600, 2)))  # quiet: offset and noise are measured
+    []
+    >>> detector.rows
+    600
+    """
 
     def __init__(self, settings: DetectorSettings, rate_Hz: float):
-        """Raises ValueError for a rate at which these settings mean nothing."""
+        """Raises ValueError for a rate, or a network, with which these settings cannot be used."""
         if not SLOWEST_Hz <= rate_Hz <= FASTEST_Hz:
             raise ValueError(
                 f"rate {rate_Hz:g} Hz must be between {SLOWEST_Hz:g} and {FASTEST_Hz:g} Hz: the "
@@ -78,15 +92,17 @@ class IncipientSlipDetector:
 
     @property
     def rows(self) -> int:
-        """Rows taken so far, gaps included."""
+        """Number of rows so far, including those missing in gaps."""
         return self._first + int(self._state["row"][0])
 
-    def add(self, volts: ArrayLike, first_sample: int | None = None) -> list[Event]:
-        """What is to be said of further rows (n, 2) of v_1 and v_2 in V.
+    def add(self, volts: ArrayLike, first_sample: int | None = None) -> list[SlipEvent]:
+        """Takes further rows (n, 2) of v_1 and v_2 in V and returns the events found in them.
 
-        `first_sample` is the index of the first of them, where it is known. Rows that are missing
-        are told as a rejected event, and everything begins anew after them. Raises ValueError for
-        rows of another shape, for rows that were there before, and for values that are no numbers.
+        `first_sample` is the index of the first of these rows, if it is known. Missing rows are
+        reported as a rejected event, and offset and noise are measured anew after them.
+
+        Raises ValueError for rows of another shape, rows that were given before, and values that
+        are not finite.
         """
         rows = np.ascontiguousarray(volts, dtype=np.float64)
         if rows.ndim != 2 or rows.shape[1] != 2:
@@ -94,32 +110,33 @@ class IncipientSlipDetector:
         events = [] if first_sample is None else self._step_over_gap(first_sample)
         for begin in range(0, len(rows), _SLICE):
             part = rows[begin : begin + _SLICE]
-            told = self._advance(part, self._seen, self._unseen)
-            if told:
-                events += [self._event(row) for row in self._events[:told]]
+            count = self._advance(part, self._seen, self._unseen)
+            if count:
+                events += [self._event(row) for row in self._events[:count]]
         return events
 
-    def finish(self) -> list[Event]:
-        """What is left to be said at the end of a recording."""
+    def finish(self) -> list[SlipEvent]:
+        """Returns the events due at the end of a recording: one if there never was a quiet piece to
+        measure offset and noise on."""
         if self._state["ready"][0] or not self._state["row"][0]:
             return []
         reason = kernel.REASONS[kernel.NOT_QUIET]
-        return [Event("rejected", self.rows - 1, (self.rows - 1) / self.rate_Hz, 0.0, reason)]
+        return [SlipEvent("rejected", self.rows - 1, (self.rows - 1) / self.rate_Hz, 0.0, reason)]
 
-    def looks(self, volts: ArrayLike) -> Looks:
-        """What the network is shown of a whole recording (n, 2); for training it."""
+    def network_inputs(self, volts: ArrayLike) -> NetworkInputs:
+        """Returns the inputs of the network over a whole recording (n, 2) in V, for training."""
         rows = np.ascontiguousarray(volts, dtype=np.float64)
         seen, looked = np.zeros((len(rows), len(kernel.INPUTS))), np.zeros(len(rows), np.bool_)
         for begin in range(0, len(rows), _SLICE):
             part = slice(begin, begin + _SLICE)
             self._advance(rows[part], seen[part], looked[part])
-        return Looks(np.flatnonzero(looked), seen[looked])
+        return NetworkInputs(np.flatnonzero(looked), seen[looked])
 
     def _begin(self) -> None:
         self._state = np.zeros(1, kernel.STATE)
 
     def _advance(self, rows: Reals, seen: Reals, looked: NDArray[np.bool_]) -> int:
-        told = int(
+        count = int(
             kernel.advance(
                 rows,
                 self._state,
@@ -137,13 +154,13 @@ class IncipientSlipDetector:
                 looked,
             )
         )
-        if told < 0:
-            self._refuse_what_is_no_number(rows)
-        return told
+        if count < 0:
+            self._refuse_not_finite(rows)
+        return count
 
-    def _event(self, row: Reals) -> Event:
+    def _event(self, row: Reals) -> SlipEvent:
         sample = self._first + int(row[1])
-        return Event(
+        return SlipEvent(
             kind=EVENT_KINDS[int(row[0])],
             sample=sample,
             time_s=sample / self.rate_Hz,
@@ -152,7 +169,7 @@ class IncipientSlipDetector:
             features=dict(zip(kernel.EVENT_FEATURES, row[4:].tolist(), strict=True)),
         )
 
-    def _step_over_gap(self, first_sample: int) -> list[Event]:
+    def _step_over_gap(self, first_sample: int) -> list[SlipEvent]:
         expected = self.rows
         if first_sample == expected:
             return []
@@ -165,18 +182,18 @@ class IncipientSlipDetector:
         if not expected:
             return []
         reason = f"gap of {first_sample - expected} samples: offset and noise are judged anew"
-        return [Event("rejected", first_sample, first_sample / self.rate_Hz, 0.0, reason)]
+        return [SlipEvent("rejected", first_sample, first_sample / self.rate_Hz, 0.0, reason)]
 
-    def _refuse_what_is_no_number(self, rows: Reals) -> NoReturn:
+    def _refuse_not_finite(self, rows: Reals) -> NoReturn:
         row, channel = np.argwhere(~np.isfinite(rows))[0]
         raise ValueError(
             f"v_{channel + 1} is {rows[row, channel]} V at sample {self.rows + row}: every sample "
-            "must be a number; cut the recording there, or mend it"
+            "must be finite; cut the recording there, or repair it"
         )
 
 
 def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) -> NDArray[np.void]:
-    """The settings in rows and mV."""
+    """Converts the settings to rows and mV, as the kernel needs them."""
     ms = rate_Hz / 1e3
     c = np.zeros(1, kernel.CONSTANTS)
     c["logic"] = _LOGICS[settings.logic]
@@ -209,7 +226,8 @@ def _constants(settings: DetectorSettings, rate_Hz: float, low_pass: LowPass) ->
 
 @lru_cache(maxsize=32)
 def _high_pass(corner_Hz: float, rate_Hz: float) -> Reals:
-    """Second-order sections of a Butterworth high-pass of order 3."""
+    """Returns the second-order sections of a Butterworth high-pass filter of order 3."""
+    # Imported here because scipy.signal takes 0.6 s to import, which every trial would pay.
     from scipy.signal import butter
 
     sections: Reals = np.ascontiguousarray(

@@ -1,7 +1,8 @@
-"""Causal filters of finite impulse response: low-pass designs, minimum phase, and a decimator.
+"""Causal filters of finite impulse response: low-pass design, minimum phase, and decimation.
 
-Every output of `StreamingFir` is one dot product of the taps with the latest samples, in one order
-of summation, so that it gives the same bytes however its input was cut into blocks.
+Every output of `StreamingFir` is one dot product of the taps with the latest samples, always summed
+in the same order. The output therefore does not depend on how the input was cut into blocks, to the
+last bit.
 """
 
 from __future__ import annotations
@@ -15,14 +16,19 @@ Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 SMALLEST = 1e-7
-"""Of the largest response: zeros on the unit circle have no logarithm."""
+"""Smallest magnitude used in the cepstrum, relative to the largest: zeros on the unit circle have
+no logarithm."""
 FINENESS, FEWEST_POINTS = 64, 1 << 16
-"""Points of the cepstrum for each tap, and at least: it folds back onto itself, which then changes
-the response by 1e-6 at most."""
+"""Points of the cepstrum per tap, and their least number. The cepstrum folds back onto itself; with
+this many points that changes the response by at most 1e-6."""
 
 
 def kaiser_shape(stop_dB: float) -> float:
-    """β of Kaiser's window for an attenuation of the stop band (Kaiser 1974)."""
+    """Returns β of Kaiser's window for a stop-band attenuation in dB (Kaiser 1974).
+
+    >>> round(kaiser_shape(60.0), 2)
+    5.65
+    """
     if stop_dB > 50:
         return 0.1102 * (stop_dB - 8.7)
     above = max(stop_dB - 21, 0.0)
@@ -30,8 +36,11 @@ def kaiser_shape(stop_dB: float) -> float:
 
 
 def kaiser_low_pass(pass_Hz: float, stop_Hz: float, stop_dB: float, rate_Hz: float) -> Reals:
-    """Linear-phase taps (n,), n odd, of gain 1 at 0 Hz: flat up to `pass_Hz`, `stop_dB` down from
-    `stop_Hz` on. Kaiser's window and his formulas for its shape and length (Kaiser 1974)."""
+    """Returns the linear-phase taps (n,), n odd, of a low-pass filter with gain 1 at 0 Hz.
+
+    The gain is flat up to `pass_Hz` and `stop_dB` down from `stop_Hz` on. Length and shape of the
+    window follow Kaiser's formulas (Kaiser 1974), which are accurate to about 1 dB.
+    """
     shape = kaiser_shape(stop_dB)
     transition = 2 * math.pi * (stop_Hz - pass_Hz) / rate_Hz
     half = math.ceil((stop_dB - 7.95) / (2.285 * transition) / 2)
@@ -43,10 +52,11 @@ def kaiser_low_pass(pass_Hz: float, stop_Hz: float, stop_dB: float, rate_Hz: flo
 
 
 def minimum_phase(taps: ArrayLike) -> Reals:
-    """Taps (n,) of the same magnitude response with the least delay: no zero outside the circle.
+    """Returns taps (n,) with the same magnitude response and the least possible delay.
 
-    From the real cepstrum, folded onto its causal half (Oppenheim and Schafer, Discrete-Time Signal
-    Processing, ch. 13); their gain at 0 Hz is 1.
+    No zero of the result lies outside the unit circle. It is computed from the real cepstrum,
+    folded onto its causal half (Oppenheim and Schafer, Discrete-Time Signal Processing, ch. 13).
+    The gain at 0 Hz is 1.
     """
     given = np.asarray(taps, dtype=np.float64)
     points = max(FEWEST_POINTS, 1 << math.ceil(math.log2(FINENESS * given.size)))
@@ -60,7 +70,7 @@ def minimum_phase(taps: ArrayLike) -> Reals:
 
 
 def frequency_response(taps: ArrayLike, frequency_Hz: ArrayLike, rate_Hz: float) -> Complexes:
-    """Complex response at frequencies (k,): (k,)."""
+    """Returns the complex response (k,) of taps (n,) at frequencies (k,) in Hz."""
     given = np.asarray(taps, dtype=np.float64)
     turns = np.outer(np.atleast_1d(frequency_Hz), np.arange(given.size)) / rate_Hz
     response: Complexes = np.exp(-2j * np.pi * turns) @ given
@@ -68,10 +78,10 @@ def frequency_response(taps: ArrayLike, frequency_Hz: ArrayLike, rate_Hz: float)
 
 
 class StreamingFir:
-    """One filter for `channels` equal channels, of whose outputs every `every`-th is computed.
+    """Filters `channels` channels alike and computes every `every`-th output only.
 
-    Row k of all that `add` has returned is what is known after input row ``k * every``. It begins
-    as if the first row had been there for ever.
+    Row k of all rows returned by `add` is the output after input row ``k * every``. The filter
+    starts as if the first row had been present forever, so that it does not respond to an offset.
     """
 
     def __init__(self, taps: ArrayLike, channels: int, every: int = 1):
@@ -79,11 +89,15 @@ class StreamingFir:
         self.channels, self.every = channels, every
         self._backwards = np.ascontiguousarray(self.taps[::-1])
         self._latest: Reals | None = None
-        """(channels, n - 1): the rows before the next one."""
+        """Latest rows (channels, n - 1), which the next outputs need."""
         self._rows = 0
 
     def add(self, samples: ArrayLike) -> Reals:
-        """What is due after these further rows, (n, channels): (m, channels), m may be 0."""
+        """Filters further rows (n, channels) and returns the outputs due, (m, channels); m may be
+        0.
+
+        Raises ValueError for rows of another shape.
+        """
         block = np.asarray(samples, dtype=np.float64)
         if block.ndim != 2 or block.shape[1] != self.channels:
             raise ValueError(f"samples of shape {block.shape} must be (n, {self.channels})")

@@ -1,8 +1,9 @@
-"""The compiled heart of the detectors: one row of v_1 and v_2 after the other, and nothing else.
+"""The compiled core of the detectors. It takes one row of v_1 and v_2 after the other and does
+nothing else.
 
-Every row goes through the same scalar operations in the same order, with all state in one record,
-so that the outcome does not know how the rows came: one by one, in blocks or as a whole file. No
-operation may be reordered by the compiler (no fast mathematics).
+Every row passes through the same scalar operations in the same order, and all state is in one
+record. The events therefore do not depend on how the rows arrive: one by one, in blocks or as a
+whole file. The compiler must not reorder operations, so fast mathematics stays off.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ PREDICTIVE, SLIP, ROLL, REJECTED = range(4)
 ) = range(11)
 REASONS = (
     "",
-    "not armed: no predictive signal went before",
+    "not armed: no early warning preceded it",
     "roll",
     "common to both channels",
     "unlike a slip",
@@ -41,22 +42,27 @@ REASONS = (
     "the first touch drives v_1 and v_2 oppositely: one is inverted, or it was not recorded",
     "mains hum: thresholds rise with it",
 )
+"""Reasons of rejected events, in the order of the constants above."""
 RIG, LITERAL, HIGH_PASSED = range(3)
-"""Logics."""
+"""Logics, in the order of the names in `rig.detector.detector`."""
 
 AVERAGES_ms = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
-"""Time constants of the running averages whose differences are the bands."""
+"""Time constants of the running averages. The differences of neighbouring averages are the
+bands."""
 _A = len(AVERAGES_ms)
 PEAKS_ms = (3.0, 10.0, 40.0, 10.0)
-"""Over which peaks of the impulse fade: three of v_d, one of v_s."""
+"""Time constants with which peaks of the impulse decay: three of v_d, one of v_s."""
 POWERS_ms = (8.0, 64.0)
+"""Time constants of the powers of the impulse."""
 SUMS_ms = (100.0, 400.0)
+"""Time constants of the leaky sums."""
 SLOW_PEAK_ms = 150.0
-"""Time constants of powers, leaky sums and of the peak of the average over 16 ms."""
+"""Time constant of the peak of the average over 16 ms."""
 PIECES = 4
-"""Once offset and noise are known, one piece of so many is judged."""
+"""Once offset and noise are known, one piece out of this many is used to update them."""
 LOOK_ms, IDLE_ms = 12.0, 8.0
-"""The network is asked for so long after an impulse, and else so often."""
+"""The network is evaluated at every row for `LOOK_ms` after an impulse, and otherwise once every
+`IDLE_ms`."""
 
 STATE = np.dtype(
     [
@@ -84,15 +90,15 @@ STATE = np.dtype(
         ("still", "i8", (2,)),  # rows without any change
         ("still_at", "f8", (2,)),  # the other channel when that began
         ("still_span", "f8", (2,)),  # how far the other has moved since
-        ("told_hum", "i8"),
+        ("hum_reported", "i8"),
         ("armed", "i8"),
         ("armed_rows", "i8"),
         ("calm_rows", "i8"),
-        ("told_roll", "i8"),
+        ("roll_reported", "i8"),
         ("roll_rows", "i8"),
         ("look_rows", "i8"),
         ("silent_rows", "i8"),
-        ("deaf_rows", "i8"),
+        ("suppressed_rows", "i8"),
         ("suspect_rows", "i8"),
         ("mute_rows", "i8"),
         ("suspect", "f8", (3,)),  # impulse, its threshold, common part
@@ -100,6 +106,7 @@ STATE = np.dtype(
         ("roll", "f8"),
     ]
 )
+"""State of the detector between two rows. All voltages are in mV."""
 
 CONSTANTS = np.dtype(
     [
@@ -130,6 +137,7 @@ CONSTANTS = np.dtype(
         ("slow_keeps", "f8"),
     ]
 )
+"""Settings of the detector, converted to rows and mV."""
 
 INPUTS = (
     *(f"v_d band {AVERAGES_ms[k]:g} to {AVERAGES_ms[k + 1]:g} ms" for k in range(_A - 1)),
@@ -158,9 +166,12 @@ INPUTS = (
     "noise of v_s",
     "armed for",
 )
-"""What the network sees. Signs of v_d are taken so that its average over 32 ms is positive, those
-of v_s so that pressing was negative: neither swapped channels nor inverted polarity matter.
-Numbers are drawn together, x / sqrt(1 + |x|); voltages are in units of 0.5 mV."""
+"""Names of the network's inputs.
+
+The sign of v_d is chosen so that its average over 32 ms is positive, and that of v_s so that
+pressing was negative: swapped channels and inverted polarity make no difference. Large numbers are
+compressed by x / sqrt(1 + |x|). Voltages are in units of 0.5 mV.
+"""
 
 EVENT_FEATURES = (
     "predictive_mV",
@@ -170,8 +181,9 @@ EVENT_FEATURES = (
     "slip_probability",
     "roll_probability",
 )
+"""Names of the numbers that are reported with every event."""
 EVENT_COLUMNS = 4 + len(EVENT_FEATURES)
-"""Kind, row, confidence, reason, features."""
+"""Number of columns of an event: kind, row, confidence, reason, features."""
 
 _MEDIAN_TO_SIGMA = 1.4826
 
@@ -193,55 +205,58 @@ def advance(
     seen: Any,
     looked: Any,
 ) -> int:
-    """Take rows of volts (n, 2); fill `events` (n, columns) and say how many. -1 where a row is no
-    number: then none was taken.
+    """Takes rows of volts (n, 2), fills `events` (n, columns) and returns the number of events.
 
-    `line` (taps,) and `piece` (4, quiet rows) belong to the state;
-    `room` is as long as a piece. The network's weights are
-    `hidden` (inputs + 1, units) and `output` (2, units + 1); `units` is room for it. Where
-    `looked` has rows, its inputs are kept in `seen` (n, inputs) and `looked` (n,) says for which.
+    Returns -1 if a value is not finite; no row was taken then.
+
+    `line` (taps,) and `piece` (4, quiet rows) are part of the state, `room` (quiet rows,) and
+    `units` are work space. `hidden` (inputs + 1, units) and `output` (2, units + 1) are the weights
+    of the network. If `looked` has rows, the inputs of the network are saved in `seen` (n, inputs),
+    and `looked` (n,) is true where it was evaluated.
     """
     for k in range(volts.shape[0]):
         if not (math.isfinite(volts[k, 0]) and math.isfinite(volts[k, 1])):
             return -1
     s, c = state[0], constants[0]
-    told = 0
+    reported = 0
     for k in range(volts.shape[0]):
         first, second = 1e3 * volts[k, 0], 1e3 * volts[k, 1]
-        told = _doubt(first, second, s, c, events, told)
+        reported = _check_channels(first, second, s, c, events, reported)
         if abs(first) >= c.saturation or abs(second) >= c.saturation:
-            first, second = s.last[0], s.last[1]  # what it was before goes on: no filter rings
+            # The last good row replaces a saturated one: the step into saturation would make the
+            # filters ring.
+            first, second = s.last[0], s.last[1]
         s.last[0], s.last[1] = first, second
         _filter(first, second, s, line, c, taps, sections)
-        told = _judge_quiet(first, second, s, piece, room, c, events, told)
+        reported = _judge_quiet(first, second, s, piece, room, c, events, reported)
         if s.ready:
-            told = _follow(first, second, s, c, events, told)
-            told = _arm(s, c, events, told)
+            reported = _update_features(first, second, s, c, events, reported)
+            reported = _arm(s, c, events, reported)
             if c.logic == RIG:
-                looks = _looks(s, c)
+                looks = _network_due(s, c)
                 if looks:
-                    _see(s, c, seen[k if looked.size else 0])
-                    _ask(seen[k if looked.size else 0], hidden, output, units, s)
+                    _gather_inputs(s, c, seen[k if looked.size else 0])
+                    _evaluate_network(seen[k if looked.size else 0], hidden, output, units, s)
                 if looked.size:
                     looked[k] = looks
-                told = _decide(looks, s, c, events, told)
+                reported = _decide(looks, s, c, events, reported)
             else:
-                told = _compare(first, second, s, c, events, told)
+                reported = _compare(first, second, s, c, events, reported)
         s.row += 1
-    return told
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
-def _doubt(first: float, second: float, s: Any, c: Any, events: Any, told: int) -> int:
-    """A saturated or a dead channel makes deaf until 50 ms after."""
-    if s.deaf_rows > 0:
-        s.deaf_rows -= 1
-    deaf = s.deaf_rows
+def _check_channels(first: float, second: float, s: Any, c: Any, events: Any, reported: int) -> int:
+    """Suppresses events until 50 ms after a channel was saturated or dead."""
+    if s.suppressed_rows > 0:
+        s.suppressed_rows -= 1
+    suppressed = s.suppressed_rows
     now = round(50.0 * c.ms) + 1
     if abs(first) >= c.saturation or abs(second) >= c.saturation:
-        s.deaf_rows = now
-        if deaf == 0:
-            told = _tell(REJECTED, 0.0, SATURATED, 0.0, 0.0, s, events, told)
+        s.suppressed_rows = now
+        if suppressed == 0:
+            reported = _report(REJECTED, 0.0, SATURATED, 0.0, 0.0, s, events, reported)
     for j in range(2):
         x, other = (first, second) if j == 0 else (second, first)
         if x != s.last[j] or s.row == 0:
@@ -252,17 +267,18 @@ def _doubt(first: float, second: float, s: Any, c: Any, events: Any, told: int) 
         s.still[j] += 1
         s.still_span[j] = max(s.still_span[j], abs(other - s.still_at[j]))
         if s.still[j] >= c.dead_rows and s.still_span[j] > c.dead_span and abs(x) < c.saturation:
-            if s.deaf_rows == 0:
-                told = _tell(REJECTED, 0.0, FIRST_DEAD + j, 0.0, 0.0, s, events, told)
-            s.deaf_rows = now
-    return told
+            if s.suppressed_rows == 0:
+                reported = _report(REJECTED, 0.0, FIRST_DEAD + j, 0.0, 0.0, s, events, reported)
+            s.suppressed_rows = now
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
 def _filter(
     first: float, second: float, s: Any, line: Any, c: Any, taps: Any, sections: Any
 ) -> None:
-    """Low-pass of v_d, high-pass of v_d and v_s; as if the first row had been there for ever."""
+    """Applies the low-pass to v_d and the high-pass to v_d and v_s, as if the first row had been
+    present forever."""
     _low_pass(first - second, s, line, taps)
     for channel in range(2):
         y = first - second if channel == 0 else first + second
@@ -280,7 +296,11 @@ def _filter(
 
 @njit(cache=True, error_model="numpy")
 def _low_pass(x: float, s: Any, line: Any, taps: Any) -> None:
-    """The filter in its transposed form, whose sums do not depend on one another."""
+    """Runs the filter in its transposed form.
+
+    Its partial sums do not depend on one another, so that the compiler may use vector instructions
+    without changing the order of any sum.
+    """
     n = taps.size
     if s.row == 0:
         tail = 0.0
@@ -295,7 +315,7 @@ def _low_pass(x: float, s: Any, line: Any, taps: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _rest(x: float, memory: Any, sections: Any) -> None:
-    """The memory of the high-pass's sections after a constant input."""
+    """Sets the memory of the high-pass sections to its value after a constant input."""
     y = x
     for q in range(sections.shape[0]):
         b0, b1, b2 = sections[q, 0], sections[q, 1], sections[q, 2]
@@ -308,16 +328,19 @@ def _rest(x: float, memory: Any, sections: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _judge_quiet(
-    first: float, second: float, s: Any, piece: Any, room: Any, c: Any, events: Any, told: int
+    first: float, second: float, s: Any, piece: Any, room: Any, c: Any, events: Any, reported: int
 ) -> int:
-    """Offset and noise from the last piece, if it was quiet: medians, so that single spikes do not
-    count. Before the first quiet piece nothing else is judged."""
-    if s.ready and (s.armed or s.deaf_rows > 0):
+    """Measures offset and noise on the last piece if it was quiet.
+
+    They are medians, so that single spikes have no influence. Before the first quiet piece nothing
+    else is judged.
+    """
+    if s.ready and (s.armed or s.suppressed_rows > 0):
         s.piece_rows = 0
-        return told
+        return reported
     if s.wait_rows > 0:
         s.wait_rows -= 1
-        return told
+        return reported
     at = s.piece_rows
     piece[0, at] = first - second
     piece[1, at] = first + second
@@ -325,7 +348,7 @@ def _judge_quiet(
     piece[3, at] = s.fast[1]
     s.piece_rows += 1
     if s.piece_rows < c.quiet_rows:
-        return told
+        return reported
     s.piece_rows = 0
     s.wait_rows = s.ready * (PIECES - 1) * c.quiet_rows
     offset, noise = s.fresh_offset, s.fresh_noise
@@ -337,24 +360,25 @@ def _judge_quiet(
     if not quiet:
         s.restless_rows += c.quiet_rows
         if not s.ready and s.restless_rows == 4 * c.quiet_rows:
-            return _tell(REJECTED, 0.0, NOT_QUIET, 0.0, 0.0, s, events, told)
-        return told
+            return _report(REJECTED, 0.0, NOT_QUIET, 0.0, 0.0, s, events, reported)
+        return reported
     hum = max(_hum(piece[0], offset[0], c), _hum(piece[1], offset[1], c) / 2.0)
-    if hum > c.hum and not s.told_hum:
-        s.told_hum = 1
-        told = _tell(REJECTED, 0.0, HUM, hum, c.hum, s, events, told)
+    if hum > c.hum and not s.hum_reported:
+        s.hum_reported = 1
+        reported = _report(REJECTED, 0.0, HUM, hum, c.hum, s, events, reported)
+    # Later pieces count for a quarter, so that one odd piece does not move offset and noise far.
     weight = 0.25 if s.ready else 1.0
     for j in range(2):
         s.offset[j] += weight * (offset[j] - s.offset[j])
         s.noise[j] += weight * (noise[j] - s.noise[j])
         s.fast_noise[j] += weight * (noise[2 + j] - s.fast_noise[j])
     s.ready = 1
-    return told
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
 def _middle_and_noise(values: Any, room: Any, c: Any) -> tuple[float, float]:
-    """Median, and the median of the distances to it as a standard deviation."""
+    """Returns the median, and the median distance from it as a standard deviation."""
     n = values.size
     for i in range(n):
         room[i] = values[i]
@@ -366,7 +390,7 @@ def _middle_and_noise(values: Any, room: Any, c: Any) -> tuple[float, float]:
 
 @njit(cache=True, error_model="numpy")
 def _median(values: Any) -> float:
-    """The median; partly sorts them (Hoare's quickselect)."""
+    """Returns the median; partly sorts the values (Hoare's quickselect)."""
     n = values.size
     wanted = n // 2
     low, high = 0, n - 1
@@ -399,7 +423,7 @@ def _median(values: Any) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _is_quiet(values: Any, middle: float, noise: float) -> bool:
-    """Whether a piece neither moved nor jumped."""
+    """Returns whether a piece neither drifted nor jumped."""
     n = values.size
     half = n // 2
     moved, largest = 0.0, 0.0
@@ -415,7 +439,7 @@ def _is_quiet(values: Any, middle: float, noise: float) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def _hum(values: Any, middle: float, c: Any) -> float:
-    """Amplitude at the mains' frequency, 50 or 60 Hz."""
+    """Returns the amplitude at the mains frequency, the larger of 50 and 60 Hz."""
     n = values.size
     largest = 0.0
     for j in range(2):
@@ -428,8 +452,10 @@ def _hum(values: Any, middle: float, c: Any) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _follow(first: float, second: float, s: Any, c: Any, events: Any, told: int) -> int:
-    """Averages, peaks, powers and sums of what has just come; the first touch."""
+def _update_features(
+    first: float, second: float, s: Any, c: Any, events: Any, reported: int
+) -> int:
+    """Updates averages, peaks, powers and sums with the new row, and the first touch."""
     d = first - second - s.offset[0]
     v = first + second - s.offset[1]
     for j in range(_A):
@@ -447,26 +473,28 @@ def _follow(first: float, second: float, s: Any, c: Any, events: Any, told: int)
     s.sum[3] = s.sum[3] * c.sum_keeps[1] + v * c.row_ms
     for j in range(2):
         s.slow_peak[j] = max(abs(s.average[j, 4]), s.slow_peak[j] * c.slow_keeps)
-    return told if s.touched else _touch(s, c, events, told)
+    return reported if s.touched else _touch(s, c, events, reported)
 
 
 @njit(cache=True, error_model="numpy")
-def _touch(s: Any, c: Any, events: Any, told: int) -> int:
-    """Pressing drives both strips alike, and v_s negative: polarity is learned from it."""
+def _touch(s: Any, c: Any, events: Any, reported: int) -> int:
+    """Learns the polarity from the first touch: pressing drives both strips alike and v_s
+    negative."""
     for j in range(2):
         if abs(s.average[j, 4]) > 5.0 * s.noise[j] / math.sqrt(16.0 * c.ms) + 0.5:
             s.touch[j] += s.average[j, 4] / c.ms
+    # In 900 simulated presses |sum of v_d| was at most 0.75 |sum of v_s| (decision 0049).
     if abs(s.touch[0]) + abs(s.touch[1]) < 300.0:
-        return told
+        return reported
     s.touched = 1
     if abs(s.touch[0]) > abs(s.touch[1]):
-        return _tell(REJECTED, 0.0, ONE_INVERTED, 0.0, 0.0, s, events, told)
-    return told
+        return _report(REJECTED, 0.0, ONE_INVERTED, 0.0, 0.0, s, events, reported)
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
-def _arm(s: Any, c: Any, events: Any, told: int) -> int:
-    """The predictive signal arms."""
+def _arm(s: Any, c: Any, events: Any, reported: int) -> int:
+    """Arms the detector while the predictive signal is above its threshold."""
     if s.silent_rows > 0:
         s.silent_rows -= 1
     if s.mute_rows > 0:
@@ -478,55 +506,55 @@ def _arm(s: Any, c: Any, events: Any, told: int) -> int:
         s.calm_rows = 0 if level > threshold / 2.0 else s.calm_rows + 1
         if s.calm_rows > c.armed_rows:
             s.armed = 0
-            s.told_roll = 0
+            s.roll_reported = 0
             s.roll_rows = 0
     elif level > threshold:
         s.armed = 1
         s.armed_rows = 0
         s.calm_rows = 0
         confidence = level / (level + threshold)
-        return _tell(PREDICTIVE, confidence, NO_REASON, 0.0, threshold, s, events, told)
-    return told
+        return _report(PREDICTIVE, confidence, NO_REASON, 0.0, threshold, s, events, reported)
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
-def _compare(first: float, second: float, s: Any, c: Any, events: Any, told: int) -> int:
-    """The published logics: over the threshold while armed."""
+def _compare(first: float, second: float, s: Any, c: Any, events: Any, reported: int) -> int:
+    """Published logics: reports a slip where the signal is above its threshold while armed."""
     if c.logic == LITERAL:
         level, noise = abs(first - second - s.offset[0]), s.noise[0]
     else:
         level, noise = abs(s.fast[0]), s.fast_noise[0]
     threshold = max(c.fire[0], c.fire[1] * noise)
-    if level <= threshold or s.deaf_rows > 0:
-        return told
+    if level <= threshold or s.suppressed_rows > 0:
+        return reported
     confidence = level / (level + threshold)
     if s.armed:
         if s.silent_rows == 0:
             s.silent_rows = c.silent_rows
-            return _tell(SLIP, confidence, NO_REASON, level, threshold, s, events, told)
+            return _report(SLIP, confidence, NO_REASON, level, threshold, s, events, reported)
     elif s.mute_rows == 0:
         s.mute_rows = c.silent_rows
-        return _tell(REJECTED, confidence, NOT_ARMED, level, threshold, s, events, told)
-    return told
+        return _report(REJECTED, confidence, NOT_ARMED, level, threshold, s, events, reported)
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
-def _looks(s: Any, c: Any) -> bool:
-    """Whether the network is asked about this row."""
+def _network_due(s: Any, c: Any) -> bool:
+    """Returns whether the network is evaluated at this row."""
     threshold = max(c.look[0], c.look[1] * s.fast_noise[0])
     if abs(s.fast[0]) > threshold:
         s.look_rows = c.look_rows
     elif s.look_rows > 0:
         s.look_rows -= 1
-    if not s.armed or s.deaf_rows > 0:
+    if not s.armed or s.suppressed_rows > 0:
         return False
     looks: bool = s.look_rows > 0 or s.row % c.idle_rows == 0
     return looks
 
 
 @njit(cache=True, error_model="numpy")
-def _see(s: Any, c: Any, x: Any) -> None:
-    """The network's inputs, in the order of `INPUTS`."""
+def _gather_inputs(s: Any, c: Any, x: Any) -> None:
+    """Computes the inputs of the network, in the order of `INPUTS`."""
     sign = 1.0 if s.average[0, 5] >= 0.0 else -1.0
     pressed = -1.0 if s.touch[1] > 0.0 else 1.0
     for j in range(_A):
@@ -553,22 +581,25 @@ def _see(s: Any, c: Any, x: Any) -> None:
     x[at + 14] = 0.05 * pressed * s.sum[3]
     x[at + 15] = 2.0 * s.slow_peak[0]
     x[at + 16] = 2.0 * s.slow_peak[1]
+    # 0.3 mV keeps the ratio finite and small where nothing has happened yet.
     x[at + 17] = sign * s.average[0, 4] / (s.slow_peak[0] + 0.3)
     x[at + 18] = 4.0 * s.noise[0]
     x[at + 19] = 4.0 * s.noise[1]
     x[at + 20] = s.armed_rows / (10.0 * c.ms)
-    for i in range(x.size):  # in a loop of its own, which the compiler can make vectors of
+    for i in range(x.size):
+        # A loop of its own, so that the compiler can use vector instructions.
         x[i] = x[i] / math.sqrt(1.0 + abs(x[i]))
 
 
 @njit(cache=True, error_model="numpy")
-def _ask(x: Any, hidden: Any, output: Any, units: Any, s: Any) -> None:
-    """Probabilities of a slip now and of a roll under way."""
+def _evaluate_network(x: Any, hidden: Any, output: Any, units: Any, s: Any) -> None:
+    """Computes the probabilities of a slip now and of a roll under way."""
     inputs, n = x.size, units.size
     for u in range(n):
         units[u] = hidden[inputs, u]
     for i in range(inputs):
-        for u in range(n):  # the inner loop, since the units do not depend on one another
+        for u in range(n):
+            # The units are the inner loop because they do not depend on one another.
             units[u] += hidden[i, u] * x[i]
     odds_slip, odds_roll = output[0, n], output[1, n]
     for u in range(n):
@@ -580,15 +611,16 @@ def _ask(x: Any, hidden: Any, output: Any, units: Any, s: Any) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _decide(looks: bool, s: Any, c: Any, events: Any, told: int) -> int:
-    """Our logic: the network's word while armed; what it refuses is told with the reason."""
+def _decide(looks: bool, s: Any, c: Any, events: Any, reported: int) -> int:
+    """Logic ``rig``: reports a slip or a roll that the network finds while armed, and what it
+    rejects with the reason."""
     threshold = max(c.fire[0], c.fire[1] * s.fast_noise[0])
     level = abs(s.fast[0])
-    if level > threshold and s.deaf_rows == 0 and s.mute_rows == 0 and s.silent_rows == 0:
+    if level > threshold and s.suppressed_rows == 0 and s.mute_rows == 0 and s.silent_rows == 0:
         if not s.armed:
             s.mute_rows = c.silent_rows
             confidence = level / (level + threshold)
-            return _tell(REJECTED, confidence, NOT_ARMED, level, threshold, s, events, told)
+            return _report(REJECTED, confidence, NOT_ARMED, level, threshold, s, events, reported)
         if s.suspect_rows == 0:
             s.suspect_rows = round(25.0 * c.ms)
             s.suspect[0], s.suspect[1], s.suspect[2] = level, threshold, s.peak[3]
@@ -596,8 +628,8 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, told: int) -> int:
         s.suspect_rows = 0
         if s.silent_rows == 0:
             s.silent_rows = c.silent_rows
-            return _tell(SLIP, s.slip, NO_REASON, s.peak[0], threshold, s, events, told)
-        return told
+            return _report(SLIP, s.slip, NO_REASON, s.peak[0], threshold, s, events, reported)
+        return reported
     if s.suspect_rows > 0:
         s.suspect[0] = max(s.suspect[0], level)
         s.suspect[2] = max(s.suspect[2], s.peak[3])
@@ -610,17 +642,19 @@ def _decide(looks: bool, s: Any, c: Any, events: Any, told: int) -> int:
             elif s.suspect[2] > s.suspect[0]:
                 reason = COMMON
             confidence = 1.0 - s.slip
-            return _tell(REJECTED, confidence, reason, s.suspect[0], s.suspect[1], s, events, told)
-    if looks and s.armed and not s.told_roll:
+            return _report(
+                REJECTED, confidence, reason, s.suspect[0], s.suspect[1], s, events, reported
+            )
+    if looks and s.armed and not s.roll_reported:
         s.roll_rows = s.roll_rows + 1 if s.roll > c.roll_probability else 0
         if s.roll_rows >= 4:
-            s.told_roll = 1
-            return _tell(ROLL, s.roll, NO_REASON, s.peak[0], threshold, s, events, told)
-    return told
+            s.roll_reported = 1
+            return _report(ROLL, s.roll, NO_REASON, s.peak[0], threshold, s, events, reported)
+    return reported
 
 
 @njit(cache=True, error_model="numpy")
-def _tell(
+def _report(
     kind: int,
     confidence: float,
     reason: int,
@@ -628,11 +662,11 @@ def _tell(
     threshold: float,
     s: Any,
     events: Any,
-    told: int,
+    reported: int,
 ) -> int:
-    row = events[told]
+    row = events[reported]
     row[0], row[1], row[2], row[3] = kind, s.row, confidence, reason
     row[4] = s.low - s.offset[0]
     row[5], row[6], row[7] = impulse, s.peak[3], threshold
     row[8], row[9] = s.slip, s.roll
-    return told + 1
+    return reported + 1

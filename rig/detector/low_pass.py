@@ -1,10 +1,10 @@
-"""The low-pass that shows the predictive signal, designed from its specification (paper 4.3).
+"""Designs the low-pass filter of the predictive signal from a specification (paper 4.3).
 
-A filter is asked for by its -3 dB frequency, by how far down its stop band lies, and by one of two:
-its phase lag at a low frequency (the paper gives 9 degrees at 1 Hz), or where the stop band begins.
-The answer is a minimum-phase filter of finite length from a Kaiser prototype: of all causal filters
-of its magnitude it lags least. That least lag follows from the magnitude alone (Bode's integral),
-so a specification that asks for less is refused with the bound.
+A specification states the -3 dB frequency, the attenuation of the stop band, and one of two: the
+phase lag at a low frequency (the paper gives 9 degrees at 1 Hz) or the beginning of the stop band.
+The result is a minimum-phase filter of finite length made from a Kaiser prototype: no causal filter
+with the same magnitude has less lag. This least lag follows from the magnitude alone (Bode's
+integral), so a specification that asks for less is refused, and the error states the bound.
 """
 
 from __future__ import annotations
@@ -25,22 +25,24 @@ from rig.detector.fir import frequency_response, kaiser_shape, minimum_phase
 Reals = NDArray[np.float64]
 
 HALF_POWER_dB = -3.0
+"""Gain at `LowPassSettings.half_power_Hz`."""
 MOST_TAPS = 20_001
+"""Largest length of a filter."""
 
 
 class LowPassSettings(Settings):
-    """What a low-pass has to do; the defaults are the paper's (4.3, Figure 14)."""
+    """Specification of a low-pass filter; the defaults are those of the paper (4.3, Figure 14)."""
 
     half_power_Hz: float = Field(28.0, gt=0)
-    """Where its gain is -3 dB."""
+    """Frequency at which the gain is -3 dB."""
     stop_dB: float = Field(73.5, ge=21, le=150)
     """Attenuation of the stop band (assumed: the paper's figure is missing)."""
     lag_deg: float | None = Field(9.0, gt=0)
-    """Phase lag at `lag_Hz`; none where `stop_Hz` is given."""
+    """Phase lag at `lag_Hz`; none if `stop_Hz` is given."""
     lag_Hz: float = Field(1.0, gt=0)
-    """Where the lag is stated."""
+    """Frequency at which the lag is specified."""
     stop_Hz: float | None = Field(None, gt=0)
-    """Where the stop band begins; none where the lag is given."""
+    """Beginning of the stop band; none if the lag is given."""
 
     @model_validator(mode="after")
     def _is_determined(self) -> Self:
@@ -67,49 +69,55 @@ NAMED_LOW_PASSES: dict[str, LowPassSettings] = {
     "fast": LowPassSettings(stop_dB=50.0, lag_deg=6.0),
     "faster": LowPassSettings(stop_dB=30.0, lag_deg=4.0),
 }
-"""The paper's, and two that answer sooner and attenuate less."""
+"""The filter of the paper, and two that respond sooner and attenuate less."""
 
 
 @dataclass(frozen=True)
 class LowPass:
-    """A designed filter and what it does."""
+    """A designed filter."""
 
     settings: LowPassSettings
+    """Specification that it was designed from."""
     rate_Hz: float
+    """Sampling rate, in Hz."""
     taps: Reals
-    """(n,), newest sample first; gain 1 at 0 Hz."""
+    """Taps (n,), for the newest sample first; the gain at 0 Hz is 1."""
 
     def response(self, frequency_Hz: ArrayLike) -> NDArray[np.complex128]:
-        """Complex gain at frequencies (k,): (k,)."""
+        """Returns the complex gain (k,) at frequencies (k,) in Hz."""
         return frequency_response(self.taps, frequency_Hz, self.rate_Hz)
 
     def level(self, frequency_Hz: ArrayLike) -> Reals:
-        """Gain in dB at frequencies (k,): (k,)."""
+        """Returns the gain in dB (k,) at frequencies (k,) in Hz."""
         gain: Reals = 20 * np.log10(np.maximum(np.abs(self.response(frequency_Hz)), 1e-12))
         return gain
 
     def lag_deg(self, frequency_Hz: float) -> float:
-        """Phase lag at a frequency that the filter passes."""
+        """Returns the phase lag in degrees at a frequency of the pass band."""
         return _lag_deg(self.response(frequency_Hz))
 
     def group_delay_s(self, frequency_Hz: ArrayLike) -> Reals:
-        """Group delay at frequencies (k,): (k,)."""
+        """Returns the group delay in s (k,) at frequencies (k,) in Hz."""
         place = np.arange(self.taps.size)
         weighted = frequency_response(self.taps * place, frequency_Hz, self.rate_Hz)
         delay: Reals = np.real(weighted / self.response(frequency_Hz)) / self.rate_Hz
         return delay
 
     def step_response(self) -> Reals:
-        """Answer to a unit step, from its first sample on, (n,)."""
+        """Returns the response to a unit step (n,), beginning with the first sample of the step."""
         answer: Reals = np.cumsum(self.taps)
         return answer
 
 
 @lru_cache(maxsize=32)
 def design_low_pass(settings: LowPassSettings, rate_Hz: float) -> LowPass:
-    """The filter of a specification at a sampling rate.
+    """Returns the filter for a specification at a sampling rate.
 
-    Raises ValueError, with the bound, where no filter or none of this family can meet it.
+    Raises ValueError, with the bound, if no causal filter or none of this family meets it.
+
+    >>> paper = design_low_pass(NAMED_LOW_PASSES["paper"], rate_Hz=1000.0)
+    >>> paper.taps.size, round(paper.lag_deg(1.0), 3)
+    (123, 9.0)
     """
     if settings.half_power_Hz >= rate_Hz / 2:
         raise ValueError(
@@ -127,10 +135,10 @@ def design_low_pass(settings: LowPassSettings, rate_Hz: float) -> LowPass:
 def least_lag_deg(
     half_power_Hz: float, stop_Hz: float, stop_dB: float, rate_Hz: float, lag_Hz: float
 ) -> float:
-    """The least lag at `lag_Hz` of any causal filter of that shape.
+    """Returns the least lag in degrees at `lag_Hz` of any causal filter of the specified shape.
 
-    Bode's integral on the unit circle, for the magnitude that lags least among those that never
-    amplify: 0 dB to `half_power_Hz`, 3 dB down to `stop_Hz`, `stop_dB` down beyond.
+    This is Bode's integral on the unit circle for the magnitude with the least lag among those that
+    never amplify: 0 dB up to `half_power_Hz`, 3 dB down to `stop_Hz`, and `stop_dB` down beyond it.
     """
     to_neper = math.log(10) / 20
     here = math.pi * lag_Hz / rate_Hz
@@ -148,7 +156,7 @@ def least_lag_deg(
 
 
 def _with_stop_band_from(settings: LowPassSettings, stop_Hz: float, rate_Hz: float) -> Reals:
-    """The shortest linear-phase prototype whose stop band begins there."""
+    """Returns the shortest linear-phase prototype whose stop band begins at `stop_Hz`."""
     if stop_Hz >= rate_Hz / 2:
         raise ValueError(
             f"stop_Hz {stop_Hz:g} Hz must be below half the sampling rate of {rate_Hz:g} Hz"
@@ -165,9 +173,9 @@ def _with_stop_band_from(settings: LowPassSettings, stop_Hz: float, rate_Hz: flo
 
 
 def _with_lag(settings: LowPassSettings, lag_deg: float, rate_Hz: float) -> Reals:
-    """Linear-phase prototype whose minimum-phase form lags by just so much.
+    """Returns the linear-phase prototype whose minimum-phase form has exactly this lag.
 
-    The length is chosen to the nearest tap and the attenuation gives the rest.
+    The length is chosen to the nearest tap, and the attenuation is adjusted for the remainder.
     """
     from scipy.optimize import brentq
 
@@ -208,8 +216,11 @@ def _with_lag(settings: LowPassSettings, lag_deg: float, rate_Hz: float) -> Real
 def _shortest(
     settings: LowPassSettings, rate_Hz: float, holds: Callable[[int], bool], asked: str
 ) -> int:
-    """The fewest taps on either side of the middle one that can be -3 dB where they have to be, and
-    for which `holds`; what holds for some taps holds for more."""
+    """Returns the fewest taps on either side of the middle one for which the filter can be -3 dB at
+    the required frequency and `holds` is true.
+
+    `holds` must be monotonic: what is true for some number of taps is true for more.
+    """
 
     def able(half: int) -> bool:
         window = np.kaiser(2 * half + 1, kaiser_shape(settings.stop_dB))
@@ -233,7 +244,8 @@ def _shortest(
 
 
 def _prototype(settings: LowPassSettings, half: int, stop_dB: float, rate_Hz: float) -> Reals:
-    """Linear-phase taps (2 half + 1,) of gain 1 at 0 Hz and -3 dB where the settings want it."""
+    """Returns linear-phase taps (2 half + 1,) with gain 1 at 0 Hz and -3 dB where the settings ask
+    for it."""
     from scipy.optimize import brentq
 
     place = np.arange(-half, half + 1)

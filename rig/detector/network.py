@@ -1,7 +1,7 @@
-"""The small network of the logic ``rig``: one hidden layer, weights as plain numbers.
+"""The small network of the logic ``rig``: one hidden layer, its weights stored as plain numbers.
 
-Its parameters are a readable JSON file in this package that says from which simulated trials they
-were learned and by which command; ``rig train`` writes it again.
+The parameters are a readable JSON file in this package. It records on which simulated trials they
+were trained and by which command. ``rig train`` writes such a file.
 """
 
 from __future__ import annotations
@@ -22,21 +22,27 @@ FILE = "rig.json"
 
 
 class Network(Settings):
-    """x / (1 + |x|) of weighted sums of the inputs, weighted again into the log odds of slip and
-    roll."""
+    """Weights of a network with one hidden layer.
+
+    A hidden unit returns x / (1 + |x|) of the weighted sum x of its inputs. The weighted sums of
+    the units are the log odds of a slip and of a roll.
+    """
 
     name: str
+    """Name of the network, for messages and files."""
     inputs: tuple[str, ...] = Field(min_length=1)
-    """Names of the features, in order (`rig.detector.kernel`)."""
+    """Names of the inputs, in order (`rig.detector.kernel.INPUTS`)."""
     hidden: tuple[tuple[float, ...], ...] = Field(min_length=1)
-    """(units, inputs + 1); the last number of a row is its bias."""
+    """Hidden weights (units, inputs + 1); the last number of each row is its bias."""
     output: tuple[tuple[float, ...], ...] = Field(min_length=len(OUTPUTS), max_length=len(OUTPUTS))
-    """(slip and roll, units + 1), the same way."""
+    """Output weights (2, units + 1) for slip and roll; the last number of each row is its bias."""
     first_seed: int
+    """First seed of the simulated trials on which it was trained."""
     last_seed: int
-    """Of the simulated trials it has seen; scoring refuses them."""
+    """Last seed of the simulated trials on which it was trained. Scoring on these trials is
+    refused."""
     trained_by: str
-    """Command, program version and data."""
+    """Command, program version and data of the training."""
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -54,10 +60,11 @@ class Network(Settings):
         return self
 
     def weights(self) -> tuple[Reals, Reals]:
-        """Hidden (inputs + 1, units) and output weights (2, units + 1) as arrays."""
+        """Returns the hidden weights (inputs + 1, units) and the output weights (2, units + 1) as
+        arrays."""
         return np.ascontiguousarray(np.array(self.hidden).T), np.array(self.output)
 
 
 def trained_network() -> Network:
-    """The network of this version, from its file in the package."""
+    """Returns the network of this version, read from its file in the package."""
     return Network.model_validate_json(files(__package__).joinpath(FILE).read_bytes())

@@ -1,4 +1,5 @@
-"""Parameters of the incipient-slip detectors: one object, stored with every result."""
+"""Parameters of the incipient-slip detectors. They are one object, which is stored with every
+result."""
 
 from __future__ import annotations
 
@@ -12,54 +13,58 @@ from rig.detector.low_pass import LowPassSettings
 from rig.detector.network import Network, trained_network
 
 Logic = Literal["rig", "paper-literal", "paper-hp"]
+"""Names of the detector logics."""
 
 
 class DetectorSettings(Settings):
-    """How v_1 and v_2 become events.
+    """Parameters that determine how v_1 and v_2 become events.
 
-    Thresholds are the larger of an absolute floor and a multiple of the noise while nothing
-    touches: relative ones alone fail where there is hardly any noise.
+    Every threshold is the larger of an absolute floor in mV and a multiple of the noise measured
+    while nothing touches. A relative threshold alone fails where there is hardly any noise.
     """
 
     logic: Logic = "rig"
-    """``paper-literal``: v_d itself over a threshold while armed (paper 4.3); ``paper-hp``: v_d
-    above `impulse_Hz`; ``rig``: both channels, judged by `network`."""
+    """Logic of the detector. ``paper-literal``: v_d itself exceeds a threshold while armed (paper
+    4.3); ``paper-hp``: v_d above `impulse_Hz` does; ``rig``: `network` judges both channels."""
     low_pass: LowPassSettings = LowPassSettings()
-    """Shows the predictive signal."""
+    """Low-pass filter that extracts the predictive signal from v_d."""
     impulse_Hz: float = Field(100.0, gt=0)
-    """-3 dB frequency of the high-pass that shows the impulse (Butterworth, third order)."""
+    """-3 dB frequency of the high-pass filter that extracts the impulse (Butterworth, third
+    order)."""
     quiet_s: float = Field(0.25, gt=0)
-    """Offset and noise are judged over so long a piece, and again over every fourth later one."""
+    """Length of the pieces on which offset and noise are measured. After the first quiet piece
+    every fourth one is used."""
     least_noise_mV: float = Field(0.02, gt=0)
-    """Noise is never taken to be less."""
+    """Lowest noise that is assumed, rms."""
     arm_mV: float = Field(0.4, gt=0)
-    """The predictive signal arms beyond this ..."""
+    """The predictive signal arms the detector above this threshold ..."""
     arm_sigmas: float = Field(5.0, gt=0)
-    """... and beyond so many standard deviations of its own noise."""
+    """... and above this many standard deviations of its own noise."""
     armed_s: float = Field(0.15, gt=0)
-    """How long it stays armed after the predictive signal was last beyond half its threshold."""
+    """How long the detector stays armed after the predictive signal was last above half its
+    threshold."""
     fire_mV: float = Field(10.0, gt=0)
-    """The impulse fires beyond this (the published logics) ..."""
+    """Published logics: an impulse above this threshold is a slip ..."""
     fire_sigmas: float = Field(5.0, gt=0)
-    """... and beyond so many standard deviations of its noise."""
+    """... if it is also above this many standard deviations of its noise."""
     look_mV: float = Field(0.15, gt=0)
-    """The network looks while the impulse was beyond this ..."""
+    """The network is evaluated for 12 ms after an impulse above this threshold ..."""
     look_sigmas: float = Field(3.0, gt=0)
-    """... and beyond so many standard deviations within the last 12 ms, and else every 8 ms."""
+    """... and above this many standard deviations of its noise; otherwise every 8 ms."""
     fire_probability: float = Field(0.8, gt=0, lt=1)
-    """The network's probability of a slip that fires."""
+    """Probability of a slip, from the network, above which a slip is reported."""
     roll_probability: float = Field(0.9, gt=0, lt=1)
-    """The network's probability of a roll that is told."""
+    """Probability of a roll, from the network, above which a roll is reported."""
     silence_s: float = Field(0.15, gt=0)
-    """After a slip was told none is told for so long."""
+    """Time after a reported slip in which no other slip is reported."""
     saturation_V: float = Field(9.95, gt=0)
-    """A channel at or beyond this is saturated: nothing is judged until 50 ms after."""
+    """A channel is saturated at or beyond this voltage. Nothing is judged until 50 ms after it."""
     dead_s: float = Field(0.5, gt=0)
-    """A channel that did not change at all for so long ..."""
+    """A channel is dead if it has not changed at all for this time ..."""
     dead_mV: float = Field(5.0, gt=0)
-    """... while the other moved by more than this is dead."""
+    """... while the other channel moved by more than this."""
     hum_mV: float = Field(2.0, gt=0)
-    """Mains hum of a larger amplitude than this is told."""
+    """Mains hum with an amplitude above this is reported."""
     network: Network | None = None
     """Weights of the logic ``rig``, trained on simulated trials."""
 
@@ -76,7 +81,10 @@ class DetectorSettings(Settings):
 
 @lru_cache(maxsize=1)
 def named_detectors() -> dict[str, DetectorSettings]:
-    """The detectors that have a name; `rig.detector.DEFAULT_DETECTOR` names the default."""
+    """Returns the parameters of all detectors that have a name.
+
+    `rig.detector.DEFAULT_DETECTOR` is the name of the default.
+    """
     return {
         "rig": DetectorSettings(network=trained_network()),
         "paper-literal": DetectorSettings(logic="paper-literal", fire_mV=30.0),

@@ -1,1 +1,2 @@
-"""Evaluation of slip detectors: labelled trials, scoring, training."""
+"""Development of detectors on trials whose truth is known: simulation, scoring and training.
+Nothing here takes part in a run."""

@@ -1,10 +1,11 @@
-"""Trials of run files whose truth is known: from a list beside them, or from a simulated bench.
+"""Trials in run files whose truth is known: from a list beside the files, or from a simulated
+bench.
 
-A list is CSV with a header. Columns ``file`` (relative to the list) and ``point`` (empty: the only
-one of its file) name a trial; ``label``, ``motion_s``, ``node_slip_s``, ``ridge_slip_s``,
-``gross_slip_s`` and ``lift_off_s`` are its truth, in s of the record, empty for never; any further
-column is a trait of that name. For a column of the truth that the list does not have, what a run on
-the simulated bench knows of itself stands.
+A list is CSV with a header. The columns ``file`` (relative to the list) and ``point`` (empty if the
+file has only one) name a trial. ``label``, ``motion_s``, ``node_slip_s``, ``ridge_slip_s``,
+``gross_slip_s`` and ``lift_off_s`` are its truth, in s of the record, empty for never. Any further
+column is a trait of that name. If the list lacks a column of the truth, the value that a simulated
+bench stored in the run file is used.
 """
 
 from __future__ import annotations
@@ -26,35 +27,39 @@ from rig.core.toml_files import read_text
 from rig.evaluation.scored_trials import judge_one
 from rig.evaluation.scoring.contenders import Contender
 from rig.evaluation.scoring.outcomes import Truth
-from rig.evaluation.scoring.results import Judged
+from rig.evaluation.scoring.results import ScoredTrial
 from rig.evaluation.scoring.tables import NAMES
 from rig.files.runfile.reader import RunFile
 
 Floats = NDArray[np.float64]
 
 LABELS = ("slip", "roll", "lift-off", "hold", "tap", "slip in a roll")
+"""Labels that a trial may have."""
 TIMES = ("motion_s", "node_slip_s", "ridge_slip_s", "gross_slip_s", "lift_off_s")
+"""Columns of the truth that are times, in s of the record."""
 MAX_LIST_BYTES = 16 << 20
+"""Largest size of a list."""
 
 
 @dataclass(frozen=True)
 class ListedTrials:
-    """All trials of a list, judged."""
+    """All trials of a list with their outcomes."""
 
-    judged: list[Judged]
+    judged: list[ScoredTrial]
+    """The scored trials, in the order of the list."""
     simulated: bool
-    """Whether any of them comes from a simulated bench."""
+    """True if any of them comes from a simulated bench."""
 
 
 @dataclass(frozen=True)
 class _Recorded:
-    """A trial as its file holds it."""
+    """Volts and truth of a trial, as its file holds them."""
 
     point: str
     volts: Floats
     rate_Hz: float
     truth: dict[str, Any]
-    """What a simulated bench knows: label and times by the names of a list's columns."""
+    """Label and times that a simulated bench stored, by the names of a list's columns."""
 
 
 def judge_files(
@@ -64,7 +69,11 @@ def judge_files(
     sweep: bool,
     done: Callable[[int, int], None],
 ) -> ListedTrials:
-    """The trials of a list; ConfigurationError names the line that cannot be used."""
+    """Scores all trials of a list. ConfigurationError names the line that cannot be used.
+
+    `sweep` runs the detectors at all thresholds of a ROC. `done` is called after each trial with
+    its number and the number of all.
+    """
     rows = _rows(listing)
     judged, simulated = [], False
     for number, row in enumerate(rows, 1):
@@ -102,7 +111,7 @@ def _rows(listing: Path) -> list[dict[str, str]]:
     for row in reader:
         if None in row or None in row.values():
             raise ConfigurationError(
-                f"{listing}, line {len(rows) + 2}: has not as many cells as the header"
+                f"{listing}, line {len(rows) + 2}: the number of cells differs from the header"
             )
         rows.append({name.strip(): cell.strip() for name, cell in row.items()})
     if not rows:
@@ -111,7 +120,7 @@ def _rows(listing: Path) -> list[dict[str, str]]:
 
 
 def _recorded(path: Path, point: str, where: str) -> tuple[_Recorded, bool]:
-    """Volts and truth of a file's point, and whether its bench was simulated."""
+    """Returns volts and truth of a point of a file, and whether its bench was simulated."""
     with RunFile.open(path) as run:
         points = run.point_ids()
         if not point and len(points) == 1:
@@ -124,7 +133,7 @@ def _recorded(path: Path, point: str, where: str) -> tuple[_Recorded, bool]:
         waves = [one for one in run.waveforms(point) if one.stream == "signals"]
         if len(waves) != 1 or not {"v_1", "v_2"} <= set(waves[0].counts):
             raise ConfigurationError(
-                f"{where}: {path.name} holds no gapless v_1 and v_2 of point {point!r}",
+                f"{where}: {path.name} has no uninterrupted v_1 and v_2 of point {point!r}",
                 "list slip and roll trials",
             )
         (wave,) = waves
@@ -137,7 +146,8 @@ def _recorded(path: Path, point: str, where: str) -> tuple[_Recorded, bool]:
 
 
 def _simulated_truth(told: str | None, procedure: str) -> dict[str, Any]:
-    """Label and times of a trial on the simulated bench, from the beginning of its record."""
+    """Returns label and times of a trial on the simulated bench, in s from the start of its
+    record."""
     if told is None:
         return {}
     known = json.loads(told)
@@ -168,8 +178,8 @@ def _truth(row: dict[str, str], recorded: _Recorded, where: str) -> Truth:
     label = row["label"] if "label" in row else recorded.truth.get("label", "")
     if label not in LABELS:
         raise ConfigurationError(
-            f"{where}: label {label!r} is none of {', '.join(LABELS)}",
-            "a file that is not from the simulated bench does not know what it shows",
+            f"{where}: label {label!r} is not one of {', '.join(LABELS)}",
+            "only files from the simulated bench contain a label; add a column 'label' to the list",
         )
     times = {}
     for name in TIMES:
@@ -179,8 +189,8 @@ def _truth(row: dict[str, str], recorded: _Recorded, where: str) -> Truth:
             times[name] = recorded.truth.get(name, math.nan)
     if not math.isfinite(times["motion_s"]):
         raise ConfigurationError(
-            f"{where}: motion_s is missing: alarms before the motion are counted apart",
-            "add when the motion begins, in s of the record",
+            f"{where}: motion_s is missing; it separates alarms before the motion from the others",
+            "add the start of the motion, in s of the record",
         )
     return Truth(label=label, **times)
 
@@ -198,7 +208,7 @@ def _number(cell: str, what: str) -> float:
     try:
         number = float(cell)
     except ValueError:
-        raise ConfigurationError(f"{what} {cell!r} is no number") from None
+        raise ConfigurationError(f"{what} {cell!r} is not a number") from None
     if not math.isfinite(number):
         raise ConfigurationError(f"{what} {cell!r} must be finite, or empty for never")
     return number

@@ -1,9 +1,9 @@
-"""Random trials on the skin whose truth is known: what detectors are tuned on and judged by.
+"""Random trials on the simulated skin whose truth is known. Detectors are tuned and scored on them.
 
-Every trial is drawn from its kind and seed alone: friction, rubber, force, motion and the stage's
-jitter from stated ranges (all assumed). A trial holds clean volts at the data acquisition's rate,
-beginning with quiet; noise, mains and unequal gains are laid on apart, so that one contact can be
-heard through several front ends. Everything here is simulated.
+Every trial is drawn from its kind and seed alone: friction, rubber, force, motion and the jitter of
+the stage come from stated ranges (all assumed). A trial holds noise-free volts at the rate of the
+data acquisition and begins with quiet. Noise, mains and unequal gains are added separately, so that
+one contact can be recorded through several front ends.
 """
 
 from __future__ import annotations
@@ -25,12 +25,14 @@ from rig.physics.contact.settings import ContactSettings, Cylinder, FrictionSett
 from rig.physics.contact.stepper import ConvergenceError
 from rig.physics.skin.condensed import CondensedSkin
 from rig.physics.skin.settings import SkinSettings
-from rig.physics.trials import RollSettings, Script, SlideSettings, Trial, follow
+from rig.physics.trials import RollSettings, Script, SkinTrial, SlideSettings, follow
 
 Floats = NDArray[np.float64]
 
 Kind = Literal["slide", "roll", "hold", "tap"]
+"""Kinds of motion."""
 Label = Literal["slip", "roll", "lift-off", "hold", "tap", "slip in a roll"]
+"""Labels of trials, by their truth."""
 LABELS: tuple[Label, ...] = get_args(Label)
 
 _FORMAT = 1
@@ -41,14 +43,17 @@ _REDRAWS = 20
 
 
 class Range(Settings):
-    """What a number is drawn from."""
+    """A range from which a number is drawn."""
 
     low: float
+    """Lowest value."""
     high: float
+    """Highest value."""
     logarithmic: bool = False
+    """True if the logarithm of the number is drawn evenly."""
 
     def draw(self, chance: np.random.Generator) -> float:
-        """A number in the range, evenly in itself or in its logarithm."""
+        """Returns a number of the range, evenly distributed in itself or in its logarithm."""
         if self.logarithmic:
             return math.exp(chance.uniform(math.log(self.low), math.log(self.high)))
         return float(chance.uniform(self.low, self.high))
@@ -63,86 +68,105 @@ def _by_ratio(low: float, high: float) -> Range:
 
 
 class PopulationSettings(Settings):
-    """The ranges (assumed); units are in the names, ratios have none."""
+    """Ranges of the random trials (all assumed). Units are in the names; ratios have none."""
 
     skin: SkinSettings = SkinSettings(elements_per_ridge=6)
+    """The skin on which the trials are simulated."""
     ridge: int = Field(3, ge=1)
-    """The ridge whose strips are read, 1 is the leftmost."""
+    """Ridge whose strips are read; 1 is the leftmost."""
     static_coefficient: Range = _evenly(0.3, 1.2)
+    """Static friction coefficient μ_s."""
     friction_ratio: Range = _evenly(0.65, 0.97)
-    """μ_k / μ_s."""
+    """Ratio of the friction coefficients, μ_k / μ_s."""
     weakening_distance_um: Range = _by_ratio(1.0, 20.0)
+    """Distance over which friction falls from static to kinetic."""
     relaxation_time_ms: Range = _by_ratio(0.25, 1.3)
+    """Relaxation time of the rubber."""
     normal_force_N: Range = _evenly(2.0, 8.0)
+    """Normal force F_n."""
     speed_mm_s: Range = _by_ratio(0.3, 6.0)
+    """Speed of a slide."""
     loading_s: Range = _evenly(0.15, 0.4)
+    """Duration of pressing on."""
     rest_s: Range = _evenly(0.1, 0.25)
+    """Rest between pressing on and the motion."""
     jitter_um: Range = _evenly(0.0, 0.3)
-    """Amplitude of the stage's vibration along x, in every second trial."""
+    """Amplitude of the vibration of the stage along x, in every second trial."""
     jitter_Hz: Range = _evenly(20.0, 120.0)
+    """Frequency of that vibration."""
     radius_mm: Range = _evenly(15.0, 60.0)
+    """Radius of the head that rolls."""
     angle_deg: Range = _evenly(3.5 * 0.7, 3.5 * 1.3)
-    """In either direction."""
+    """Angle of a roll, in either direction."""
     start_x_mm: Range = _evenly(-7.5, -0.5)
-    """Where a roll begins."""
+    """Position at which a roll begins."""
     roll_s: Range = _evenly(0.12, 0.8)
+    """Duration of a roll."""
     held_share: Range = _evenly(0.15, 0.6)
-    """Where a hold stops, as a share of the way to gross slip."""
+    """Position at which a hold stops, as a share of the travel to gross slip."""
     held_s: float = Field(0.4, gt=0)
-    """How long it stays there."""
+    """Duration of the stop."""
     tap_share: Range = _evenly(0.05, 0.5)
     """Rise of the normal force in a tap on the finger, as a share of F_n."""
     tap_um: Range = _evenly(0.0, 5.0)
-    """How far the tap moves the object sideways, there and back."""
+    """Sideways motion of the object in a tap, there and back."""
     tap_s: Range = _by_ratio(0.005, 0.04)
-    """Duration of the tap, half a sine."""
+    """Duration of a tap, half a sine."""
     quiet_s: float = Field(0.3, ge=0)
-    """Nothing touches before a trial."""
+    """Time before a trial in which nothing touches."""
 
 
-class FrontEndSettings(Settings):
-    """What the amplifiers and the mains add (assumed)."""
+class StripFrontEndSettings(Settings):
+    """Ranges of what amplifiers and mains add to the strips' signals (assumed)."""
 
     noise_mV: Range = _by_ratio(0.1, 2.0)
     """White noise of each channel at the sampling rate, rms."""
     mains_mV: Range = _evenly(0.0, 1.0)
     """Amplitude of the mains on each channel."""
     mains_Hz: float = 50.0
+    """Mains frequency."""
     gain_mismatch: Range = _evenly(-0.08, 0.08)
-    """By how much the first channel's gain exceeds the second's."""
+    """Relative excess of the first channel's gain over the second's."""
 
 
 @dataclass(frozen=True)
 class LabelledTrial:
-    """A trial and its truth; times in s from its first sample, NaN where it did not happen."""
+    """A simulated trial and its truth. Times are in s from its first sample, NaN where it did not
+    happen."""
 
     kind: Kind
+    """Kind of motion."""
     seed: int
+    """Seed from which it was drawn."""
     label: Label
+    """Label, from the truth of the contact."""
     rate_Hz: float
+    """Sampling rate, in Hz."""
     volts: Floats
-    """v_1 and v_2 without noise, V, (n, 2)."""
+    """Signals v_1 and v_2 without noise, in V, (n, 2)."""
     force_N: Floats
-    """F_n and F_t, (n, 2)."""
+    """Forces F_n and F_t, in N, (n, 2)."""
     motion_s: float
-    """When slide, roll or tap begin."""
+    """Start of the slide, roll or tap."""
     node_slip_s: float
-    """First slipping node of the ridge read."""
+    """Slip of the first node of the ridge that is read."""
     ridge_slip_s: float
-    """The ridge as a whole slips."""
+    """Slip of the whole ridge."""
     gross_slip_s: float
+    """Slip of the whole contact."""
     lift_off_s: float
-    """The ridge leaves the object."""
+    """Time at which the ridge leaves the object."""
     traits: dict[str, float]
-    """What was drawn, by name and unit."""
+    """Numbers that were drawn, by name and unit."""
 
 
-def heard(
-    trial: LabelledTrial, front_end: FrontEndSettings, hearing: int = 0
+def through_front_end(
+    trial: LabelledTrial, front_end: StripFrontEndSettings, hearing: int = 0
 ) -> tuple[Floats, dict[str, float]]:
-    """Volts (n, 2) as a bench would record them, and what was laid on, by name and unit.
+    """Returns the volts (n, 2) that a bench would record, and what was added to them, by name and
+    unit.
 
-    `hearing` numbers front ends: each draws anew, from the trial's kind and seed.
+    `hearing` numbers the front ends. Each number draws new values from the trial's kind and seed.
     """
     chance = np.random.default_rng([get_args(Kind).index(trial.kind), trial.seed, 1, hearing])
     noise = front_end.noise_mV.draw(chance)
@@ -164,10 +188,10 @@ def labelled_trial(
     population: PopulationSettings | None = None,
     cache: Cache | None = None,
 ) -> LabelledTrial:
-    """The trial of a kind and seed, from the cache where it holds it.
+    """Returns the trial of a kind and seed, from the cache if it is there.
 
-    A draw for which a step of the contact has no solution is drawn anew; ConvergenceError after
-    the 20th.
+    If a step of the contact has no solution the trial is drawn again. Raises ConvergenceError after
+    the 20th draw.
     """
     population = PopulationSettings() if population is None else population
     cache = NoCache() if cache is None else cache
@@ -186,14 +210,14 @@ def _perform(
     for redraw in range(_REDRAWS):
         chance = np.random.default_rng([get_args(Kind).index(kind), seed, 0, redraw])
         try:
-            return _KINDS[kind](_Drawing(skin, kind, seed, population, chance))
+            return _KINDS[kind](_TrialDraw(skin, kind, seed, population, chance))
         except ConvergenceError as error:
             last = error
     raise last
 
 
-class _Drawing:
-    """The part that all kinds of trials draw alike, and the way from a script to a trial."""
+class _TrialDraw:
+    """Draws what all kinds of trials have in common, and turns a motion into a trial."""
 
     def __init__(
         self,
@@ -224,29 +248,30 @@ class _Drawing:
         self.traits["jitter_um"] *= jitters
 
     def draw(self, name: str) -> float:
-        """A number of the population, kept among the traits."""
+        """Returns a number of the population and records it among the traits."""
         within: Range = getattr(self.population, name)
         self.traits[name] = within.draw(self.chance)
         return self.traits[name]
 
     def draw_sign(self, name: str) -> float:
-        """+1 or -1, kept among the traits."""
+        """Returns +1 or -1 and records it among the traits."""
         self.traits[name] = float(self.chance.choice((-1.0, 1.0)))
         return self.traits[name]
 
     @property
     def motion_s(self) -> float:
-        """When the motion begins, from first touch."""
+        """Start of the motion, in s from first touch."""
         return self.loading_s + self.rest_s
 
     def times(self, duration_s: float) -> Floats:
-        """The end of every step from first touch until `duration_s` after the motion's begin."""
+        """Returns the end of every step, from first touch to `duration_s` after the start of the
+        motion."""
         step = self.contact.step_us * 1e-6
         times: Floats = step * np.arange(1.0, 1 + round((self.motion_s + duration_s) / step))
         return times
 
     def pressed(self, time_s: Floats) -> Floats:
-        """The normal force: a raised cosine, then constant."""
+        """Returns the normal force: a raised cosine, then constant."""
         share = np.clip(time_s / self.loading_s, 0, 1)
         force: Floats = self.force_N * (1 - np.cos(np.pi * share)) / 2
         return force
@@ -259,8 +284,8 @@ class _Drawing:
         *,
         body: Object | None = None,
         start_x_mm: float = 0.0,
-    ) -> Trial:
-        """The trial of a script, with the stage's jitter."""
+    ) -> SkinTrial:
+        """Simulates a motion with the jitter of the stage."""
         body = Plate() if body is None else body
         times = self.contact.step_us * 1e-6 * np.arange(1.0, 1 + force_N.size)
         shaken = x_mm + self.jitter_mm * np.sin(2 * np.pi * self.jitter_Hz * times)
@@ -271,8 +296,8 @@ class _Drawing:
         script = Script(force_N, shaken, angle, motion_s=self.motion_s, start_x_mm=start_x_mm)
         return follow(self.skin, settings, script)
 
-    def finish(self, trial: Trial, label: Label, end_s: float = math.inf) -> LabelledTrial:
-        """What is kept of a trial up to `end_s` after first touch."""
+    def finish(self, trial: SkinTrial, label: Label, end_s: float = math.inf) -> LabelledTrial:
+        """Returns the labelled trial up to `end_s` after first touch."""
         at, truth = self.population.ridge - 1, trial.truth
         rate = SlideSettings().sample.rate_Hz
         kept = trial.sample_time_s <= end_s
@@ -296,12 +321,13 @@ class _Drawing:
 
 
 def _rounded(values: Floats) -> Floats:
-    """To the precision that the cache keeps, so that a trial is the same with and without it."""
+    """Rounds to the precision of the cache, so that a trial is the same with and without it."""
     return values.astype(np.float32).astype(np.float64)
 
 
-def _to_gross_slip(drawing: _Drawing) -> tuple[Trial, float, float]:
-    """A slide until everything slips, its velocity in mm/s, and when that is after first touch."""
+def _to_gross_slip(drawing: _TrialDraw) -> tuple[SkinTrial, float, float]:
+    """Returns a slide until everything slips, its velocity in mm/s, and the time of gross slip from
+    first touch."""
     speed = drawing.draw("speed_mm_s")
     velocity = speed * drawing.draw_sign("direction")
     softness = 1.7 / drawing.population.skin.youngs_modulus_MPa
@@ -318,13 +344,14 @@ def _to_gross_slip(drawing: _Drawing) -> tuple[Trial, float, float]:
     raise ConvergenceError(f"no gross slip within {reach_mm / 2:.2f} mm of a slide")
 
 
-def _slide(drawing: _Drawing) -> LabelledTrial:
+def _slide(drawing: _TrialDraw) -> LabelledTrial:
     trial, _, gross = _to_gross_slip(drawing)
     return drawing.finish(trial, "slip", gross + _AFTER_GROSS_S)
 
 
-def _hold(drawing: _Drawing) -> LabelledTrial:
-    """A slide that stops short; where the ridge slips as a whole all the same it is a slip."""
+def _hold(drawing: _TrialDraw) -> LabelledTrial:
+    """Simulates a slide that stops short. If the ridge slips as a whole nevertheless, it is
+    labelled a slip."""
     whole, velocity, gross = _to_gross_slip(drawing)
     row = int(np.searchsorted(whole.time_s, gross))
     way_mm = drawing.draw("held_share") * abs(float(whole.block.position_mm[row]))
@@ -342,7 +369,7 @@ def _hold(drawing: _Drawing) -> LabelledTrial:
     return drawing.finish(trial, "slip" if slipped else "hold")
 
 
-def _roll(drawing: _Drawing) -> LabelledTrial:
+def _roll(drawing: _TrialDraw) -> LabelledTrial:
     duration = drawing.draw("roll_s")
     body = Cylinder(radius_mm=drawing.draw("radius_mm"))
     angle = math.radians(drawing.draw("angle_deg")) * drawing.draw_sign("direction")
@@ -361,19 +388,19 @@ def _roll(drawing: _Drawing) -> LabelledTrial:
     return drawing.finish(trial, label)
 
 
-def _tap(drawing: _Drawing) -> LabelledTrial:
-    """Somebody knocks at the finger while an object rests on it."""
+def _tap(drawing: _TrialDraw) -> LabelledTrial:
+    """Simulates a knock at the finger while an object rests on it."""
     duration = drawing.draw("tap_s")
     rise_N = drawing.draw("tap_share") * drawing.force_N
-    aside_mm = 1e-3 * drawing.draw("tap_um") * drawing.draw_sign("direction")
+    sideways_mm = 1e-3 * drawing.draw("tap_um") * drawing.draw_sign("direction")
     time = drawing.times(duration + 2 * _SETTLE_S)
     pulse = np.sin(np.pi * np.clip((time - drawing.motion_s) / duration, 0.0, 1.0))
-    trial = drawing.follow(drawing.pressed(time) + rise_N * pulse, aside_mm * pulse)
+    trial = drawing.follow(drawing.pressed(time) + rise_N * pulse, sideways_mm * pulse)
     slipped = math.isfinite(trial.truth.whole_slip_s[drawing.population.ridge - 1])
     return drawing.finish(trial, "slip" if slipped else "tap")
 
 
-_KINDS: dict[Kind, Callable[[_Drawing], LabelledTrial]] = {
+_KINDS: dict[Kind, Callable[[_TrialDraw], LabelledTrial]] = {
     "slide": _slide,
     "roll": _roll,
     "hold": _hold,

@@ -1,6 +1,7 @@
-"""The work behind ``rig score``: trials drawn or taken from the cache, heard, judged, in parallel.
+"""The work behind ``rig score``: simulates trials or reads them from the cache, and scores them in
+parallel.
 
-Worker processes are forks that inherit skin, settings and contenders; what comes back is small.
+Worker processes are forks that inherit skin, settings and detectors; only small results come back.
 The result does not depend on their number.
 """
 
@@ -18,18 +19,18 @@ from numpy.typing import NDArray
 
 from rig.core.cache import Cache
 from rig.evaluation.labelled_trials import (
-    FrontEndSettings,
     Kind,
     LabelledTrial,
     PopulationSettings,
-    heard,
+    StripFrontEndSettings,
     labelled_trial,
+    through_front_end,
 )
 from rig.evaluation.scoring.baselines import BaselineSettings, baseline_score
 from rig.evaluation.scoring.contenders import FACTORS, Contender
 from rig.evaluation.scoring.outcomes import Truth, judge
 from rig.evaluation.scoring.patterns import roll_pattern
-from rig.evaluation.scoring.results import Judged
+from rig.evaluation.scoring.results import ScoredTrial
 from rig.evaluation.scoring.roc import tune
 from rig.evaluation.scoring.seeds import SeedRange
 from rig.physics.skin.condensed import CondensedSkin
@@ -38,28 +39,34 @@ Floats = NDArray[np.float64]
 Traits = dict[str, float | str]
 Result = TypeVar("Result")
 Each = Callable[[LabelledTrial, Floats, Traits], Result]
-"""What is made of a trial, the volts heard, and what it was like."""
+"""Function of a trial, its recorded volts and its traits."""
 
 FLOORS_mV = (0.1, 0.2, 0.4, 0.8, 1.5, 3.0)
-"""Floors of the noise among which a baseline's is chosen."""
+"""Floors of the noise from which that of a baseline is chosen."""
 _CHUNK = 4
 
 
 @dataclass(frozen=True)
 class Population:
-    """Which trials, and how they are heard."""
+    """The trials to be scored, and the front end through which they are recorded."""
 
     skin: CondensedSkin
+    """The skin on which they are simulated."""
     settings: PopulationSettings
-    front_end: FrontEndSettings
+    """Ranges from which the trials are drawn."""
+    front_end: StripFrontEndSettings
+    """Ranges from which noise, mains and gain mismatch are drawn."""
     swapped_gains: bool
-    """Whether the amplifiers of the two channels, noise and mains included, change places."""
+    """True if the amplifiers of the two channels, with noise and mains, are exchanged."""
     kinds: tuple[Kind, ...]
+    """Kinds of trials."""
     seeds: SeedRange
+    """Seeds of the trials; each seed gives one trial of every kind."""
     cache: Cache
+    """Cache of simulated trials."""
 
     def trials(self) -> list[tuple[Kind, int]]:
-        """Kind and seed of every trial; the kinds alternate."""
+        """Returns kind and seed of every trial; the kinds alternate."""
         return [(kind, seed) for seed in self.seeds.seeds() for kind in self.kinds]
 
 
@@ -70,17 +77,18 @@ def judge_trials(
     sweep: bool,
     jobs: int,
     done: Callable[[int], None],
-) -> list[Judged]:
-    """Every trial of the population, judged; `done` is told how many there are so far."""
+) -> list[ScoredTrial]:
+    """Scores every trial of the population. `done` is called with the number of trials so far."""
 
-    def work(trial: LabelledTrial, volts: Floats, traits: Traits) -> Judged:
+    def work(trial: LabelledTrial, volts: Floats, traits: Traits) -> ScoredTrial:
         return judge_one(
             f"{trial.kind} {trial.seed}", _truth(trial), volts, trial.rate_Hz, traits,
             contenders, sweep=sweep,
         )  # fmt: skip
 
-    for one in contenders:  # compiled once, before there are workers
-        one.says(np.zeros((1000, 2)), 1000.0, (1.0,))
+    for one in contenders:
+        # Compiles the detector here, so that the forked workers do not each do it.
+        one.reports(np.zeros((1000, 2)), 1000.0, (1.0,))
     return list(each_trial(population, work, jobs, done))
 
 
@@ -93,15 +101,15 @@ def judge_one(
     contenders: Sequence[Contender],
     *,
     sweep: bool,
-) -> Judged:
-    """One recording, judged; ValueError where a contender cannot take it."""
+) -> ScoredTrial:
+    """Scores one recording. Raises ValueError if a detector cannot process it."""
     factors = (1.0, *FACTORS) if sweep else (1.0,)
     judged = [
-        [judge(truth, said, traits) for said in one.says(volts, rate_Hz, factors)]
+        [judge(truth, said, traits) for said in one.reports(volts, rate_Hz, factors)]
         for one in contenders
     ]
     swept = [outcomes[1:] for outcomes in judged]
-    return Judged(
+    return ScoredTrial(
         name=name,
         label=truth.label,
         outcomes=tuple(outcomes[0] for outcomes in judged),
@@ -117,7 +125,8 @@ def tune_baselines(
     jobs: int,
     done: Callable[[int], None],
 ) -> list[tuple[BaselineSettings, float]]:
-    """The baselines with floor and threshold chosen on these trials, and the slips they find."""
+    """Returns the baselines with floor and threshold chosen on these trials, and the share of slips
+    found."""
     variants = [
         one.model_copy(update={"floor_mV": floor}) for one in baselines for floor in FLOORS_mV
     ]
@@ -147,14 +156,15 @@ def tune_baselines(
     return tuned
 
 
-def hear(population: Population, trial: LabelledTrial) -> tuple[Floats, Traits]:
-    """Volts (n, 2) as the population's front end records them, and what the trial was like."""
+def recorded_volts(population: Population, trial: LabelledTrial) -> tuple[Floats, Traits]:
+    """Returns the volts (n, 2) that the population's front end records, and the traits of the
+    trial."""
     if population.swapped_gains:
         turned = replace(trial, volts=trial.volts[:, ::-1])
-        volts, added = heard(turned, population.front_end)
+        volts, added = through_front_end(turned, population.front_end)
         volts, added["gain_mismatch"] = volts[:, ::-1], -added["gain_mismatch"]
     else:
-        volts, added = heard(trial, population.front_end)
+        volts, added = through_front_end(trial, population.front_end)
     traits: Traits = {**trial.traits, **added, "kind": trial.kind}
     if trial.kind == "roll":
         way_mm = trial.traits["radius_mm"] * np.radians(abs(trial.traits["angle_deg"]))
@@ -175,7 +185,7 @@ def _truth(trial: LabelledTrial) -> Truth:
 
 
 class _Work(Generic[Result]):
-    """What a worker process does with a kind and a seed; forks inherit it."""
+    """Work of a process on one kind and seed. Forks inherit it."""
 
     def __init__(self, population: Population, each: Each[Result]):
         self.population, self.each = population, each
@@ -185,14 +195,14 @@ class _Work(Generic[Result]):
         trial = labelled_trial(
             population.skin, *drawn, population=population.settings, cache=population.cache
         )
-        return self.each(trial, *hear(population, trial))
+        return self.each(trial, *recorded_volts(population, trial))
 
 
 _inherited: _Work[Any] | None = None
 
 
 def _begin_worker() -> None:
-    """Ctrl-C and Ctrl-\\ are the parent's to answer."""
+    r"""Ignores Ctrl-C and Ctrl-\ in a worker, because the parent process handles them."""
     for number in (signal.SIGINT, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)
 
@@ -205,14 +215,15 @@ def _work_inherited(drawn: tuple[Kind, int]) -> Any:
 def each_trial(
     population: Population, each: Each[Result], jobs: int, done: Callable[[int], None]
 ) -> Iterator[Result]:
-    """What `each` makes of every trial, in their order; `done` is told how many there are."""
+    """Yields the result of `each` for every trial, in order. `done` is called with the number so
+    far."""
     for number, result in enumerate(_over(population, each, jobs), 1):
         done(number)
         yield result
 
 
 def _over(population: Population, each: Each[Result], jobs: int) -> Iterator[Result]:
-    """What `each` makes of every trial, in the order of the trials."""
+    """Yields the result of `each` for every trial, in the order of the trials."""
     global _inherited
     work, trials = _Work(population, each), population.trials()
     if jobs == 1:

@@ -1,9 +1,9 @@
-"""Learning the weights of the detector's network from labelled rows.
+"""Trains the weights of the detector's network on labelled rows.
 
-Plain logistic regression through one hidden layer, by Adam (Kingma and Ba 2015) on shuffled
-batches; everything random comes from one seed, so that the same rows give the same weights on the
-same machine. Which rows are right and wrong is decided here too: a slip is what the detector should
-have said between 2 ms before the ridge slips as a whole and 25 ms after; a partial slip is not.
+This is plain logistic regression through one hidden layer, by Adam (Kingma and Ba 2015) on shuffled
+batches. All randomness comes from one seed: the same rows give the same weights on the same
+machine. The targets are defined here too: the detector should report a slip from 2 ms before the
+whole ridge slips to 25 ms after it. A partial slip is not a slip.
 """
 
 from __future__ import annotations
@@ -19,42 +19,48 @@ Reals = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 EARLY_S, LATE_S = 0.002, 0.025
-"""Around the whole ridge's slip: where an alarm is right."""
+"""Interval around the slip of the whole ridge in which an alarm is right."""
 UNDECIDED_S = 0.008
-"""Before that it is neither right nor wrong for so long."""
+"""Length of the interval before it in which an alarm is neither right nor wrong."""
 BEFORE_LIFT_OFF_S = 0.01
+"""Time before a lift-off, or a slip, from which the rows of a roll are not used."""
 ROLLING_FOR_S = 0.03
-"""So long after its begin a roll has to be recognised."""
+"""Time from the start of a roll after which the network should recognise it."""
 
 
 @dataclass(frozen=True)
-class Lesson:
-    """Rows of one trial that the network was shown; times in s, NaN where it did not happen."""
+class TrainingTrial:
+    """Inputs of the network in one trial, and its truth. Times are in s, NaN where it did not
+    happen."""
 
     inputs: Reals
-    """(m, inputs)."""
+    """Inputs of the network, (m, inputs)."""
     time_s: Reals
-    """(m,)."""
+    """Time of each row, (m,)."""
     rolls: bool
+    """True if the trial is a roll."""
     motion_s: float
+    """Start of the motion."""
     ridge_slip_s: float
+    """Slip of the whole ridge."""
     lift_off_s: float
+    """Lift-off of the ridge."""
 
 
 @dataclass(frozen=True)
-class Rows:
-    """What the network is taught: inputs, and for slip and roll what is right and what counts."""
+class TrainingRows:
+    """Rows on which the network is trained, with targets and weights for slip and roll."""
 
     inputs: Singles
-    """(m, inputs)."""
+    """Inputs of the network, (m, inputs)."""
     right: Singles
-    """(m, 2): 1 where it should say slip, roll."""
+    """Targets (m, 2): 1 where it should report slip, roll."""
     weight: Singles
-    """(m, 2): 0 where it may say what it likes."""
+    """Weights (m, 2): 0 where its answer is not used."""
 
 
-def rows_of(lesson: Lesson) -> Rows:
-    """What a trial teaches."""
+def rows_of(lesson: TrainingTrial) -> TrainingRows:
+    """Returns the training rows of a trial."""
     time, slip = lesson.time_s, lesson.ridge_slip_s
     right = np.zeros((time.size, 2), np.float32)
     weight = np.ones((time.size, 2), np.float32)
@@ -69,30 +75,33 @@ def rows_of(lesson: Lesson) -> Rows:
         undecided = (time > slip - EARLY_S - UNDECIDED_S) & (time < slip - EARLY_S)
         weight[undecided | (time > slip + LATE_S), 0] = 0
         weight[time > slip, 1] = 0
-    return Rows(lesson.inputs.astype(np.float32), right, weight)
+    return TrainingRows(lesson.inputs.astype(np.float32), right, weight)
 
 
 def learn(
-    rows: Rows,
+    rows: TrainingRows,
     units: int = 24,
     epochs: int = 30,
     seed: int = 0,
-    told: Callable[[int, float], None] | None = None,
+    on_epoch: Callable[[int, float], None] | None = None,
 ) -> tuple[Reals, Reals]:
-    """Hidden weights (units, inputs + 1) and output weights (2, units + 1).
+    """Returns hidden weights (units, inputs + 1) and output weights (2, units + 1).
 
-    `told` hears of every epoch's number and mean loss. Inputs are scaled for the learning; the
-    weights returned want them as they are.
+    `on_epoch` is called with the number and the mean loss of every epoch. Inputs are scaled during
+    training; the returned weights apply to the inputs as they are.
     """
     chance = np.random.default_rng(seed)
     count, inputs = rows.inputs.shape
     middle = rows.inputs.mean(axis=0)
     spread = rows.inputs.std(axis=0) + 1e-6
+    # Scaled inputs let one learning rate suit all of them; the scale is folded into the weights
+    # below.
     x = (rows.inputs - middle) / spread
     weights = [
         chance.standard_normal((units, inputs)).astype(np.float32) / math.sqrt(inputs),
         np.zeros(units, np.float32),
         chance.standard_normal((2, units)).astype(np.float32) / math.sqrt(units),
+        # Slips and rolls are rare: the biases start at low odds, not at one half.
         np.full(2, -3.0, np.float32),
     ]
     first = [np.zeros_like(w) for w in weights]
@@ -113,8 +122,8 @@ def learn(
                 v += 0.001 * (g * g - v)
                 fair = rate * math.sqrt(1 - 0.999**steps) / (1 - 0.9**steps)
                 w -= fair * m / (np.sqrt(v) + 1e-8)
-        if told is not None:
-            told(epoch, losses / math.ceil(count / batch))
+        if on_epoch is not None:
+            on_epoch(epoch, losses / math.ceil(count / batch))
     into, bias, out, out_bias = (w.astype(np.float64) for w in weights)
     plain = into / spread
     hidden = np.column_stack([plain, bias - plain @ middle])
@@ -124,7 +133,7 @@ def learn(
 def _slopes(
     x: Singles, right: Singles, weight: Singles, weights: list[Singles]
 ) -> tuple[float, list[Singles]]:
-    """Mean loss of a batch and its derivatives by the weights."""
+    """Returns the mean loss of a batch and its derivatives with respect to the weights."""
     into, bias, out, out_bias = weights
     total = x @ into.T + bias
     answer = total / (1 + np.abs(total))

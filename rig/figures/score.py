@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rig.evaluation.scoring.outcomes import FOUND_WITHIN_S
-from rig.evaluation.scoring.results import Result
+from rig.evaluation.scoring.results import ContenderResult
 from rig.evaluation.scoring.roc import AXES, ROLL_ALARMS
 from rig.figures.style import STYLE
 
@@ -27,7 +27,7 @@ DELAYS_MS = (-60.0, 1e3 * FOUND_WITHIN_S)
 BAR_MS = 2.0
 
 
-def draw_roc(results: Sequence[Result], title: str) -> Figure:
+def draw_roc(results: Sequence[ContenderResult], title: str) -> Figure:
     """Slips found over false alarms at thresholds from 1/8 to 8 times a contender's own."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9, 4.6), layout="constrained")
@@ -55,7 +55,7 @@ def draw_roc(results: Sequence[Result], title: str) -> Figure:
     return figure
 
 
-def draw_found(results: Sequence[Result], title: str) -> Figure:
+def draw_found(results: Sequence[ContenderResult], title: str) -> Figure:
     """The share of slips found by noise, drop of friction and speed, with 95 % intervals."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9, 3.8), layout="constrained")
@@ -88,7 +88,7 @@ def draw_found(results: Sequence[Result], title: str) -> Figure:
     return figure
 
 
-def draw_delays(results: Sequence[Result], title: str) -> Figure:
+def draw_delays(results: Sequence[ContenderResult], title: str) -> Figure:
     """How long after the whole ridge slipped each found slip was told, a panel a contender."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9, 0.9 + 1.15 * len(results)), layout="constrained")
@@ -113,7 +113,7 @@ def draw_delays(results: Sequence[Result], title: str) -> Figure:
     return figure
 
 
-def _coloured(results: Sequence[Result]) -> list[tuple[Result, str]]:
+def _coloured(results: Sequence[ContenderResult]) -> list[tuple[ContenderResult, str]]:
     return [(one, COLOURS[at % len(COLOURS)]) for at, one in enumerate(results)]
 
 

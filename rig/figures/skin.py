@@ -23,7 +23,7 @@ from rig.physics.loading_history import History
 from rig.physics.skin.elasticity import STRESSES, strip_areas
 from rig.physics.skin.field import DeformedSkin
 from rig.physics.skin.settings import SkinSettings
-from rig.physics.trials import Trial
+from rig.physics.trials import SkinTrial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,7 +37,9 @@ LARGEST_SHOWN_MM = 0.8
 """Displacement on paper that a magnified section may reach; grooves are 0.6 mm wide."""
 
 
-def draw_trial(trial: Trial, ridge_of_node: NDArray[np.int64], watched: int, title: str) -> Figure:
+def draw_trial(
+    trial: SkinTrial, ridge_of_node: NDArray[np.int64], watched: int, title: str
+) -> Figure:
     """v_1, v_2, v_d, forces and the stick-slip map over time; `watched` is 1 for the leftmost."""
     figure, (volts, difference, forces, sticks) = _panels(
         (9, 9.5), 4, f"{title}, {SIMULATED}", (1, 1.3, 1, 2)
@@ -241,7 +243,7 @@ def _legend_above(axis: Axes, handles: list[Patch] | None = None) -> None:
     )  # fmt: skip
 
 
-def _mark_events(axis: Axes, trial: Trial, watched: int) -> None:
+def _mark_events(axis: Axes, trial: SkinTrial, watched: int) -> None:
     """When the neighbour and the watched ridge slip whole, and when everything slips."""
     truth = trial.truth
     events = [(truth.whole_slip_s[watched - 1], f"ridge {watched} slips whole", 0.06)]

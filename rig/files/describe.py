@@ -12,7 +12,7 @@ from rig.files.journal.values import PersonOrSample, RunHeader
 from rig.files.runfile.reader import RecordedOutcome
 
 if TYPE_CHECKING:
-    from rig.detector.events import Event
+    from rig.detector.events import SlipEvent
     from rig.files.processed.reader import ProcessedFile
 
 
@@ -92,7 +92,7 @@ def describe_processed(file: ProcessedFile) -> dict[str, Any]:
     }
 
 
-def _event(event: Event) -> str:
+def _event(event: SlipEvent) -> str:
     """``incipient slip at 6.384 s, confidence 0.6``"""
     reason = f" ({event.reason})" if event.reason else ""
     return f"{event.kind} at {event.time_s:.3f} s, confidence {event.confidence:.2f}{reason}"

@@ -19,7 +19,7 @@ from rig.physics.skin.condensed import condense_elements
 from rig.physics.skin.elasticity import STRESSES, ElasticSkin, Rectangle
 from rig.physics.skin.settings import SkinSettings
 from rig.physics.transducer import TransducerChain
-from rig.physics.trials import SlideSettings, Trial, high_frequency, sample, slide
+from rig.physics.trials import SkinTrial, SlideSettings, high_frequency, sample, slide
 
 Floats = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ def _filtered_volts(settings: SlideSettings, stress_MPa: Floats) -> Floats:
     return filtered
 
 
-def _hump(trial: Trial, v_d: Floats, ridge: int) -> Floats:
+def _hump(trial: SkinTrial, v_d: Floats, ridge: int) -> Floats:
     begins = trial.motion_s + 0.06
     whole = trial.truth.whole_slip_s
     ends = np.nanmin(np.where(whole > begins + 0.02, whole, np.nan), initial=trial.time_s[-1])
@@ -117,7 +117,7 @@ def _hump(trial: Trial, v_d: Floats, ridge: int) -> Floats:
     return hump
 
 
-def _peak(trial: Trial, v_d: Floats, ridge: int) -> Floats:
+def _peak(trial: SkinTrial, v_d: Floats, ridge: int) -> Floats:
     whole = trial.truth.whole_slip_s[ridge]
     if not np.isfinite(whole):
         return np.zeros(v_d.shape[1:])

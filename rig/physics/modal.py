@@ -180,10 +180,10 @@ class ModalSystem:
             return np.zeros((t.size, len(rows)))
         return self.driven(state, drive, rows).at(t)
 
-    def driven(self, state: Complexes, drive: SineDrive, outputs: Sequence[int]) -> Driven:
+    def driven(self, state: Complexes, drive: SineDrive, outputs: Sequence[int]) -> DrivenOutputs:
         """What `evaluate` needs of one state and drive, to be evaluated again and again."""
         rows = list(outputs)
-        return Driven(
+        return DrivenOutputs(
             frequency_Hz=drive.frequency_Hz,
             poles=self.poles,
             steady=self.steady_state(drive.frequency_Hz)[rows] * drive.phasor,
@@ -202,7 +202,7 @@ class ModalSystem:
 
 
 @dataclass(frozen=True, eq=False)
-class Driven:
+class DrivenOutputs:
     """Outputs under one drive from one state on: steady (k,), constant (k,), transient (k, m)."""
 
     frequency_Hz: float

@@ -90,7 +90,7 @@ class RollSettings(Settings):
 
 
 @dataclass(frozen=True)
-class Trial:
+class SkinTrial:
     """A simulated trial: rows at the step rate, samples at the data acquisition's rate."""
 
     time_s: Floats
@@ -123,7 +123,7 @@ class Trial:
         return difference
 
 
-def slide(skin: CondensedSkin, settings: SlideSettings, *, keep_forces: bool = False) -> Trial:
+def slide(skin: CondensedSkin, settings: SlideSettings, *, keep_forces: bool = False) -> SkinTrial:
     """Press, rest, slide. Raises ConvergenceError where a step has no solution."""
 
     def travel(t: Floats) -> tuple[Floats, Floats]:
@@ -136,7 +136,7 @@ def slide(skin: CondensedSkin, settings: SlideSettings, *, keep_forces: bool = F
     return _run(skin, settings, travel, settings.slide_s, settings.start_x_mm, keep_forces)
 
 
-def roll(skin: CondensedSkin, settings: RollSettings, *, keep_forces: bool = False) -> Trial:
+def roll(skin: CondensedSkin, settings: RollSettings, *, keep_forces: bool = False) -> SkinTrial:
     """Press, rest, roll, rest. Raises ValueError for a plate, which cannot roll."""
     if isinstance(settings.body, Plate):
         raise ValueError("body plate cannot roll: give a cylinder or a sphere with its radius")
@@ -158,7 +158,7 @@ def _run(
     motion_s: float,
     start_mm: float,
     keep_forces: bool,
-) -> Trial:
+) -> SkinTrial:
     press, dt = settings.press, settings.contact.step_us * 1e-6
     begin = press.loading_s + press.rest_s
     time: Floats = dt * np.arange(1.0, 1 + round((begin + motion_s) / dt) + 1)
@@ -190,7 +190,7 @@ def follow(
     script: Script,
     *,
     keep_forces: bool = False,
-) -> Trial:
+) -> SkinTrial:
     """The trial of a script; of `settings` count the contact, body, transducer, sampling, ridge.
 
     Raises ConvergenceError where a step has no solution.
@@ -213,7 +213,7 @@ def follow(
     volts = chain.advance(block.stress_MPa[:, :, 1])
     filtered, picked = sample(volts, dt, settings.sample)
     time: Floats = dt * np.arange(1.0, 1 + script.force_N.size)
-    return Trial(
+    return SkinTrial(
         time_s=time,
         motion_s=script.motion_s,
         block=block,

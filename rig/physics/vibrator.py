@@ -25,7 +25,7 @@ from rig.physics.modal import Complexes, ModalSystem, ZeroPoleGain, lag, resonan
 from rig.physics.pvdf import SWEEP_FILM, CircuitSettings
 
 
-class Output(IntEnum):
+class VibratorOutput(IntEnum):
     """Columns of the vibrator line's outputs."""
 
     LOAD = 0
@@ -77,7 +77,7 @@ class VibratorSettings(Settings):
 
 
 def vibrator_line(settings: VibratorSettings, circuit: CircuitSettings) -> ModalSystem:
-    """The whole line from generator volts to the four columns of :class:`Output`."""
+    """The whole line from generator volts to the four columns of :class:`VibratorOutput`."""
     load = (
         ZeroPoleGain(gain=settings.force_constant_N_V)
         * resonance(settings.armature_resonance_Hz, settings.armature_Q, settings.armature_rise_dB)

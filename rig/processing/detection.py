@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.detector.detector import DETECTOR_VERSION, IncipientSlipDetector
-from rig.detector.events import EVENT_KINDS, Event
+from rig.detector.events import EVENT_KINDS, SlipEvent
 from rig.detector.fir import StreamingFir
 from rig.detector.settings import DetectorSettings
 from rig.files.checksum import checksum_findings, sha256_of
@@ -193,7 +193,7 @@ def _found(
     kept: bool,
     source: ProcessedSource,
     trials: int,
-    events: list[tuple[str, Event]],
+    events: list[tuple[str, SlipEvent]],
     warnings: list[str],
 ) -> DetectionResult:
     counts = Counter(event.kind for _, event in events)
@@ -242,7 +242,7 @@ def _detect_trial(point: str, pieces: list[Waveform], settings: DetectorSettings
     if rate_Hz is None:
         raise ValueError("the file gives no sampling rate of v_1 and v_2")
     detector = IncipientSlipDetector(settings, rate_Hz)
-    events: list[Event] = []
+    events: list[SlipEvent] = []
     rows, differences, predictive = [], [], []
     for piece, volts in _rows_of(pieces):
         first = piece.first_index - pieces[0].first_index

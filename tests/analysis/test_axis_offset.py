@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.analysis.trial.axis_offset import AxisOffsetError, Look, ROLLING_mm, axis_offset
+from rig.analysis.trial.axis_offset import AxisOffsetError, NudgeForce, ROLLING_mm, axis_offset
 
 SIDES = (0, 1, 0, -1, 0)
 STIFFNESS_N_mm = 18.0
@@ -14,7 +14,7 @@ def looks(rng, size, slope, drift_N=0.02, noise_N=0.005):
     found = []
     for number, side in enumerate(SIDES):
         force = 0.3 + slope * side * size + drift_N * number
-        found.append(Look(side * size, force + noise_N * rng.standard_normal(100)))
+        found.append(NudgeForce(side * size, force + noise_N * rng.standard_normal(100)))
     return found
 
 
@@ -36,5 +36,5 @@ def test_the_offset_is_found_within_its_error(offset_mm):
 
 def test_nudges_that_are_not_felt_give_no_offset():
     rng = np.random.default_rng(5)
-    with pytest.raises(AxisOffsetError, match="no contact that sticks"):
+    with pytest.raises(AxisOffsetError, match="does not stick"):
         axis_offset(looks(rng, 0.02, 0.0), looks(rng, 0.0087, 0.0))

@@ -10,7 +10,7 @@ import pytest
 from rig.analysis.trial.friction import FrictionError, friction, mean_of_correlated
 from rig.physics.contact.settings import ContactSettings, FrictionSettings
 from rig.physics.skin.condensed import CondensedSkin
-from rig.physics.trials import PressSettings, SlideSettings, Trial, slide
+from rig.physics.trials import PressSettings, SkinTrial, SlideSettings, slide
 
 NOISE_N = 5e-3
 
@@ -22,7 +22,7 @@ def slid(
     force_N: float,
     speed_mm_s: float,
     steady_s: float = 0.3,
-) -> Trial:
+) -> SkinTrial:
     settings = SlideSettings(
         press=PressSettings(normal_force_N=force_N),
         contact=ContactSettings(
@@ -34,7 +34,7 @@ def slid(
     return slide(skin, settings)
 
 
-def sampled(trial: Trial, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sampled(trial: SkinTrial, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """F_n, F_t with noise and the travel at 1 kHz, from the motion's beginning on."""
     rng = np.random.default_rng([11, seed])
     rows = np.nonzero(trial.time_s > trial.motion_s)[0][9::10]

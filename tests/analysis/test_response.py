@@ -16,7 +16,7 @@ from rig.analysis.response.complex_response import (
 from rig.analysis.response.sine_fit import RecordError, fit_sine
 from rig.physics.front_end import FrontEndSettings, noise_rms
 from rig.physics.modal import SineDrive
-from rig.physics.vibrator import Output, drawn_film, true_response, vibrator_line
+from rig.physics.vibrator import VibratorOutput, drawn_film, true_response, vibrator_line
 
 RATE = 250e3
 FREQUENCY = 1000.0
@@ -78,7 +78,7 @@ def test_the_vibrator_line_is_recovered_through_noise_and_quantisation():
     for frequency in (37.0, 95.0, 510.0, 2000.0, 9000.0, 20000.0):
         drive = SineDrive(frequency, 0.7, 0.4)
         t = 2.0 + np.arange(round(RATE * 20 / frequency)) / RATE
-        clean = line.evaluate(line.rest(), drive, t, [Output.FILM, Output.CELL])
+        clean = line.evaluate(line.rest(), drive, t, [VibratorOutput.FILM, VibratorOutput.CELL])
         step = 20 / 2**16
         noisy = clean + noise_rms(FrontEndSettings(), RATE) * random.standard_normal(clean.shape)
         codes = step * np.round(noisy / step)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.analysis.trial.touch_down import Series, TouchDownError
+from rig.analysis.trial.touch_down import TouchDownError, TouchRecord
 from rig.analysis.trial.touch_gain import touch_gain
 
 STEP_s = 1e-3
@@ -23,15 +23,15 @@ def pressed() -> tuple[np.ndarray, np.ndarray]:
 
 def seen(
     at_no_force: float, at_full_force: float, offset_s: float, seed: int
-) -> tuple[Series, Series]:
+) -> tuple[TouchRecord, TouchRecord]:
     """Force and volts as measured, of a share that goes from one value to another."""
     rng = np.random.default_rng([55, seed])
     force, rate = pressed()
     share = at_no_force + (at_full_force - at_no_force) * force / 4.0
     volts = 0.3 + share * rate + MAINS_V * np.sin(2 * np.pi * 50 * TIME + seed)
     return (
-        Series(force + FORCE_NOISE_N * rng.normal(size=force.size), 1000.0, offset_s),
-        Series(volts + VOLT_NOISE_V * rng.normal(size=volts.size), 1000.0),
+        TouchRecord(force + FORCE_NOISE_N * rng.normal(size=force.size), 1000.0, offset_s),
+        TouchRecord(volts + VOLT_NOISE_V * rng.normal(size=volts.size), 1000.0),
     )
 
 

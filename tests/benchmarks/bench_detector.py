@@ -20,8 +20,8 @@ from rig.evaluation.labelled_trials import (
     FrontEndSettings,
     PopulationSettings,
     Range,
-    heard,
     labelled_trial,
+    through_front_end,
 )
 from rig.physics.skin.condensed import build_skin
 
@@ -42,7 +42,7 @@ def recording(seconds: float) -> np.ndarray:
         for kind in ("slide", "roll", "hold", "tap"):
             trial = labelled_trial(skin, kind, seed, population)
             front_end = FrontEndSettings(noise_mV=Range(low=0.3, high=0.3))
-            pieces.append(heard(trial, front_end)[0])
+            pieces.append(through_front_end(trial, front_end)[0])
     once = np.concatenate(pieces)
     return np.resize(once, (round(seconds * RATE_Hz), 2))
 

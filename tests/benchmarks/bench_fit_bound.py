@@ -26,7 +26,7 @@ from rig.analysis.response.complex_response import quantisation_rms
 from rig.analysis.response.sine_fit import fit_sine, mains_lines, record_length
 from rig.physics.front_end import FrontEndSettings, noise_rms
 from rig.physics.modal import SineDrive
-from rig.physics.vibrator import Output, drawn_film, vibrator_line
+from rig.physics.vibrator import VibratorOutput, drawn_film, vibrator_line
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 
@@ -47,7 +47,7 @@ class Sampled:
 
 
 SHORTEST_GAP_S = 0.05
-TERMINALS = {Output.CELL: LOAD_CELL_TERMINAL, Output.FILM: FILM_TERMINAL}
+TERMINALS = {VibratorOutput.CELL: LOAD_CELL_TERMINAL, VibratorOutput.FILM: FILM_TERMINAL}
 
 
 def chosen_points():

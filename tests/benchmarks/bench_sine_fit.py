@@ -12,7 +12,7 @@ import pytest
 from rig.analysis.response.complex_response import cramer_rao_amplitude, quantisation_rms
 from rig.analysis.response.sine_fit import fit_sine, mains_lines, record_length
 from rig.physics.modal import SineDrive
-from rig.physics.vibrator import Output, drawn_film, vibrator_line
+from rig.physics.vibrator import VibratorOutput, drawn_film, vibrator_line
 
 pytestmark = pytest.mark.benchmark
 
@@ -62,5 +62,7 @@ def test_cost_of_the_simulated_line():
     line = vibrator_line(*drawn_film(1))
     t = np.arange(40_000) / 250e3
     drive = SineDrive(1234.5, 1.0)
-    cost = median_ms(lambda: line.evaluate(line.rest(), drive, t, [Output.FILM, Output.CELL]))
+    cost = median_ms(
+        lambda: line.evaluate(line.rest(), drive, t, [VibratorOutput.FILM, VibratorOutput.CELL])
+    )
     print(f"\nvibrator line, 40000 samples of 2 outputs, {len(line.poles)} modes: {cost:.2f} ms")

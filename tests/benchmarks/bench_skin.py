@@ -18,7 +18,7 @@ from rig.physics.loading_history import RELIEFS, HistorySettings, run_history
 from rig.physics.skin.condensed import CondensedSkin, build_skin, condense
 from rig.physics.skin.elasticity import ElasticSkin, strip_areas
 from rig.physics.skin.settings import SkinSettings
-from rig.physics.trials import SampleSettings, SlideSettings, Trial, high_frequency, slide
+from rig.physics.trials import SampleSettings, SkinTrial, SlideSettings, high_frequency, slide
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 
@@ -47,7 +47,7 @@ def warm(skin: CondensedSkin) -> None:
     ContactStepper(skin, ContactSettings(), Plate()).advance(np.full(3, 1.0), 0.0)
 
 
-def hf_peak(trial: Trial) -> tuple[float, float, float]:
+def hf_peak(trial: SkinTrial) -> tuple[float, float, float]:
     """|v_d| above 100 Hz in mV: at the step rate; least and largest over the sampling phases."""
     step = float(trial.time_s[1] - trial.time_s[0])
     end = trial.truth.whole_slip_s[2] + 0.02

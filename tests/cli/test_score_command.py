@@ -69,10 +69,10 @@ def population(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--seeds", "0:10"], "seeds 0:10 are for tuning (below 1000000)"),
+        (["--seeds", "0:10"], "seeds 0:10 are reserved for tuning (below 1000000)"),
         (["--seeds", "999990:1000010"], "lie on both sides of 1000000"),
-        (["--seeds", "1000000:1000010", "--tuning"], "are for reporting (from 1000000 on)"),
-        (["--seeds", "10"], "--seeds 10: is no range of seeds"),
+        (["--seeds", "1000000:1000010", "--tuning"], "are reserved for reporting (from 1000000 on)"),
+        (["--seeds", "10"], "--seeds 10: not a range of seeds"),
         (["--tune", "x.json"], "--tune x.json: thresholds are chosen on tuning seeds only"),
         (["--kinds", "slide,fall"], "'fall' is no kind of trial; choose among slide,roll"),
         (["--detector", "ouija"], "--detector ouija: has to be one of rig, paper-literal"),
@@ -264,13 +264,13 @@ def test_without_a_name_the_default_detector_is_scored(tmp_path):
     [
         ("name\nslip.h5\n", "has no column 'file'"),
         ("file\n", "lists no file"),
-        ("file,label\nslip.h5\n", "line 2: has not as many cells as the header"),
-        ("file,label\nslip.h5,fall\n", "line 2: label 'fall' is none of slip, roll"),
+        ("file,label\nslip.h5\n", "line 2: the number of cells differs from the header"),
+        ("file,label\nslip.h5,fall\n", "line 2: label 'fall' is not one of slip, roll"),
         ("file,point\nslip.h5,trial-9\n", "slip.h5 has no point 'trial-9'"),
         ("file,motion_s\nslip.h5,\n", "line 2: motion_s is missing"),
-        ("file,motion_s\nslip.h5,soon\n", "line 2: motion_s 'soon' is no number"),
+        ("file,motion_s\nslip.h5,soon\n", "line 2: motion_s 'soon' is not a number"),
         ("file,label,ridge_slip_s\nslip.h5,slip,\n", "ridge_slip_s nan s: both must be times"),
-        ("file,noise_mV\nslip.h5,much\n", "line 2: noise_mV 'much' is no number"),
+        ("file,noise_mV\nslip.h5,much\n", "line 2: noise_mV 'much' is not a number"),
     ],
 )
 def test_a_list_that_cannot_be_used_is_refused_with_its_line(listing, words, tmp_path):

@@ -46,7 +46,7 @@ def on_a_spring(
         else:
             servo.step(force, 1 + missed)
             missed = 0
-        told.append(servo.told_mm)
+        told.append(servo.commanded_mm)
     return np.array(forces)
 
 
@@ -116,7 +116,7 @@ def on_busy_links(told_of_it: bool, seed: int) -> np.ndarray:
         else:
             servo.step(seen, ticks)
         late_s, ticks = grid_s * rng.integers(17), 0
-        orders.append((now_s + delay_s - felt + late_s, servo.told_mm))
+        orders.append((now_s + delay_s - felt + late_s, servo.commanded_mm))
         free_s = now_s + 2 * late_s
     return np.array(forces[1000:]) - TARGET_N
 
@@ -157,7 +157,7 @@ def test_counts_of_the_axis_do_not_add_up() -> None:
         counted = round((told + move.increment_mm) / unit_mm) * unit_mm
         servo.correct(counted - told - move.increment_mm)
         told = counted
-        assert servo.told_mm == pytest.approx(told, abs=1e-12)
+        assert servo.commanded_mm == pytest.approx(told, abs=1e-12)
     assert np.abs(np.array(forces[-100:]) - TARGET_N).max() <= 0.51 * unit_mm * k
 
 

@@ -11,7 +11,7 @@ from scipy import signal
 
 from rig.detector import kernel
 from rig.detector.detector import IncipientSlipDetector
-from rig.detector.events import Event
+from rig.detector.events import SlipEvent
 from rig.detector.network import Network
 from rig.detector.settings import DetectorSettings, named_detectors
 
@@ -31,14 +31,14 @@ def bench_like(seed: int = 0, noise_mV: float = 0.2) -> np.ndarray:
     return 1e-3 * (clean + noise_mV * chance.standard_normal((1400, 2)))
 
 
-def told(volts: np.ndarray, name: str = "rig", **changes: object) -> list[Event]:
+def told(volts: np.ndarray, name: str = "rig", **changes: object) -> list[SlipEvent]:
     """Events of a whole recording."""
     parameters = named_detectors()[name].model_copy(update=changes)
     detector = IncipientSlipDetector(parameters, RATE_Hz)
     return detector.add(volts) + detector.finish()
 
 
-def kinds(events: list[Event]) -> list[str]:
+def kinds(events: list[SlipEvent]) -> list[str]:
     return [event.kind for event in events]
 
 
@@ -124,7 +124,7 @@ def test_an_impulse_without_a_predictive_signal_is_rejected_with_the_reason():
     volts[700] += (0.02, -0.02)
     events = told(volts, "paper-hp")
     assert kinds(events) == ["rejected", "predictive"]  # its own low part comes after it
-    assert events[0].reason == "not armed: no predictive signal went before"
+    assert events[0].reason == "not armed: no early warning preceded it"
     assert events[0].sample == 700
 
 
@@ -288,7 +288,7 @@ def test_what_the_network_sees_is_what_it_was_asked():
     volts = bench_like(13)
     parameters = named_detectors()["rig"]
     assert parameters.network is not None
-    looks = IncipientSlipDetector(parameters, RATE_Hz).looks(volts)
+    looks = IncipientSlipDetector(parameters, RATE_Hz).network_inputs(volts)
     hidden, output = parameters.network.weights()
     total = looks.inputs @ hidden[:-1] + hidden[-1]
     odds = (total / (1 + np.abs(total))) @ output[0, :-1] + output[0, -1]

@@ -7,13 +7,13 @@ import pytest
 
 from rig.core.cache import DiskCache
 from rig.evaluation.labelled_trials import (
-    FrontEndSettings,
     Kind,
     LabelledTrial,
     PopulationSettings,
     Range,
-    heard,
+    StripFrontEndSettings,
     labelled_trial,
+    through_front_end,
 )
 from rig.physics.skin.condensed import CondensedSkin, build_skin
 
@@ -100,14 +100,16 @@ def test_the_normal_force_is_the_one_drawn(trials):
 
 
 def test_what_is_heard_is_the_trial_with_noise_of_the_stated_size(trials):
-    front_end = FrontEndSettings(mains_mV=Range(low=0, high=0), gain_mismatch=Range(low=0, high=0))
+    front_end = StripFrontEndSettings(
+        mains_mV=Range(low=0, high=0), gain_mismatch=Range(low=0, high=0)
+    )
     trial = trials["slide", 2]
-    volts, added = heard(trial, front_end)
+    volts, added = through_front_end(trial, front_end)
     noise = 1e3 * (volts - trial.volts)
     assert noise.std() == pytest.approx(added["noise_mV"], rel=0.1)
     assert np.corrcoef(noise.T)[0, 1] == pytest.approx(0, abs=0.15)
-    assert (heard(trial, front_end)[0] == volts).all()
-    assert (heard(trial, front_end, hearing=1)[0] != volts).any()
+    assert (through_front_end(trial, front_end)[0] == volts).all()
+    assert (through_front_end(trial, front_end, hearing=1)[0] != volts).any()
 
 
 def test_a_slide_in_the_other_direction_drives_the_strips_the_other_way(trials):

@@ -7,7 +7,7 @@ from rig.evaluation.scoring.baselines import (
     DB4,
     STATISTICS,
     BaselineSettings,
-    baseline_says,
+    baseline_reports,
     baseline_score,
     tuned_baselines,
     wavelet_details,
@@ -36,7 +36,7 @@ def settings(statistic, threshold=8.0, floor_mV=0.1) -> BaselineSettings:
 
 @pytest.mark.parametrize("statistic", STATISTICS)
 def test_a_burst_on_a_hump_alarms_within_the_burst(statistic):
-    (said,) = baseline_says(recorded(20.0), RATE_Hz, settings(statistic))
+    (said,) = baseline_reports(recorded(20.0), RATE_Hz, settings(statistic))
     assert said.alarms_s.size == 1
     assert BURST_S < said.alarms_s[0] < BURST_S + 0.012
     assert said.armings_s.size == 1
@@ -48,18 +48,18 @@ def test_a_second_burst_is_told_again_and_one_that_goes_on_is_not(statistic):
     volts = recorded(20.0)
     second = volts.copy()
     second[1200:1210] += volts[1000:1010] - volts[[1000]]
-    (said,) = baseline_says(second, RATE_Hz, settings(statistic))
+    (said,) = baseline_reports(second, RATE_Hz, settings(statistic))
     assert np.round(said.alarms_s, 1).tolist() == [1.0, 1.2]
 
 
 @pytest.mark.parametrize("statistic", STATISTICS)
 def test_nothing_alarms_without_the_burst_nor_without_the_hump(statistic):
-    (without_burst,) = baseline_says(recorded(0.0), RATE_Hz, settings(statistic))
+    (without_burst,) = baseline_reports(recorded(0.0), RATE_Hz, settings(statistic))
     assert without_burst.alarms_s.size == 0
     volts = recorded(20.0, hump_mV=0.0)
     score = baseline_score(volts, RATE_Hz, settings(statistic))
     assert score[: round(1e3 * BURST_S)].max() == 0.0
-    (said,) = baseline_says(recorded(2.5, hump_mV=0.0), RATE_Hz, settings(statistic))
+    (said,) = baseline_reports(recorded(2.5, hump_mV=0.0), RATE_Hz, settings(statistic))
     assert said.alarms_s.size == 0
     assert said.armings_s.size == 0
 
@@ -84,10 +84,10 @@ def test_where_there_is_no_noise_the_floor_is_the_measure(statistic):
 def test_a_factor_on_the_threshold_is_that_threshold():
     volts = recorded(20.0)
     own = settings("band power", threshold=8.0)
-    _, twice = baseline_says(volts, RATE_Hz, own, (1.0, 2.0))
-    (directly,) = baseline_says(volts, RATE_Hz, settings("band power", threshold=16.0))
+    _, twice = baseline_reports(volts, RATE_Hz, own, (1.0, 2.0))
+    (directly,) = baseline_reports(volts, RATE_Hz, settings("band power", threshold=16.0))
     np.testing.assert_array_equal(twice.alarms_s, directly.alarms_s)
-    (deaf,) = baseline_says(volts, RATE_Hz, own, (100.0,))
+    (deaf,) = baseline_reports(volts, RATE_Hz, own, (100.0,))
     assert deaf.alarms_s.size == 0
 
 

@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from rig.evaluation.scoring.outcomes import Outcome, Said, Truth, judge
+from rig.evaluation.scoring.outcomes import DetectorReport, TrialOutcome, Truth, judge
 
 SLIP = Truth(
     label="slip", motion_s=0.5, node_slip_s=0.8, ridge_slip_s=1.0, gross_slip_s=1.2
 )  # fmt: skip
 
 
-def judged(truth: Truth, alarms: list[float], armings: list[float] | None = None) -> Outcome:
-    return judge(truth, Said(np.array(alarms), np.array(armings or [], dtype=float)), {})
+def judged(truth: Truth, alarms: list[float], armings: list[float] | None = None) -> TrialOutcome:
+    return judge(truth, DetectorReport(np.array(alarms), np.array(armings or [], dtype=float)), {})
 
 
 @pytest.mark.parametrize(

@@ -14,16 +14,16 @@ def test_a_range_ends_before_its_end():
 
 @pytest.mark.parametrize("text", ["", "5", "5:5", "6:5", "-1:5", "a:b", "1:2:3", "1e3:2e3"])
 def test_what_is_no_range_is_refused(text):
-    with pytest.raises(ConfigurationError, match="is no range of seeds"):
+    with pytest.raises(ConfigurationError, match="not a range of seeds"):
         seed_range(text)
 
 
 def test_each_side_is_scored_for_what_it_is_for():
     check_use(TUNING, tuning=True)
     check_use(REPORTING, tuning=False)
-    with pytest.raises(ConfigurationError, match="0:1000000 are for tuning"):
+    with pytest.raises(ConfigurationError, match="0:1000000 are reserved for tuning"):
         check_use(TUNING, tuning=False)
-    with pytest.raises(ConfigurationError, match="are for reporting"):
+    with pytest.raises(ConfigurationError, match="are reserved for reporting"):
         check_use(REPORTING, tuning=True)
 
 

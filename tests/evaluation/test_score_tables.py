@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rig.evaluation.scoring.outcomes import Outcome, Said, Truth, judge
+from rig.evaluation.scoring.outcomes import DetectorReport, TrialOutcome, Truth, judge
 from rig.evaluation.scoring.tables import by_trait, percentiles, rate, score
 
 
@@ -53,10 +53,10 @@ def test_few_values_have_a_percentile_but_no_interval():
 
 def outcome(
     label: str, alarms: list[float], armings: list[float], rolls: tuple[float, ...] = (), **traits
-) -> Outcome:
+) -> TrialOutcome:
     times = {"node_slip_s": 0.8, "ridge_slip_s": 1.0, "gross_slip_s": 1.2}
     truth = Truth(label=label, motion_s=0.5, **(times if label.startswith("slip") else {}))
-    return judge(truth, Said(*map(np.array, (alarms, armings, rolls))), traits)
+    return judge(truth, DetectorReport(*map(np.array, (alarms, armings, rolls))), traits)
 
 
 OUTCOMES = [

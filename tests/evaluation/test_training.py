@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from rig.evaluation.training import Lesson, Rows, learn, rows_of
+from rig.evaluation.training import TrainingRows, TrainingTrial, learn, rows_of
 
 NEVER = float("nan")
 
 
-def lesson(**changes: object) -> Lesson:
+def lesson(**changes: object) -> TrainingTrial:
     """A row every millisecond for a second; a slide that slips at 0.8 s unless told otherwise."""
     values = {
         "inputs": np.zeros((1000, 3)),
@@ -18,7 +18,7 @@ def lesson(**changes: object) -> Lesson:
         "ridge_slip_s": 0.8,
         "lift_off_s": NEVER,
     }
-    return Lesson(**(values | changes))  # type: ignore[arg-type]
+    return TrainingTrial(**(values | changes))  # type: ignore[arg-type]
 
 
 def test_a_slip_is_right_around_the_whole_ridges_slip_only():
@@ -48,17 +48,17 @@ def test_nothing_counts_from_shortly_before_a_ridge_lifts_off():
     assert not rows.weight[691:].any()
 
 
-def plain_problem() -> Rows:
+def plain_problem() -> TrainingRows:
     """Slip where the first input exceeds the second, roll inside a ring: not linear."""
     chance = np.random.default_rng(5)
     x = chance.standard_normal((6000, 3)).astype(np.float32) * (1, 5, 1) + (0, 20, 0)
     first = x[:, 0] > (x[:, 1] - 20) / 5
     ring = np.hypot(x[:, 0], x[:, 2]) < 1.0
     right = np.column_stack([first, ring]).astype(np.float32)
-    return Rows(x.astype(np.float32), right, np.ones_like(right))
+    return TrainingRows(x.astype(np.float32), right, np.ones_like(right))
 
 
-def answers(rows: Rows, hidden: np.ndarray, output: np.ndarray) -> np.ndarray:
+def answers(rows: TrainingRows, hidden: np.ndarray, output: np.ndarray) -> np.ndarray:
     total = rows.inputs @ hidden[:, :-1].T + hidden[:, -1]
     return (total / (1 + np.abs(total))) @ output[:, :-1].T + output[:, -1] > 0
 
@@ -67,7 +67,7 @@ def test_it_learns_what_can_be_learned():
     rows = plain_problem()
     losses: list[float] = []
     hidden, output = learn(
-        rows, units=12, epochs=400, seed=1, told=lambda _, loss: losses.append(loss)
+        rows, units=12, epochs=400, seed=1, on_epoch=lambda _, loss: losses.append(loss)
     )
     assert (answers(rows, hidden, output) == rows.right).mean(axis=0) == pytest.approx(1, abs=0.05)
     assert len(losses) == 400
@@ -84,7 +84,7 @@ def test_the_seed_decides_everything():
 
 def test_rows_that_do_not_count_teach_nothing():
     rows = plain_problem()
-    spoilt = Rows(rows.inputs, rows.right.copy(), rows.weight.copy())
+    spoilt = TrainingRows(rows.inputs, rows.right.copy(), rows.weight.copy())
     spoilt.right[::2] = 1 - spoilt.right[::2]
     spoilt.weight[::2] = 0
     hidden, output = learn(spoilt, units=12, epochs=400, seed=1)

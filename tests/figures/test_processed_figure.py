@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rig.analysis.low_pass_curves import low_pass_curves, low_pass_summary
-from rig.detector.events import Event
+from rig.detector.events import SlipEvent
 from rig.detector.low_pass import NAMED_LOW_PASSES, design_low_pass
 from rig.figures.low_pass import draw_low_pass
 from rig.figures.processed import draw_trial, draw_trials
@@ -28,7 +28,7 @@ def trial(*events, name="trial-001", sample=None):
 
 
 def at(kind, time_s):
-    return Event(kind, round(1000 * time_s), time_s, 0.75)
+    return SlipEvent(kind, round(1000 * time_s), time_s, 0.75)
 
 
 def legend(axes):

@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 from rig.physics.modal import ModalSystem, SineDrive, ZeroPoleGain, lag, resonance
 from rig.physics.pvdf import SWEEP_FILM
-from rig.physics.vibrator import Output, VibratorSettings, drawn_film, vibrator_line
+from rig.physics.vibrator import VibratorOutput, VibratorSettings, drawn_film, vibrator_line
 
 DRIVE = SineDrive(frequency_Hz=770.0, amplitude=1.3, phase_rad=0.4, offset=0.25)
 
@@ -132,7 +132,7 @@ def test_picked_outputs_are_the_columns_asked_for():
     line = vibrator_line(VibratorSettings(), SWEEP_FILM)
     t = np.arange(100) / 250e3
     every = line.evaluate(line.rest(), DRIVE, t)
-    picked = line.evaluate(line.rest(), DRIVE, t, [Output.FILM, Output.CELL])
+    picked = line.evaluate(line.rest(), DRIVE, t, [VibratorOutput.FILM, VibratorOutput.CELL])
     assert np.array_equal(picked, every[:, [3, 1]])
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.simulated.ports import Excitation
-from rig.physics.modal import Complexes, Driven, ModalSystem, SineDrive
+from rig.physics.modal import Complexes, DrivenOutputs, ModalSystem, SineDrive
 
 SEGMENTS_KEPT = 4096
 """History kept: far more changes than happen within any acquisition."""
@@ -27,7 +27,7 @@ class ExcitationSegment:
     start_us: int
     drive: SineDrive
     state: Complexes
-    driven: dict[int, Driven] = field(default_factory=dict, compare=False)
+    driven: dict[int, DrivenOutputs] = field(default_factory=dict, compare=False)
     """What each output does here, made when it is first asked for."""
 
 
@@ -83,7 +83,7 @@ class DrivenLine:
                 result[begin:end] = self._driven(segment, column).at(since)[:, 0]
         return result
 
-    def _driven(self, segment: ExcitationSegment, column: int) -> Driven:
+    def _driven(self, segment: ExcitationSegment, column: int) -> DrivenOutputs:
         if column not in segment.driven:
             segment.driven[column] = self._line.driven(segment.state, segment.drive, [column])
         return segment.driven[column]

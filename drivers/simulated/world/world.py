@@ -226,7 +226,7 @@ class World:
         """Preload and vibration."""
         along_z = self._preload(times_s)
         if self._line.frequency_Hz <= FORCE_SENSOR_FOLLOWS_Hz and along_z.any():
-            shaken = self._line.output(vibrator.Output.LOAD, times_s)
+            shaken = self._line.output(vibrator.VibratorOutput.LOAD, times_s)
             along_z = np.maximum(along_z + shaken, 0.0) * (along_z > 0)
         return along_z
 
@@ -324,10 +324,10 @@ class World:
             own = self.settings
             still = own.load_cell_zero_V + own.load_cell_sensitivity_V_N * self._weight_N[2]
             # Zeroed under the preload: only what vibrates is seen, and only if there is contact.
-            seen: npt.NDArray[np.float64] = self._line.output(vibrator.Output.CELL, times)
+            seen: npt.NDArray[np.float64] = self._line.output(vibrator.VibratorOutput.CELL, times)
             seen = seen * (preload > 0) + still
         elif terminal == FILM_TERMINAL and self.settings.film != "open-circuit":
-            film: npt.NDArray[np.float64] = self._line.output(vibrator.Output.FILM, times)
+            film: npt.NDArray[np.float64] = self._line.output(vibrator.VibratorOutput.FILM, times)
             film = film * film_clamp.preload_gain(self.settings.clamp, preload)
             seen = np.clip(film, -AMPLIFIER_CLIP_V, AMPLIFIER_CLIP_V)
         else:

@@ -25,10 +25,10 @@ CLOSEST_KNOTS = 0.01
 """Frequencies that differ by less (natural logarithm) are one to the prediction: their noise would
 be magnified."""
 
-BOLDEST = 2.0
+MAX_EXTRAPOLATION_RATIO = 2.0
 """How far beyond the power gains that it is made from a prediction is believed."""
 
-HARDLY = 1.1
+NEGLIGIBLE_INFLATION = 1.1
 """Inflation of the variance that is not worth a longer record."""
 
 FOLLOWING_A_LINE = 0.6
@@ -81,7 +81,11 @@ class LearnedGain:
         squares = [math.exp(2 * (known - x)) for known in used]
         inverse = [math.exp(-2 * self._log_gain[known]) for known in used]
         foretold = _lagrange(squares, inverse, 1.0)
-        if not min(inverse) / BOLDEST < foretold < max(inverse) * BOLDEST:
+        if (
+            not min(inverse) / MAX_EXTRAPOLATION_RATIO
+            < foretold
+            < max(inverse) * MAX_EXTRAPOLATION_RATIO
+        ):
             return math.exp(self._log_gain[used[0]])
         return 1 / math.sqrt(foretold)
 
@@ -127,7 +131,7 @@ def record_samples(
     near = [line for line in lines if hopeless < abs(line - frequency) < 3.0 * rate / n]
     while near and n / rate < needs.longest_s:
         cost = inflation(frequency, rate, n, near)
-        affordable = HARDLY
+        affordable = NEGLIGIBLE_INFLATION
         if error is not None:
             spare = needs.target_dB**2 * (n / rate) / error**2
             affordable = max(affordable, FOLLOWING_A_LINE * spare)
@@ -141,8 +145,8 @@ def affordable_inflation(needs: RecordNeeds, duration_s: float) -> float:
     """What fitting lines may cost in variance for the target still to be met."""
     error = needs.error_of_one_second_dB
     if not error:
-        return HARDLY
-    return max(HARDLY, 1.5 * needs.target_dB**2 * duration_s / error**2)
+        return NEGLIGIBLE_INFLATION
+    return max(NEGLIGIBLE_INFLATION, 1.5 * needs.target_dB**2 * duration_s / error**2)
 
 
 class LearnedMains:

@@ -1,1 +1,1 @@
-"""Analysis of trials under force: friction, touch-down, clock offset, axis offset, load rate."""
+"""Analysis of trials under force: friction, touch-down, clock offset, axis offset and load rate."""

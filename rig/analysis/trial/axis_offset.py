@@ -1,10 +1,11 @@
-"""How far the axis of a rotary stage lies above where its object touches, from small nudges.
+"""Offset of a rotary axis from the contact of its object, measured by small nudges.
 
-A head that turns by ϕ about an axis h above its point of contact drags the skin by h ϕ besides
-rolling; a stage that moves by x drags it by x. Of both the tangential force sees k times the way,
-so that h is the ratio of two slopes, whatever the stiffness k. Nudges go to either side and come
-back to the middle: what drifts or is even in the nudge falls out. What rolling itself does to the
-tangential force, with no offset, stays in: `ROLLING_mm`.
+A head that turns by ϕ about an axis at a height h above its contact drags the skin by h ϕ, in
+addition to rolling. A stage that moves by x drags it by x. In both cases the tangential force
+changes by k times the distance, so h is the ratio of two slopes and the stiffness k cancels. Nudges
+go to either side and return to the middle: drift, and everything that is even in the nudge,
+cancels. The tangential force caused by rolling itself, without an offset, does not cancel
+(`ROLLING_mm`).
 """
 
 from __future__ import annotations
@@ -22,56 +23,57 @@ from rig.core.errors import ExitCode, RigError
 Reals = NDArray[np.float64]
 
 ROLLING_mm = 0.15
-"""Standard error besides noise: what a head on ridges does to the tangential force by rolling
-(assumed, from simulated heads)."""
+"""Standard error in addition to noise, in mm: the effect on the tangential force of a head that
+rolls over ridges (assumed, from simulated heads)."""
 LEAST_SLOPE = 5.0
-"""A nudge of the stage has to be seen so many times above its standard error."""
+"""Standard errors by which the effect of a nudge of the stage must exceed zero."""
 
 
 class AxisOffsetError(RigError):
-    """Nudges from which no offset follows."""
+    """Raised when the nudges do not determine an offset."""
 
     code = ExitCode.FINISHED_WITH_FAILURES
 
 
 @dataclass(frozen=True)
-class Look:
-    """The tangential force after a nudge."""
+class NudgeForce:
+    """Tangential force after a nudge."""
 
     by: float
-    """How far the nudge went from the middle: mm of the stage, rad of the object."""
+    """Distance of the nudge from the middle: mm for the stage, rad for the object."""
     force_N: Reals
-    """Frames (n,)."""
+    """Frames of the tangential force, (n,)."""
 
 
-def axis_offset(along_x: Sequence[Look], turned: Sequence[Look]) -> Estimate:
-    """h in mm, positive where a positive turn drags as a positive way of the stage does.
+def axis_offset(along_x: Sequence[NudgeForce], turned: Sequence[NudgeForce]) -> Estimate:
+    """Returns h in mm, positive if a positive turn drags the skin like a positive motion of the
+    stage.
 
-    AxisOffsetError where the stage's nudges are not felt.
+    Raises AxisOffsetError if the nudges of the stage have no clear effect on the force.
     """
     stiffness, stiffness_error = _slope(along_x)
     torque, torque_error = _slope(turned)
     if not abs(stiffness) > LEAST_SLOPE * stiffness_error:
         raise AxisOffsetError(
             f"the tangential force changes by {stiffness:.3g} N/mm, standard error "
-            f"{stiffness_error:.2g}, where x is nudged: no contact that sticks",
-            "look at the skin and the object; press harder",
+            f"{stiffness_error:.2g}, when x is nudged: the contact does not stick",
+            "check the skin and the object; press harder",
         )
     offset = torque / stiffness
     noise = math.hypot(torque_error, offset * stiffness_error) / abs(stiffness)
     return Estimate.normal(offset, math.hypot(noise, ROLLING_mm), "mm")
 
 
-def _slope(looks: Sequence[Look]) -> tuple[float, float]:
-    """Force by nudge and its standard error; a drift that is straight in the looks falls out."""
-    nudges = np.array([look.by for look in looks])
-    means = np.array([look.force_N.mean() for look in looks])
-    errors = np.array([look.force_N.std(ddof=1) / math.sqrt(look.force_N.size) for look in looks])
-    drift = np.arange(len(looks), dtype=float)
-    design = np.column_stack([nudges, np.ones(len(looks)), drift])
+def _slope(nudged: Sequence[NudgeForce]) -> tuple[float, float]:
+    """Returns the change of force per nudge and its standard error. A linear drift cancels."""
+    nudges = np.array([one.by for one in nudged])
+    means = np.array([one.force_N.mean() for one in nudged])
+    errors = np.array([one.force_N.std(ddof=1) / math.sqrt(one.force_N.size) for one in nudged])
+    drift = np.arange(len(nudged), dtype=float)
+    design = np.column_stack([nudges, np.ones(len(nudged)), drift])
     solved = np.linalg.pinv(design)
     found = solved @ means
     residual = means - design @ found
-    scatter = math.sqrt(float(residual @ residual) / max(len(looks) - 3, 1))
+    scatter = math.sqrt(float(residual @ residual) / max(len(nudged) - 3, 1))
     spread = np.hypot(errors, scatter)
     return float(found[0]), float(np.sqrt(np.square(solved[0] * spread).sum()))

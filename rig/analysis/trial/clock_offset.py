@@ -1,24 +1,27 @@
-"""How far the clocks of force sensor and data acquisition are apart, from a touch-down both saw.
+"""Offset between the clocks of force sensor and data acquisition, from a touch-down that both
+recorded.
 
 Force frames carry no time stamp, and the acquisition counts its own samples. When the object is
-pressed on, the force rises and the strips see their stress rise with it. A ridge takes its share of
-the force later or sooner than the others, so that the sum of the strips' volts is
+pressed on, the force rises, and the stress in the strips rises with it. A ridge takes up its share
+of the force earlier or later than the others, so the sum of the strips' volts is
 
-    v(t) = P(F) dF/dt + v_0,      F and dF/dt at t + offset,
+    v(t) = P(F) dF/dt + v_0,      F and dF/dt at t + offset
 
-with a share P that is a function of the force alone. It is not known, only that it is smooth: here
-a broken line between some forces. Both series are first smoothed by the same Gaussian, so that
-rates and frame times do not matter; least squares over P, v_0 and mains at each offset, then over
-the offset.
+with a share P that depends on the force alone. P is unknown but smooth: here it is linear between
+fixed shares of the largest force. Both records are first smoothed by the same Gaussian, so that
+rates and frame times do not matter. P, v_0 and mains follow by least squares at each offset, and
+the offset is the one with the smallest residual.
 
-*What it takes.* A press that closes in on its force evenly looks the same a little later: P
-imitates any shift. A rise, a raised cosine or an exponential, leaves the offset open to some 10 ms,
-whatever the noise. A force that goes back by a tenth and comes again passes the same forces twice,
-and P cannot be both: a tap of 4 µm in 10 ms right after the touch-down gives 0.1 ms.
+*Requirements.* A press that approaches its force evenly looks the same a little later, because P
+can imitate any shift. A mere rise, be it a raised cosine or an exponential, leaves the offset open
+to some 10 ms, whatever the noise. A force that goes back by a tenth and returns passes the same
+forces twice, and P cannot have two values: a tap of 4 µm in 10 ms right after the touch-down gives
+0.1 ms.
 
-*Uncertainty.* The residuals are correlated by the smoothing and by what the broken line cannot
-follow: the sandwich estimate with their own autocovariance (Newey and West 1987), how far other
-broken lines lead away, and `LEAST_s`; without a way back also `UNREVERSED_s`.
+*Uncertainty.* The residuals are correlated, by the smoothing and by what the model of P cannot
+follow. The error combines the sandwich estimate with the autocovariance of the residuals (Newey and
+West 1987), the distance to the offsets found with other knots of P, and `LEAST_s`; without a way
+back also `UNREVERSED_s`.
 """
 
 from __future__ import annotations
@@ -32,9 +35,9 @@ from rig.analysis.estimate import Estimate
 from rig.analysis.trial.touch_down import (
     GRID_Hz,
     Reals,
-    Series,
     SmoothForce,
     TouchDownError,
+    TouchRecord,
     standard_error,
     still_columns,
     volts_on_grid,
@@ -45,48 +48,51 @@ KNOTS = (
     (0.0, 0.08, 0.16, 0.28, 0.45, 0.7, 1.0),
     (0.0, 0.05, 0.1, 0.16, 0.24, 0.34, 0.48, 0.65, 0.82, 1.0),
 )
-"""Shares of the largest force between which P is straight. The offset is the middle set's; how
-far the others' lie from it is part of the error."""
+"""Shares of the largest force between which P is linear. The offset is that of the middle set; its
+distance from those of the others is part of the error."""
 STEP_s = 0.004
-"""Between the offsets that are tried before the nearest is looked for finely."""
+"""Step between the offsets that are tried in the coarse search, in s."""
 THINNED = round(STEP_s * GRID_Hz)
-"""Of the grid, for that: the Gaussian leaves nothing in between."""
+"""Step of the samples used in the coarse search: the Gaussian leaves nothing between them."""
 FINE_s = 1e-7
-"""To which the offset is looked for then."""
+"""Accuracy of the fine search, in s."""
 LONGEST = 30
-"""Steps of that at most: three or four are taken."""
+"""Most steps of the fine search; three or four are usual."""
 LEAST_s = 6e-5
-"""Frame shape, transducer and P are not known better: what was left on simulated touch-downs."""
+"""Least standard error, in s. Frame shape, transducer and P are not known better: this was the
+remaining error on simulated touch-downs."""
 REVERSAL = 0.05
-"""Of the largest force: as far as it has to go back to count as going back."""
+"""Share of the largest force by which the force has to go back."""
 UNREVERSED_s = 0.015
-"""Rms error on simulated presses that only rise."""
+"""Rms error on simulated presses that only rise, in s."""
 ENOUGH = 0.5
-"""Share of the volts' variance that the force has to explain."""
+"""Share of the variance of the volts that the force has to explain."""
 
 
 class ClockOffsetError(TouchDownError):
-    """Two series from which no offset follows."""
+    """Raised when two records do not determine an offset."""
 
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """The offset, and how well force explains volts with it."""
+    """An offset, and how well the force explains the volts with it."""
 
     offset: Estimate
-    """s: what was at t on the volts' clock was at t + offset on the force's."""
+    """Offset in s: an event at t on the clock of the volts was at t + offset on that of the
+    force."""
     explained: float
-    """Share of the volts' variance."""
+    """Share of the variance of the volts that the force explains."""
     reversed: bool
-    """Whether the force went back on its way, so that the offset could be told."""
+    """True if the force went back on its way, without which the offset is poorly determined."""
 
 
-def clock_offset(force_N: Series, volts: Series, within_s: float = 0.2) -> ClockOffset:
-    """Offset of the force's clock against the volts', searched for in ±`within_s`.
+def clock_offset(force_N: TouchRecord, volts: TouchRecord, within_s: float = 0.2) -> ClockOffset:
+    """Returns the offset of the clock of the force from that of the volts, within ± `within_s`.
 
-    `force_N` is F_n, `volts` the sum v_1 + v_2, raw or decimated; both hold the touch-down and some
-    time before and after, at least `within_s` more of the force. ClockOffsetError where the series
-    do not overlap, or have no touch-down in common.
+    `force_N` is F_n and `volts` the sum v_1 + v_2, raw or decimated. Both must contain the
+    touch-down and some time before and after it, the force at least `within_s` more.
+
+    Raises ClockOffsetError if the records do not overlap or have no touch-down in common.
     """
     time, seen = volts_on_grid(volts)
     touch = SmoothForce(force_N)
@@ -103,7 +109,7 @@ def clock_offset(force_N: Series, volts: Series, within_s: float = 0.2) -> Clock
         still = "force" if variation > 0 else "strips"
         raise ClockOffsetError(
             f"the {still} did not change: no touch-down in common",
-            "look whether the object touches the ridge with the strips, and at their wiring",
+            "check that the object touches the ridge with the strips, and check their wiring",
         )
     fits = [_Fit(touch, time, seen, knots) for knots in KNOTS]
     near_s = _Fit(touch, time[::THINNED], seen[::THINNED], KNOTS[1]).nearest(within_s)
@@ -117,9 +123,9 @@ def clock_offset(force_N: Series, volts: Series, within_s: float = 0.2) -> Clock
     explained = 1 - float(residual @ residual) / variation
     if not explained > ENOUGH:
         raise ClockOffsetError(
-            f"the force explains only {100 * max(explained, 0):.0f} % of what the strips say: no "
+            f"the force explains only {100 * max(explained, 0):.0f} % of the strips' signal: no "
             "touch-down in common",
-            "look whether the object touches the ridge with the strips, and at their wiring",
+            "check that the object touches the ridge with the strips, and check their wiring",
         )
     if abs(offset) > within_s - 2 / GRID_Hz:
         raise ClockOffsetError(f"the offset is not within ±{within_s:g} s", "search further")
@@ -127,13 +133,18 @@ def clock_offset(force_N: Series, volts: Series, within_s: float = 0.2) -> Clock
 
 
 class _Fit:
+    """Least-squares fit of volts by the force, as a function of the offset."""
+
     def __init__(self, touch: SmoothForce, time: Reals, seen: Reals, knots: tuple[float, ...]):
         self._touch, self._time, self._seen, self._knots = touch, time, seen, knots
         self._still = still_columns(time)
 
     def nearest(self, within_s: float) -> float:
-        """Offset of the least residual, to half of `STEP_s`. That is also from one of its times to
-        the next: the force of one offset is that of the next one, a row further."""
+        """Returns the offset with the smallest residual, to half of `STEP_s`.
+
+        `STEP_s` is also the step of the thinned samples, so the force at one offset is that at the
+        next one, shifted by one row.
+        """
         count, offsets = self._time.size, math.floor(2 * within_s / STEP_s + 1e-6) + 1
         times = self._time[0] - within_s + STEP_s * np.arange(count + offsets - 1)
         moving = self._touch.columns(times, self._knots)
@@ -141,14 +152,17 @@ class _Fit:
         return STEP_s * int(np.argmin(costs)) - within_s
 
     def best(self, near_s: float, within_s: float) -> float:
-        """Offset of the least residual next to `near_s`: Gauss-Newton with P and the rest projected
-        out (Kaufman 1975)."""
+        """Returns the offset with the smallest residual near `near_s`.
+
+        Gauss-Newton with P and the other parameters projected out (Kaufman 1975).
+        """
         low, high = max(near_s - STEP_s, -within_s), min(near_s + STEP_s, within_s)
         offset_s = near_s
         for _ in range(LONGEST):
             residual, slope = self._residual(offset_s)
             steepness = float(slope @ slope)
-            if not steepness > 0:  # a force that does not change tells no time
+            # A constant force carries no information about time.
+            if not steepness > 0:
                 break
             before_s = offset_s
             offset_s = min(max(offset_s + float(residual @ slope) / steepness, low), high)
@@ -157,13 +171,14 @@ class _Fit:
         return offset_s
 
     def error(self, offset_s: float) -> tuple[Reals, float]:
-        """Residuals and the offset's standard error."""
+        """Returns the residuals and the standard error of the offset."""
         residual, slope = self._residual(offset_s)
         influence = slope / float(slope @ slope)
         return residual, standard_error(influence, residual, len(self._knots) + 4)
 
     def _residual(self, offset_s: float) -> tuple[Reals, Reals]:
-        """Residuals, and how the fit changes with the offset beyond what P and v_0 can imitate."""
+        """Returns the residuals, and the change of the fit with the offset that P and v_0 cannot
+        imitate."""
         model, orthonormal = self._model(self._columns(offset_s))
         step = 2e-4
         later, earlier = self._shifted(offset_s, step), self._shifted(offset_s, -step)
@@ -185,7 +200,7 @@ class _Fit:
         return orthonormal @ (orthonormal.T @ self._seen), orthonormal
 
     def _shifted(self, offset_s: float, by_s: float) -> Reals:
-        """The fitted curve with the force moved: P, v_0 and mains stay."""
+        """Returns the fitted curve with the force shifted, while P, v_0 and mains stay."""
         weights = np.linalg.lstsq(self._columns(offset_s), self._seen, rcond=1e-9)[0]
         moved: Reals = self._columns(offset_s + by_s) @ weights
         return moved

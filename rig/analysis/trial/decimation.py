@@ -1,19 +1,21 @@
-"""From a data acquisition's rate down to 1000 Hz, causally, sample by sample.
+"""Causal decimation from the rate of a data acquisition to 1000 Hz, sample by sample.
 
-The converters that the bench uses have no anti-alias filter, so the strips are sampled at 10 to
-50 kS/s and filtered here before every n-th sample is kept. The filter is of finite length (26 ms)
-and minimum phase, with the magnitude of a Kaiser-windowed low pass whose stop band begins at
-600 Hz, the lowest frequency that folds onto 400 Hz:
+The converters of the bench have no anti-alias filter. The strips are therefore sampled at 10 to 50
+kS/s and filtered here before every n-th sample is used. The filter has finite length (26 ms) and
+minimum phase, with the magnitude of a Kaiser-windowed low-pass filter. Its stop band begins at 600
+Hz, the lowest frequency that folds onto 400 Hz:
 
-- 0 to 400 Hz pass within 0.001 dB: no ripple shapes a spectrum;
-- 82 dB are taken from everything from 600 Hz on, so what folds onto 0 to 400 Hz is 82 dB down. What
-  folds onto 400 to 500 Hz has passed the transition and is not: nothing there is to be trusted;
-- 2.1 to 2.2 ms of delay at low frequency (2.4 at 200 Hz, 4.4 at 400 Hz). `delay_s` is the group
-  delay at 0 Hz, by which the centroid of any pulse is late; time stamps are corrected by it.
+- 0 to 400 Hz pass within 0.001 dB, so that no ripple shapes a spectrum;
+- everything from 600 Hz on is attenuated by 82 dB, so what folds onto 0 to 400 Hz is 82 dB down.
+  What folds onto 400 to 500 Hz has passed the transition band and is not attenuated as much: do not
+  trust anything there;
+- the delay at low frequency is 2.1 to 2.2 ms (2.4 ms at 200 Hz, 4.4 ms at 400 Hz). `delay_s` is the
+  group delay at 0 Hz, by which the centroid of any pulse is late; time stamps are corrected by it.
 
-Linear phase in the same bands takes 13 ms, more than a slip may wait; recursive filters of the same
-bands are 0.3 ms faster at best, never quite forget, and promise no equal bytes for every cut of
-their input. A step overshoots by a fifth, as it does in any filter of this steepness.
+A linear-phase filter with the same bands has a delay of 13 ms, too long for a slip. Recursive
+filters with the same bands are at best 0.3 ms faster, never completely forget, and do not give the
+same bytes for every division of their input into blocks (decision 0035). A step overshoots by a
+fifth, as it does in any filter this steep.
 """
 
 from __future__ import annotations
@@ -27,22 +29,31 @@ Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 RATE_Hz = 1000.0
-"""What is made of every input rate."""
+"""Output rate, in Hz, whatever the input rate."""
 SLOWEST_Hz, FASTEST_Hz = 10_000.0, 50_000.0
+"""Input rates that are accepted, in Hz."""
 PASS_Hz = 400.0
-"""Up to here the response is flat."""
+"""End of the pass band, in Hz."""
 STOP_Hz = 600.0
-"""From here on nothing passes."""
+"""Beginning of the stop band, in Hz."""
 STOP_dB = 83.0
-"""Asked of the design, whose formulas are good to 1 dB."""
+"""Attenuation asked of the design, whose formulas are accurate to 1 dB."""
 
 
 class Decimator:
-    """One filter for `channels` equal channels; blocks of any length, the same bytes for each cut.
+    """Filters and decimates `channels` channels in blocks of any length.
 
-    Row k of all that `add` has returned lies at input row ``k * factor``; what it shows happened
-    `delay_s` earlier. It begins as if the first row had been there for ever. ValueError for a rate
-    that is no whole multiple of 1000 Hz between 10 and 50 kHz.
+    The output does not depend on the division into blocks, to the last bit. Row k of all rows that
+    `add` returned lies at input row ``k * factor`` and shows what happened `delay_s` earlier. The
+    filter starts as if the first row had been present forever.
+
+    Raises ValueError for a rate that is not a whole multiple of 1000 Hz between 10 and 50 kHz.
+
+    >>> decimator = Decimator(rate_Hz=10_000.0, channels=2)
+    >>> decimator.add(np.zeros((25, 2))).shape
+    (3, 2)
+    >>> round(1e3 * decimator.delay_s, 2)  # ms
+    2.14
     """
 
     def __init__(self, rate_Hz: float, channels: int = 2):
@@ -61,20 +72,22 @@ class Decimator:
 
     @property
     def delay_s(self) -> float:
-        """Group delay at 0 Hz: how late the centroid of a pulse comes out."""
+        """Group delay at 0 Hz, in s: how late the centroid of a pulse appears."""
         taps = self._filter.taps
         return float(taps @ np.arange(taps.size)) / self.rate_Hz
 
     def add(self, samples: ArrayLike) -> Reals:
-        """What is due after these further rows, (n, channels): (m, channels), m may be 0."""
+        """Filters further rows (n, channels) and returns the outputs due, (m, channels); m may be
+        0."""
         return self._filter.add(samples)
 
     def response(self, frequency_Hz: ArrayLike) -> Complexes:
-        """Complex response at input frequencies below half the input rate."""
+        """Returns the complex response at input frequencies below half the input rate."""
         return frequency_response(self._filter.taps, frequency_Hz, self.rate_Hz)
 
     def group_delay_s(self, frequency_Hz: ArrayLike) -> Reals:
-        """How late a slowly modulated tone of these frequencies comes out, in the pass band."""
+        """Returns how late a slowly modulated tone of these frequencies appears, within the pass
+        band."""
         frequency = np.atleast_1d(np.asarray(frequency_Hz, dtype=np.float64))
         half = 0.05  # Hz on either side: the phase is smooth on this scale
         turned = self.response(frequency + half) / self.response(frequency - half)

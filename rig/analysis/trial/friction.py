@@ -3,25 +3,25 @@
     static   the largest F_t/F_n on the way to gross slip
     kinetic  F_t/F_n in steady sliding afterwards
 
-*What the static coefficient is.* A skin slips ridge by ridge: when F_t is largest most of it has
-slipped already and rubs with the kinetic coefficient. So the whole contact shows
+*Meaning of the static coefficient.* A skin slips ridge by ridge. When F_t is largest, most of the
+skin has already slipped and rubs with the kinetic coefficient. The whole contact therefore shows
 
-    static = μ_k + W (μ_s - μ_k),     0 < W <= 1,
+    static = μ_k + W (μ_s - μ_k),     0 < W <= 1
 
-where μ_s is what a point of the surface bears before it slips, and W the share of the normal force
-on what has not yet weakened, each point by its own exp(-D/D_c). Only a contact that slips
-everywhere at once has W = 1. W depends on how many ridges carry the load, on D_c against what the
-skin stretches, and on the speed; F_t and F_n alone do not tell it from μ_s - μ_k: they show only
-the product of the two. `static` is therefore the contact's, a lower bound of μ_s, and
-`point_static` is an interval: the drop that was seen, divided by the W of a range of simulated
-slides (`WEAKENED`).
+μ_s is what a point of the surface bears before it slips. W is the share of the normal force on what
+has not yet weakened, each point by its own exp(-D/D_c). Only a contact that slips everywhere at
+once has W = 1. W depends on the number of ridges that carry the load, on D_c relative to the
+stretch of the skin, and on the speed. F_t and F_n alone show only the product of W and μ_s - μ_k.
+`static` is therefore a property of the contact and a lower bound of μ_s, and `point_static` is an
+interval: the observed drop, divided by the W of a range of simulated slides (`WEAKENED`).
 
-*Uncertainty.* Kinetic: the mean's, from the integrated autocorrelation time of the ratio (Sokal
-1997), with Student's t of the samples that count. Static: a parabola is fitted to each stretch of
-the rise and taken at the stretch's end, so that the fall behind the peak takes no part; what the
-largest of noisy values is too large by, and how much it scatters, come from repeats of the same
-search on the smoothed curve with stretches of the steady part's noise (moving blocks). Errors that
-all samples share, of the sensor's matrix, are not included; those of its zeros are, where given.
+*Uncertainty.* Kinetic: error of the mean, from the integrated autocorrelation time of the ratio
+(Sokal 1997), with Student's t for the number of independent samples. Static: a parabola is fitted
+to each section of the rise and evaluated at its end, so that the fall behind the peak has no
+influence. The bias and scatter of the largest of noisy values come from repeats of the same search
+on the smoothed curve with blocks of the noise of the steady part (moving blocks). Errors common to
+all samples, from the matrix of the sensor, are not included; those of its zeros are, if they are
+given.
 """
 
 from __future__ import annotations
@@ -39,53 +39,59 @@ Reals = NDArray[np.float64]
 
 WEAKENED = (0.07, 0.24, 0.50)
 """W at the peak: 5, 50 and 95 % of 240 simulated slides of the reference skin (μ_s 0.3-1.2, μ_k/μ_s
-0.65-0.97, D_c 1-20 µm, F_n 2-8 N, 0.3-6 mm/s, τ 0.25-1.3 ms). Another skin has others."""
+0.65-0.97, D_c 1-20 µm, F_n 2-8 N, 0.3-6 mm/s, τ 0.25-1.3 ms). Other skins have other values."""
 
 SETTLED_TRAVEL = 0.25
-"""Of the travel up to the peak: what follows the peak until sliding may be steady."""
+"""Travel from the peak to steady sliding, as a share of the travel up to the peak."""
 SETTLED_mm = 0.05
-"""And at least this: more than twice the weakening distance of any friction that is modelled."""
+"""Least travel from the peak to steady sliding, in mm: more than twice the weakening distance of
+any friction that is modelled."""
 STEADY_SAMPLES = 50
-"""Fewer in steady sliding make no mean."""
+"""Fewest samples of steady sliding from which a mean is computed."""
 STILL_RISING = 0.05
-"""Of the first stiffness: steeper at the end of the motion, it has not come to gross slip."""
+"""Slope at the end of the motion, as a share of the first slope, above which there was no gross
+slip."""
 NEAR_PEAK = 0.9
-"""Of the peak: from here on the rise is looked at for its shape."""
+"""Share of the peak from which the rise is examined for its shape."""
 PEAK_WITHIN = 1.8
-"""Times the travel at which F_t/F_n came near its largest: later it is noise of steady sliding."""
+"""The peak is searched up to this multiple of the travel at which F_t/F_n came near its largest
+value. A later maximum is noise of steady sliding."""
 SHAPE = 0.002
-"""Relative error of the peak without noise: samples miss it, parabolas are not its shape. Rms over
-the simulated slides with which this module was tuned."""
+"""Relative error of the peak without noise, because samples miss it and it is not a parabola: rms
+over the simulated slides with which this module was tuned."""
 STRETCH = (4, 40)
 """Fewest and most samples of a fitted parabola."""
 REPEATS = 400
+"""Number of repeats of the search for the peak, from which its bias and scatter are computed."""
 BLOCK = 20
-"""Samples of a block of noise: longer than the sensor's noise remembers."""
+"""Samples of a block of noise: more than the correlation time of the sensor's noise."""
 WINDOW = 5.0
-"""Sokal's: autocorrelation is summed up to so many times the correlation time itself."""
+"""Window of the autocorrelation (Sokal): it is summed up to this multiple of the correlation
+time."""
 
 
 class FrictionError(RigError):
-    """A slide from which no friction coefficient follows."""
+    """Raised when a slide does not determine friction coefficients."""
 
     code = ExitCode.FINISHED_WITH_FAILURES
 
 
 @dataclass(frozen=True)
 class Friction:
-    """What a slide says about friction; coefficients without unit."""
+    """Friction coefficients of a slide, without unit."""
 
     static: Estimate
-    """Of the whole contact."""
+    """Static coefficient of the whole contact."""
     kinetic: Estimate
+    """Kinetic coefficient."""
     point_static: Estimate
-    """Of a point of the surface: median and interval of W, not of the noise."""
+    """Static coefficient of a point of the surface: median and interval of W, not of the noise."""
     peak: int
     """Sample at which F_t/F_n is largest."""
     steady: int
     """First sample of steady sliding."""
     independent: float
-    """Samples of the steady part that count, after correlation."""
+    """Number of independent samples that the steady part is worth, given its correlation."""
 
 
 def friction(
@@ -94,11 +100,13 @@ def friction(
     travel_mm: ArrayLike,
     zero_error_N: tuple[float, float] = (0.0, 0.0),
 ) -> Friction:
-    """Coefficients from F_n, F_t and the travel since the slide began, (n,) each, equally spaced.
+    """Returns the coefficients from F_n, F_t and the travel, (n,) each, at equal time steps.
 
-    The series begin with the motion and end with it. F_t counts along the travel: both directions
-    give positive coefficients. `zero_error_N`: standard errors of the zeros of F_n and F_t.
-    FrictionError where contact is lost, or the motion ends before gross slip or soon after it.
+    The arrays begin and end with the motion. F_t is positive along the travel: both directions give
+    positive coefficients. `zero_error_N` are the standard errors of the zeros of F_n and F_t.
+
+    Raises FrictionError if contact is lost, or if the motion ends before gross slip or soon after
+    it.
     """
     travel = np.asarray(travel_mm, dtype=np.float64)
     normal, ratio = _ratio(normal_N, tangential_N, travel)
@@ -116,9 +124,10 @@ def friction(
 
 
 def mean_of_correlated(samples: ArrayLike) -> tuple[Estimate, float]:
-    """Mean of steady samples (n,) whose noise remembers; and how many independent ones it is worth.
+    """Returns the mean of steady, correlated samples (n,), and how many independent ones it is
+    worth.
 
-    The interval is Student's t with that number, less one, as degrees of freedom.
+    The interval is Student's t with this number minus one as degrees of freedom.
     """
     from scipy.special import stdtrit
 
@@ -135,7 +144,8 @@ def mean_of_correlated(samples: ArrayLike) -> tuple[Estimate, float]:
     times = 1 + 2 * np.cumsum(covariance[1 : n // 2]) / variance
     enough = np.nonzero(np.arange(1, times.size + 1) >= WINDOW * times)[0]
     last = int(enough[0]) if enough.size else times.size - 1
-    time = max(float(times[last]) * (1 + (2 * last + 3) / n), 0.1)  # what taking the mean took away
+    # The factor corrects for the subtracted mean, which lowers the autocovariance.
+    time = max(float(times[last]) * (1 + (2 * last + 3) / n), 0.1)
     independent = max(n / time, 2.0)
     error = math.sqrt(variance / (independent - 1))
     half = float(stdtrit(independent - 1, 0.975)) * error
@@ -152,7 +162,7 @@ def _ratio(normal_N: ArrayLike, tangential_N: ArrayLike, travel: Reals) -> tuple
     if not float(normal.min()) > 0:
         raise FrictionError(
             f"F_n falls to {float(normal.min()):.3g} N during the slide: contact is lost",
-            "look at the force servo and the alignment of the object",
+            "check the force servo and the alignment of the object",
         )
     direction = 1.0 if travel[-1] >= travel[0] else -1.0
     return normal, direction * tangential / normal
@@ -177,7 +187,7 @@ def _rough_peak(ratio: Reals, travel: Reals) -> int:
 
 
 def _steady_from(ratio: Reals, travel: Reals, peak: int) -> int:
-    """First sample of steady sliding."""
+    """Returns the first sample of steady sliding."""
     if not travel[-1] > 0:
         raise FrictionError("the object did not move")
     _require_gross_slip(ratio, travel)
@@ -212,14 +222,16 @@ def _slope(x: Reals, y: Reals) -> float:
 
 
 def _stretch(ratio: Reals, peak: int) -> int:
-    """Samples of the parabola: half of what the last tenth of the rise takes."""
+    """Returns the number of samples of the parabola: half of those in the last tenth of the
+    rise."""
     below = np.nonzero(ratio[:peak] < NEAR_PEAK * ratio[peak])[0]
     rise = peak - (int(below[-1]) if below.size else 0)
     return int(np.clip(rise // 2, *STRETCH))
 
 
 def _end_of_parabola(stretch: int) -> Reals:
-    """Weights, newest last, that give a fitted parabola's value at its newest sample."""
+    """Returns weights, newest last, that give the value of a fitted parabola at its newest
+    sample."""
     age = np.arange(stretch, dtype=np.float64)[::-1]
     design = np.column_stack([np.ones(stretch), age, age**2])
     weights: Reals = np.linalg.pinv(design)[0]
@@ -227,14 +239,15 @@ def _end_of_parabola(stretch: int) -> Reals:
 
 
 def _ends(values: Reals, weights: Reals) -> Reals:
-    """Every stretch's value at its newest sample, (..., n) to (..., n - stretch + 1)."""
+    """Returns the value of every section at its newest sample, (..., n) to (..., n - stretch +
+    1)."""
     stretches = np.lib.stride_tricks.sliding_window_view(values, weights.size, axis=-1)
     ends: Reals = stretches @ weights
     return ends
 
 
 def _peak(ratio: Reals, rough: int, stretch: int, noise: Reals) -> tuple[Estimate, int]:
-    """The peak without what noise adds to a maximum, with its error."""
+    """Returns the peak, corrected for what noise adds to a maximum, with its error."""
     weights = _end_of_parabola(stretch)
     first = max(0, rough - 4 * stretch)
     part = ratio[first : rough + 4 * stretch + 1]
@@ -244,18 +257,20 @@ def _peak(ratio: Reals, rough: int, stretch: int, noise: Reals) -> tuple[Estimat
     found = int(curve.argmax())
     value = float(curve[found])
     smooth = np.concatenate([part[: stretch - 1], curve])
-    rng = np.random.default_rng(0)  # the same data always give the same numbers
+    # A fixed seed: the same data always give the same numbers.
+    rng = np.random.default_rng(0)
     repeats = smooth + _blocks_of(noise, (REPEATS, smooth.size), rng)
     largest = _ends(repeats, weights).max(axis=-1)
     of_curve = float(_ends(smooth, weights).max())
     bias = float(largest.mean()) - of_curve
-    known = 0.5 * bias  # to half of itself
+    # The bias itself is taken as known to half of its size.
+    known = 0.5 * bias
     error = math.hypot(float(largest.std()), known, SHAPE * value)
     return Estimate.normal(value - bias, error, ""), first + stretch - 1 + found
 
 
 def _blocks_of(noise: Reals, shape: tuple[int, int], rng: np.random.Generator) -> Reals:
-    """Noise of this shape out of stretches of what was seen."""
+    """Returns noise of this shape, composed of blocks of the observed noise."""
     rows, length = shape
     blocks = -(-length // BLOCK)
     starts = rng.integers(0, noise.size - BLOCK + 1, (rows, blocks))
@@ -264,7 +279,7 @@ def _blocks_of(noise: Reals, shape: tuple[int, int], rng: np.random.Generator) -
 
 
 def _with_zeros(estimate: Estimate, zero_error_N: tuple[float, float], level_N: float) -> Estimate:
-    """With the error that uncertain zeros add."""
+    """Returns the estimate with the error of uncertain zeros added."""
     of_normal, of_tangential = zero_error_N
     added = math.hypot(of_tangential, estimate.value * of_normal) / level_N
     low = estimate.value - math.hypot(estimate.value - estimate.low, COVERAGE_95 * added)
@@ -274,7 +289,7 @@ def _with_zeros(estimate: Estimate, zero_error_N: tuple[float, float], level_N: 
 
 
 def _of_a_point(static: Estimate, kinetic: Estimate) -> Estimate:
-    """μ_s = μ_k + drop / W, over the range of W; never below the contact's."""
+    """Returns μ_s = μ_k + drop / W over the range of W; never below that of the contact."""
     least, median, most = WEAKENED
     drop = max(static.value - kinetic.value, 0.0)
     noise = math.hypot(static.standard_error, kinetic.standard_error)

@@ -1,17 +1,17 @@
-"""A strip's volts as the rate of the load on it, N/s, through its calibrated level b.
+"""Converts the volts of a strip to the rate of the load on it, in N/s, with its calibrated level b.
 
-A film with its amplifier answers the rate of its load: far below its pole,
+A film with its amplifier responds to the rate of its load. Far below its pole
 
-    V = 10^(b/20) / (2 pi) * dF/dt,      b in dB re 1 V/N at 1 Hz (equation 2 of the paper),
+    V = 10^(b/20) / (2 pi) * dF/dt,      b in dB re 1 V/N at 1 Hz (equation 2 of the paper)
 
 because a sine of 1 N peak at 1 Hz has a rate of 2 pi N/s. The inverse is one factor for all
-samples, so its error is common to all of them, unlike the volts' noise. The pole takes something
-from fast changes and is not divided out, which would raise the noise with the frequency; up to
+samples, so its error is common to all of them, unlike the noise of the volts. The pole attenuates
+fast changes. It is not divided out, because that would raise the noise with frequency; up to
 `flat_to_Hz` it takes less than 1 %.
 
-The record's b contains the gain of the amplifier it was taken with; volts from another gain are
-scaled. F is the load on the film that b was calibrated for: on a strip inside a ridge it is the
-strip's own share, not the ridge's.
+The b of a record includes the gain of the amplifier used for the calibration; volts from another
+gain are scaled. F is the load on the film for which b was calibrated. For a strip in a ridge it is
+the strip's own share of the load, not that of the ridge.
 """
 
 from __future__ import annotations
@@ -30,34 +30,38 @@ from rig.instruments.calibration import FilmCalibration
 Reals = NDArray[np.float64]
 
 FLAT = 0.01
-"""What the pole may take within the stated band."""
+"""Largest attenuation by the pole within the stated band, as a fraction."""
 
 
 @dataclass(frozen=True)
 class LoadScale:
-    """What turns a strip's volts into a rate of load."""
+    """Factor from the volts of a strip to the rate of its load."""
 
     N_s_per_V: Estimate
-    """The factor, signed; its error is common to all samples."""
+    """The factor in N/(V s), signed. Its error is common to all samples."""
     flat_to_Hz: float
-    """Up to here the film's pole takes less than 1 %."""
+    """Frequency up to which the pole of the film takes less than 1 %."""
 
     def rate_N_s(self, volts: ArrayLike, zero_V: float = 0.0) -> Reals:  # noqa: N802
-        """Rate of load (n,) from volts (n,), with `zero_V` what they are at rest."""
+        """Returns the rate of the load (n,) in N/s from volts (n,), given the volts at rest."""
         rate: Reals = (np.asarray(volts, dtype=np.float64) - zero_V) * self.N_s_per_V.value
         return rate
 
     def error_N_s(self, rate_N_s: float) -> float:  # noqa: N802 - the unit keeps its capital
-        """Standard error of a rate, N/s, from the calibration alone."""
+        """Returns the standard error of a rate in N/s, from the calibration alone."""
         return abs(rate_N_s) * self.N_s_per_V.standard_error / abs(self.N_s_per_V.value)
 
 
 def load_scale(
     b_dB: float, b_error_dB: float, *, polarity: int = 1, corner_Hz: float = math.inf
 ) -> LoadScale:
-    """Scale of a strip of level `b_dB`, dB re 1 V/N at 1 Hz with the gain of its amplifier.
+    """Returns the scale of a strip with level `b_dB`, in dB re 1 V/N at 1 Hz, with its amplifier's
+    gain.
 
-    ValueError for a level that is no number or an error below zero.
+    Raises ValueError for a level that is not finite or a negative error.
+
+    >>> round(load_scale(0.0, 0.1).N_s_per_V.value, 3)  # 1 V/N at 1 Hz: 1 V is 2 pi N/s
+    6.283
     """
     if not (math.isfinite(b_dB) and b_error_dB >= 0 and polarity in (-1, 1)):
         raise ValueError(
@@ -72,10 +76,11 @@ def load_scale(
 
 
 def load_scale_of_record(record: FilmCalibration, amplifier_gain: float | None = None) -> LoadScale:
-    """The same through a calibration record; b's error holds noise, load cell and the model's.
+    """Returns the scale from a calibration record. The error of b includes noise, load cell and
+    model.
 
-    `amplifier_gain` is that of the volts. ConfigurationError where it is given and the record does
-    not say with which gain it was taken.
+    `amplifier_gain` is the gain with which the volts were measured. Raises ConfigurationError if it
+    is given and the record does not state the gain of the calibration.
     """
     level = record.b_dB.value if record.b_dB.value is not None else math.nan
     if amplifier_gain is not None:
@@ -91,5 +96,9 @@ def load_scale_of_record(record: FilmCalibration, amplifier_gain: float | None =
 
 
 def amplifier_dB(gain: float) -> float:  # noqa: N802 - the unit keeps its capital
-    """What a gain adds to a level, dB."""
+    """Returns a gain in dB.
+
+    >>> amplifier_dB(10.0)
+    20.0
+    """
     return 20 * math.log10(gain)

@@ -1,14 +1,14 @@
-"""A touch-down that force sensor and strips both saw: its two records as one model needs them.
+"""A touch-down recorded by force sensor and strips: its two records, prepared for one model.
 
-When the object is pressed on, the force rises and the strips see their stress rise with it. A ridge
-takes its share of the force later or sooner than the others, so that the volts are
+When the object is pressed on, the force rises, and the stress in the strips rises with it. A ridge
+takes up its share of the force earlier or later than the others, so the volts are
 
-    v(t) = P(F) dF/dt + v_0 + mains,
+    v(t) = P(F) dF/dt + v_0 + mains
 
-with a share P that is a function of the force alone: a broken line between some forces. Both
-records are first smoothed by the same Gaussian, so that rates and frame times do not matter.
-`rig.analysis.trial.clock_offset` finds when the two were taken, `rig.analysis.trial.touch_gain` how
-large P is.
+with a share P that depends on the force alone and is linear between fixed shares of the largest
+force. Both records are first smoothed by the same Gaussian, so that rates and frame times do not
+matter. `rig.analysis.trial.clock_offset` finds the offset between their clocks, and
+`rig.analysis.trial.touch_gain` the size of P.
 """
 
 from __future__ import annotations
@@ -24,30 +24,35 @@ from rig.core.errors import ExitCode, RigError
 Reals = NDArray[np.float64]
 
 WIDTH_s = 0.004
-"""Standard deviation of the Gaussian: it leaves 0.2 N/s of dF/dt to 3 mN of noise per frame."""
+"""Standard deviation of the Gaussian, in s. It reduces 3 mN of noise per frame to 0.2 N/s of
+dF/dt."""
 GRID_Hz = 1000.0
-"""Where the two are compared."""
+"""Rate at which the two records are compared, in Hz."""
 MAINS_Hz = 50.0
+"""Mains frequency, in Hz."""
 MEMORY = 4.0
 """Widths of the Gaussian over which residuals are taken to be correlated."""
 
 
 class TouchDownError(RigError):
-    """Two records from which nothing follows."""
+    """Raised when two records have no usable touch-down in common."""
 
     code = ExitCode.FINISHED_WITH_FAILURES
 
 
 @dataclass(frozen=True)
-class Series:
-    """Equally spaced samples (n,) on a clock of their own."""
+class TouchRecord:
+    """Equally spaced samples of a touch-down on a clock of their own."""
 
     values: Reals
+    """The samples, (n,)."""
     rate_Hz: float
+    """Sampling rate, in Hz."""
     first_s: float = 0.0
-    """When the first sample was taken, on that clock."""
+    """Time of the first sample on its clock, in s."""
     delay_s: float = 0.0
-    """How late a sample shows what happened: half a frame for a mean, a filter's `delay_s`."""
+    """How late a sample shows what happened, in s: half a frame for a mean, `delay_s` for a
+    filter."""
 
 
 def _gaussian(values: Reals, rate_Hz: float, order: int) -> Reals:
@@ -58,8 +63,11 @@ def _gaussian(values: Reals, rate_Hz: float, order: int) -> Reals:
     return result
 
 
-def volts_on_grid(volts: Series) -> tuple[Reals, Reals]:
-    """Times on the volts' clock, corrected, and smoothed volts."""
+def volts_on_grid(volts: TouchRecord) -> tuple[Reals, Reals]:
+    """Returns times on the clock of the volts, corrected for their delay, and the smoothed volts.
+
+    Raises TouchDownError if there are too few samples.
+    """
     values = np.asarray(volts.values, dtype=np.float64)
     start = volts.first_s - volts.delay_s
     edge = 4 * WIDTH_s
@@ -71,7 +79,7 @@ def volts_on_grid(volts: Series) -> tuple[Reals, Reals]:
 
 
 def _cubic(first_s: float, rate_Hz: float, values: Reals) -> Callable[[Reals], Reals]:
-    """The cubic spline through equally spaced values."""
+    """Returns the cubic spline through equally spaced values, as a function of time."""
     from scipy.ndimage import map_coordinates, spline_filter1d
 
     coefficients = spline_filter1d(values, mode="mirror")
@@ -85,13 +93,13 @@ def _cubic(first_s: float, rate_Hz: float, values: Reals) -> Callable[[Reals], R
 
 
 class SmoothForce:
-    """Smoothed force and its rate at any time of the force's clock."""
+    """Smoothed force and its rate, at any time on the clock of the force."""
 
-    def __init__(self, series: Series):
-        values = np.asarray(series.values, dtype=np.float64)
-        self._time = series.first_s - series.delay_s + np.arange(values.size) / series.rate_Hz
-        self._force = _gaussian(values, series.rate_Hz, 0)
-        first_s, rate_Hz = float(self._time[0]), series.rate_Hz
+    def __init__(self, record: TouchRecord):
+        values = np.asarray(record.values, dtype=np.float64)
+        self._time = record.first_s - record.delay_s + np.arange(values.size) / record.rate_Hz
+        self._force = _gaussian(values, record.rate_Hz, 0)
+        first_s, rate_Hz = float(self._time[0]), record.rate_Hz
         self._force_at = _cubic(first_s, rate_Hz, self._force)
         self._rate_at = _cubic(first_s, rate_Hz, _gaussian(values, rate_Hz, 1))
         edge = 4 * WIDTH_s
@@ -100,13 +108,13 @@ class SmoothForce:
         self.largest_N = float(self._force.max())
 
     def way_back(self, start_s: float, end_s: float) -> float:
-        """How far the force fell after it had risen, as a share of the largest."""
+        """Returns how far the force fell after it had risen, as a share of the largest force."""
         inside = (self._time >= start_s) & (self._time <= end_s)
         force = self._force[inside]
         return float((np.maximum.accumulate(force) - force).max()) / self.largest_N
 
     def columns(self, time: Reals, knots: tuple[float, ...]) -> Reals:
-        """dF/dt times each hat function of F: (n, knots)."""
+        """Returns dF/dt times each hat function of F, (n, knots)."""
         force = np.clip(self._force_at(time) / self.largest_N, 0.0, 1.0)
         rate = self._rate_at(time)
         hats = [np.interp(force, knots, row) for row in np.eye(len(knots))]
@@ -114,14 +122,17 @@ class SmoothForce:
 
 
 def still_columns(time: Reals) -> Reals:
-    """What the volts hold at rest: a constant and the mains, (n, 3)."""
+    """Returns the columns that describe the volts at rest: a constant and the mains, (n, 3)."""
     turn = 2 * np.pi * MAINS_Hz * time
     return np.column_stack([np.ones(time.size), np.cos(turn), np.sin(turn)])
 
 
 def standard_error(influence: Reals, residual: Reals, parameters: int) -> float:
-    """Standard error of a fitted number, ``influence @ volts``, from the residuals with their own
-    autocovariance (Newey and West 1987); enlarged for the `parameters` that were fitted."""
+    """Returns the standard error of a fitted number, ``influence @ volts``.
+
+    It is computed from the residuals with their own autocovariance (Newey and West 1987), and
+    enlarged for the `parameters` that were fitted.
+    """
     product = influence * residual
     lags = round(MEMORY * WIDTH_s * GRID_Hz)
     long_run = float(product @ product)

@@ -1,11 +1,11 @@
-"""How much a strip gives for the force that presses on the object: volts per newton a second.
+"""Gain of a strip from a touch-down: volts per newton per second of the force on the object.
 
 A film that wears, tears or comes off its amplifier shows here from trial to trial, without a
-vibrator and whatever moves afterwards. The strip's own share P of the touch-down
-(`rig.analysis.trial.touch_down`) depends on the force, since the ridge takes its part of it sooner
-or later than the others; its mean over the force, from none to the largest, is the gain: the
-integral of the volts over time by the force that was brought up. It belongs to this skin on this
-object under this force: compared is like with like.
+vibrator and whatever happens later in the trial. The strip's share P of the touch-down
+(`rig.analysis.trial.touch_down`) depends on the force, because the ridge takes up its part earlier
+or later than the others. Its mean over the force, from zero to the largest, is the gain: the
+integral of the volts over time, divided by the force that was reached. It holds for this skin on
+this object under this force; compare only like with like.
 """
 
 from __future__ import annotations
@@ -15,26 +15,27 @@ import numpy as np
 from rig.analysis.estimate import Estimate
 from rig.analysis.trial.touch_down import (
     Reals,
-    Series,
     SmoothForce,
     TouchDownError,
+    TouchRecord,
     standard_error,
     still_columns,
     volts_on_grid,
 )
 
 KNOTS = (0.0, 0.08, 0.16, 0.28, 0.45, 0.7, 1.0)
-"""Shares of the largest force between which P is straight."""
+"""Shares of the largest force between which P is linear."""
 ENOUGH = 10
-"""Samples for each of them."""
+"""Fewest samples per knot."""
 
 
-def touch_gain(force_N: Series, volts: Series, offset_s: float) -> Estimate:
-    """A strip's gain in V s/N, with its sign; what was at t on the volts' clock was at t +
-    `offset_s` on the force's, which is taken as known.
+def touch_gain(force_N: TouchRecord, volts: TouchRecord, offset_s: float) -> Estimate:
+    """Returns the gain of a strip in V s/N, with its sign.
 
-    Both hold the touch-down and some time before and after. TouchDownError where they do not
-    overlap.
+    An event at t on the clock of the volts was at t + `offset_s` on that of the force; the offset
+    is taken as known. Both records contain the touch-down and some time before and after it.
+
+    Raises TouchDownError if they do not overlap.
     """
     time, seen = volts_on_grid(volts)
     touch = SmoothForce(force_N)
@@ -55,7 +56,7 @@ def touch_gain(force_N: Series, volts: Series, offset_s: float) -> Estimate:
 
 
 def _mean_weights() -> Reals:
-    """Weights of the values at the knots in the broken line's mean."""
+    """Returns the weights of the values at the knots in the mean over the force."""
     widths = np.diff(KNOTS)
     weights: Reals = 0.5 * (np.append(widths, 0.0) + np.append(0.0, widths))
     return weights

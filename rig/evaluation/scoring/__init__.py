@@ -1,1 +1,1 @@
-"""How good a detector is: outcomes of labelled trials, tables with confidence, baselines, ROC."""
+"""Scores of detectors: outcomes of labelled trials, rates with intervals, baselines, ROC."""

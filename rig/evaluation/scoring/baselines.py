@@ -1,9 +1,9 @@
-"""Plain detectors to compare with: band power, wavelet, CUSUM of the variance, one channel alone.
+"""Plain detectors for comparison: band power, wavelet, CUSUM of the variance, one channel alone.
 
-Each turns a recording that begins with quiet into a score a sample, causally. It alarms where the
-score exceeds a threshold while the paper's predictive signal has armed it (4.3). Scores are
-multiples of the noise while nothing touches, which is never taken to be less than a floor: relative
-thresholds alone fail where there is hardly any noise.
+Each turns a recording that begins with quiet into a causal score per sample. It alarms where the
+score exceeds a threshold while the predictive signal of the paper has armed it (4.3). Scores are
+multiples of the noise measured while nothing touches. This noise is never taken as less than a
+floor, because relative thresholds alone fail where there is hardly any noise.
 """
 
 from __future__ import annotations
@@ -19,21 +19,23 @@ from pydantic import Field
 
 from rig.core.settings import Settings
 from rig.detector.low_pass import LowPassSettings, design_low_pass
-from rig.evaluation.scoring.outcomes import Said
+from rig.evaluation.scoring.outcomes import DetectorReport
 from rig.evaluation.scoring.seeds import SeedRange
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 Statistic = Literal["band power", "wavelet", "cusum", "single channel"]
+"""Names of the baselines."""
 STATISTICS: tuple[Statistic, ...] = get_args(Statistic)
 
 HIGH_PASS_Hz = 100.0
-"""-3 dB frequency of the Butterworth high-pass, third order, where a statistic has one."""
+"""-3 dB frequency of the Butterworth high-pass filter, third order, for statistics that have
+one."""
 BAND_POWER_S = 0.016
-"""Length of the window of the band power."""
+"""Window length of the band power."""
 CUSUM_RATIO = 9.0
-"""Variance that the CUSUM waits for, as a multiple of that of the noise (assumed)."""
+"""Variance that the CUSUM tests for, as a multiple of the variance of the noise (assumed)."""
 DB4 = (
     0.230377813308855,
     0.714846570552542,
@@ -47,59 +49,65 @@ DB4 = (
 """Scaling filter of Daubechies' wavelet with four vanishing moments (Daubechies 1992, Ten Lectures
 on Wavelets, table 6.1)."""
 SETTLING_S = 0.05
-"""After the first sample no filter's output is taken for noise."""
+"""Time after the first sample in which the filters settle, so that their output is not used as
+noise."""
 FILE = "baselines.json"
+"""File of the tuned baselines in this package."""
 
 
 class BaselineSettings(Settings):
-    """A baseline with its thresholds; written by ``rig score --tune``."""
+    """A baseline with its thresholds, as ``rig score --tune`` writes it."""
 
     statistic: Statistic
+    """Name of the baseline."""
     threshold: float = Field(gt=0)
-    """A score above this alarms."""
+    """Score above which it alarms."""
     floor_mV: float = Field(gt=0)
-    """Noise of the statistic's signal is never taken to be less."""
+    """Lowest noise that is assumed for the signal of the statistic."""
     tuned_on: SeedRange | None = None
-    """Seeds of the trials that threshold and floor were chosen on."""
+    """Seeds of the trials on which threshold and floor were chosen."""
     low_pass: LowPassSettings = LowPassSettings()
-    """Shows the predictive signal."""
+    """Low-pass filter that extracts the predictive signal."""
     arm_mV: float = Field(0.4, gt=0)
-    """The predictive signal arms beyond this ..."""
+    """The predictive signal arms above this threshold ..."""
     arm_sigmas: float = Field(5.0, gt=0)
-    """... and beyond so many standard deviations of its own noise."""
+    """... and above this many standard deviations of its own noise."""
     armed_s: float = Field(0.15, gt=0)
-    """How long it stays armed after the predictive signal was last beyond half its threshold."""
+    """How long it stays armed after the predictive signal was last above half its threshold."""
     silence_s: float = Field(0.15, gt=0)
-    """After an alarm there is none for so long."""
+    """Time after an alarm in which there is no other alarm."""
     quiet_s: float = Field(0.25, gt=0)
-    """The recording's beginning, in which nothing touches: noise is judged there."""
+    """Beginning of the recording, in which nothing touches. The noise is measured there."""
 
 
 class Baselines(Settings):
-    """All of them."""
+    """All baselines, as they are stored in one file."""
 
     baselines: tuple[BaselineSettings, ...]
+    """The baselines."""
 
 
 def tuned_baselines() -> Baselines:
-    """The baselines as they were tuned on the simulated trials whose seeds they name."""
+    """Returns the baselines tuned on the simulated trials whose seeds they state."""
     return Baselines.model_validate_json(files(__package__).joinpath(FILE).read_bytes())
 
 
 def baseline_score(volts: ArrayLike, rate_Hz: float, settings: BaselineSettings) -> Floats:
-    """The score of each row of `volts` (n, 2): (n,), 0 in the quiet and where nothing armed.
+    """Returns the score (n,) of each row of `volts` (n, 2): 0 in the quiet beginning and while not
+    armed.
 
-    Raises ValueError for a recording that is not longer than its quiet.
+    Raises ValueError for a recording that is not longer than its quiet beginning.
     """
     signal = _signal(volts, rate_Hz, settings)
     values = _STATISTICS[settings.statistic](signal, rate_Hz, settings)
     return _score(values, _armed(signal, rate_Hz, settings), settings)
 
 
-def baseline_says(
+def baseline_reports(
     volts: ArrayLike, rate_Hz: float, settings: BaselineSettings, factors: ArrayLike = (1.0,)
-) -> list[Said]:
-    """Alarms and armings in `volts` (n, 2), once for each factor on the threshold."""
+) -> list[DetectorReport]:
+    """Returns alarms and early warnings in `volts` (n, 2), one report for each factor on the
+    threshold."""
     signal = _signal(volts, rate_Hz, settings)
     armed = _armed(signal, rate_Hz, settings)
     values = _STATISTICS[settings.statistic](signal, rate_Hz, settings)
@@ -115,13 +123,14 @@ def baseline_says(
             alarms.append(begin + int(over.argmax()))
             begin = alarms[-1] + silent
             if settings.statistic == "cusum":
+                # Page's sum restarts after every alarm.
                 left = _score(values, armed & (row >= begin), settings)
-        said.append(Said(np.array(alarms, dtype=np.float64) / rate_Hz, arms / rate_Hz))
+        said.append(DetectorReport(np.array(alarms, dtype=np.float64) / rate_Hz, arms / rate_Hz))
     return said
 
 
 def _signal(volts: ArrayLike, rate_Hz: float, settings: BaselineSettings) -> Floats:
-    """v_d, or v_1 where no second channel is used, in mV without its offset, (n,)."""
+    """Returns v_d in mV without its offset, (n,), or v_1 if the statistic uses one channel only."""
     given = np.asarray(volts, dtype=np.float64)
     quiet = round(settings.quiet_s * rate_Hz)
     if given.ndim != 2 or given.shape[1] != 2 or len(given) <= quiet:
@@ -136,7 +145,7 @@ def _signal(volts: ArrayLike, rate_Hz: float, settings: BaselineSettings) -> Flo
 
 
 def _armed(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Flags:
-    """Where the predictive signal has armed, (n,)."""
+    """Returns where the predictive signal has armed, (n,)."""
     taps = design_low_pass(settings.low_pass, rate_Hz).taps
     predictive = np.abs(np.convolve(signal, taps)[: signal.size])
     quiet = round(settings.quiet_s * rate_Hz)
@@ -152,7 +161,8 @@ def _armed(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Flags:
 
 
 def _score(values: Floats, armed: Flags, settings: BaselineSettings) -> Floats:
-    """A statistic's values where they are armed; those of the CUSUM summed up since the arming."""
+    """Returns the values of a statistic while armed; those of the CUSUM summed since it was
+    armed."""
     if settings.statistic != "cusum":
         return np.where(armed, values, 0.0)
     level = np.zeros(values.size)
@@ -179,13 +189,13 @@ def _sections(rate_Hz: float) -> Floats:
 
 
 def _noise(filtered: Floats, rate_Hz: float, settings: BaselineSettings) -> float:
-    """The rms of a filtered signal while nothing touches, the floor at least, in mV."""
+    """Returns the rms of a filtered signal while nothing touches, in mV, at least the floor."""
     quiet = slice(round(SETTLING_S * rate_Hz), round(settings.quiet_s * rate_Hz))
     return max(settings.floor_mV, float(np.sqrt(np.mean(filtered[quiet] ** 2))))
 
 
 def _band_power(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats:
-    """The rms of 16 ms of the high-passed signal."""
+    """Returns the rms of the high-passed signal over 16 ms."""
     passed = _high_passed(signal, rate_Hz)
     window = max(1, round(BAND_POWER_S * rate_Hz))
     power = np.convolve(passed**2, np.ones(window) / window)[: signal.size]
@@ -194,7 +204,8 @@ def _band_power(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> F
 
 
 def _wavelet(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats:
-    """The larger of the two finest details of the undecimated transform, each to its noise."""
+    """Returns the larger of the two finest details of the undecimated transform, each relative to
+    its noise."""
     details = wavelet_details(signal)
     levels: Floats = np.max(
         [np.abs(detail) / _noise(detail, rate_Hz, settings) for detail in details], axis=0
@@ -203,7 +214,8 @@ def _wavelet(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floa
 
 
 def wavelet_details(signal: ArrayLike) -> tuple[Floats, Floats]:
-    """Causal undecimated db4 details of a signal (n,): its upper half band, and the half below."""
+    """Returns two causal, undecimated db4 details of a signal (n,): its upper half band and the
+    half below."""
     given = np.asarray(signal, dtype=np.float64)
     low = np.array(DB4[::-1])
     high = np.array(DB4) * np.resize([-1.0, 1.0], len(DB4))
@@ -215,8 +227,11 @@ def wavelet_details(signal: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def _cusum(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats:
-    """Log-likelihood ratios of a risen variance of the high-passed signal, for Page's cumulative
-    sum (Page 1954, Biometrika 41, 100), which begins anew with an arming and after an alarm."""
+    """Returns log-likelihood ratios of an increased variance of the high-passed signal.
+
+    They are summed by Page's cumulative sum (Page 1954, Biometrika 41, 100), which restarts at
+    every arming and after every alarm.
+    """
     passed = _high_passed(signal, rate_Hz)
     power = (passed / _noise(passed, rate_Hz, settings)) ** 2
     ratio: Floats = ((1 - 1 / CUSUM_RATIO) * power - np.log(CUSUM_RATIO)) / 2
@@ -224,7 +239,7 @@ def _cusum(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats
 
 
 def _single_channel(signal: Floats, rate_Hz: float, settings: BaselineSettings) -> Floats:
-    """The high-passed signal itself; it is v_1's."""
+    """Returns the high-passed signal of v_1 alone."""
     passed = _high_passed(signal, rate_Hz)
     level: Floats = np.abs(passed) / _noise(passed, rate_Hz, settings)
     return level

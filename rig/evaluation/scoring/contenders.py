@@ -1,4 +1,4 @@
-"""What is scored: a detector or a baseline, at its own thresholds and at those around them."""
+"""Detectors and baselines to be scored, at their own thresholds and at thresholds around them."""
 
 from __future__ import annotations
 
@@ -11,91 +11,103 @@ from numpy.typing import NDArray
 from rig.core.settings import Settings
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.settings import DetectorSettings
-from rig.evaluation.scoring.baselines import BaselineSettings, baseline_says
-from rig.evaluation.scoring.outcomes import Said
+from rig.evaluation.scoring.baselines import BaselineSettings, baseline_reports
+from rig.evaluation.scoring.outcomes import DetectorReport
 from rig.evaluation.scoring.seeds import SeedRange
 
 Floats = NDArray[np.float64]
 
 FACTORS: tuple[float, ...] = tuple(2.0 ** (-half / 2) for half in range(-6, 7))
-"""On the threshold, falling: the points of a ROC. The odds of a probability go with the square."""
+"""Factors on the threshold, descending: the points of a ROC. For a probability, the odds are
+multiplied by the square of the factor."""
 
 
 class Contender(Protocol):
-    """Anything that alarms."""
+    """A detector or baseline that can be scored."""
 
     @property
     def name(self) -> str:
-        """By which tables call it."""
+        """Name in the tables."""
         ...
 
     @property
     def settings(self) -> Settings:
-        """All its parameters."""
+        """All of its parameters."""
         ...
 
     @property
     def tuned_on(self) -> SeedRange | None:
-        """Seeds of the trials that its parameters were chosen on, where they are known."""
+        """Seeds of the trials on which its parameters were chosen; None if unknown."""
         ...
 
-    def says(self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]) -> list[Said]:
-        """Of a recording (n, 2) in V, once for each factor on its threshold."""
+    def reports(
+        self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]
+    ) -> list[DetectorReport]:
+        """Returns its reports on a recording (n, 2) in V, one for each factor on its threshold."""
         ...
 
 
 @dataclass(frozen=True)
 class DetectorContender:
-    """A detector of this program."""
+    """A detector of `rig.detector`."""
 
     name: str
+    """Name in the tables."""
     settings: DetectorSettings
+    """Parameters of the detector."""
 
     @property
     def tuned_on(self) -> SeedRange | None:
-        """The seeds that its network was trained on."""
+        """Seeds of the trials on which its network was trained; None without a network."""
         network = self.settings.network
         if network is None:
             return None
         return SeedRange(first=network.first_seed, end=network.last_seed + 1)
 
-    def says(self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]) -> list[Said]:
-        """Its events at each threshold."""
-        return [self._says(volts, rate_Hz, at_threshold(self.settings, one)) for one in factors]
+    def reports(
+        self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]
+    ) -> list[DetectorReport]:
+        """Returns the events that it detects at each threshold."""
+        return [self._report(volts, rate_Hz, at_threshold(self.settings, one)) for one in factors]
 
     @staticmethod
-    def _says(volts: Floats, rate_Hz: float, settings: DetectorSettings) -> Said:
+    def _report(volts: Floats, rate_Hz: float, settings: DetectorSettings) -> DetectorReport:
         detector = IncipientSlipDetector(settings, rate_Hz)
         events = [*detector.add(volts), *detector.finish()]
         slips = [one.time_s for one in events if one.kind == "incipient slip"]
         armings = [one.time_s for one in events if one.kind == "predictive"]
         rolls = [one.time_s for one in events if one.kind == "roll"]
-        return Said(*(np.array(times, dtype=np.float64) for times in (slips, armings, rolls)))
+        return DetectorReport(
+            *(np.array(times, dtype=np.float64) for times in (slips, armings, rolls))
+        )
 
 
 @dataclass(frozen=True)
 class BaselineContender:
-    """A plain detector to compare with."""
+    """A plain detector for comparison."""
 
     settings: BaselineSettings
+    """Parameters of the baseline."""
 
     @property
     def name(self) -> str:
-        """That of its statistic."""
+        """Name of its statistic."""
         return self.settings.statistic
 
     @property
     def tuned_on(self) -> SeedRange | None:
-        """The seeds that its thresholds were chosen on."""
+        """Seeds of the trials on which its thresholds were chosen."""
         return self.settings.tuned_on
 
-    def says(self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]) -> list[Said]:
-        """Its alarms and armings at each threshold."""
-        return baseline_says(volts, rate_Hz, self.settings, factors)
+    def reports(
+        self, volts: Floats, rate_Hz: float, factors: tuple[float, ...]
+    ) -> list[DetectorReport]:
+        """Returns its alarms and early warnings at each threshold."""
+        return baseline_reports(volts, rate_Hz, self.settings, factors)
 
 
 def at_threshold(settings: DetectorSettings, factor: float) -> DetectorSettings:
-    """A detector that fires at `factor` times its threshold."""
+    """Returns the settings of a detector with `factor` times its threshold."""
     if settings.logic != "rig":
         fire = {
             "fire_mV": factor * settings.fire_mV, "fire_sigmas": factor * settings.fire_sigmas

@@ -1,9 +1,10 @@
-"""From what a detector said of a trial, and what truly happened, to what it is credited with.
+"""Compares what a detector reported of a trial with what happened in it.
 
 A slip is found by an alarm between the first slipping node of the ridge that is read and 30 ms
-after the ridge has slipped as a whole. An alarm before that is early, one after it late: neither
-finds, each is counted apart. In a trial without a slip of the whole ridge every alarm is false,
-except that a ridge that lifts off does slip: there, alarms before the lift-off are counted apart.
+after the whole ridge has slipped. An alarm before that is early, one after it is late; neither
+finds the slip, and both are recorded separately. In a trial in which the ridge does not slip as a
+whole every alarm is false. One exception: a ridge that lifts off does slip, so in those trials the
+alarms before the lift-off are recorded separately.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 FOUND_WITHIN_S = 0.030
-"""After the whole ridge has slipped, an alarm still finds the slip for so long."""
+"""How long after the slip of the whole ridge an alarm still finds the slip, in s."""
 SLIPPED = ("slip", "slip in a roll")
 """Labels of trials in which the ridge slips as a whole."""
 
@@ -27,83 +28,94 @@ _NOTHING = np.zeros(0)
 
 @dataclass(frozen=True)
 class Truth:
-    """What happened in a trial; times in s of its first sample's clock, NaN for never."""
+    """Truth of a trial. Times are in s from its first sample, NaN for never."""
 
     label: str
-    """slip, roll, lift-off, hold, tap or slip in a roll."""
+    """Kind of trial: slip, roll, lift-off, hold, tap or slip in a roll."""
     motion_s: float
-    """The object begins to slide, roll or knock; before, it is pressed on."""
+    """Start of the slide, roll or tap. Before it the object is pressed on."""
     node_slip_s: float = math.nan
-    """First slipping node of the ridge that is read."""
+    """Slip of the first node of the ridge that is read."""
     ridge_slip_s: float = math.nan
-    """The ridge slips as a whole: the impulse."""
+    """Slip of the whole ridge, which causes the impulse."""
     gross_slip_s: float = math.nan
-    """Everything that touches slips."""
+    """Slip of the whole contact."""
     lift_off_s: float = math.nan
-    """The ridge leaves the object."""
+    """Time at which the ridge leaves the object."""
 
     @property
     def slipped(self) -> bool:
-        """Whether there is a slip to be found."""
+        """True if the trial contains a slip that a detector should find."""
         return self.label in SLIPPED
 
     def window_s(self) -> tuple[float, float]:
-        """Between these an alarm finds the slip."""
+        """Returns the interval in which an alarm finds the slip."""
         return self.node_slip_s, self.ridge_slip_s + FOUND_WITHIN_S
 
 
 @dataclass(frozen=True)
-class Said:
-    """What a detector said of a trial; times in s, ascending."""
+class DetectorReport:
+    """Events that a detector reported in a trial. Times are in s, ascending."""
 
     alarms_s: Floats = field(default_factory=lambda: _NOTHING)
     """Incipient slips, (k,)."""
     armings_s: Floats = field(default_factory=lambda: _NOTHING)
-    """Predictions, (m,)."""
+    """Early warnings, (m,)."""
     rolls_s: Floats = field(default_factory=lambda: _NOTHING)
     """Recognised rolls, (j,)."""
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What a trial says of a detector; times in s, NaN where there is none."""
+class TrialOutcome:
+    """Result of a detector on one trial. Times are in s, NaN where the event did not happen."""
 
     label: str
+    """Label of the trial (`Truth.label`)."""
     traits: Mapping[str, float | str]
-    """What the trial was like, by name and unit."""
+    """Conditions of the trial, by name and unit."""
     found: bool
+    """True if an alarm found the slip."""
     early: bool
-    """An alarm before the first node slipped, pressing on included; of a slip."""
+    """True if, in a slip, there was an alarm before the first node slipped, pressing on
+    included."""
     late: bool
-    """The first alarm came too late; of a slip."""
+    """True if, in a slip, the first alarm came too late to find it."""
     alarmed: bool
-    """Any alarm at all."""
+    """True if there was any alarm at all."""
     alarmed_pressing: bool
-    """An alarm while the object was pressed on, before the motion."""
+    """True if there was an alarm before the motion, while the object was pressed on."""
     alarmed_touching: bool
-    """An alarm before the ridge lifted off, or any where it did not."""
+    """True if there was an alarm before the ridge lifted off, or any alarm if it did not lift
+    off."""
     after_node_s: float
-    """From the first node's slip to the alarm that found."""
+    """Delay from the slip of the first node to the alarm that found it."""
     after_ridge_s: float
-    """From the whole ridge's slip to it, negative where it came before."""
+    """Delay from the slip of the whole ridge to that alarm, negative if the alarm came before
+    it."""
     before_gross_s: float
-    """From it to gross slip."""
+    """Time from that alarm to gross slip."""
     armed: bool
-    """Predicted: armed between the beginning of the motion and the whole ridge's slip."""
+    """True if there was an early warning between the start of the motion and the slip of the whole
+    ridge."""
     arming_lead_s: float
-    """From the last such arming to the whole ridge's slip."""
+    """Time from the last of these early warnings to the slip of the whole ridge."""
     followed: int
-    """Armings in that time."""
+    """Number of these early warnings."""
     in_vain: int
-    """Armings in motions that never come to a slip of the whole ridge."""
-    told_roll: bool
-    """It said that this was a roll; in a slip only what it said before the whole ridge slipped."""
+    """Number of early warnings in a motion without a slip of the whole ridge."""
+    classified_as_roll: bool
+    """True if the detector recognised a roll; in a slip, only before the whole ridge slipped."""
 
 
-def judge(truth: Truth, said: Said, traits: Mapping[str, float | str]) -> Outcome:
-    """What a detector is credited with for a trial.
+def judge(truth: Truth, said: DetectorReport, traits: Mapping[str, float | str]) -> TrialOutcome:
+    """Returns the outcome of a trial, given the truth, the report of a detector and the conditions.
 
     Raises ValueError for a trial labelled as a slip without the times of node and ridge.
+
+    >>> truth = Truth("slip", motion_s=1.0, node_slip_s=1.10, ridge_slip_s=1.12)
+    >>> outcome = judge(truth, DetectorReport(alarms_s=np.array([1.125])), {})
+    >>> outcome.found, round(outcome.after_ridge_s, 4)
+    (True, 0.005)
     """
     if truth.slipped and not (
         math.isfinite(truth.node_slip_s) and truth.node_slip_s <= (truth.ridge_slip_s)
@@ -123,7 +135,7 @@ def judge(truth: Truth, said: Said, traits: Mapping[str, float | str]) -> Outcom
     predicting = moving[moving <= truth.ridge_slip_s] if truth.slipped else _NOTHING
     rolls = said.rolls_s[said.rolls_s < truth.ridge_slip_s] if truth.slipped else said.rolls_s
     touching = alarms < truth.lift_off_s if math.isfinite(truth.lift_off_s) else alarms == alarms
-    return Outcome(
+    return TrialOutcome(
         label=truth.label,
         traits=traits,
         found=bool(finds.size),
@@ -139,5 +151,5 @@ def judge(truth: Truth, said: Said, traits: Mapping[str, float | str]) -> Outcom
         arming_lead_s=truth.ridge_slip_s - float(predicting[-1]) if predicting.size else math.nan,
         followed=int(predicting.size),
         in_vain=0 if truth.slipped else int(moving.size),
-        told_roll=bool(rolls.size),
+        classified_as_roll=bool(rolls.size),
     )

@@ -1,4 +1,4 @@
-"""Which of the two patterns of Figure 19 a roll shows."""
+"""Classifies a roll by the two patterns of Figure 19."""
 
 from __future__ import annotations
 
@@ -8,14 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 SMOOTHED_S = 0.02
-"""Length of the mean that takes noise and mains away before excursions are compared: one period of
-50 Hz."""
+"""Length of the moving average that removes noise and mains before excursions are compared: one
+period of 50 Hz."""
 
 
 def roll_pattern(volts: ArrayLike, rate_Hz: float, motion_s: float) -> Literal["a", "b"]:
-    """a where the main excursions of v_1 and v_2 in a roll have one sign, b where they have two.
+    """Returns "a" if the main excursions of v_1 and v_2 in a roll have the same sign, "b"
+    otherwise.
 
-    `volts` (n, 2) of v_1 and v_2; the excursion is from the mean of the 20 ms before the motion.
+    `volts` (n, 2) are v_1 and v_2. Excursions are measured from the mean of the 20 ms before the
+    motion.
+
+    Raises ValueError if there are not 20 ms of signal on either side of `motion_s`.
     """
     given = np.asarray(volts, dtype=np.float64)
     length = max(1, round(SMOOTHED_S * rate_Hz))

@@ -1,4 +1,4 @@
-"""All that is told of one contender, and of all of them as rows of one table."""
+"""Results of each detector, and the results of all detectors as rows of one table."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.evaluation.scoring.contenders import FACTORS, Contender
-from rig.evaluation.scoring.outcomes import Outcome
+from rig.evaluation.scoring.outcomes import TrialOutcome
 from rig.evaluation.scoring.roc import AXES, ROLL_ALARMS, Roc, roc
 from rig.evaluation.scoring.tables import BINS, NAMES, Score, by_trait, score
 
@@ -21,44 +21,54 @@ ROW = (
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A trial as every contender heard it."""
+class ScoredTrial:
+    """One trial with the outcome of every detector."""
 
     name: str
-    """The trial's: its kind and seed, or its file and point."""
+    """Name of the trial: kind and seed, or file and point."""
     label: str
-    outcomes: tuple[Outcome, ...]
-    """Of each contender at its own threshold."""
+    """Label of the trial (`Truth.label`)."""
+    outcomes: tuple[TrialOutcome, ...]
+    """Outcome of each detector at its own threshold."""
     found: NDArray[np.bool_]
-    """At each of the swept thresholds, (contenders, k); k is 0 where none are swept."""
+    """True where the slip was found at each of the swept thresholds, (detectors, k); k is 0 without
+    a sweep."""
     alarmed: NDArray[np.bool_]
-    """The same."""
+    """True where there was any alarm at each of the swept thresholds, (detectors, k)."""
 
 
 @dataclass(frozen=True)
 class GroupScore:
-    """The score of those trials whose trait lies in a bin."""
+    """Score of the trials whose trait lies in a bin."""
 
     trait: str
+    """Name of the trait; empty for all trials."""
     bin: str
+    """The bin in words."""
     score: Score
+    """Numbers of these trials."""
 
 
 @dataclass(frozen=True)
-class Result:
-    """What the trials say of one contender."""
+class ContenderResult:
+    """Results of one detector or baseline."""
 
     contender: Contender
-    outcomes: tuple[Outcome, ...]
-    """Trial by trial."""
+    """The detector or baseline."""
+    outcomes: tuple[TrialOutcome, ...]
+    """Outcomes, trial by trial."""
     score: Score
+    """Numbers of all trials."""
     groups: tuple[GroupScore, ...]
+    """Scores by bins of the traits."""
     rocs: dict[str, Roc] = field(default_factory=dict)
-    """Found over false alarms, by the names of `AXES`; none where no threshold was swept."""
+    """Slips found against false alarms, by the names of `AXES`; empty if no threshold was swept."""
 
 
-def results(contenders: Sequence[Contender], judged: Sequence[Judged]) -> list[Result]:
-    """What the trials say of each contender."""
+def results(
+    contenders: Sequence[Contender], judged: Sequence[ScoredTrial]
+) -> list[ContenderResult]:
+    """Returns the results of each detector from the scored trials."""
     labels = [one.label for one in judged]
     found = []
     for at, contender in enumerate(contenders):
@@ -75,12 +85,15 @@ def results(contenders: Sequence[Contender], judged: Sequence[Judged]) -> list[R
             for trait in (*BINS, *NAMES)
             for group in by_trait(outcomes, trait)
         )
-        found.append(Result(contender, outcomes, score(outcomes), groups, rocs))
+        found.append(ContenderResult(contender, outcomes, score(outcomes), groups, rocs))
     return found
 
 
-def rows(told: Sequence[Result], use: str) -> Iterator[tuple[str | float, ...]]:
-    """Every number as a row of the columns `ROW`; `use` says what the trials are for."""
+def rows(told: Sequence[ContenderResult], use: str) -> Iterator[tuple[str | float, ...]]:
+    """Yields every number as a row with the columns `ROW`.
+
+    `use` says what the trials are for (reporting or tuning) and is written to every row.
+    """
     for one in told:
         everything = [GroupScore("", "", one.score), *one.groups]
         for group in everything:

@@ -1,4 +1,4 @@
-"""Found against false alarms over all thresholds, and the threshold that keeps to a rate."""
+"""Slips found against false alarms over all thresholds, and the choice of a threshold."""
 
 from __future__ import annotations
 
@@ -13,25 +13,28 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 ROLL_ALARMS = 0.02
-"""The rate of false alarms in rolls to which thresholds are tuned."""
+"""Rate of false alarms in rolls to which thresholds are tuned."""
 AXES = {"roll": ("roll",), "hold, tap": ("hold", "tap")}
-"""False alarms that slips found are drawn against: labels of the trials, by name."""
+"""Labels of the trials whose false alarms are plotted against the slips found, by name of the
+axis."""
 
 
 @dataclass(frozen=True)
 class Roc:
-    """A curve: what is found and what alarms falsely at each threshold."""
+    """Slips found and false alarms at each threshold."""
 
     threshold: Floats
-    """As a multiple of the detector's own, falling, (k,)."""
+    """Threshold as a multiple of the detector's own, descending, (k,)."""
     found: Floats
-    """Share of the slips, (k,)."""
+    """Share of the slips that were found, (k,)."""
     alarms: Floats
-    """Share of the trials without, (k,)."""
+    """Share of the trials without a slip in which there was an alarm, (k,)."""
 
     def found_at(self, alarms: float) -> float:
-        """Share of the slips found at that share of false alarms: linear between the neighbouring
-        thresholds, NaN beyond the swept ones."""
+        """Returns the share of slips found at a given share of false alarms.
+
+        The value is interpolated between the neighbouring thresholds; NaN outside the swept range.
+        """
         order = np.lexsort((self.found, self.alarms))
         if alarms < self.alarms[order[0]]:
             return math.nan
@@ -43,11 +46,13 @@ class Roc:
 def roc(
     threshold: Sequence[float], labels: Sequence[str], found: Flags, alarmed: Flags, of: str
 ) -> Roc:
-    """The curve of a detector that was run at several thresholds, falling, (k,).
+    """Returns the curve of a detector that was run at several thresholds (k,), descending.
 
-    `labels` (n,) of the trials; `found` and `alarmed` (n, k) say whether its slip was found and
-    whether anything alarmed at each threshold; `of` names the trials without a slip (`AXES`).
-    Raises ValueError where slips or trials without are missing.
+    `labels` (n,) are those of the trials. `found` and `alarmed` (n, k) state whether the slip was
+    found and whether there was any alarm at each threshold. `of` selects the trials without a slip
+    (`AXES`).
+
+    Raises ValueError if there is no slip or no such trial.
     """
     slips = np.array([label == "slip" for label in labels], bool)
     others = np.array([label in AXES[of] for label in labels], bool)
@@ -59,11 +64,13 @@ def roc(
 def tune(
     floors: Sequence[float], roll_peaks: Floats, slip_peaks: Floats
 ) -> tuple[float, float, float]:
-    """The floor, and the threshold on it, that find most and keep to `ROLL_ALARMS`.
+    """Returns the floor and the threshold that find most slips at `ROLL_ALARMS`, and the share
+    found.
 
-    Largest scores of whole rolls (m, floors) and of slips where they would have been found
-    (n, floors). Returns floor, threshold and the share of slips found. Raises ValueError where
-    rolls or slips are missing.
+    `floors` are tried one by one. `roll_peaks` (m, floors) are the largest scores of whole rolls,
+    `slip_peaks` (n, floors) those of slips in the interval where an alarm would find them.
+
+    Raises ValueError if there are no rolls or no slips.
     """
     if not (len(roll_peaks) and len(slip_peaks)):
         raise ValueError(
@@ -80,6 +87,10 @@ def tune(
 
 
 def threshold_for(others: ArrayLike, most_alarms: float = ROLL_ALARMS) -> float:
-    """The least threshold that no more than this share of the trials' largest scores exceeds."""
+    """Returns the lowest threshold that at most this share of the largest scores exceeds.
+
+    >>> threshold_for([1.0, 2.0, 3.0, 4.0], most_alarms=0.25)
+    3.0
+    """
     ordered = np.sort(np.asarray(others, dtype=np.float64))[::-1]
     return float(ordered[int(most_alarms * ordered.size)])

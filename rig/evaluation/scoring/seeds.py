@@ -1,7 +1,8 @@
-"""Which random trials a detector may be tuned on, and on which it is reported.
+"""Separates the simulated trials on which detectors are tuned from those on which they are
+reported.
 
-Numbers that were chosen on some trials are flattered by those trials. Seeds below a million are
-for tuning, those from there on for reporting, and no score mixes them.
+Numbers that were chosen on some trials look better on these trials than on others. Seeds below a
+million are for tuning, the others for reporting, and no score mixes them.
 """
 
 from __future__ import annotations
@@ -15,14 +16,16 @@ from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings
 
 FIRST_REPORTING_SEED = 1_000_000
-"""Seeds below are for tuning, this one and those above for reporting."""
+"""Seeds below this one are for tuning, this one and higher ones for reporting."""
 
 
 class SeedRange(Settings):
-    """Seeds from `first` up to, but without, `end`."""
+    """Seeds from `first` up to `end`, without `end`."""
 
     first: int = Field(ge=0)
+    """First seed."""
     end: int
+    """Seed after the last one."""
 
     @model_validator(mode="after")
     def _holds_a_seed(self) -> Self:
@@ -37,37 +40,42 @@ class SeedRange(Settings):
         return self.end - self.first
 
     def seeds(self) -> range:
-        """The seeds, ascending."""
+        """Returns the seeds, ascending."""
         return range(self.first, self.end)
 
     def overlaps(self, other: SeedRange) -> bool:
-        """Whether a seed is in both."""
+        """Returns whether any seed is in both ranges."""
         return self.first < other.end and other.first < self.end
 
     @property
     def reports(self) -> bool:
-        """Whether all of them are reporting seeds."""
+        """True if all of them are reporting seeds."""
         return self.first >= FIRST_REPORTING_SEED
 
     @property
     def tunes(self) -> bool:
-        """Whether all of them are tuning seeds."""
+        """True if all of them are tuning seeds."""
         return self.end <= FIRST_REPORTING_SEED
 
 
 def seed_range(text: str) -> SeedRange:
-    """A range written as ``FIRST:END``, Python's way; ConfigurationError for anything else."""
+    """Returns the range written as ``FIRST:END``, END excluded. Raises ConfigurationError for any
+    other text.
+
+    >>> len(seed_range("1000000:1000100"))
+    100
+    """
     match = re.fullmatch(r"\s*(\d{1,15})\s*:\s*(\d{1,15})\s*", text)
     if match is None or int(match[2]) <= int(match[1]):
         raise ConfigurationError(
-            f"--seeds {text}: is no range of seeds",
+            f"--seeds {text}: not a range of seeds",
             f"write FIRST:END with END above FIRST, for example {FIRST_REPORTING_SEED}:1000100",
         )
     return SeedRange(first=int(match[1]), end=int(match[2]))
 
 
 def check_use(seeds: SeedRange, *, tuning: bool) -> None:
-    """ConfigurationError where seeds are scored for what they are not for."""
+    """Raises ConfigurationError if seeds are used for what they are not reserved for."""
     if not (seeds.tunes or seeds.reports):
         raise ConfigurationError(
             f"seeds {seeds} lie on both sides of {FIRST_REPORTING_SEED}: below are trials for "
@@ -76,23 +84,24 @@ def check_use(seeds: SeedRange, *, tuning: bool) -> None:
         )
     if seeds.tunes and not tuning:
         raise ConfigurationError(
-            f"seeds {seeds} are for tuning (below {FIRST_REPORTING_SEED}): what was chosen on "
-            "them cannot be reported on them",
-            f"take seeds from {FIRST_REPORTING_SEED} on, or --tuning for tables that say so",
+            f"seeds {seeds} are reserved for tuning (below {FIRST_REPORTING_SEED}): parameters "
+            "chosen on them must not be reported on them",
+            f"use seeds from {FIRST_REPORTING_SEED} on, or --tuning, which marks the tables",
         )
     if seeds.reports and tuning:
         raise ConfigurationError(
-            f"seeds {seeds} are for reporting (from {FIRST_REPORTING_SEED} on): nothing is tuned "
-            "on them",
-            f"take seeds below {FIRST_REPORTING_SEED}, or leave --tuning out",
+            f"seeds {seeds} are reserved for reporting (from {FIRST_REPORTING_SEED} on): nothing "
+            "is tuned on them",
+            f"use seeds below {FIRST_REPORTING_SEED}, or omit --tuning",
         )
 
 
 def check_unseen(name: str, tuned_on: SeedRange | None, seeds: SeedRange) -> None:
-    """ConfigurationError where a detector was tuned on some of the trials it is scored on."""
+    """Raises ConfigurationError if a detector was tuned on some of the trials on which it is to be
+    scored."""
     if tuned_on is not None and tuned_on.overlaps(seeds):
         raise ConfigurationError(
             f"{name} was tuned on seeds {tuned_on} and is to be scored on {seeds}: it has seen "
             "some of these trials",
-            "choose seeds that it has not seen, or --tuning for tables that say so",
+            "choose seeds that it has not seen, or use --tuning, which marks the tables",
         )

@@ -1,4 +1,4 @@
-"""Rates and percentiles of outcomes, with 95 % intervals, for all trials and by their traits."""
+"""Rates and percentiles of outcomes with 95 % intervals, for all trials and by their conditions."""
 
 from __future__ import annotations
 
@@ -10,29 +10,36 @@ from itertools import pairwise
 import numpy as np
 
 from rig.analysis.estimate import COVERAGE_95
-from rig.evaluation.scoring.outcomes import Outcome
+from rig.evaluation.scoring.outcomes import TrialOutcome
 
 PERCENTILES = (5, 50, 95)
+"""Percentiles that are computed of every delay."""
 RESAMPLES = 1000
-"""Of the bootstrap; the error of an end of its interval is then below a tenth of its width."""
+"""Resamples of the bootstrap. The error of an end of its interval is then below a tenth of its
+width."""
 FEWEST_OF_A_SPREAD = 5
-"""Of fewer values no interval of a percentile is told."""
+"""Fewest values for which the interval of a percentile is computed."""
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A number found from `of` cases with its 95 % interval; NaN where there is none."""
+class ScoredNumber:
+    """A number computed from `of` cases, with its 95 % interval. Values are NaN where there is
+    none."""
 
     value: float
+    """Best estimate."""
     low: float
+    """Lower end of the 95 % interval."""
     high: float
+    """Upper end of the 95 % interval."""
     of: int
+    """Number of cases."""
     unit: str
-    """1 for a rate, else that of value and interval."""
+    """Unit of value and interval; "1" for a rate."""
 
 
-Score = dict[str, Measured]
-"""What is told of a group of outcomes, by name; what cannot occur in the group is left out."""
+Score = dict[str, ScoredNumber]
+"""Numbers of a group of outcomes, by name. Numbers that cannot occur in the group are omitted."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +47,11 @@ class Group:
     """Outcomes whose trait lies in a bin."""
 
     trait: str
+    """Name of the trait."""
     bin: str
-    outcomes: tuple[Outcome, ...]
+    """The bin in words, for example "0.2 to 0.5"."""
+    outcomes: tuple[TrialOutcome, ...]
+    """Outcomes in the bin."""
 
 
 BINS: dict[str, tuple[float, ...]] = {
@@ -52,32 +62,39 @@ BINS: dict[str, tuple[float, ...]] = {
     "normal_force_N": (4.0, 6.0),
     "gain_mismatch": (-0.03, 0.03),
 }
-"""Traits by which scores are told, and where one bin ends and the next begins; the outermost bins
-are open. The drop of friction is `friction_ratio`, μ_k / μ_s."""
+"""Traits by which scores are split, with the edges between their bins; the outermost bins are open.
+`friction_ratio`, μ_k / μ_s, is the drop of the friction."""
 NAMES = ("pattern", "kind")
-"""Traits that are names, each of which is a bin."""
+"""Traits that are names. Each name is a bin."""
 
 
-def rate(hits: int, of: int) -> Measured:
-    """A share with Wilson's score interval (Wilson 1927, J. Am. Stat. Assoc. 22, 209)."""
+def rate(hits: int, of: int) -> ScoredNumber:
+    """Returns the share of hits with Wilson's score interval (Wilson 1927, J. Am. Stat. Assoc. 22,
+    209).
+
+    >>> half = rate(5, 10)
+    >>> half.value, round(half.low, 3), round(half.high, 3)
+    (0.5, 0.237, 0.763)
+    """
     if of == 0:
-        return Measured(math.nan, math.nan, math.nan, 0, "1")
+        return ScoredNumber(math.nan, math.nan, math.nan, 0, "1")
     share, z2 = hits / of, COVERAGE_95**2
     middle = (share + z2 / (2 * of)) / (1 + z2 / of)
     half = COVERAGE_95 / (1 + z2 / of) * math.sqrt(share * (1 - share) / of + z2 / (4 * of**2))
     low = 0.0 if hits == 0 else middle - half
     high = 1.0 if hits == of else middle + half
-    return Measured(share, low, high, of, "1")
+    return ScoredNumber(share, low, high, of, "1")
 
 
-def percentiles(values: Sequence[float], unit: str) -> dict[int, Measured]:
-    """`PERCENTILES` of those values that are numbers, with their bootstrap intervals.
+def percentiles(values: Sequence[float], unit: str) -> dict[int, ScoredNumber]:
+    """Returns `PERCENTILES` of the finite values, with their bootstrap intervals.
 
-    Percentile bootstrap (Efron 1979) with a fixed seed: the same values give the same interval.
+    It is the percentile bootstrap (Efron 1979) with a fixed seed: the same values always give the
+    same interval.
     """
     known = np.array([value for value in values if math.isfinite(value)])
     if not known.size:
-        return dict.fromkeys(PERCENTILES, Measured(math.nan, math.nan, math.nan, 0, unit))
+        return dict.fromkeys(PERCENTILES, ScoredNumber(math.nan, math.nan, math.nan, 0, unit))
     found = np.percentile(known, PERCENTILES)
     if known.size < FEWEST_OF_A_SPREAD:
         low = high = np.full(found.size, math.nan)
@@ -86,18 +103,19 @@ def percentiles(values: Sequence[float], unit: str) -> dict[int, Measured]:
         again = np.percentile(known[drawn], PERCENTILES, axis=1)
         low, high = np.percentile(again, (2.5, 97.5), axis=1)
     return {
-        percent: Measured(float(found[k]), float(low[k]), float(high[k]), known.size, unit)
+        percent: ScoredNumber(float(found[k]), float(low[k]), float(high[k]), known.size, unit)
         for k, percent in enumerate(PERCENTILES)
     }
 
 
-def score(outcomes: Sequence[Outcome]) -> Score:
-    """Everything that is told of a group of outcomes of one detector."""
-    return dict(_told(outcomes))
+def score(outcomes: Sequence[TrialOutcome]) -> Score:
+    """Returns all numbers of a group of outcomes of one detector."""
+    return dict(_quantities(outcomes))
 
 
-def by_trait(outcomes: Sequence[Outcome], trait: str) -> list[Group]:
-    """The outcomes that have a trait, a group for each bin that is not empty, in order."""
+def by_trait(outcomes: Sequence[TrialOutcome], trait: str) -> list[Group]:
+    """Returns the outcomes that have a trait, one group for each bin that is not empty, in
+    order."""
     having = [one for one in outcomes if trait in one.traits]
     if trait in NAMES:
         names = sorted({str(one.traits[trait]) for one in having})
@@ -120,11 +138,11 @@ def _bin(low: float, high: float) -> str:
     return f"{low:g} to {high:g}" if math.isfinite(high) else f"{low:g} and more"
 
 
-def _told(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, Measured]]:
-    def share(of: Sequence[Outcome], holds: Callable[[Outcome], bool]) -> Measured:
+def _quantities(outcomes: Sequence[TrialOutcome]) -> Iterator[tuple[str, ScoredNumber]]:
+    def share(of: Sequence[TrialOutcome], holds: Callable[[TrialOutcome], bool]) -> ScoredNumber:
         return rate(sum(map(holds, of)), len(of))
 
-    def labelled(label: str) -> list[Outcome]:
+    def labelled(label: str) -> list[TrialOutcome]:
         return [one for one in outcomes if one.label == label]
 
     if slips := labelled("slip"):
@@ -145,9 +163,9 @@ def _told(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, Measured]]:
         yield "lift_off_alarms_before", share(lifting, lambda one: one.alarmed_touching)
         yield "lift_off_alarms", share(lifting, lambda one: one.alarmed)
     if rolls := labelled("roll"):
-        yield "rolls_recognised", share(rolls, lambda one: one.told_roll)
+        yield "rolls_recognised", share(rolls, lambda one: one.classified_as_roll)
     if others := [one for label in ("slip", "hold", "tap") for one in labelled(label)]:
-        yield "taken_for_rolls", share(others, lambda one: one.told_roll)
+        yield "taken_for_rolls", share(others, lambda one: one.classified_as_roll)
     if outcomes:
         yield "pressing_alarms", share(outcomes, lambda one: one.alarmed_pressing)
     if slips:

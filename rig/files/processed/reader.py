@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import get_args
 
 from rig.core.settings import fingerprint
-from rig.detector.events import Event, EventKind
+from rig.detector.events import EventKind, SlipEvent
 from rig.detector.settings import DetectorSettings
 from rig.files.errors import RunFileError, in_words
 from rig.files.file_kind import IN_WORDS, kind_of
@@ -102,7 +102,7 @@ class ProcessedFile(OpenFile):
         with _naming(self.path):
             return texts_of(self.entry["trials/id"])
 
-    def events(self) -> list[tuple[str, Event]]:
+    def events(self) -> list[tuple[str, SlipEvent]]:
         """Return all events, each with its trial's id: trial after trial, in the order of time."""
         with _naming(self.path):
             table = self.entry["events"]
@@ -124,7 +124,7 @@ class ProcessedFile(OpenFile):
             return [
                 (
                     trial,
-                    Event(
+                    SlipEvent(
                         kind=kind,
                         sample=sample,
                         time_s=time,

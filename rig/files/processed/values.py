@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.settings import fingerprint
-from rig.detector.events import Event
+from rig.detector.events import SlipEvent
 from rig.detector.settings import DetectorSettings
 from rig.files.naming import RUN_SUFFIX
 
@@ -52,7 +52,7 @@ class DetectedTrial:
     """v_1 - v_2 in V, (n,)."""
     predictive: NDArray[np.float64]
     """v_d behind the detector's low-pass, in V, (n,)."""
-    events: tuple[Event, ...]
+    events: tuple[SlipEvent, ...]
 
     @property
     def time_s(self) -> NDArray[np.float64]:
