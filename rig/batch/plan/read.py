@@ -14,8 +14,7 @@ from pydantic import ValidationError
 
 from rig.batch.plan.conditions import Plan
 from rig.batch.plan.expand import Expansion, check_defaults, expand, labels
-from rig.batch.plan.findings import Finding, RefusedBatchError, Source, Where
-from rig.batch.plan.positions import lines_of
+from rig.batch.plan.findings import BatchText, Finding, RefusedBatchError, Where
 from rig.batch.plan.settings import BatchFile, Experiment
 from rig.core.errors import finding
 from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
@@ -23,8 +22,8 @@ from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
 WHAT = "batch file"
 
 
-def read_batch(path: Path) -> tuple[BatchFile, Plan, Source]:
-    """A batch file, what it expands to, and where its parts stand.
+def read_batch(path: Path) -> tuple[BatchFile, Plan, BatchText]:
+    """A batch file, what it expands to, and its text.
 
     ConfigurationError for what is no such file; RefusedBatchError with all that is wrong in it.
     """
@@ -32,10 +31,10 @@ def read_batch(path: Path) -> tuple[BatchFile, Plan, Source]:
     return parse_batch(text, str(path))
 
 
-def parse_batch(text: str, name: str) -> tuple[BatchFile, Plan, Source]:
+def parse_batch(text: str, name: str) -> tuple[BatchFile, Plan, BatchText]:
     """The same from the text of a file of this `name`."""
     tables = parse_toml(text, name)
-    source = Source(name, lines_of(text))
+    source = BatchText(name, text)
     try:
         batch = BatchFile.model_validate(tables)
     except ValidationError as error:
