@@ -25,7 +25,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
-from rig.batch.plan.conditions import Condition, Plan
+from rig.batch.plan.conditions import BatchCondition, BatchPlan
 from rig.core.errors import ConfigurationError, RigError
 
 RunState = Literal["queued", "running", "done", "failed", "set-aside"]
@@ -64,7 +64,7 @@ CREATE TABLE request (id INTEGER PRIMARY KEY, time TEXT NOT NULL, kind TEXT NOT 
 """
 
 
-class Estimate(NamedTuple):
+class RunEstimate(NamedTuple):
     """What is expected of a run."""
 
     duration_s: float
@@ -81,13 +81,13 @@ class Claim:
     number: int
     attempt: int
     repeat: int
-    condition: Condition
+    condition: BatchCondition
     estimate_s: float
     spread_s: float
 
 
 @dataclass(frozen=True)
-class Ended:
+class AttemptResult:
     """How an attempt ended."""
 
     ending: Ending
@@ -102,7 +102,7 @@ class Ended:
 
 
 @dataclass(frozen=True)
-class Left:
+class RemainingWork:
     """What a batch has still to do, as planned."""
 
     runs: int
@@ -140,8 +140,8 @@ class Queue:
     def create(
         cls,
         path: Path,
-        plan: Plan,
-        estimates: Mapping[str, Estimate],
+        plan: BatchPlan,
+        estimates: Mapping[str, RunEstimate],
         meta: Mapping[str, str],
     ) -> Self:
         """A new queue of all runs of a plan, with what is expected of a run by condition. It
@@ -233,7 +233,7 @@ class Queue:
         found.update(self._sql.execute("SELECT state, count(*) FROM run GROUP BY state").fetchall())
         return found  # type: ignore[return-value]
 
-    def left(self) -> Left:
+    def remaining(self) -> RemainingWork:
         """What is queued, with the rests between."""
         rows = self._sql.execute(
             "SELECT n, n * (c.estimate_s + c.rest_s), n * c.spread_s, n * c.size_B"
@@ -241,7 +241,7 @@ class Queue:
             " (SELECT condition, count(*) AS n FROM run WHERE state IN ('queued', 'running')"
             " GROUP BY condition) ON condition = c.id"
         ).fetchall()
-        return Left(
+        return RemainingWork(
             sum(row[0] for row in rows),
             sum(row[1] for row in rows),
             sum(row[2] ** 2 for row in rows) ** 0.5,
@@ -254,7 +254,7 @@ class Queue:
         where = ((), "") if number is None else ((number,), " WHERE number = ?")
         return float(self._sql.execute(query + where[1], where[0]).fetchone()[0])
 
-    def condition(self, name: str) -> Condition:
+    def condition(self, name: str) -> BatchCondition:
         """A condition by its id."""
         row = self._sql.execute("SELECT * FROM condition WHERE id = ?", (name,)).fetchone()
         return _condition_of(row)
@@ -359,7 +359,7 @@ class Queue:
             )
         return claim
 
-    def finish(self, claim: Claim, ended: Ended, state: RunState) -> None:
+    def finish(self, claim: Claim, ended: AttemptResult, state: RunState) -> None:
         """The attempt is over, and the run in this state: ``queued`` where it is to go on."""
         now = _now()
         with self._transaction():
@@ -411,15 +411,15 @@ class Queue:
                 " (SELECT number FROM run WHERE state IN ('failed', 'set-aside'))"
             )
             changed = self._sql.execute(
-                "UPDATE run SET state = 'queued', ended = NULL WHERE state IN"
+                "UPDATE run SET state = 'queued', ended = NULL, processed = NULL WHERE state IN"
                 " ('failed', 'set-aside')"
             )
         return changed.rowcount
 
-    # --- afterwards -----------------------------------------------------------------------------
+    # --- files of finished runs -----------------------------------------------------------------
 
     def unprocessed(self) -> list[tuple[int, str]]:
-        """Number and procedure of ended runs that nothing was made of yet."""
+        """Number and procedure of the finished runs whose files are still to be made."""
         rows = self._sql.execute(
             "SELECT number, procedure FROM run JOIN condition ON condition.id = run.condition"
             " WHERE processed IS NULL AND state IN ('done', 'failed') ORDER BY number"
@@ -427,7 +427,7 @@ class Queue:
         return [(row[0], row[1]) for row in rows]
 
     def set_processed(self, number: int, what: Mapping[str, Any]) -> None:
-        """Keep what was made of a run."""
+        """Record which files were made of a run, by what they are."""
         with self._transaction():
             self._sql.execute(
                 "UPDATE run SET processed = ? WHERE number = ?", (json.dumps(what), number)
@@ -435,7 +435,7 @@ class Queue:
 
     # --- what people see and ask for -------------------------------------------------------------
 
-    def tell(self, level: str, text: str) -> None:
+    def add_event(self, level: str, text: str) -> None:
         """Keep what happened, for those who look later."""
         with self._transaction():
             self._sql.execute(
@@ -449,12 +449,12 @@ class Queue:
         ).fetchall()
         return [(row[0], row[1], row[2]) for row in reversed(rows)]
 
-    def ask(self, kind: str) -> None:
+    def add_request(self, kind: str) -> None:
         """Ask the batch for something from outside."""
         with self._transaction():
             self._sql.execute("INSERT INTO request (time, kind) VALUES (?, ?)", (_now(), kind))
 
-    def asked(self) -> list[str]:
+    def take_requests(self) -> list[str]:
         """What was asked for since the last look, oldest first."""
         if self._sql.execute("SELECT 1 FROM request LIMIT 1").fetchone() is None:
             return []
@@ -498,7 +498,7 @@ class Queue:
         )
 
 
-def _condition_row(place: int, condition: Condition, estimate: Estimate) -> tuple[Any, ...]:
+def _condition_row(place: int, condition: BatchCondition, estimate: RunEstimate) -> tuple[Any, ...]:
     return (
         *(condition.id, place, condition.experiment, condition.procedure),
         *(json.dumps(dict(condition.settings)), json.dumps(dict(condition.varied))),
@@ -506,8 +506,8 @@ def _condition_row(place: int, condition: Condition, estimate: Estimate) -> tupl
     )
 
 
-def _condition_of(row: sqlite3.Row) -> Condition:
-    return Condition(
+def _condition_of(row: sqlite3.Row) -> BatchCondition:
+    return BatchCondition(
         row["id"],
         row["experiment"],
         row["procedure"],

@@ -16,7 +16,7 @@ from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.batch.folder import BatchFolder
-    from rig.batch.report.status import Status
+    from rig.batch.report.status import BatchStatus
 
 HELP = "Overnight batches: a file of many runs, each taken exactly once."
 
@@ -95,7 +95,7 @@ def resume(
         found = find_folder(folder, results)
         with Queue.open(found.queue) as queue:
             if found.is_held("supervisor"):
-                queue.ask("go")
+                queue.add_request("go")
                 say(f"batch {found.path}: told to go on")
                 return
             if despite_changes:
@@ -153,7 +153,7 @@ def status(
             time.sleep(WATCH_S)
 
 
-def _show(status: Status, as_json: bool, again: bool) -> None:
+def _show(status: BatchStatus, as_json: bool, again: bool) -> None:
     if as_json:
         print(json.dumps(status.as_object()), flush=True)  # noqa: T201 - stdout carries data
         return
@@ -172,12 +172,12 @@ def _ask(word: str, told: str, folder: Path | None, results: Path, debug: bool) 
         found = find_folder(folder, results)
         with Queue.open(found.queue) as queue:
             if not found.is_held("supervisor"):
-                left = queue.left().runs
+                left = queue.remaining().runs
                 raise ConfigurationError(
                     f"batch {found.path} is not running ({queue.meta('state')})",
                     f"go on with it: rig batch resume {found.path}" if left else "it is over",
                 )
-            queue.ask(word)
+            queue.add_request(word)
         say(f"batch {found.path}: {told}")
 
 

@@ -16,7 +16,7 @@ from rig.core.units import duration
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rig.batch.execute.prepare import Prepared
+    from rig.batch.execute.prepare import PreparedBatch
     from rig.batch.plan.estimate import PlacedRun
 
 
@@ -51,7 +51,7 @@ def schema() -> None:
     print(json.dumps(batch_schema(), indent=2))  # noqa: T201 - stdout carries data
 
 
-def as_object(prepared: Prepared, free_B: int) -> dict[str, Any]:
+def as_object(prepared: PreparedBatch, free_B: int) -> dict[str, Any]:
     """The object that ``--json`` prints."""
     forecast, expected = prepared.forecast, prepared.expected
     return {
@@ -95,7 +95,7 @@ def as_object(prepared: Prepared, free_B: int) -> dict[str, Any]:
     }
 
 
-def _table(prepared: Prepared) -> Iterator[str]:
+def _table(prepared: PreparedBatch) -> Iterator[str]:
     """One line a run: number, begin, condition, repeat, expected duration, what is varied."""
     width = max((len(name) for name in prepared.plan.conditions), default=0)
     digits = len(str(len(prepared.plan.runs)))
@@ -103,7 +103,7 @@ def _table(prepared: Prepared) -> Iterator[str]:
         yield _line(prepared, placed, digits, width)
 
 
-def _line(prepared: Prepared, placed: PlacedRun, digits: int, width: int) -> str:
+def _line(prepared: PreparedBatch, placed: PlacedRun, digits: int, width: int) -> str:
     run = placed.run
     condition = prepared.plan.conditions[run.condition]
     varied = " ".join(f"{name}={_shown(value)}" for name, value in condition.varied.items())
@@ -122,7 +122,7 @@ def _shown(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _summary(prepared: Prepared, free_B: int) -> Iterator[str]:
+def _summary(prepared: PreparedBatch, free_B: int) -> Iterator[str]:
     forecast = prepared.forecast
     name, runs = prepared.batch.batch.name, len(prepared.plan.runs)
     yield (

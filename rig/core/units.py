@@ -16,6 +16,11 @@ def duration(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 60 else str(timedelta(seconds=round(seconds)))
 
 
+def plural(number: int, noun: str) -> str:
+    """A number of things as a person writes it: ``1 run``, ``3 runs``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def parse(text: str, annotation: Any, unit: str | None) -> Any:
     """A text as a value for a field of this type; ValueError says what is wrong."""
     arguments = typing.get_args(annotation)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.batch.plan.conditions import Plan
+from rig.batch.plan.conditions import BatchPlan
 from rig.batch.plan.expand import expand
 from rig.batch.plan.findings import RefusedBatchError
 from rig.batch.plan.settings import BatchFile
@@ -19,14 +19,14 @@ SPEEDS = [0.2, 0.5, 1.0]
 FORCES = [2.0, 4.0]
 
 
-def planned(*experiments: dict[str, Any], **tables: Any) -> Plan:
+def planned(*experiments: dict[str, Any], **tables: Any) -> BatchPlan:
     """The plan of experiments, of slip trials where they name no procedure."""
     whole = [{"procedure": "slip-trial", **experiment} for experiment in experiments]
     batch = {"name": "night", **tables.pop("batch", {})}
     return expand(BatchFile.model_validate({"batch": batch, "experiment": whole, **tables}))
 
 
-def varied(plan: Plan) -> list[dict[str, Any]]:
+def varied(plan: BatchPlan) -> list[dict[str, Any]]:
     return [dict(condition.varied) for condition in plan.conditions.values()]
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from procedures import roll_trial, slip_trial, sweep
 from rig.batch.execute.drift import (
-    Finding,
+    HoldReason,
     ReferenceRun,
     disk_space,
     expiring,
@@ -27,13 +27,13 @@ CLAMP = {"film": "film 'F12' in the clamp"}
 SKIN = {"strip_1": "strip 1 of skin 'B'", "strip_2": "strip 2 of skin 'B'"}
 
 
-def swept(*gains: float | None) -> list[Finding]:
+def swept(*gains: float | None) -> list[HoldReason]:
     """What the last of some reference sweeps shows; every tenth run is one."""
     runs = [ReferenceRun(1 + 10 * k, {GAIN: gain}) for k, gain in enumerate(gains)]
     return judge(runs[:-1], runs[-1], sweep.DRIFT, CLAMP)
 
 
-def tried(first: tuple[float, float], now: dict[str, float]) -> list[Finding]:
+def tried(first: tuple[float, float], now: dict[str, float]) -> list[HoldReason]:
     before = ReferenceRun(1, {S1: first[0], S2: first[1]})
     return judge([before], ReferenceRun(11, now), slip_trial.DRIFT, SKIN)
 
@@ -181,7 +181,7 @@ def test_a_record_that_expires_during_the_night_is_told_and_one_that_lasts_is_no
     (found,) = expiring([record(0.25), record(2.0)], NOW, timedelta(hours=11))
     assert found.text == (
         "film-7.json: the calibration of 'film 7' of 2026-08-24 expires on 2026-11-23 04:00, "
-        "before the batch is over (about 2026-11-23 09:00)"
+        "before the run is over (about 2026-11-23 09:00)"
     )
     assert "rig calibrate pvdf" in found.hint
     (found,) = expiring([record(-1.0)], NOW, timedelta(hours=11))

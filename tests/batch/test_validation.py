@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from rig.batch.plan.conditions import Plan
+from rig.batch.plan.conditions import BatchPlan
 from rig.batch.plan.expand import expand
 from rig.batch.plan.findings import RefusedBatchError
 from rig.batch.plan.settings import BatchFile
-from rig.batch.plan.validate import Checked, Connected, validate
+from rig.batch.plan.validate import BenchConnector, ValidationResult, validate
 from rig.bench.bench import Bench, BenchPlan, Fixture, InstrumentPlan, parse_bench
 from rig.core.clock import WallClock
 from rig.core.errors import ConfigurationError, ExitCode
@@ -77,12 +77,12 @@ def equipped(plan: BenchPlan) -> BenchPlan:
     return replace(plan, instruments=tuple(parts))
 
 
-def plan_of(*experiments: dict[str, Any]) -> Plan:
+def plan_of(*experiments: dict[str, Any]) -> BatchPlan:
     whole = [{"procedure": "slip-trial", **experiment} for experiment in experiments]
     return expand(BatchFile.model_validate({"batch": {"name": "night"}, "experiment": whole}))
 
 
-def benches() -> tuple[Connected, list[Fixture]]:
+def benches() -> tuple[BenchConnector, list[Fixture]]:
     """Benches with these instruments, and which fixtures they were asked for."""
     asked: list[Fixture] = []
 
@@ -95,7 +95,7 @@ def benches() -> tuple[Connected, list[Fixture]]:
     return connected, asked
 
 
-def check(plan: Plan, text: str | None) -> tuple[Checked, list[Fixture]]:
+def check(plan: BatchPlan, text: str | None) -> tuple[ValidationResult, list[Fixture]]:
     real = None if text is None else equipped(parse_bench(text, "bench.toml"))
     connected, asked = benches()
     return validate(plan, real, connected), asked

@@ -15,7 +15,7 @@ LOOK_S = 0.2
 """How often a rest looks whether it is over."""
 
 
-class Night(Protocol):
+class BatchClock(Protocol):
     """What time it is, and resting."""
 
     def now(self) -> datetime:
@@ -31,25 +31,25 @@ class Night(Protocol):
         ...
 
 
-class WallNight:
+class WallBatchClock:
     """Real time."""
 
     def now(self) -> datetime:
-        """See `Night`."""
+        """See `BatchClock`."""
         return datetime.now().astimezone()
 
     def used(self, bench_s: float) -> None:
         """It has gone by."""
 
     def rest(self, seconds: float, look: Callable[[], None]) -> None:
-        """See `Night`."""
+        """See `BatchClock`."""
         until = time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0:
             look()
             time.sleep(min(left, LOOK_S))
 
 
-class SlavedNight:
+class VirtualBatchClock:
     """The time of benches that stand still between runs. `passed` gets what goes by, in s, before
     it counts."""
 
@@ -57,15 +57,15 @@ class SlavedNight:
         self._begun, self._passed_s, self._keep = begun, passed_s, passed
 
     def now(self) -> datetime:
-        """See `Night`."""
+        """See `BatchClock`."""
         return self._begun + timedelta(seconds=self._passed_s)
 
     def used(self, bench_s: float) -> None:
-        """See `Night`."""
+        """See `BatchClock`."""
         self._pass(bench_s)
 
     def rest(self, seconds: float, look: Callable[[], None]) -> None:
-        """See `Night`."""
+        """See `BatchClock`."""
         look()
         self._pass(seconds)
 

@@ -27,7 +27,7 @@ WORN_HINT = "look at the film, its cable and its connector; replace it and calib
 
 
 @dataclass(frozen=True)
-class Finding:
+class HoldReason:
     """Something that speaks against going on, in words."""
 
     kind: Literal["drift", "no-figure", "force-zero", "disk", "calibration"]
@@ -47,7 +47,7 @@ class ReferenceRun:
 
 
 @dataclass(frozen=True)
-class _Moved:
+class _DriftedFigure:
     """A figure beyond its tolerance; `by` is None where it was not found any more."""
 
     figure: DriftFigure
@@ -91,7 +91,7 @@ def judge(
     now: ReferenceRun,
     watched: Mapping[str, DriftFigure],
     parts: Mapping[str, str],
-) -> list[Finding]:
+) -> list[HoldReason]:
     """What a reference run shows against the ones before it, oldest first.
 
     Each figure is compared with the first run that has it; `parts` are names as of `part_names`.
@@ -118,7 +118,7 @@ def judge(
 
 def zero_drift(
     first_N: Sequence[float], now_N: Sequence[float], limit_N: float, since_run: int = 1
-) -> list[Finding]:
+) -> list[HoldReason]:
     """Whether the force sensor's zero (x, y, z in N, ``force_zero_N`` of a summary) has moved along
     any axis by more than the limit since an earlier run."""
     moves = [now - first for first, now in zip(first_N, now_N, strict=True)]
@@ -131,10 +131,10 @@ def zero_drift(
         "overloaded, warmed up, or touched by something"
     )
     hint = "look what lies on or touches the sensor; let it warm up; have it checked if it stays so"
-    return [Finding("force-zero", text, hint)]
+    return [HoldReason("force-zero", text, hint)]
 
 
-def disk_space(free_bytes: float, needed_bytes: float, least_GB: float) -> list[Finding]:
+def disk_space(free_bytes: float, needed_bytes: float, least_GB: float) -> list[HoldReason]:
     """Whether the disk of the results holds what the rest of the batch needs and `least_GB` (1e9
     bytes) besides."""
     free_GB, needed_GB = free_bytes / 1e9, needed_bytes / 1e9
@@ -145,14 +145,14 @@ def disk_space(free_bytes: float, needed_bytes: float, least_GB: float) -> list[
         f"disk of the results: {free_GB:.3g} GB are free{rest}; {least_GB:g} GB are to be left "
         "(hold_when.free_disk_GB)"
     )
-    return [Finding("disk", text, "free space there, or give another folder for the results")]
+    return [HoldReason("disk", text, "free space there, or give another folder for the results")]
 
 
 def expiring(
     records: Iterable[tuple[Path, Record]], now: datetime, duration: timedelta
-) -> list[Finding]:
-    """Which of the calibration records, each with its file, have expired or will before a batch of
-    that duration is over. `now` carries its time zone."""
+) -> list[HoldReason]:
+    """Which of the calibration records, each with its file, have expired or will expire before a
+    run of this duration, begun `now` (with time zone), is over."""
     findings = []
     for source, record in records:
         if record.valid_until > now + duration:
@@ -162,9 +162,9 @@ def expiring(
         expires = f"expired on {ends}"
         if record.valid_until > now:
             over = (now + duration).strftime("%Y-%m-%d %H:%M")
-            expires = f"expires on {ends}, before the batch is over (about {over})"
+            expires = f"expires on {ends}, before the run is over (about {over})"
         findings.append(
-            Finding(
+            HoldReason(
                 "calibration",
                 f"{source}: the calibration of {record.sensor!r} of {date} {expires}",
                 f"calibrate with `{COMMANDS[record.kind]}`, or set allow_expired = true",
@@ -185,7 +185,7 @@ def _number(value: Any) -> float | None:
 
 def _moved(
     name: str, figure: DriftFigure, earlier: Sequence[ReferenceRun], now: ReferenceRun
-) -> _Moved | None:
+) -> _DriftedFigure | None:
     """The figure's move beyond its tolerance, if it has made one."""
     known = [
         (run.number, value)
@@ -200,7 +200,7 @@ def _moved(
     value = _number(now.summary.get(name))
     if value is None:
         text = f"{figure.what} could not be found any more (in run {run}: {first:.{places}f}{unit})"
-        return _Moved(figure, text, None, lost=True, crept=False)
+        return _DriftedFigure(figure, text, None, lost=True, crept=False)
     by = value - first
     if abs(by) <= figure.tolerance:
         return None
@@ -209,10 +209,10 @@ def _moved(
         f"{value:.{places}f}{unit}; tolerance {figure.tolerance:g}{unit}) since run {run}"
     )
     lost = by <= -LARGE_LOSS_dB if unit == " dB" else abs(value) <= LARGE_LOSS * abs(first)
-    return _Moved(figure, text, by, lost, crept=abs(value - before) <= figure.tolerance)
+    return _DriftedFigure(figure, text, by, lost, crept=abs(value - before) <= figure.tolerance)
 
 
-def _together(moved: Sequence[_Moved], watched: Mapping[str, DriftFigure]) -> bool:
+def _together(moved: Sequence[_DriftedFigure], watched: Mapping[str, DriftFigure]) -> bool:
     """Whether every watched figure of several parts has moved, all alike or all to nothing."""
     if len(moved) < len(watched) or len({found.figure.part for found in moved}) < 2:
         return False
@@ -223,37 +223,39 @@ def _together(moved: Sequence[_Moved], watched: Mapping[str, DriftFigure]) -> bo
     return len(moves) == len(moved) and max(moves) - min(moves) <= widest
 
 
-def _common_cause(moved: Mapping[str, _Moved], parts: Mapping[str, str]) -> Finding:
+def _common_cause(moved: Mapping[str, _DriftedFigure], parts: Mapping[str, str]) -> HoldReason:
     told = "; ".join(_told(found, parts) for found in moved.values())
     if all(found.lost for found in moved.values()):
         why = "all of them together: unplugged, or an amplifier without power, rather than films"
-        return Finding("drift", f"{told}: {why}", "look at the plugs, the amplifiers and the DAQ")
+        return HoldReason(
+            "drift", f"{told}: {why}", "look at the plugs, the amplifiers and the DAQ"
+        )
     why = "all of them alike: amplifier, load cell or force sensor rather than a film"
     hint = "look at the amplifiers' gains and supply; check the force sensor with a known weight"
-    return Finding("drift", f"{told}: {why}", hint)
+    return HoldReason("drift", f"{told}: {why}", hint)
 
 
-def _of_one_part(found: _Moved, parts: Mapping[str, str]) -> Finding:
+def _of_one_part(found: _DriftedFigure, parts: Mapping[str, str]) -> HoldReason:
     told = _told(found, parts)
     if found.figure.part not in parts:
-        return Finding("drift", told, "find out what has changed on the bench since then")
+        return HoldReason("drift", told, "find out what has changed on the bench since then")
     if found.lost:
-        return Finding("drift", f"{told}: torn or unplugged", WORN_HINT)
+        return HoldReason("drift", f"{told}: torn or unplugged", WORN_HINT)
     assert found.by is not None, "what was not found is lost"
     if found.by > 0:
         why = "not wear: its amplifier, its cable or how it is held has changed"
-        return Finding("drift", f"{told}: {why}", "look at amplifier, cable and clamp or skin")
+        return HoldReason("drift", f"{told}: {why}", "look at amplifier, cable and clamp or skin")
     why = "worn, little by little" if found.crept else "worn or torn"
-    return Finding("drift", f"{told}: {why}", WORN_HINT)
+    return HoldReason("drift", f"{told}: {why}", WORN_HINT)
 
 
-def _told(found: _Moved, parts: Mapping[str, str]) -> str:
+def _told(found: _DriftedFigure, parts: Mapping[str, str]) -> str:
     part = parts.get(found.figure.part)
     return f"{part}: {found.text}" if part else found.text
 
 
-def _no_figure(name: str, figure: DriftFigure, run: ReferenceRun) -> Finding:
-    return Finding(
+def _no_figure(name: str, figure: DriftFigure, run: ReferenceRun) -> HoldReason:
+    return HoldReason(
         "no-figure",
         f"run {run.number}, the first of the reference, has no {figure.what} ({name}): whether it "
         "drifts cannot be told",

@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from rig.batch.execute.drift import (
-    Finding,
+    HoldReason,
     ReferenceRun,
     disk_space,
     expiring,
@@ -20,7 +20,7 @@ from rig.batch.execute.drift import (
 from rig.batch.plan.estimate import records_of
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchFile
-from rig.batch.queue import Claim, Ended, Queue
+from rig.batch.queue import AttemptResult, Claim, Queue
 from rig.bench.bench import BenchPlan, BenchSettings, read_bench
 
 ZERO = "force_zero_N"
@@ -30,17 +30,17 @@ ACCEPTED = "accepted "
 at the bench and let it go on."""
 
 
-class Watch:
+class DriftWatch:
     """Looks at a batch between its runs."""
 
     def __init__(self, queue: Queue, file: BatchFile, bench: Path | None, results: Path):
         self._queue, self._file, self._results = queue, file, results
         self._plan: BenchPlan | None = None if bench is None else read_bench(bench)
 
-    def before(self, claim: Claim, now: datetime) -> list[Finding]:
+    def before(self, claim: Claim, now: datetime) -> list[HoldReason]:
         """What speaks against beginning a run now."""
         batch = self._file.batch
-        needed_B = self._queue.left().size_B
+        needed_B = self._queue.remaining().size_B
         free_B = shutil.disk_usage(self._results).free
         found = disk_space(free_B, needed_B, batch.hold_when.free_disk_GB)
         if not batch.allow_expired:
@@ -48,7 +48,7 @@ class Watch:
             found += expiring(records_of(self._plan), now, timedelta(seconds=run_s))
         return found
 
-    def after(self, claim: Claim, ended: Ended, bench: BenchSettings) -> list[Finding]:
+    def after(self, claim: Claim, ended: AttemptResult, bench: BenchSettings) -> list[HoldReason]:
         """What a run that is done shows: of a reference, drift; of any, the force sensor's zero."""
         return [*self._zero(claim, ended), *self._drift(claim, ended, bench)]
 
@@ -58,7 +58,7 @@ class Watch:
         self._queue.set_meta(ACCEPTED + ZERO, str(claim.number))
         self._queue.set_meta(ACCEPTED + claim.condition.id, str(claim.number))
 
-    def _zero(self, claim: Claim, ended: Ended) -> list[Finding]:
+    def _zero(self, claim: Claim, ended: AttemptResult) -> list[HoldReason]:
         now_N = (ended.summary or {}).get(ZERO)
         since = int(self._queue.meta(ACCEPTED + ZERO, "1"))
         first = self._queue.first_summary_with(ZERO, since)
@@ -67,7 +67,7 @@ class Watch:
         limit_N = self._file.batch.hold_when.zero_drift_N
         return zero_drift(first[1][ZERO], now_N, limit_N, first[0])
 
-    def _drift(self, claim: Claim, ended: Ended, bench: BenchSettings) -> list[Finding]:
+    def _drift(self, claim: Claim, ended: AttemptResult, bench: BenchSettings) -> list[HoldReason]:
         condition = claim.condition
         if not condition.reference or ended.summary is None:
             return []

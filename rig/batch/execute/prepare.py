@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from rig.batch.plan.conditions import Plan
-from rig.batch.plan.estimate import Expected, Forecast, expect, forecast, homing_s, records_of
-from rig.batch.plan.findings import Finding, RefusedBatchError, Where
+from rig.batch.plan.conditions import BatchPlan
+from rig.batch.plan.estimate import ExpectedRun, Forecast, expect, forecast, homing_s, records_of
+from rig.batch.plan.findings import KeyPath, PlanFinding, RefusedBatchError
 from rig.batch.plan.read import read_batch
 from rig.batch.plan.settings import BatchFile
-from rig.batch.plan.validate import Checked, Connected, validate
-from rig.batch.queue import Estimate
+from rig.batch.plan.validate import BenchConnector, ValidationResult, validate
+from rig.batch.queue import RunEstimate
 from rig.batch.report.notify import require_usable
 from rig.bench import bench as benches
 from rig.bench.bench import Bench, BenchPlan, Fixture, read_bench
@@ -37,27 +37,29 @@ STAGES: dict[tuple[str, str], Stages] = {
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedBatch:
     """A batch that may begin."""
 
     batch: BatchFile
-    plan: Plan
+    plan: BatchPlan
     bench: Path | None
     """Bench file; None where every run gets a simulated bench of its own."""
-    expected: Mapping[str, Expected]
+    expected: Mapping[str, ExpectedRun]
     """By condition."""
     forecast: Forecast
 
     @property
-    def estimates(self) -> dict[str, Estimate]:
+    def estimates(self) -> dict[str, RunEstimate]:
         """What is expected of a run, by condition."""
         return {
-            name: Estimate(one.duration_s, one.spread_s, one.size_B)
+            name: RunEstimate(one.duration_s, one.spread_s, one.size_B)
             for name, one in self.expected.items()
         }
 
 
-def prepare(path: Path, given: Path | None, now: datetime, say: Callable[[str], None]) -> Prepared:
+def prepare(
+    path: Path, given: Path | None, now: datetime, say: Callable[[str], None]
+) -> PreparedBatch:
     """Read a batch file, expand it, check all of it against its bench and foretell it, were it
     begun `now`. `given`: the bench file of the command line; `say` gets lines for a person.
 
@@ -73,14 +75,16 @@ def prepare(path: Path, given: Path | None, now: datetime, say: Callable[[str], 
     ]
     with tempfile.TemporaryDirectory(prefix="rig-batch-plan-") as results:
         request = _request(batch, path, chosen, real, Path(results))
-        checked = validate(plan, real, rehearsed(request, say)) if not findings else Checked()
+        checked = (
+            validate(plan, real, rehearsed(request, say)) if not findings else ValidationResult()
+        )
     if findings := [*findings, *checked.findings]:
         raise RefusedBatchError(findings, source)
     fixtures = checked.fixtures
     expected = expect(plan, fixtures, real is not None)
     first_s = homing_s(plan, fixtures) if real is not None else 0.0
     foretold = forecast(batch.batch, plan, expected, now, first_s, real)
-    return Prepared(batch, plan, chosen, expected, foretold)
+    return PreparedBatch(batch, plan, chosen, expected, foretold)
 
 
 def bench_of(batch: BatchFile, path: Path, given: Path | None) -> Path | None:
@@ -91,7 +95,7 @@ def bench_of(batch: BatchFile, path: Path, given: Path | None) -> Path | None:
     return bench_file(given)
 
 
-def rehearsed(request: BenchRequest, say: Callable[[str], None]) -> Connected:
+def rehearsed(request: BenchRequest, say: Callable[[str], None]) -> BenchConnector:
     """Simulated benches under the limits of the request's bench file, connected one at a time."""
 
     @contextlib.contextmanager
@@ -130,18 +134,18 @@ def _drivers(real: BenchPlan) -> tuple[str, str]:
     return by_role.get("stage_z", ""), by_role.get("stage_x", by_role.get("stage_z", ""))
 
 
-def _simulation(batch: BatchFile, path: Path, bench: Path | None) -> Iterator[Finding]:
+def _simulation(batch: BatchFile, path: Path, bench: Path | None) -> Iterator[PlanFinding]:
     """What is wrong with [simulation]: a bench that it is not for, files that are not there."""
     own = batch.simulation
     if own is None:
         return
     if bench is not None:
-        yield Finding(
+        yield PlanFinding(
             ("simulation",),
             f"[simulation] is of benches that the batch starts for itself, not of {bench}",
             "leave it out, or the bench file",
         )
-    named: list[tuple[Where, str | None]] = [(("simulation", "world"), own.world)]
+    named: list[tuple[KeyPath, str | None]] = [(("simulation", "world"), own.world)]
     named += [(("simulation", "fault", k, "plan"), one.plan) for k, one in enumerate(own.fault)]
     named += [
         (("simulation", "change", k, "settings"), one.settings) for k, one in enumerate(own.change)
@@ -149,22 +153,22 @@ def _simulation(batch: BatchFile, path: Path, bench: Path | None) -> Iterator[Fi
     for where, name in named:
         if name is not None and not (path.parent / name).is_file():
             told = ".".join(str(part) for part in where if isinstance(part, str))
-            yield Finding(
+            yield PlanFinding(
                 where,
                 f"{told} = {name!r}: there is no such file beside the batch file",
                 "name a file relative to the batch file",
             )
 
 
-def _nobody_told(batch: BatchFile) -> Iterator[Finding]:
+def _nobody_told(batch: BatchFile) -> Iterator[PlanFinding]:
     """Notifications that could never be delivered."""
     try:
         require_usable(batch.batch.notify)
     except ConfigurationError as error:
-        yield Finding(("batch", "notify"), error.message, error.hint)
+        yield PlanFinding(("batch", "notify"), error.message, error.hint)
 
 
-def _bad_records(batch: BatchFile, real: BenchPlan | None, now: datetime) -> Iterator[Finding]:
+def _bad_records(batch: BatchFile, real: BenchPlan | None, now: datetime) -> Iterator[PlanFinding]:
     """Calibration records that no run could use."""
     try:
         for path, record in records_of(real):
@@ -177,4 +181,4 @@ def _bad_records(batch: BatchFile, real: BenchPlan | None, now: datetime) -> Ite
                 allow_expired=batch.batch.allow_expired,
             )
     except ConfigurationError as error:
-        yield Finding(("batch", "bench"), error.message, error.hint)
+        yield PlanFinding(("batch", "bench"), error.message, error.hint)

@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 
 import rig
-from rig.batch.execute.prepare import Prepared
+from rig.batch.execute.prepare import PreparedBatch
 from rig.batch.folder import BatchFolder, new_folder
 from rig.batch.plan.settings import BatchFile, Simulation
 from rig.batch.queue import Queue
@@ -18,7 +18,7 @@ from rig.core.settings import fingerprint
 from rig.run.source_state import source_state
 
 
-def begin(batch_file: Path, prepared: Prepared, now: datetime) -> BatchFolder:
+def begin(batch_file: Path, prepared: PreparedBatch, now: datetime) -> BatchFolder:
     """Make the folder of a batch that may begin, with its queue."""
     batch, bench = prepared.batch, prepared.bench
     folder = new_folder(Path(batch.batch.results), batch.batch.name, now)

@@ -9,15 +9,15 @@ from functools import cached_property
 
 from rig.core.errors import MOST_FINDINGS, ConfigurationError, ExitCode, RigError
 
-Where = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 """Keys and places in lists that lead to a part of the batch file: ("experiment", 1, "matrix")."""
 
 
 @dataclass(frozen=True)
-class Finding:
+class PlanFinding:
     """One thing that is wrong."""
 
-    where: Where
+    where: KeyPath
     message: str
     hint: str | None = None
     code: ExitCode = ExitCode.USAGE
@@ -43,7 +43,7 @@ class BatchText:
     name: str
     text: str
 
-    def line(self, where: Where) -> int:
+    def line(self, where: KeyPath) -> int:
         """The line of a key or table, counted from 1; that of the nearest table around it where the
         part itself does not begin a line (an entry of a list, say), or 1."""
         while where and where not in self._lines:
@@ -51,12 +51,12 @@ class BatchText:
         return self._lines.get(where, 1)
 
     @cached_property
-    def _lines(self) -> dict[Where, int]:
+    def _lines(self) -> dict[KeyPath, int]:
         """The first line of every table and key. A search for headers and assignments, no parser:
         what looks like one within a text of several lines is taken for one."""
-        lines: dict[Where, int] = {}
-        table: Where = ()
-        entries: dict[Where, int] = {}
+        lines: dict[KeyPath, int] = {}
+        table: KeyPath = ()
+        entries: dict[KeyPath, int] = {}
         for number, line in enumerate(self.text.splitlines(), 1):
             if header := HEADER.match(line):
                 table = ()
@@ -76,7 +76,7 @@ class BatchText:
 class RefusedBatchError(ConfigurationError):
     """A batch that is not begun: all that is wrong with it, in the order of the file."""
 
-    def __init__(self, findings: Iterable[Finding], source: BatchText | None = None):
+    def __init__(self, findings: Iterable[PlanFinding], source: BatchText | None = None):
         found = list(dict.fromkeys(findings))
         if source is not None:
             found.sort(key=lambda finding: source.line(finding.where))
@@ -95,7 +95,7 @@ class RefusedBatchError(ConfigurationError):
         return self._parts
 
 
-def _part(finding: Finding, source: BatchText | None) -> RigError:
+def _part(finding: PlanFinding, source: BatchText | None) -> RigError:
     place = "" if source is None else f"{source.name}:{source.line(finding.where)}: "
     return RigError(place + finding.told, finding.hint, finding.code)
 

@@ -12,9 +12,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from rig.batch.plan.conditions import Plan
+from rig.batch.plan.conditions import BatchPlan
 from rig.batch.plan.expand import Expansion, check_defaults, expand, labels
-from rig.batch.plan.findings import BatchText, Finding, RefusedBatchError, Where
+from rig.batch.plan.findings import BatchText, KeyPath, PlanFinding, RefusedBatchError
 from rig.batch.plan.settings import BatchFile, Experiment
 from rig.core.errors import finding
 from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
@@ -22,7 +22,7 @@ from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
 WHAT = "batch file"
 
 
-def read_batch(path: Path) -> tuple[BatchFile, Plan, BatchText]:
+def read_batch(path: Path) -> tuple[BatchFile, BatchPlan, BatchText]:
     """A batch file, what it expands to, and its text.
 
     ConfigurationError for what is no such file; RefusedBatchError with all that is wrong in it.
@@ -31,7 +31,7 @@ def read_batch(path: Path) -> tuple[BatchFile, Plan, BatchText]:
     return parse_batch(text, str(path))
 
 
-def parse_batch(text: str, name: str) -> tuple[BatchFile, Plan, BatchText]:
+def parse_batch(text: str, name: str) -> tuple[BatchFile, BatchPlan, BatchText]:
     """The same from the text of a file of this `name`."""
     tables = parse_toml(text, name)
     source = BatchText(name, text)
@@ -46,12 +46,12 @@ def parse_batch(text: str, name: str) -> tuple[BatchFile, Plan, BatchText]:
         raise RefusedBatchError(error.findings, source) from error
 
 
-def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[Finding]:
+def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[PlanFinding]:
     """What pydantic has found, in words; the kinds of value that something could be, but is none
     of, are one finding."""
-    by_place: dict[Where, list[str]] = {}
+    by_place: dict[KeyPath, list[str]] = {}
     for item in error.errors():
-        where: Where = item["loc"]
+        where: KeyPath = item["loc"]
         named = where if item["type"] == "missing" else _existing(where, tables)
         shown = named[2:] if named[0] == "experiment" else named
         keys = tuple(part for part in shown if isinstance(part, str))
@@ -59,12 +59,12 @@ def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[Fin
     for where, told in by_place.items():
         first, *others = dict.fromkeys(told)
         reasons = [other.rpartition(": ")[2].removeprefix("has to be ") for other in others]
-        yield Finding(where, " or ".join([first, *reasons]))
+        yield PlanFinding(where, " or ".join([first, *reasons]))
 
 
-def _existing(where: Where, tables: Any) -> Where:
+def _existing(where: KeyPath, tables: Any) -> KeyPath:
     """As far as a place exists in the file: pydantic adds which kind of value it tried."""
-    found: Where = ()
+    found: KeyPath = ()
     for part in where:
         try:
             tables = tables[part]
@@ -74,7 +74,7 @@ def _existing(where: Where, tables: Any) -> Where:
     return found or where[:1]
 
 
-def _further(tables: Mapping[str, Any]) -> Iterator[Finding]:
+def _further(tables: Mapping[str, Any]) -> Iterator[PlanFinding]:
     """What is wrong with the settings in a file of which another part is wrong."""
     defaults = tables.get("defaults", {})
     entries = tables.get("experiment", [])

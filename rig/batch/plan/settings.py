@@ -65,7 +65,7 @@ class HoldWhen(Settings):
     """The force sensor's zero has moved by more since the batch's first run."""
 
 
-class Notify(Settings):
+class NotifySettings(Settings):
     """Whom to tell, and of what. Nothing of it can disturb a run."""
 
     urls: tuple[str, ...] = ()
@@ -110,10 +110,10 @@ class BatchSettings(Settings):
     """Whether figures are drawn of every run, while the bench waits or by what it leaves."""
     detect: bool = True
     """Whether the detector goes over every trial's strips, likewise."""
-    notify: Notify = Notify()
+    notify: NotifySettings = NotifySettings()
 
 
-class Sample(Settings):
+class SpaceSample(Settings):
     """Points that fill a space of settings more evenly than a grid of as many."""
 
     method: Literal["latin-hypercube", "sobol"] = "latin-hypercube"
@@ -124,7 +124,7 @@ class Sample(Settings):
     """Settings that are spread evenly over their logarithm."""
 
     @model_validator(mode="after")
-    def _ranges_are_ranges(self) -> Sample:
+    def _ranges_are_ranges(self) -> SpaceSample:
         for name, (low, high) in self.ranges.items():
             if not low < high:
                 raise ValueError(f"ranges.{name}: {low:g} is not below {high:g}")
@@ -146,7 +146,7 @@ class Experiment(Settings):
     """Settings that all its runs share."""
     matrix: dict[str, list[Value]] = Field(default_factory=dict)
     """Values by setting: every combination is a condition."""
-    sample: Sample | None = None
+    sample: SpaceSample | None = None
     """In place of a matrix, or crossed with it."""
     exclude: tuple[dict[str, Value], ...] = ()
     """Combinations to leave out: those that have all the values of one entry."""
@@ -179,7 +179,7 @@ class Experiment(Settings):
         return self
 
 
-class FaultOn(Settings):
+class FaultSelection(Settings):
     """A fault plan in effect on some runs."""
 
     runs: tuple[int, ...]
@@ -190,7 +190,7 @@ class FaultOn(Settings):
     """It strikes the first so many attempts of a run."""
 
 
-class WorldFrom(Settings):
+class WorldChange(Settings):
     """Another World from a run on."""
 
     from_run: int = Field(ge=1)
@@ -205,8 +205,8 @@ class Simulation(Settings):
     stages: Literal["festo", "az", "festo-az", "az-festo"] = "festo"
     world: str | None = None
     """The World's settings (TOML), relative to the batch file."""
-    fault: tuple[FaultOn, ...] = ()
-    change: tuple[WorldFrom, ...] = ()
+    fault: tuple[FaultSelection, ...] = ()
+    change: tuple[WorldChange, ...] = ()
     world_log: bool = False
     """Whether every simulated bench's own log is kept beside its run."""
 

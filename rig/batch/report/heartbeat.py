@@ -25,7 +25,7 @@ from typing import Literal
 EVERY_S = 5.0
 """Between two beats where nothing has changed but the point."""
 
-State = Literal["waiting", "running", "resting", "holding", "finishing", "ended"]
+HeartbeatState = Literal["waiting", "running", "resting", "holding", "finishing", "ended"]
 """waiting: for its window or the bench. running, resting: a run, or the rest before one. holding:
 a person is wanted. finishing: the bench is not needed any more. ended: nothing follows."""
 
@@ -33,10 +33,10 @@ log = logging.getLogger("rig")
 
 
 @dataclass(frozen=True)
-class Beat:
+class HeartbeatRecord:
     """How far a batch is."""
 
-    state: State
+    state: HeartbeatState
     run: int = 0
     """Number in the queue of the run under way, or of the latest; 0 before the first."""
     of: int = 0
@@ -61,7 +61,7 @@ class Heartbeat:
         self._due_s = 0.0
         self._failed = False
 
-    def write(self, beat: Beat) -> None:
+    def write(self, beat: HeartbeatRecord) -> None:
         """Have the file say this, at once where more than the point has changed, else every
         `EVERY_S`; its time and pid are filled in. Never raises."""
         now_s = self._monotonic_s()

@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from rig.batch.folder import BatchFolder
-from rig.batch.queue import Left, Queue, RunRow, RunState
+from rig.batch.queue import Queue, RemainingWork, RunRow, RunState
 from rig.core.units import duration
 
 LATEST = 5
@@ -15,7 +15,7 @@ LATEST = 5
 
 
 @dataclass(frozen=True)
-class Status:
+class BatchStatus:
     """A look at a batch."""
 
     folder: BatchFolder
@@ -26,7 +26,7 @@ class Status:
     running: bool
     """Whether a supervisor is at work."""
     counts: dict[RunState, int]
-    left: Left
+    left: RemainingWork
     bench_s: float
     current: RunRow | None
     failures: list[RunRow]
@@ -96,17 +96,17 @@ class Status:
         return f"interrupted ({self.state}); its supervisor has died"
 
 
-def status_of(folder: BatchFolder) -> Status:
+def status_of(folder: BatchFolder) -> BatchStatus:
     """Look at a batch; ConfigurationError where the folder holds none."""
     with Queue.open(folder.queue, read_only=True) as queue:
-        return Status(
+        return BatchStatus(
             folder,
             queue.meta("name"),
             queue.meta("simulated") == "yes",
             queue.meta("state"),
             folder.is_held("supervisor"),
             queue.counts(),
-            queue.left(),
+            queue.remaining(),
             queue.bench_s(),
             next(queue.rows(("running",)), None),
             queue.latest(("failed",), LATEST),
