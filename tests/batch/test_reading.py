@@ -90,6 +90,14 @@ def test_an_error_is_told_with_its_line(old: str, new: str, line: int, words: st
     assert any(one.startswith(place) for one in lines), (place, lines)
 
 
+def test_stages_that_no_simulated_bench_has_are_refused_with_the_choices() -> None:
+    (line,) = refused(GOOD + '[simulation]\nstages = "hexapod"\n')
+    assert line.startswith("night.toml:27: simulation.stages = 'hexapod': has to be one of festo, ")
+    batch, _, _ = parse_batch(GOOD + '[simulation]\nstages = "az-festo"\n', "night.toml")
+    assert batch.simulation is not None
+    assert batch.simulation.stages == "az-festo"
+
+
 def test_errors_of_file_and_settings_are_told_together_in_the_order_of_the_file() -> None:
     broken = (
         GOOD.replace('"night"', '""').replace('"1 min"', '"1 m"').replace("every = 3", "every=0")

@@ -26,14 +26,7 @@ from rig.bench import bench as benches
 from rig.bench.bench import Bench, BenchPlan, Fixture, read_bench
 from rig.core.errors import ConfigurationError
 from rig.instruments.calibration import require_valid
-from rig.run.bench_selector import BenchRequest, Choosing, Stages, bench_file
-
-STAGES: dict[tuple[str, str], Stages] = {
-    ("oriental-az", "oriental-az"): "az",
-    ("festo-cmmt", "oriental-az"): "festo-az",
-    ("oriental-az", "festo-cmmt"): "az-festo",
-}
-"""Which simulated stages have the limits of those of a bench file, z and x."""
+from rig.run.bench_selector import BenchRequest, Choosing, bench_file, simulated_variant_for
 
 
 @dataclass(frozen=True)
@@ -121,17 +114,12 @@ def _request(
     """The simulated bench that a batch is checked on."""
     own = batch.simulation
     if real is not None or own is None:
-        stages = None if real is None else STAGES.get(_drivers(real))
+        stages = None if real is None else simulated_variant_for(real)
         return BenchRequest(bench=chosen, results=results, dry_run=True, stages=stages)
     world = None if own.world is None else path.parent / own.world
     return BenchRequest(
         results=results, dry_run=True, seed=own.seed, stages=own.stages, world=world
     )
-
-
-def _drivers(real: BenchPlan) -> tuple[str, str]:
-    by_role = {part.role: part.driver_name for part in real.instruments}
-    return by_role.get("stage_z", ""), by_role.get("stage_x", by_role.get("stage_z", ""))
 
 
 def _simulation(batch: BatchFile, path: Path, bench: Path | None) -> Iterator[PlanFinding]:

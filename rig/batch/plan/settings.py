@@ -15,7 +15,7 @@ from __future__ import annotations
 from datetime import datetime, time
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from rig.core.settings import Settings
 
@@ -25,6 +25,15 @@ Value = bool | int | float | str
 MOST_RUNS = 1_000_000
 """A queue of more is a mistake in a matrix."""
 
+
+def _installed_variant(name: str) -> str:
+    from rig.run.bench_selector import require_variant
+
+    return require_variant(name)
+
+
+Variant = Annotated[str, AfterValidator(_installed_variant)]
+"""The name of a variant of the simulated bench, which alone knows what it can be."""
 Instant = Annotated[datetime | time, Field(union_mode="left_to_right")]
 """A date with time, or a time of the day: the next one from the batch's start on."""
 
@@ -202,7 +211,8 @@ class Simulation(Settings):
     """Table ``[simulation]``: only where the batch starts a simulated bench for itself."""
 
     seed: int = Field(default=0, ge=0)
-    stages: Literal["festo", "az", "festo-az", "az-festo"] = "festo"
+    stages: Variant | None = None
+    """One of the simulated benches that are installed; left out, the usual one."""
     world: str | None = None
     """The World's settings (TOML), relative to the batch file."""
     fault: tuple[FaultSelection, ...] = ()
