@@ -1,4 +1,4 @@
-"""The queue of a batch: which runs there are, and what became of each, in one SQLite file.
+"""The queue of a batch: which runs there are and how each ended, in one SQLite file.
 
 The plan is written once, whole, before anything begins. From then on a run changes its state only
 in a transaction that is on the disk (write-ahead log, full sync) before anybody acts on it: a run
@@ -8,8 +8,8 @@ leaves a claim, which the next worker settles from the run's own journal
 
     queued -> running -> done | failed
        ^         |
-       +---------+  stopped, retried, died: its journal goes on where it was interrupted
-    queued -> set-aside   its condition kept failing
+       +---------+  stopped, retried, died: continued from its journal
+    queued -> set-aside   left out: its condition has failed too often
 
 One process writes runs (the worker, who holds the bench); any may read, and ask (`request`).
 """
@@ -31,7 +31,7 @@ from rig.core.errors import ConfigurationError, RigError
 RunState = Literal["queued", "running", "done", "failed", "set-aside"]
 Ending = Literal["complete", "stopped", "failed", "died"]
 BUSY_S = 30.0
-"""How long a transaction of another process is waited for."""
+"""How long to wait for a transaction of another process, in s."""
 AT_ONCE = 1000
 
 SCHEMA = """
@@ -65,13 +65,13 @@ CREATE TABLE request (id INTEGER PRIMARY KEY, time TEXT NOT NULL, kind TEXT NOT 
 
 
 class RunEstimate(NamedTuple):
-    """What is expected of a run."""
+    """What a run is expected to take."""
 
     duration_s: float
     spread_s: float
     """Standard deviation of its duration."""
     size_B: int = 0
-    """Of its run file."""
+    """Size of its run file."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class AttemptResult:
 
     ending: Ending
     kind: str = ""
-    """Of a failure: what retries go by."""
+    """Kind of a failure, by which it is retried (`rig.batch.plan.policy.FailureKind`); or empty."""
     code: int = 0
     reason: str = ""
     bench_s: float = 0.0
@@ -110,12 +110,12 @@ class RemainingWork:
     spread_s: float
     """Standard deviation of `bench_s`, runs of one condition wrong together."""
     size_B: int = 0
-    """Of the run files to come."""
+    """Size of the run files to come."""
 
 
 @dataclass(frozen=True)
 class RunRow:
-    """One run as the queue tells it."""
+    """One run and its state."""
 
     number: int
     condition: str
@@ -172,11 +172,11 @@ class Queue:
 
     @classmethod
     def open(cls, path: Path, *, read_only: bool = False) -> Self:
-        """An existing queue; ConfigurationError where there is none, or what is there is none."""
+        """An existing queue; ConfigurationError where there is none, or the file is not one."""
         if not path.is_file():
             raise ConfigurationError(
                 f"{path.parent} holds no batch: there is no {path.name} in it",
-                "name the folder of a batch, as `rig batch run` told it",
+                "name the folder of a batch, as `rig batch run` printed it",
             )
         mode = "ro" if read_only else "rw"
         try:
@@ -201,12 +201,12 @@ class Queue:
 
     def close_log(self) -> None:
         """Leave one file, which can be read from where nothing can be written; nothing happens
-        while somebody else has it open."""
+        while another process has it open."""
         with contextlib.suppress(sqlite3.OperationalError):
             self._sql.execute("PRAGMA journal_mode = DELETE")
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._sql.close()
 
     def __enter__(self) -> Self:
@@ -218,12 +218,12 @@ class Queue:
     # --- what is known of the batch -------------------------------------------------------------
 
     def meta(self, key: str, default: str = "") -> str:
-        """A word about the batch as a whole."""
+        """An entry about the batch as a whole."""
         row = self._sql.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
         return default if row is None else str(row[0])
 
     def set_meta(self, key: str, value: str) -> None:
-        """Keep a word about the batch as a whole."""
+        """Record an entry about the batch as a whole."""
         with self._transaction():
             self._sql.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))
 
@@ -234,7 +234,7 @@ class Queue:
         return found  # type: ignore[return-value]
 
     def remaining(self) -> RemainingWork:
-        """What is queued, with the rests between."""
+        """The work that is queued or running, with the rests between runs."""
         rows = self._sql.execute(
             "SELECT n, n * (c.estimate_s + c.rest_s), n * c.spread_s, n * c.size_B"
             " FROM condition c JOIN"
@@ -339,14 +339,14 @@ class Queue:
         return None if row is None else self._claim(row)
 
     def claim(self, number: int) -> Claim:
-        """Take a queued run on: from here on it is running, whatever becomes of the caller."""
+        """Claim a queued run: from here on it is running, whatever becomes of the caller."""
         with self._transaction():
             row = self._sql.execute(
                 "SELECT number, repeat, condition FROM run WHERE number = ? AND state = 'queued'",
                 (number,),
             ).fetchone()
             if row is None:
-                raise RigError(f"run {number} is not queued: somebody else has taken it")
+                raise RigError(f"run {number} is not queued: another process has claimed it")
             claim = self._claim(row)
             now = _now()
             self._sql.execute(
@@ -360,7 +360,7 @@ class Queue:
         return claim
 
     def finish(self, claim: Claim, ended: AttemptResult, state: RunState) -> None:
-        """The attempt is over, and the run in this state: ``queued`` where it is to go on."""
+        """The attempt is over, and the run in this state: ``queued`` if it is to be continued."""
         now = _now()
         with self._transaction():
             self._sql.execute(
@@ -390,7 +390,7 @@ class Queue:
         return None if row is None else self._claim(row, further=0)
 
     def set_aside(self, condition: str, reason: str) -> int:
-        """Leave out what is queued of a condition; gives how many runs that are."""
+        """Leave out what is queued of a condition; returns how many runs these are."""
         with self._transaction():
             self._sql.execute(
                 "UPDATE condition SET set_aside = ? WHERE id = ?", (reason, condition)
@@ -403,7 +403,7 @@ class Queue:
         return changed.rowcount
 
     def put_back(self) -> int:
-        """Queue again what failed or was set aside; gives how many runs that are."""
+        """Queue again what failed or was set aside; returns how many runs these are."""
         with self._transaction():
             self._sql.execute("UPDATE condition SET set_aside = ''")
             self._sql.execute(
@@ -433,10 +433,10 @@ class Queue:
                 "UPDATE run SET processed = ? WHERE number = ?", (json.dumps(what), number)
             )
 
-    # --- what people see and ask for -------------------------------------------------------------
+    # --- events and requests -------------------------------------------------------------
 
     def add_event(self, level: str, text: str) -> None:
-        """Keep what happened, for those who look later."""
+        """Record an event, which `rig batch status` shows."""
         with self._transaction():
             self._sql.execute(
                 "INSERT INTO event (time, level, text) VALUES (?, ?, ?)", (_now(), level, text)
@@ -450,12 +450,12 @@ class Queue:
         return [(row[0], row[1], row[2]) for row in reversed(rows)]
 
     def add_request(self, kind: str) -> None:
-        """Ask the batch for something from outside."""
+        """Leave a request for the supervisor, from another process."""
         with self._transaction():
             self._sql.execute("INSERT INTO request (time, kind) VALUES (?, ?)", (_now(), kind))
 
     def take_requests(self) -> list[str]:
-        """What was asked for since the last look, oldest first."""
+        """The requests since the last call, oldest first; they are deleted."""
         if self._sql.execute("SELECT 1 FROM request LIMIT 1").fetchone() is None:
             return []
         with self._transaction():

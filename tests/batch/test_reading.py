@@ -90,6 +90,20 @@ def test_an_error_is_told_with_its_line(old: str, new: str, line: int, words: st
     assert any(one.startswith(place) for one in lines), (place, lines)
 
 
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("7", "stop_by = 7: has to be a time of day (07:00:00) or a date and time (2026-11-24 "),
+        ("2026-11-24", "has to be a time of day (07:00:00)"),
+        ('"7 am"', "stop_by = '7 am': write a time of day (07:00:00) or a date and time (2026-11"),
+        ('"7"', "stop_by = '7': write a time of day (07:00:00)"),
+    ],
+)
+def test_what_is_not_a_time_is_refused_with_how_to_write_one(value: str, words: str) -> None:
+    (line,) = refused(GOOD.replace("2026-11-23T07:00:00+01:00", value))
+    assert words in line
+
+
 def test_stages_that_no_simulated_bench_has_are_refused_with_the_choices() -> None:
     (line,) = refused(GOOD + '[simulation]\nstages = "hexapod"\n')
     assert line.startswith("night.toml:27: simulation.stages = 'hexapod': has to be one of festo, ")

@@ -155,11 +155,11 @@ def test_the_axis_whose_zero_moved_most_is_told() -> None:
 def test_a_disk_is_to_hold_the_rest_of_the_batch_and_what_is_to_be_left() -> None:
     assert disk_space(10e9, 8.9e9, 1.0) == []
     (found,) = disk_space(10e9, 9.2e9, 1.0)
-    assert "10 GB are free, the rest of the batch takes about 9.2 GB; 1 GB are to be left" in (
+    assert "10 GB free; the rest of the batch takes about 9.2 GB; 1 GB have to remain free" in (
         found.text
     )
     (found,) = disk_space(0.5e9, 0.0, 1.0)
-    assert "0.5 GB are free; 1 GB" in found.text
+    assert "0.5 GB free; 1 GB" in found.text
 
 
 NOW = datetime(2026, 11, 22, 22, 0, tzinfo=UTC)

@@ -116,7 +116,7 @@ def test_a_batch_that_needs_another_fixture_half_way_is_refused_with_its_runs_an
     (finding,) = checked.findings
     assert finding.where == ("experiment", 1, "procedure")
     assert "sweep (run 3, 4, 5 and 2 more) needs the film-clamp, the bench has the plate" in (
-        finding.told
+        finding.text
     )
     assert '[[also_mounted]] mounted = "film-clamp" in bench.toml' in (finding.hint or "")
     assert asked == ["plate"], "the rest is checked all the same"
@@ -152,7 +152,7 @@ def test_every_limit_of_every_condition_is_told_once_with_its_experiment() -> No
         {"settings": {"largest_force_N": 50.0}},
     )
     checked, _ = check(plan, None)
-    told = [finding.told.split(" u is outside")[0] for finding in checked.findings]
+    told = [finding.text.split(" u is outside")[0] for finding in checked.findings]
     assert told == [
         "experiment 1: slip-trial-001 and 1 more: point trial-001: stage_x position 40.5",
         "experiment 1: slip-trial-002 and 1 more: point trial-001: stage_x position 41",

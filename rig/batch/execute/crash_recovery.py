@@ -1,8 +1,8 @@
-"""What became of a run whose worker died: told from the run's own files, never guessed.
+"""What became of a run whose worker died, as the run's own files show; nothing is guessed.
 
 The guard has made the bench safe and compiled what there was before this is asked (the worker's
 lock is the guard's as well). A journal that ends whole, or a run file whose journal is gone, is a
-run that is done; it is not taken again. Any other goes on at the point where it was interrupted.
+run that is done; it is not taken again. Any other is continued where it was interrupted.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ def outcome_from_journal(journal: Path) -> AttemptResult:
 
 
 def journal_to_resume(journal: Path) -> JournalContents | None:
-    """The journal that a run goes on with; None where it begins afresh.
+    """The contents of the journal that a run continues; None where the run begins anew.
 
-    One that cannot be continued is kept under another name.
+    A journal that cannot be continued is archived first.
     """
     if not journal.exists():
         return None
@@ -65,21 +65,23 @@ def journal_to_resume(journal: Path) -> JournalContents | None:
 
 
 def archive_files(journal: Path) -> Path:
-    """Give a run's files another name, so that it can begin afresh; nothing is deleted."""
+    """Rename a run's files, so that it can begin anew; nothing is deleted. Returns the new name of
+    the journal."""
     for number in range(1, 1000):
-        aside = journal.with_name(f"{journal.stem}.{number}{journal.suffix}")
-        if not aside.exists():
+        archived = journal.with_name(f"{journal.stem}.{number}{journal.suffix}")
+        if not archived.exists():
             break
     for old in (journal, journal.with_suffix(RUN_SUFFIX)):
         if old.exists():
-            old.rename(aside.with_suffix(old.suffix))
-    return aside
+            old.rename(archived.with_suffix(old.suffix))
+    return archived
 
 
 def _ended(
     header: RunHeader, code: int | None, readings: Sequence[Reading], bench_s: float
 ) -> AttemptResult:
-    """Of a complete run with this exit code, or None for one that was interrupted."""
+    """The result of a run that was completed with this exit code, or, where it is None, of one that
+    was interrupted."""
     if code is None:
         return AttemptResult(
             "died",

@@ -1,7 +1,7 @@
-"""What speaks against going on with a batch: what a reference run shows, and what will run out.
+"""Reasons to hold a batch: what a reference run shows, and what will run out.
 
-Pure: it compares numbers and says in words what it finds, naming the part. What is done about a
-finding is the supervisor's.
+Pure functions: they compare numbers and say in words what they find, naming the part. The worker
+holds the batch (`rig.batch.execute.worker`).
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from rig.instruments.calibration import COMMANDS, Record
 from rig.run.procedure import DriftFigure
 
 LARGE_LOSS_dB = 20.0
-"""A film that has lost so much gives next to nothing: no wear does that."""
+"""A film that has lost this much gives next to nothing, which wear does not explain."""
 LARGE_LOSS = 0.1
-"""What is left then of a figure that is not in dB."""
+"""The same loss of a figure that is not in dB: the share that is left."""
 AXES = "xyz"
-WORN_HINT = "look at the film, its cable and its connector; replace it and calibrate the new one"
+WORN_HINT = "check the film, its cable and its connector; replace it and calibrate the new one"
 
 
 @dataclass(frozen=True)
 class HoldReason:
-    """Something that speaks against going on, in words."""
+    """Something that a person has to look at before the batch continues."""
 
     kind: Literal["drift", "no-figure", "force-zero", "disk", "calibration"]
     text: str
@@ -42,7 +42,7 @@ class ReferenceRun:
     """A run of the reference that has been finished."""
 
     number: int
-    """In the batch's queue."""
+    """Its number in the batch's queue."""
     summary: Mapping[str, Any]
 
 
@@ -54,23 +54,23 @@ class _DriftedFigure:
     text: str
     by: float | None
     lost: bool
-    """Next to nothing is left."""
+    """Whether next to nothing is left."""
     crept: bool
     """No step since the reference before was beyond the tolerance."""
 
 
 def watched_figures(
-    usual: Mapping[str, DriftFigure], told: Mapping[str, float]
+    usual: Mapping[str, DriftFigure], named: Mapping[str, float]
 ) -> dict[str, DriftFigure]:
     """What is watched of a reference: the figures that the batch file names with their tolerances,
     or else those of the procedure's ``DRIFT``."""
-    if not told:
+    if not named:
         return dict(usual)
     return {
         name: replace(usual[name], tolerance=tolerance)
         if name in usual
         else DriftFigure(name_without_unit(name).replace("_", " "), "", tolerance)
-        for name, tolerance in told.items()
+        for name, tolerance in named.items()
     }
 
 
@@ -95,10 +95,10 @@ def judge(
     """What a reference run shows against the ones before it, oldest first.
 
     Each figure is compared with the first run that has it; `parts` are names as of `part_names`.
-    A small change that has crept is told as wear, a sudden one as wear or a tear, one that leaves
-    next to nothing as a tear or a cable; where all figures of several parts have moved alike, what
-    they have in common is named instead. The first reference is only asked whether it has what is
-    watched: then a figure that is missing cannot be judged.
+    A small change that has crept is reported as wear, a sudden one as wear or a tear, one that
+    leaves next to nothing as a tear or a cable; where all figures of several parts have moved
+    alike, what they have in common is named instead. The first reference is only asked whether it
+    has what is watched: a figure that is missing then cannot be judged.
     """
     if not earlier:
         return [
@@ -130,7 +130,7 @@ def zero_drift(
         f"{first_N[axis]:.2f} to {now_N[axis]:.2f} N; limit {limit_N:g} N) since run {since_run}: "
         "overloaded, warmed up, or touched by something"
     )
-    hint = "look what lies on or touches the sensor; let it warm up; have it checked if it stays so"
+    hint = "check that nothing touches the sensor; let it warm up; if it stays so, have it checked"
     return [HoldReason("force-zero", text, hint)]
 
 
@@ -140,9 +140,9 @@ def disk_space(free_bytes: float, needed_bytes: float, least_GB: float) -> list[
     free_GB, needed_GB = free_bytes / 1e9, needed_bytes / 1e9
     if free_GB - needed_GB >= least_GB:
         return []
-    rest = f", the rest of the batch takes about {needed_GB:.3g} GB" if needed_GB else ""
+    rest = f"; the rest of the batch takes about {needed_GB:.3g} GB" if needed_GB else ""
     text = (
-        f"disk of the results: {free_GB:.3g} GB are free{rest}; {least_GB:g} GB are to be left "
+        f"disk of the results: {free_GB:.3g} GB free{rest}; {least_GB:g} GB have to remain free "
         "(hold_when.free_disk_GB)"
     )
     return [HoldReason("disk", text, "free space there, or give another folder for the results")]
@@ -193,9 +193,9 @@ def _moved(
         if (value := _number(run.summary.get(name))) is not None
     ]
     if not known:
-        return None  # told after the first reference
+        return None  # reported after the first reference
     (run, first), (_, before) = known[0], known[-1]
-    unit = f" {told}" if (told := unit_of(name)) else ""
+    unit = f" {known_unit}" if (known_unit := unit_of(name)) else ""
     places = max(0, 1 - math.floor(math.log10(figure.tolerance))) if figure.tolerance > 0 else 2
     value = _number(now.summary.get(name))
     if value is None:
@@ -224,32 +224,30 @@ def _together(moved: Sequence[_DriftedFigure], watched: Mapping[str, DriftFigure
 
 
 def _common_cause(moved: Mapping[str, _DriftedFigure], parts: Mapping[str, str]) -> HoldReason:
-    told = "; ".join(_told(found, parts) for found in moved.values())
+    text = "; ".join(_text_of(found, parts) for found in moved.values())
     if all(found.lost for found in moved.values()):
         why = "all of them together: unplugged, or an amplifier without power, rather than films"
-        return HoldReason(
-            "drift", f"{told}: {why}", "look at the plugs, the amplifiers and the DAQ"
-        )
+        return HoldReason("drift", f"{text}: {why}", "check the plugs, the amplifiers and the DAQ")
     why = "all of them alike: amplifier, load cell or force sensor rather than a film"
-    hint = "look at the amplifiers' gains and supply; check the force sensor with a known weight"
-    return HoldReason("drift", f"{told}: {why}", hint)
+    hint = "check the amplifiers' gains and supply; check the force sensor with a known weight"
+    return HoldReason("drift", f"{text}: {why}", hint)
 
 
 def _of_one_part(found: _DriftedFigure, parts: Mapping[str, str]) -> HoldReason:
-    told = _told(found, parts)
+    text = _text_of(found, parts)
     if found.figure.part not in parts:
-        return HoldReason("drift", told, "find out what has changed on the bench since then")
+        return HoldReason("drift", text, "find out what has changed on the bench since then")
     if found.lost:
-        return HoldReason("drift", f"{told}: torn or unplugged", WORN_HINT)
+        return HoldReason("drift", f"{text}: torn or unplugged", WORN_HINT)
     assert found.by is not None, "what was not found is lost"
     if found.by > 0:
         why = "not wear: its amplifier, its cable or how it is held has changed"
-        return HoldReason("drift", f"{told}: {why}", "look at amplifier, cable and clamp or skin")
+        return HoldReason("drift", f"{text}: {why}", "check amplifier, cable and clamp or skin")
     why = "worn, little by little" if found.crept else "worn or torn"
-    return HoldReason("drift", f"{told}: {why}", WORN_HINT)
+    return HoldReason("drift", f"{text}: {why}", WORN_HINT)
 
 
-def _told(found: _DriftedFigure, parts: Mapping[str, str]) -> str:
+def _text_of(found: _DriftedFigure, parts: Mapping[str, str]) -> str:
     part = parts.get(found.figure.part)
     return f"{part}: {found.text}" if part else found.text
 
@@ -258,6 +256,6 @@ def _no_figure(name: str, figure: DriftFigure, run: ReferenceRun) -> HoldReason:
     return HoldReason(
         "no-figure",
         f"run {run.number}, the first of the reference, has no {figure.what} ({name}): whether it "
-        "drifts cannot be told",
+        "drifts cannot be judged",
         "have the reference measure it, or name figures of its summary in drift",
     )

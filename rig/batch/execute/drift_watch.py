@@ -1,5 +1,5 @@
-"""What speaks against the next run: what references show, and what runs out. It looks and says; the
-worker holds the batch."""
+"""Collects the reasons to hold a batch (`rig.batch.execute.drift`) from its queue, its bench file
+and the disk. The worker acts on them."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from rig.batch.queue import AttemptResult, Claim, Queue
 from rig.bench.bench import BenchPlan, BenchSettings, read_bench
 
 ZERO = "force_zero_N"
-"""Of a summary: what the force sensor said in free air."""
+"""The figure of a summary that holds the force sensor's reading in free air, before taring."""
 ACCEPTED = "accepted "
-"""Of the queue's words: from which run on a drifted figure is compared, since a person has looked
-at the bench and let it go on."""
+"""Prefix of the queue's entries that say from which run on a figure is compared, after a person has
+looked at the bench and resumed the batch."""
 
 
 class DriftWatch:
-    """Looks at a batch between its runs."""
+    """Judges a batch between its runs."""
 
     def __init__(self, queue: Queue, file: BatchFile, bench: Path | None, results: Path):
         self._queue, self._file, self._results = queue, file, results
         self._plan: BenchPlan | None = None if bench is None else read_bench(bench)
 
     def before(self, claim: Claim, now: datetime) -> list[HoldReason]:
-        """What speaks against beginning a run now."""
+        """The reasons not to begin this run now."""
         batch = self._file.batch
         needed_B = self._queue.remaining().size_B
         free_B = shutil.disk_usage(self._results).free
@@ -49,12 +49,12 @@ class DriftWatch:
         return found
 
     def after(self, claim: Claim, ended: AttemptResult, bench: BenchSettings) -> list[HoldReason]:
-        """What a run that is done shows: of a reference, drift; of any, the force sensor's zero."""
+        """The reasons to hold that a finished run shows: drift of a reference's figures, or of
+        the force sensor's zero."""
         return [*self._zero(claim, ended), *self._drift(claim, ended, bench)]
 
     def accept(self, claim: Claim) -> None:
-        """A person has let the batch go on: what this run found is what others are compared with
-        from here on."""
+        """A person has resumed the batch: later runs are compared with this one."""
         self._queue.set_meta(ACCEPTED + ZERO, str(claim.number))
         self._queue.set_meta(ACCEPTED + claim.condition.id, str(claim.number))
 

@@ -1,7 +1,7 @@
-"""Everything that is known of a batch before it begins: read, expanded, checked, foretold.
+"""Everything that is known of a batch before it begins: read, expanded, validated, forecast.
 
-What `rig batch plan` shows and `rig batch run` insists on. Nothing on a real bench is touched: its
-limits are asked of a simulated bench that has the bench file's.
+`rig batch plan` shows it, and `rig batch run` begins nothing without it. No real instrument is
+contacted: limits are checked on a simulated bench under the limits of the bench file.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class PreparedBatch:
     bench: Path | None
     """Bench file; None where every run gets a simulated bench of its own."""
     expected: Mapping[str, ExpectedRun]
-    """By condition."""
+    """What each run is expected to take, by condition."""
     forecast: Forecast
 
     @property
@@ -53,10 +53,10 @@ class PreparedBatch:
 def prepare(
     path: Path, given: Path | None, now: datetime, say: Callable[[str], None]
 ) -> PreparedBatch:
-    """Read a batch file, expand it, check all of it against its bench and foretell it, were it
-    begun `now`. `given`: the bench file of the command line; `say` gets lines for a person.
+    """Read a batch file, expand it, validate all of it on its bench and forecast it as if it began
+    `now`. `given`: the bench file of the command line; `say` gets lines for a person.
 
-    RefusedBatchError tells all that is wrong, each with its line.
+    RefusedBatchError lists all that is wrong, each with its line.
     """
     batch, plan, source = read_batch(path)
     chosen = bench_of(batch, path, given)
@@ -64,7 +64,7 @@ def prepare(
     findings = [
         *_simulation(batch, path, chosen),
         *_bad_records(batch, real, now),
-        *_nobody_told(batch),
+        *_unusable_notifications(batch),
     ]
     with tempfile.TemporaryDirectory(prefix="rig-batch-plan-") as results:
         request = _request(batch, path, chosen, real, Path(results))
@@ -76,8 +76,8 @@ def prepare(
     fixtures = checked.fixtures
     expected = expect(plan, fixtures, real is not None)
     first_s = homing_s(plan, fixtures) if real is not None else 0.0
-    foretold = forecast(batch.batch, plan, expected, now, first_s, real)
-    return PreparedBatch(batch, plan, chosen, expected, foretold)
+    expectation = forecast(batch.batch, plan, expected, now, first_s, real)
+    return PreparedBatch(batch, plan, chosen, expected, expectation)
 
 
 def bench_of(batch: BatchFile, path: Path, given: Path | None) -> Path | None:
@@ -130,8 +130,8 @@ def _simulation(batch: BatchFile, path: Path, bench: Path | None) -> Iterator[Pl
     if bench is not None:
         yield PlanFinding(
             ("simulation",),
-            f"[simulation] is of benches that the batch starts for itself, not of {bench}",
-            "leave it out, or the bench file",
+            f"[simulation] is for batches that start their own benches; this one uses {bench}",
+            "leave out [simulation], or the bench file",
         )
     named: list[tuple[KeyPath, str | None]] = [(("simulation", "world"), own.world)]
     named += [(("simulation", "fault", k, "plan"), one.plan) for k, one in enumerate(own.fault)]
@@ -140,15 +140,15 @@ def _simulation(batch: BatchFile, path: Path, bench: Path | None) -> Iterator[Pl
     ]
     for where, name in named:
         if name is not None and not (path.parent / name).is_file():
-            told = ".".join(str(part) for part in where if isinstance(part, str))
+            key = ".".join(str(part) for part in where if isinstance(part, str))
             yield PlanFinding(
                 where,
-                f"{told} = {name!r}: there is no such file beside the batch file",
+                f"{key} = {name!r}: there is no such file in the folder of the batch file",
                 "name a file relative to the batch file",
             )
 
 
-def _nobody_told(batch: BatchFile) -> Iterator[PlanFinding]:
+def _unusable_notifications(batch: BatchFile) -> Iterator[PlanFinding]:
     """Notifications that could never be delivered."""
     try:
         require_usable(batch.batch.notify)

@@ -2,10 +2,10 @@
 
     python -m rig.batch.execute.worker FOLDER
 
-It is started by the supervisor (`rig.batch.execute.supervisor`), which tells it words on its
-standard input ("stop-now", "stop-after-point", "stop-after-run", "pause", "go", "signal 2") and
-gets one object of JSON a line on its standard output. When its input ends the supervisor has died:
-it stops in order, as it does when it is told to.
+It is started by the supervisor (`rig.batch.execute.supervisor`), which sends
+commands on its standard input ("stop-now", "stop-after-point", "stop-after-run", "pause", "go",
+"signal 2") and gets one JSON object a line on its standard output. When its input ends the
+supervisor has died: the worker then stops safely, as at a stop request.
 
 What it decides is in `rig.batch.plan.policy`; that nothing is lost or doubled, in
 `rig.batch.queue`.
@@ -36,6 +36,7 @@ from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchFile
 from rig.batch.queue import AttemptResult, Claim, Queue
 from rig.core.errors import ExitCode, RigError
+from rig.core.units import plural
 from rig.run.bench_selector import BenchRequest, Choosing, ChosenBench, start_simulated
 from rig.run.stopping import StopFlag, StopRequestedError
 
@@ -46,17 +47,17 @@ if TYPE_CHECKING:
     from rig.run.points import Point, Reading
     from rig.run.procedure import Procedure
 
-LOOK_S = 0.05
-"""How often a worker that waits for a person looks whether it may go on."""
+CHECK_EVERY_S = 0.05
+"""How often a worker that waits for a person checks for commands."""
 GUARD_PATIENCE_S = 60.0
-"""How long the guard of a worker that died is waited for."""
+"""How long the guard of an earlier worker that died may take to make the bench safe."""
 
 SendEvent = Callable[..., None]
 
 
 @dataclass(frozen=True)
 class BatchTerms:
-    """What a batch was begun with, as its queue keeps it."""
+    """What a batch was begun with, as its queue records it."""
 
     file: BatchFile
     bench: Path | None
@@ -83,7 +84,11 @@ class BatchTerms:
 
 
 class _EndError(RigError):
-    """The batch ends here, in order, before its last run."""
+    """The batch ends here, safely, before its last run."""
+
+
+def _stopped(when: str) -> _EndError:
+    return _EndError(f"stopped by rig batch stop, {when}", None, ExitCode.SIGTERM)
 
 
 class _CommandListener:
@@ -178,9 +183,9 @@ class Worker:
         self._commands = _CommandListener(stop, send)
         self._clock = self._new_clock()
         self._bench: ChosenBench | None = None
-        """Of a bench file: locked once, for all runs."""
+        """The bench of the bench file, locked once for all runs."""
         self._ahead: _Ahead | None = None
-        """Of the next run, while this one is taken."""
+        """The simulated bench of the next run, while this one is taken."""
         self._watch = DriftWatch(queue, self._terms.file, self._terms.bench, self._terms.results)
         self._mounted: BenchSettings | None = None
         """The bench of the latest run."""
@@ -210,7 +215,7 @@ class Worker:
     # --- between runs ---------------------------------------------------------------------------
 
     def _recover(self) -> None:
-        """What an earlier worker left: its run is done, or goes on where it was interrupted."""
+        """Conclude the run that an earlier worker left: it is done, or it is continued."""
         claim = self._queue.unfinished()
         if claim is None:
             return
@@ -223,7 +228,7 @@ class Worker:
         self._conclude(claim, ended)
 
     def _next(self) -> Claim | None:
-        """The next run, once nothing stands against it."""
+        """The next run, once nothing speaks against it; None after the last."""
         while True:
             self._between_runs()
             upcoming = self._queue.upcoming()
@@ -241,7 +246,7 @@ class Worker:
             if why:
                 raise _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
             if found := self._watch.before(upcoming, self._clock.now()):
-                self._hold(_told(found))
+                self._hold(_text_of(found))
                 continue
             rest_s = upcoming.condition.rest_s
             if upcoming.attempt > 1 and self._queue.attempts(upcoming.number):
@@ -252,16 +257,16 @@ class Worker:
             return upcoming
 
     def _between_runs(self) -> None:
-        """Look whether the batch shall stop or pause; the bench is safe."""
+        """Act on requests to stop or pause; the bench is safe."""
         self._stop.check()
         if self._commands.stop_after_run:
-            raise StopRequestedError(signal.SIGTERM, " between runs")
+            raise _stopped("between runs")
         if self._commands.paused.is_set():
             self._send("state", state="paused", text="between runs")
             self._wait("paused")
 
     def _hold(self, why: str) -> None:
-        """Something wants a person: wait for one, or end, as the batch says."""
+        """A person is needed: wait for one, or end, as `on_hold` says."""
         self._queue.add_event("hold", why)
         if self._batch.on_hold == "stop":
             raise _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
@@ -273,8 +278,8 @@ class Worker:
         while self._commands.paused.is_set():
             self._stop.check()
             if self._commands.stop_after_run:
-                raise StopRequestedError(signal.SIGTERM, f" while {state}")
-            time.sleep(LOOK_S)
+                raise _stopped(f"while {state}")
+            time.sleep(CHECK_EVERY_S)
 
     def _wait_for_the_window(self) -> None:
         if self._from is None or (wait_s := (self._from - self._clock.now()).total_seconds()) <= 0:
@@ -284,15 +289,15 @@ class Worker:
         self._send("state", state="running")
 
     def _end(self, state: str, why: str, code: ExitCode) -> None:
-        told = f"{state}: {why.removeprefix(state + ' ')}" if why else state
-        self._queue.set_meta("state", told)
-        self._queue.add_event("info" if code == ExitCode.DONE else "warning", told)
+        text = why if why.startswith(state) else f"{state}: {why}" if why else state
+        self._queue.set_meta("state", text)
+        self._queue.add_event("info" if code == ExitCode.DONE else "warning", text)
         self._send("end", state=state, text=why, code=int(code))
 
     # --- one run --------------------------------------------------------------------------------
 
     def _take(self, upcoming: Claim, at_the_end: ExitStack) -> None:
-        """Claim it, take it, keep what became of it."""
+        """Claim a run, take it, record how it ended."""
         claim = self._queue.claim(upcoming.number)
         self._send(
             "run",
@@ -319,27 +324,26 @@ class Worker:
         self._conclude(claim, ended)
 
     def _completed_elsewhere(self, claim: Claim) -> AttemptResult | None:
-        """How a run ended that was interrupted, and that somebody has completed with `rig resume`
-        since; None of any other."""
+        """How an interrupted run ended if `rig resume` has completed it since; else None."""
         ended = outcome_from_journal(self._folder.journal(claim.number, claim.condition.procedure))
         return replace(ended, bench_s=0.0) if ended.ending == "complete" else None
 
     def _conclude(self, claim: Claim, ended: AttemptResult) -> None:
-        """Keep how an attempt ended, and do what follows from it."""
+        """Record how an attempt ended, and do what follows from it."""
         if ended.ending == "complete":
             self._queue.finish(claim, ended, "done")
             self._finished(claim, ended)
             if self._mounted is not None and (
                 found := self._watch.after(claim, ended, self._mounted)
             ):
-                self._hold(_told(found))
+                self._hold(_text_of(found))
                 self._watch.accept(claim)
             return
         if ended.ending == "stopped":
             self._queue.finish(claim, ended, "queued")
             self._finished(claim, ended)
             self._stop.check()
-            raise StopRequestedError(signal.SIGTERM, " after a point")
+            raise _stopped("after a point")
         before = self._queue.attempts(claim.number)
         before[ended.kind] = before.get(ended.kind, 0) + 1
         verdict = after_failure(
@@ -363,9 +367,9 @@ class Worker:
     def _set_aside(self, claim: Claim) -> None:
         name = claim.condition.id
         failed = self._queue.failures_of(name)
-        why = f"{failed} of its runs failed"
+        why = f"{plural(failed, 'run')} failed"
         left_out = self._queue.set_aside(name, why)
-        text = f"condition {name} is set aside: {why}; {left_out} runs are left out"
+        text = f"condition {name}: {why}; {plural(left_out, 'queued run')} left out"
         self._queue.add_event("warning", text)
         self._send("note", level="warning", text=text)
 
@@ -387,7 +391,7 @@ class Worker:
         )
 
     def _perform(self, claim: Claim, at_the_end: ExitStack) -> Outcome:
-        """One attempt at a run, from choosing the bench to a journal that is closed."""
+        """One attempt at a run, from choosing the bench to the closed journal."""
         from rig.run.execute import execute
         from rig.run.job import Job
 
@@ -451,7 +455,7 @@ class Worker:
         return replace(self._bench, clock=WallClock())
 
     def _booted(self, request: BenchRequest, fixture: Fixture) -> RunningBench | None:
-        """The simulated bench that was started ahead, if it is the one that is asked for."""
+        """The simulated bench that was started ahead, if it is the one that is needed."""
         ahead, self._ahead = self._ahead, None
         if ahead is not None and (ahead.request, ahead.fixture) != (request, fixture):
             ahead.started.abandon()
@@ -473,7 +477,7 @@ class Worker:
             self._ahead.started.abandon()
 
     def _simulated(self, claim: Claim) -> BenchRequest:
-        """What the simulated bench of a run is, and what befalls it."""
+        """The simulated bench of a run: its World and its faults."""
         own = self._terms.file.simulation
         request = BenchRequest(seed=self._seed, results=self._folder.path / "runs")
         if own is None:
@@ -508,12 +512,12 @@ class Worker:
         return VirtualBatchClock(self._terms.begun, float(queue.meta("night_s", "0")), keep)
 
 
-def _told(findings: Sequence[HoldReason]) -> str:
+def _text_of(findings: Sequence[HoldReason]) -> str:
     return "; ".join(f"{found.text}: {found.hint}" for found in findings)
 
 
 def _ended(outcome: Outcome) -> AttemptResult:
-    """An execution's outcome as the queue keeps it."""
+    """The outcome of an execution as the queue records it."""
     failed = outcome.status == "failed"
     reasons = [failure.one_line() for failure in outcome.failures]
     reasons += [f"{off.name} not switched off: {off.reason}" for off in outcome.off_failures]
@@ -543,7 +547,7 @@ def main(arguments: Sequence[str]) -> int:
             try:
                 sys.stdout.write(line)
                 sys.stdout.flush()
-            except OSError:  # nobody listens: the end of standard input says so, too
+            except OSError:  # the supervisor has died: the end of standard input says so, too
                 sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115 - until the process ends
 
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # between runs; a run has its own switch

@@ -37,16 +37,15 @@ RELATIVE = 0.03
 """Standard deviation of what is expected of a run, relative, the same for all runs: friction, the
 film's noise, how fast the drives home."""
 RANDOM_S = 0.15
-"""That of a single run."""
+"""Standard deviation of what differs from run to run, in s."""
 RUN_B, POINT_B = 270_000, 15_000
-"""Bytes of a run file for itself, and of each of its points besides their samples."""
+"""Bytes of a run file without its points, and of a point without its samples."""
 COUNTS_KEPT, NUMBERS_KEPT = 0.72, 0.85
-"""Share of the bytes of counts, with the times they belong to, and of other numbers that is left
-when they are compressed."""
+"""Compressed size by size: of counts with their times, and of other numbers."""
 ROWS_S = 1000.0
-"""Of streams that are not the DAQ's: frames of the force sensor."""
+"""Rows a second of streams that are not the DAQ's: frames of the force sensor."""
 UNIFORM = math.sqrt(12)
-"""Width of an even spread by its standard deviation."""
+"""Width of a uniform distribution divided by its standard deviation."""
 
 RECORDS: dict[str, type[FilmCalibration] | type[ForceCalibration] | type[LoadCellCalibration]] = {
     "film": FilmCalibration,
@@ -65,7 +64,7 @@ class ExpectedRun:
     common_s: float
     """Standard deviation of what is the same in all its runs: the place of the contact, say."""
     size_B: int
-    """Of its run file."""
+    """Size of its run file."""
 
     @property
     def spread_s(self) -> float:
@@ -102,7 +101,7 @@ class Forecast:
     runs: tuple[PlacedRun, ...]
     stop_by: datetime | None
     in_time: int
-    """So many runs, the first of the queue, are over by `stop_by`."""
+    """How many runs of the queue, from the first on, will have ended by `stop_by`."""
     expiring: tuple[ExpiringRecord, ...]
 
     @property
@@ -200,10 +199,10 @@ def _expected(condition: BatchCondition, fixture: FixtureSettings, real: bool) -
 
 def _overhead_s(condition: BatchCondition, fixture: FixtureSettings, homed: bool) -> float:
     procedure = installed(condition.procedure)
-    told = getattr(procedure, "overhead_s", None)
-    if told is None:
+    overhead_s = getattr(procedure, "overhead_s", None)
+    if overhead_s is None:
         return 0.0
-    return float(told(procedure.Settings.model_validate(condition.settings), fixture, homed))
+    return float(overhead_s(procedure.Settings.model_validate(condition.settings), fixture, homed))
 
 
 def _ends_of_contact(fixture: FixtureSettings) -> tuple[FixtureSettings, FixtureSettings]:
@@ -219,7 +218,7 @@ def _ends_of_contact(fixture: FixtureSettings) -> tuple[FixtureSettings, Fixture
 
 
 def _size_B(condition: BatchCondition, points: Iterable[Point]) -> int:  # noqa: N802 - bytes
-    """Bytes of a run file: every stream goes on for as long as its points take."""
+    """Bytes of a run file: every stream lasts as long as its points take."""
     streams = installed(condition.procedure).STREAMS
     size = float(RUN_B)
     for point in points:

@@ -27,13 +27,13 @@ from rig.core.units import parse
 MOST_CONDITIONS = 100_000
 """Each has settings of its own; a night has time for fewer."""
 MOST_COMPARISONS = 2_000_000
-"""Of combinations with entries of exclude and include."""
+"""Limit on comparisons of combinations with entries of exclude and include."""
 SHUFFLING, SAMPLING = 0, 1
 """Which random numbers a seed is for."""
 
 
 def expand(batch: BatchFile) -> BatchPlan:
-    """The conditions of a batch and the queue of their runs; RefusedBatchError tells all that is
+    """The conditions of a batch and the queue of their runs; RefusedBatchError lists all that is
     wrong with any of them."""
     findings = list(check_defaults(batch.defaults))
     expanded = [
@@ -120,7 +120,7 @@ class Expansion:
         self._matrix: dict[str, list[Any]] = {}
         """In the settings' units."""
         self._places: dict[tuple[str, Any], int] = {}
-        """Of each of its values, where in its list it stands."""
+        """Index of each value in its setting's list."""
         try:
             self._model = installed(experiment.procedure).Settings
         except ConfigurationError as error:
@@ -196,7 +196,7 @@ class Expansion:
                 self.findings.append(
                     PlanFinding(
                         (*where, number),
-                        f"{told} = {shortened(repr(value))}: is there twice",
+                        f"{told} = {shortened(repr(value))}: stands twice in the list",
                         "repeat = 2 runs each condition twice",
                     )
                 )
@@ -224,7 +224,9 @@ class Expansion:
                 )
             elif _number(info) is None:
                 self.findings.append(
-                    PlanFinding(where, f"{told}: is no number", "list its values in matrix instead")
+                    PlanFinding(
+                        where, f"{told}: is not a number", "list its values in matrix instead"
+                    )
                 )
             elif not math.isfinite(high - low) or (
                 name in sample.log and not math.isfinite(high / low)
@@ -310,7 +312,7 @@ class Expansion:
             except ValidationError as error:
                 self._refuse(error, name, combination)
                 if len(set(self.findings)) > MOST_FINDINGS:
-                    return  # nobody is told of more
+                    return  # no more are reported
                 continue
             self.conditions.append(
                 BatchCondition(
@@ -358,7 +360,7 @@ class Expansion:
 
 
 _WRONG: Any = object()
-"""Stands for a value of which a finding tells."""
+"""Stands for a value that a finding has reported."""
 
 
 class _SettingConverter:
@@ -434,7 +436,7 @@ def _has_all(values: Mapping[str, Any], entry: Mapping[str, Any], or_lacks: bool
 
 
 def _too_many(expanded: Sequence[Expansion]) -> Iterator[PlanFinding]:
-    """What is not even expanded."""
+    """Why a batch is too large to be expanded."""
     others = references = conditions = 0
     hint = "make the matrix smaller, or two batches of it"
     for expansion in expanded:
@@ -462,14 +464,14 @@ def _too_many(expanded: Sequence[Expansion]) -> Iterator[PlanFinding]:
 
 
 def _misplaced(batch: BatchFile) -> Iterator[PlanFinding]:
-    """Settings of the queue that cannot mean anything."""
+    """Settings of the queue that have no effect."""
     alone = all(experiment.every is not None for experiment in batch.experiment)
     for number, experiment in enumerate(batch.experiment):
         where = ("experiment", number)
         if alone:
             yield PlanFinding(
                 (*where, "every"),
-                f"every = {experiment.every}: a reference runs between others, and there is none",
+                f"every = {experiment.every}: a reference runs between others, and there are none",
                 "leave every out",
             )
         if not experiment.block_by:

@@ -1,4 +1,4 @@
-"""What is wrong with a batch: each finding with its place in the batch file, told all at once."""
+"""What is wrong with a batch: all findings at once, each with its place in the batch file."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class PlanFinding:
     code: ExitCode = ExitCode.USAGE
 
     @property
-    def told(self) -> str:
-        """The message, after which experiment it is about, counted from 1."""
+    def text(self) -> str:
+        """The message, preceded by the experiment it is about, counted from 1."""
         if len(self.where) > 1 and self.where[0] == "experiment":
             return f"experiment {int(self.where[1]) + 1}: {self.message}"
         return self.message
@@ -74,7 +74,7 @@ class BatchText:
 
 
 class RefusedBatchError(ConfigurationError):
-    """A batch that is not begun: all that is wrong with it, in the order of the file."""
+    """A batch that is not begun: everything that is wrong with it, in the order of the file."""
 
     def __init__(self, findings: Iterable[PlanFinding], source: BatchText | None = None):
         found = list(dict.fromkeys(findings))
@@ -91,13 +91,13 @@ class RefusedBatchError(ConfigurationError):
         )
 
     def parts(self) -> tuple[RigError, ...]:
-        """One error a finding."""
+        """One error for each finding."""
         return self._parts
 
 
 def _part(finding: PlanFinding, source: BatchText | None) -> RigError:
     place = "" if source is None else f"{source.name}:{source.line(finding.where)}: "
-    return RigError(place + finding.told, finding.hint, finding.code)
+    return RigError(place + finding.text, finding.hint, finding.code)
 
 
 def _names(key: str) -> list[str]:

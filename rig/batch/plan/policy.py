@@ -1,7 +1,7 @@
-"""What the end of a run means for the night: try again, go on, hold, or end. Pure.
+"""What the end of a run means for the night: try again, continue, hold, or end. Pure functions.
 
 A time-out is worth another try, a limit never: what was refused or tripped once would be again,
-with the skin pressed once more. A condition that keeps failing is set aside and the night goes on.
+with the skin pressed once more. A condition that keeps failing is left out and the night continues.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from rig.files.errors import RecordingError
 FailureKind = Literal[
     "timeout", "instrument", "died", "limit", "usage", "storage", "unsafe", "internal"
 ]
-"""Of a failure."""
+"""Why a run failed, as retries distinguish it."""
 SPARE_SIGMAS = 2.0
-"""A run fits into what is left of the night with so many standard deviations to spare."""
+"""A run is begun if it ends before `stop_by` with this many standard deviations to spare."""
 
 
 @dataclass(frozen=True)
 class FailureDecision:
-    """What becomes of a failed attempt, and of the batch."""
+    """What follows from a failed attempt for its run, its condition and the batch."""
 
     run: Literal["again", "failed"]
     batch: Literal["go-on", "hold", "end"] = "go-on"
@@ -68,7 +68,7 @@ def after_failure(
     if kind == "unsafe":
         return FailureDecision("again", "end", f"the bench could not be made safe: {reason}")
     if kind == "storage":
-        return FailureDecision("again", "hold", f"the data cannot be kept: {reason}")
+        return FailureDecision("again", "hold", f"the data cannot be saved: {reason}")
     if before.get(kind, 0) <= getattr(batch.retries, kind, 0):
         return FailureDecision("again")
     aside = failed_of_condition + 1 >= batch.set_aside_after

@@ -1,6 +1,6 @@
-"""The batch file as people write it: read whole, and all its errors told at once with their lines.
+"""Reading a batch file: the whole file is validated, and all errors are reported with their lines.
 
-What the file says of itself and what the settings of its procedures make of it are told together;
+Errors of the file and of the settings of its procedures are reported together;
 what a bench makes of it is in `rig.batch.plan.validate`.
 """
 
@@ -25,7 +25,7 @@ WHAT = "batch file"
 def read_batch(path: Path) -> tuple[BatchFile, BatchPlan, BatchText]:
     """A batch file, what it expands to, and its text.
 
-    ConfigurationError for what is no such file; RefusedBatchError with all that is wrong in it.
+    ConfigurationError where it cannot be read; RefusedBatchError with all that is wrong in it.
     """
     text = read_text(path, WHAT, MAX_TOML_BYTES, "name a batch file (TOML)")
     return parse_batch(text, str(path))
@@ -47,8 +47,8 @@ def parse_batch(text: str, name: str) -> tuple[BatchFile, BatchPlan, BatchText]:
 
 
 def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[PlanFinding]:
-    """What pydantic has found, in words; the kinds of value that something could be, but is none
-    of, are one finding."""
+    """What pydantic has found, in words. Where a value could be of several kinds and is of none of
+    them, that is one finding."""
     by_place: dict[KeyPath, list[str]] = {}
     for item in error.errors():
         where: KeyPath = item["loc"]
@@ -56,8 +56,8 @@ def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[Pla
         shown = named[2:] if named[0] == "experiment" else named
         keys = tuple(part for part in shown if isinstance(part, str))
         by_place.setdefault(named, []).append(finding({**item, "loc": keys}))
-    for where, told in by_place.items():
-        first, *others = dict.fromkeys(told)
+    for where, messages in by_place.items():
+        first, *others = dict.fromkeys(messages)
         reasons = [other.rpartition(": ")[2].removeprefix("has to be ") for other in others]
         yield PlanFinding(where, " or ".join([first, *reasons]))
 
@@ -87,7 +87,7 @@ def _further(tables: Mapping[str, Any]) -> Iterator[PlanFinding]:
         try:
             experiments[number] = Experiment.model_validate(entry)
         except ValidationError:
-            continue  # told already
+            continue  # reported already
     for (number, experiment), label in zip(
         experiments.items(), labels(list(experiments.values())), strict=True
     ):

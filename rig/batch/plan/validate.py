@@ -27,10 +27,10 @@ RUNS_NAMED = 3
 
 @dataclass
 class ValidationResult:
-    """What a plan is on a bench."""
+    """What validating a batch on a bench has found."""
 
     findings: list[PlanFinding] = field(default_factory=list)
-    """All that is wrong; none where it can be begun."""
+    """Everything that is wrong; empty if the batch may begin."""
     fixtures: dict[str, FixtureSettings] = field(default_factory=dict)
     """What is mounted for each procedure, and where everything is."""
 
@@ -83,7 +83,7 @@ def _unmounted(
         yield PlanFinding(
             ("experiment", experiment, "procedure"),
             f"{procedure} ({_runs(numbers)}) needs the {' or the '.join(needed)}, the bench has "
-            f"the {mounted} mounted: somebody would have to change it during the batch",
+            f"the {mounted} mounted: it would have to be changed during the batch",
             f"make a batch of its own of it; or, where both are mounted at once, declare the other "
             f'with [[also_mounted]] mounted = "{needed[0]}" in {real.source}',
         )
@@ -117,7 +117,7 @@ def _refusals(
 
 
 def _together(refused: Iterable[tuple[BatchCondition, RigError]]) -> Iterator[PlanFinding]:
-    """A finding for each reason, told of the first condition and point that it holds for."""
+    """One finding for each reason, which names the first condition and point that it concerns."""
     conditions: dict[tuple[int, str], dict[str, None]] = {}
     errors: dict[tuple[int, str], RigError] = {}
     for condition, error in refused:
