@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from drivers.simulated.bench.start import variants
 from rig.core.errors import ConfigurationError
 
 
@@ -59,7 +60,7 @@ STAGE_MODELS = {
 }
 USUAL_Hz = 100.0
 """Ticks of a trial, where its stages allow it."""
-PAIRS = ("festo", "az", "festo-az", "az-festo")
+PAIRS = variants()
 """Values of `--stages`: both of one model, or z of the first and x of the second."""
 DAQ_MODELS = ("U2331A", "U2542A")
 

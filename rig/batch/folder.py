@@ -1,8 +1,9 @@
-"""The folder of a batch: where its queue, its runs and its papers lie."""
+"""The folder of a batch: where its queue, its runs and its records are."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import time
@@ -40,7 +41,7 @@ class BatchFolder:
 
     @property
     def log(self) -> Path:
-        """What the worker and the work afterwards said, with tracebacks."""
+        """What the batch's processes wrote on their standard error, tracebacks among it."""
         return self.path / "batch.log"
 
     def journal(self, number: int, procedure: str) -> Path:
@@ -48,7 +49,7 @@ class BatchFolder:
         return self.path / "runs" / f"r{number:05d}_{procedure}{JOURNAL_SUFFIX}"
 
     def run_file(self, number: int, procedure: str) -> Path:
-        """Where it is compiled to."""
+        """The run file that this journal is compiled to."""
         return self.journal(number, procedure).with_suffix(RUN_SUFFIX)
 
     def world_log(self, number: int) -> Path:
@@ -57,10 +58,10 @@ class BatchFolder:
 
     @contextlib.contextmanager
     def held_by(self, who: str, patience_s: float) -> Iterator[int]:
-        """One process at a time is a batch's "worker", "supervisor" or "afterwards": the descriptor
-        of the lock, for processes that are to hold it as well.
+        """Be a batch's "worker", "supervisor" or "postprocess", which one process is at a time.
 
-        ConfigurationError where another is for longer than `patience_s`.
+        Gives the descriptor of the lock, for child processes that have to hold it as well.
+        ConfigurationError where another process holds it for longer than `patience_s`.
         """
         path = self.path / f"{who}.lock"
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
@@ -70,7 +71,7 @@ class BatchFolder:
                 if time.monotonic() > give_up:
                     pid = os.pread(file, 20, 0).decode("ascii", "replace").strip() or "?"
                     raise ConfigurationError(
-                        f"{self.path}: the batch has a {who} already, pid {pid}",
+                        f"{self.path}: the batch has a {who} already (process {pid})",
                         f"see: rig batch status {self.path}",
                     )
                 time.sleep(0.05)
@@ -81,7 +82,7 @@ class BatchFolder:
             os.close(file)
 
     def is_held(self, who: str) -> bool:
-        """Whether a process is the batch's `who` at present."""
+        """Whether a process is the batch's `who` now; see `held_by`."""
         try:
             file = os.open(self.path / f"{who}.lock", os.O_RDWR | os.O_CLOEXEC)
         except OSError:
@@ -104,7 +105,9 @@ def new_folder(results: Path, name: str, today: datetime) -> BatchFolder:
         except OSError as error:
             raise ConfigurationError(
                 f"{path}: the batch's folder cannot be made: {error.strerror or error}",
-                "choose another folder for results, or free the disk",
+                "free the disk, or choose another folder for results"
+                if error.errno == errno.ENOSPC
+                else "choose another folder for results",
             ) from error
         (path / "runs").mkdir()
         return BatchFolder(path)

@@ -1,4 +1,4 @@
-"""The queue of a batch: which runs there are, and what became of each, in one SQLite file.
+"""The queue of a batch: which runs there are and how each ended, in one SQLite file.
 
 The plan is written once, whole, before anything begins. From then on a run changes its state only
 in a transaction that is on the disk (write-ahead log, full sync) before anybody acts on it: a run
@@ -8,8 +8,8 @@ leaves a claim, which the next worker settles from the run's own journal
 
     queued -> running -> done | failed
        ^         |
-       +---------+  stopped, retried, died: its journal goes on where it was interrupted
-    queued -> set-aside   its condition kept failing
+       +---------+  stopped, retried, died: continued from its journal
+    queued -> set-aside   left out: its condition has failed too often
 
 One process writes runs (the worker, who holds the bench); any may read, and ask (`request`).
 """
@@ -25,14 +25,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
-from rig.batch.plan.conditions import Condition, Plan
+from rig.batch.plan.conditions import BatchCondition, BatchPlan
 from rig.core.atomic import replacing
 from rig.core.errors import ConfigurationError, RigError
 
 RunState = Literal["queued", "running", "done", "failed", "set-aside"]
 Ending = Literal["complete", "stopped", "failed", "died"]
 BUSY_S = 30.0
-"""How long a transaction of another process is waited for."""
+"""How long to wait for a transaction of another process, in s."""
 AT_ONCE = 1000
 
 SCHEMA = """
@@ -65,14 +65,14 @@ CREATE TABLE request (id INTEGER PRIMARY KEY, time TEXT NOT NULL, kind TEXT NOT 
 """
 
 
-class Estimate(NamedTuple):
-    """What is expected of a run."""
+class RunEstimate(NamedTuple):
+    """What a run is expected to take."""
 
     duration_s: float
     spread_s: float
     """Standard deviation of its duration."""
     size_B: int = 0
-    """Of its run file."""
+    """Size of its run file."""
 
 
 @dataclass(frozen=True)
@@ -82,18 +82,18 @@ class Claim:
     number: int
     attempt: int
     repeat: int
-    condition: Condition
+    condition: BatchCondition
     estimate_s: float
     spread_s: float
 
 
 @dataclass(frozen=True)
-class Ended:
+class AttemptResult:
     """How an attempt ended."""
 
     ending: Ending
     kind: str = ""
-    """Of a failure: what retries go by."""
+    """Kind of a failure, by which it is retried (`rig.batch.plan.policy.FailureKind`); or empty."""
     code: int = 0
     reason: str = ""
     bench_s: float = 0.0
@@ -103,7 +103,7 @@ class Ended:
 
 
 @dataclass(frozen=True)
-class Left:
+class RemainingWork:
     """What a batch has still to do, as planned."""
 
     runs: int
@@ -111,12 +111,12 @@ class Left:
     spread_s: float
     """Standard deviation of `bench_s`, runs of one condition wrong together."""
     size_B: int = 0
-    """Of the run files to come."""
+    """Size of the run files to come."""
 
 
 @dataclass(frozen=True)
 class RunRow:
-    """One run as the queue tells it."""
+    """One run and its state."""
 
     number: int
     condition: str
@@ -141,8 +141,8 @@ class Queue:
     def create(
         cls,
         path: Path,
-        plan: Plan,
-        estimates: Mapping[str, Estimate],
+        plan: BatchPlan,
+        estimates: Mapping[str, RunEstimate],
         meta: Mapping[str, str],
     ) -> Self:
         """A new queue of all runs of a plan, with what is expected of a run by condition. It
@@ -173,11 +173,11 @@ class Queue:
 
     @classmethod
     def open(cls, path: Path, *, read_only: bool = False) -> Self:
-        """An existing queue; ConfigurationError where there is none, or what is there is none."""
+        """An existing queue; ConfigurationError where there is none, or the file is not one."""
         if not path.is_file():
             raise ConfigurationError(
                 f"{path.parent} holds no batch: there is no {path.name} in it",
-                "name the folder of a batch, as `rig batch run` told it",
+                "name the folder of a batch, as `rig batch run` printed it",
             )
         mode = "ro" if read_only else "rw"
         try:
@@ -202,12 +202,12 @@ class Queue:
 
     def close_log(self) -> None:
         """Leave one file, which can be read from where nothing can be written; nothing happens
-        while somebody else has it open."""
+        while another process has it open."""
         with contextlib.suppress(sqlite3.OperationalError):
             self._sql.execute("PRAGMA journal_mode = DELETE")
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._sql.close()
 
     def __enter__(self) -> Self:
@@ -219,12 +219,12 @@ class Queue:
     # --- what is known of the batch -------------------------------------------------------------
 
     def meta(self, key: str, default: str = "") -> str:
-        """A word about the batch as a whole."""
+        """An entry about the batch as a whole."""
         row = self._sql.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
         return default if row is None else str(row[0])
 
     def set_meta(self, key: str, value: str) -> None:
-        """Keep a word about the batch as a whole."""
+        """Record an entry about the batch as a whole."""
         with self._transaction():
             self._sql.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))
 
@@ -234,15 +234,15 @@ class Queue:
         found.update(self._sql.execute("SELECT state, count(*) FROM run GROUP BY state").fetchall())
         return found  # type: ignore[return-value]
 
-    def left(self) -> Left:
-        """What is queued, with the rests between."""
+    def remaining(self) -> RemainingWork:
+        """The work that is queued or running, with the rests between runs."""
         rows = self._sql.execute(
             "SELECT n, n * (c.estimate_s + c.rest_s), n * c.spread_s, n * c.size_B"
             " FROM condition c JOIN"
             " (SELECT condition, count(*) AS n FROM run WHERE state IN ('queued', 'running')"
             " GROUP BY condition) ON condition = c.id"
         ).fetchall()
-        return Left(
+        return RemainingWork(
             sum(row[0] for row in rows),
             sum(row[1] for row in rows),
             sum(row[2] ** 2 for row in rows) ** 0.5,
@@ -255,7 +255,7 @@ class Queue:
         where = ((), "") if number is None else ((number,), " WHERE number = ?")
         return float(self._sql.execute(query + where[1], where[0]).fetchone()[0])
 
-    def condition(self, name: str) -> Condition:
+    def condition(self, name: str) -> BatchCondition:
         """A condition by its id."""
         row = self._sql.execute("SELECT * FROM condition WHERE id = ?", (name,)).fetchone()
         return _condition_of(row)
@@ -340,14 +340,14 @@ class Queue:
         return None if row is None else self._claim(row)
 
     def claim(self, number: int) -> Claim:
-        """Take a queued run on: from here on it is running, whatever becomes of the caller."""
+        """Claim a queued run: from here on it is running, whatever becomes of the caller."""
         with self._transaction():
             row = self._sql.execute(
                 "SELECT number, repeat, condition FROM run WHERE number = ? AND state = 'queued'",
                 (number,),
             ).fetchone()
             if row is None:
-                raise RigError(f"run {number} is not queued: somebody else has taken it")
+                raise RigError(f"run {number} is not queued: another process has claimed it")
             claim = self._claim(row)
             now = _now()
             self._sql.execute(
@@ -360,8 +360,8 @@ class Queue:
             )
         return claim
 
-    def finish(self, claim: Claim, ended: Ended, state: RunState) -> None:
-        """The attempt is over, and the run in this state: ``queued`` where it is to go on."""
+    def finish(self, claim: Claim, ended: AttemptResult, state: RunState) -> None:
+        """The attempt is over, and the run in this state: ``queued`` if it is to be continued."""
         now = _now()
         with self._transaction():
             self._sql.execute(
@@ -391,7 +391,7 @@ class Queue:
         return None if row is None else self._claim(row, further=0)
 
     def set_aside(self, condition: str, reason: str) -> int:
-        """Leave out what is queued of a condition; gives how many runs that are."""
+        """Leave out what is queued of a condition; returns how many runs these are."""
         with self._transaction():
             self._sql.execute(
                 "UPDATE condition SET set_aside = ? WHERE id = ?", (reason, condition)
@@ -404,7 +404,7 @@ class Queue:
         return changed.rowcount
 
     def put_back(self) -> int:
-        """Queue again what failed or was set aside; gives how many runs that are."""
+        """Queue again what failed or was set aside; returns how many runs these are."""
         with self._transaction():
             self._sql.execute("UPDATE condition SET set_aside = ''")
             self._sql.execute(
@@ -412,15 +412,15 @@ class Queue:
                 " (SELECT number FROM run WHERE state IN ('failed', 'set-aside'))"
             )
             changed = self._sql.execute(
-                "UPDATE run SET state = 'queued', ended = NULL WHERE state IN"
+                "UPDATE run SET state = 'queued', ended = NULL, processed = NULL WHERE state IN"
                 " ('failed', 'set-aside')"
             )
         return changed.rowcount
 
-    # --- afterwards -----------------------------------------------------------------------------
+    # --- files of finished runs -----------------------------------------------------------------
 
     def unprocessed(self) -> list[tuple[int, str]]:
-        """Number and procedure of ended runs that nothing was made of yet."""
+        """Number and procedure of the finished runs whose files are still to be made."""
         rows = self._sql.execute(
             "SELECT number, procedure FROM run JOIN condition ON condition.id = run.condition"
             " WHERE processed IS NULL AND state IN ('done', 'failed') ORDER BY number"
@@ -428,16 +428,16 @@ class Queue:
         return [(row[0], row[1]) for row in rows]
 
     def set_processed(self, number: int, what: Mapping[str, Any]) -> None:
-        """Keep what was made of a run."""
+        """Record which files were made of a run, by what they are."""
         with self._transaction():
             self._sql.execute(
                 "UPDATE run SET processed = ? WHERE number = ?", (json.dumps(what), number)
             )
 
-    # --- what people see and ask for -------------------------------------------------------------
+    # --- events and requests -------------------------------------------------------------
 
-    def tell(self, level: str, text: str) -> None:
-        """Keep what happened, for those who look later."""
+    def add_event(self, level: str, text: str) -> None:
+        """Record an event, which `rig batch status` shows."""
         with self._transaction():
             self._sql.execute(
                 "INSERT INTO event (time, level, text) VALUES (?, ?, ?)", (_now(), level, text)
@@ -450,13 +450,13 @@ class Queue:
         ).fetchall()
         return [(row[0], row[1], row[2]) for row in reversed(rows)]
 
-    def ask(self, kind: str) -> None:
-        """Ask the batch for something from outside."""
+    def add_request(self, kind: str) -> None:
+        """Leave a request for the supervisor, from another process."""
         with self._transaction():
             self._sql.execute("INSERT INTO request (time, kind) VALUES (?, ?)", (_now(), kind))
 
-    def asked(self) -> list[str]:
-        """What was asked for since the last look, oldest first."""
+    def take_requests(self) -> list[str]:
+        """The requests since the last call, oldest first; they are deleted."""
         if self._sql.execute("SELECT 1 FROM request LIMIT 1").fetchone() is None:
             return []
         with self._transaction():
@@ -499,7 +499,7 @@ class Queue:
         )
 
 
-def _condition_row(place: int, condition: Condition, estimate: Estimate) -> tuple[Any, ...]:
+def _condition_row(place: int, condition: BatchCondition, estimate: RunEstimate) -> tuple[Any, ...]:
     return (
         *(condition.id, place, condition.experiment, condition.procedure),
         *(json.dumps(dict(condition.settings)), json.dumps(dict(condition.varied))),
@@ -507,8 +507,8 @@ def _condition_row(place: int, condition: Condition, estimate: Estimate) -> tupl
     )
 
 
-def _condition_of(row: sqlite3.Row) -> Condition:
-    return Condition(
+def _condition_of(row: sqlite3.Row) -> BatchCondition:
+    return BatchCondition(
         row["id"],
         row["experiment"],
         row["procedure"],

@@ -621,6 +621,16 @@ def _impatience(settings: BenchSettings, plans: list[InstrumentPlan], source: st
 class BenchFactory(Protocol):
     """What an entry point of group ``rig.benches`` names: a module that can be a bench."""
 
+    def variants(self) -> tuple[str, ...]:
+        """The names of the benches that it can be, for the option ``stages``; the usual one is the
+        first."""
+        ...
+
+    def variant_for(self, drivers: Mapping[str, str]) -> str | None:
+        """The variant that stands in for a bench with these drivers (names by role): its stages
+        have their limits. None where it has none for them."""
+        ...
+
     def begin(self) -> RunningBench:
         """Begin to start the bench as a process of its own, its time slaved to the caller, before
         anybody knows how it is to be."""

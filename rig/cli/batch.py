@@ -1,4 +1,4 @@
-"""Commands of an overnight batch: plan it, run it, look at it, pause, stop and resume it."""
+"""Commands of an overnight batch: plan, run, show its status, pause, stop and resume it."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.batch.folder import BatchFolder
-    from rig.batch.report.status import Status
+    from rig.batch.report.status import BatchStatus
 
-HELP = "Overnight batches: a file of many runs, each taken exactly once."
+HELP = "Overnight batches: many runs from one file, each taken exactly once."
 
 app = typer.Typer(
     name="batch",
@@ -53,22 +53,24 @@ app.command()(batch_plan.schema)
 def run(
     file: BatchPath, bench: BenchPath = None, as_json: AsJson = False, debug: Debug = False
 ) -> None:
-    """Check a batch whole, then take its runs; Ctrl-C stops it in order."""
+    """Validate a batch file, then take its runs; Ctrl-C stops safely."""
     with reported(debug, as_json):
         from datetime import datetime
 
         from rig.batch.execute.prepare import prepare
         from rig.batch.execute.start import begin
-        from rig.core.units import duration
+        from rig.core.units import plural, time_span
 
         now = datetime.now().astimezone()
         prepared = prepare(file, bench, now, say)
         folder = begin(file, prepared, datetime.now().astimezone())
         forecast = prepared.forecast
-        over = f"over at {forecast.ends:%Y-%m-%d %H:%M:%S}"
+        takes = f"about {time_span(forecast.duration_s)} ± {time_span(forecast.spread_s)}"
         if prepared.bench is None:
-            over = f"to take {duration(forecast.duration_s)} of the simulated benches' time"
-        say(f"batch {folder.path}: {len(prepared.plan.runs)} runs, expected {over}")
+            takes += " of virtual time"
+        else:
+            takes += f", until {forecast.ends:%Y-%m-%d %H:%M:%S}"
+        say(f"batch {folder.path}: {plural(len(prepared.plan.runs), 'run')}, {takes}")
         _supervise(folder, as_json)
 
 
@@ -77,57 +79,61 @@ def resume(
     folder: Folder = None,
     results: Results = RESULTS,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Queue again what failed or was set aside.")
+        bool, typer.Option("--retry-failed", help="Queue failed and left-out runs again.")
     ] = False,
     despite_changes: Annotated[
-        bool, typer.Option("--despite-changes", help="Go on though files or program changed.")
+        bool,
+        typer.Option("--despite-changes", help="Continue although files or program changed."),
     ] = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Go on with a batch that was stopped, or let one go on that is paused or on hold."""
+    """Continue a batch that was stopped, interrupted, paused or held."""
     with reported(debug, as_json):
         from rig.batch.execute.start import refuse_changes
         from rig.batch.folder import find_folder
         from rig.batch.plan.settings import BatchFile
         from rig.batch.queue import Queue
+        from rig.core.units import plural
 
         found = find_folder(folder, results)
         with Queue.open(found.queue) as queue:
             if found.is_held("supervisor"):
-                queue.ask("go")
-                say(f"batch {found.path}: told to go on")
+                queue.add_request("go")
+                say(f"batch {found.path}: resumed")
                 return
             if despite_changes:
                 queue.set_meta("despite changes", "yes")
             else:
                 refuse_changes(queue, BatchFile.model_validate_json(queue.meta("file")))
             if retry_failed:
-                say(f"{queue.put_back()} runs are queued again")
+                say(f"{plural(queue.put_back(), 'run')} queued again")
         _supervise(found, as_json)
 
 
 @app.command()
 def pause(folder: Folder = None, results: Results = RESULTS, debug: Debug = False) -> None:
-    """Make the bench safe and wait; the point under way is taken again on `resume`."""
-    _ask("pause", "pausing", folder, results, debug)
+    """Make the bench safe and wait; `resume` retakes the point under way."""
+    _request("pause", "pausing", folder, results, debug)
 
 
 @app.command()
 def stop(
     folder: Folder = None,
     results: Results = RESULTS,
-    now: Annotated[bool, typer.Option("--now", help="At once; the point is lost.")] = False,
+    now: Annotated[bool, typer.Option("--now", help="At once; the point is discarded.")] = False,
     after_run: Annotated[
-        bool, typer.Option("--after-run", help="After the run under way [after its point].")
+        bool,
+        typer.Option("--after-run", help="After the run under way [after its point]."),
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Stop a batch in order, after the point under way; `resume` goes on with it."""
+    """Stop a batch safely after the point under way; `resume` continues it."""
     if now and after_run:
         raise typer.BadParameter("--now and --after-run exclude each other")
     when = "now" if now else "after-run" if after_run else "after-point"
-    _ask(f"stop-{when}", f"stopping {when.replace('-', ' its ')}", folder, results, debug)
+    shown = {"now": "now", "after-run": "after this run", "after-point": "after this point"}[when]
+    _request(f"stop-{when}", f"stopping {shown}", folder, results, debug)
 
 
 @app.command()
@@ -135,12 +141,12 @@ def status(
     folder: Folder = None,
     results: Results = RESULTS,
     watch: Annotated[
-        bool, typer.Option("--watch", help="Show it again every second, until Ctrl-C.")
+        bool, typer.Option("--watch", help="Refresh every second until Ctrl-C.")
     ] = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Say how far a batch is, from any terminal."""
+    """Show how far a batch is, from any terminal."""
     with reported(debug):
         from rig.batch.folder import find_folder
         from rig.batch.report.status import status_of
@@ -153,7 +159,7 @@ def status(
             time.sleep(WATCH_S)
 
 
-def _show(status: Status, as_json: bool, again: bool) -> None:
+def _show(status: BatchStatus, as_json: bool, again: bool) -> None:
     if as_json:
         print(json.dumps(status.as_object()), flush=True)  # noqa: T201 - stdout carries data
         return
@@ -164,7 +170,7 @@ def _show(status: Status, as_json: bool, again: bool) -> None:
     print("\n".join(status.lines()), flush=True)  # noqa: T201 - stdout carries data
 
 
-def _ask(word: str, told: str, folder: Path | None, results: Path, debug: bool) -> None:
+def _request(command: str, shown: str, folder: Path | None, results: Path, debug: bool) -> None:
     with reported(debug):
         from rig.batch.folder import find_folder
         from rig.batch.queue import Queue
@@ -172,17 +178,17 @@ def _ask(word: str, told: str, folder: Path | None, results: Path, debug: bool) 
         found = find_folder(folder, results)
         with Queue.open(found.queue) as queue:
             if not found.is_held("supervisor"):
-                left = queue.left().runs
+                remaining = queue.remaining().runs
                 raise ConfigurationError(
                     f"batch {found.path} is not running ({queue.meta('state')})",
-                    f"go on with it: rig batch resume {found.path}" if left else "it is over",
+                    f"continue it: rig batch resume {found.path}" if remaining else "it has ended",
                 )
-            queue.ask(word)
-        say(f"batch {found.path}: {told}")
+            queue.add_request(command)
+        say(f"batch {found.path}: {shown}")
 
 
 def _supervise(folder: BatchFolder, as_json: bool) -> None:
-    """Have a batch taken, tell how it ended, and end with its exit code."""
+    """Run a batch to its end, report it, and end with its exit code."""
     from rig.batch.execute.supervisor import Supervisor
     from rig.batch.report.status import status_of
     from rig.cli.streams import say_at_once

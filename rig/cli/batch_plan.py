@@ -1,4 +1,4 @@
-"""What a batch would be: `rig batch plan`, and the JSON schema of its file."""
+"""The forecast of a batch (`rig batch plan`) and the JSON schema of its file."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rig.cli.outcome import reported, say
-from rig.core.units import duration
+from rig.core.units import plural, time_span
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rig.batch.execute.prepare import Prepared
+    from rig.batch.execute.prepare import PreparedBatch
     from rig.batch.plan.estimate import PlacedRun
 
 
@@ -29,7 +29,7 @@ def plan(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Check a batch whole and list its runs: when each begins, how long all takes, disk."""
+    """Validate a batch file and list its runs: when each begins, total time, disk."""
     with reported(debug, as_json):
         from rig.batch.execute.prepare import prepare
 
@@ -51,7 +51,7 @@ def schema() -> None:
     print(json.dumps(batch_schema(lambda text: say(f"warning: {text}")), indent=2))  # noqa: T201 - stdout carries data
 
 
-def as_object(prepared: Prepared, free_B: int) -> dict[str, Any]:
+def as_object(prepared: PreparedBatch, free_B: int) -> dict[str, Any]:
     """The object that ``--json`` prints."""
     forecast, expected = prepared.forecast, prepared.expected
     return {
@@ -95,7 +95,7 @@ def as_object(prepared: Prepared, free_B: int) -> dict[str, Any]:
     }
 
 
-def _table(prepared: Prepared) -> Iterator[str]:
+def _table(prepared: PreparedBatch) -> Iterator[str]:
     """One line a run: number, begin, condition, repeat, expected duration, what is varied."""
     width = max((len(name) for name in prepared.plan.conditions), default=0)
     digits = len(str(len(prepared.plan.runs)))
@@ -103,7 +103,7 @@ def _table(prepared: Prepared) -> Iterator[str]:
         yield _line(prepared, placed, digits, width)
 
 
-def _line(prepared: Prepared, placed: PlacedRun, digits: int, width: int) -> str:
+def _line(prepared: PreparedBatch, placed: PlacedRun, digits: int, width: int) -> str:
     run = placed.run
     condition = prepared.plan.conditions[run.condition]
     varied = " ".join(f"{name}={_shown(value)}" for name, value in condition.varied.items())
@@ -122,29 +122,29 @@ def _shown(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _summary(prepared: Prepared, free_B: int) -> Iterator[str]:
+def _summary(prepared: PreparedBatch, free_B: int) -> Iterator[str]:
     forecast = prepared.forecast
     name, runs = prepared.batch.batch.name, len(prepared.plan.runs)
     yield (
-        f"{name}: {runs} runs of {len(prepared.plan.conditions)} conditions, "
-        f"{duration(forecast.duration_s)} ± {duration(forecast.spread_s)}, "
+        f"{name}: {plural(runs, 'run')} ({plural(len(prepared.plan.conditions), 'condition')}), "
+        f"about {time_span(forecast.duration_s)} ± {time_span(forecast.spread_s)}, "
         f"from {forecast.begins:%Y-%m-%d %H:%M:%S} to {forecast.ends:%Y-%m-%d %H:%M:%S}"
     )
-    yield f"disk: about {_size(forecast.size_B)} of run files, {_size(free_B)} are free"
+    yield f"disk: about {_size(forecast.size_B)} of run files, {_size(free_B)} free"
     if forecast.size_B > free_B:
-        yield "warning: the disk is too small: free it, or choose another folder for results"
+        yield "warning: the disk is too small: free space, or choose another folder for results"
     if forecast.stop_by is not None and forecast.in_time < runs:
         yield (
-            f"warning: stop_by {forecast.stop_by:%Y-%m-%d %H:%M:%S}: {forecast.in_time} of {runs} "
-            "runs are over by then; `rig batch resume` goes on the next night"
+            f"warning: stop_by {forecast.stop_by:%Y-%m-%d %H:%M:%S}: {forecast.in_time} of "
+            f"{plural(runs, 'run')} will have ended by then; continue with `rig batch resume`"
         )
     for one in forecast.expiring:
         allowed = prepared.batch.batch.allow_expired
-        then = "it is used all the same" if allowed else "runs after that are refused"
+        then = "it will be used all the same" if allowed else "later runs will be held"
         yield (
             f"warning: {one.path}: the calibration of {one.record.sensor!r} expires on "
             f"{one.record.valid_until.astimezone():%Y-%m-%d %H:%M}, during the batch: {then}; "
-            "calibrate before"
+            "calibrate before it begins"
         )
 
 

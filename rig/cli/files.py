@@ -17,7 +17,6 @@ from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError
 
 if TYPE_CHECKING:
     from rig.files.journal.values import RunHeader
-    from rig.run.bench_selector import Stages
     from rig.run.points import Reading
 
 LONGEST_LIST = 8
@@ -227,7 +226,7 @@ def _in_words(value: Any) -> str:
 
 
 @contextlib.contextmanager
-def _world_of(bench_toml: str, source: str) -> Iterator[tuple[Path | None, Stages | None]]:
+def _world_of(bench_toml: str, source: str) -> Iterator[tuple[Path | None, str | None]]:
     """The World settings of a run on a bench that its command had started, as a file again, and
     its stages.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from rig.cli.options import SimulatedStages
 from rig.cli.outcome import log, reported, say, start_log, tell_failure
 from rig.core.errors import STOPPED_BY_SIGNAL, ConfigurationError, RigError
 
@@ -55,10 +56,7 @@ def jog(
         Literal["film-clamp", "plate", "semi-spherical-object"] | None,
         typer.Option(help="What is mounted on a simulated bench: film-clamp by default."),
     ] = None,
-    stages: Annotated[
-        Literal["festo", "az", "festo-az", "az-festo"] | None,
-        typer.Option(help="Stages of a simulated bench, z and x: festo by default."),
-    ] = None,
+    stages: SimulatedStages = None,
     seed: Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0)] = 0,
     world: Annotated[
         Path | None, typer.Option(help="World settings (TOML) of a simulated bench.")

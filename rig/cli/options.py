@@ -18,6 +18,36 @@ from pydantic.fields import FieldInfo
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings, descriptions, name_without_unit, unit_of
 from rig.core.units import parse
+from rig.run.bench_selector import require_variant, simulated_variants
+
+
+def _variant(name: str | None) -> str | None:
+    """The name of an installed variant of the simulated bench, or None for the usual one."""
+    try:
+        return None if name is None else require_variant(name)
+    except ValueError as error:
+        raise typer.BadParameter(f"{name!r} {error}") from None
+
+
+def _variants() -> str:
+    """The choices as a help text shows them; a simulated bench that is broken says so when it is
+    started."""
+    try:
+        return f"[{'|'.join(simulated_variants())}]"
+    except (ImportError, ConfigurationError):
+        return "NAME"
+
+
+SimulatedStages = Annotated[
+    str | None,
+    typer.Option(
+        "--stages",
+        callback=_variant,
+        metavar=_variants(),
+        help="Stages z and x of a simulated bench; by default the first of these.",
+    ),
+]
+"""The option ``--stages`` of the commands that can start a simulated bench."""
 
 
 def option_name(field: str) -> str:

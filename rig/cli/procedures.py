@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.cli.options import parameters, settings_from
+from rig.cli.options import SimulatedStages, parameters, settings_from
 from rig.cli.outcome import reported, say, start_log
 from rig.core.entry_points import PROCEDURES, load
-from rig.run.bench_selector import BenchRequest, Choosing, Stages, bench_file
+from rig.run.bench_selector import BenchRequest, Choosing, bench_file
 
 if TYPE_CHECKING:
     from rig.bench.bench import RunningBench
@@ -55,10 +55,7 @@ def _common(
     allow_expired: Annotated[
         bool, typer.Option("--allow-expired", help="Use calibration records that have expired.")
     ] = False,
-    stages: Annotated[
-        Stages | None,
-        typer.Option(help="Stages of a simulated bench, z and x: festo by default."),
-    ] = None,
+    stages: SimulatedStages = None,
     world: Annotated[
         Path | None, typer.Option(help="World settings (TOML) of a simulated bench.")
     ] = None,

@@ -91,6 +91,9 @@ class ConsoleReporter:
         """Something a person should see now."""
         self._say(f"{level}: {message}")
 
+    def state(self, name: str) -> None:
+        """See `rig.run.execute.Reporter`; a person reads it in the events."""
+
     def storing(self) -> None:
         """The bench is safe; the data are being brought into their file."""
         if self._progress is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from rig.cli.options import SimulatedStages
 from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError, UnsafeError
@@ -20,10 +21,7 @@ def simulate(
         Literal["film-clamp", "plate", "semi-spherical-object"],
         typer.Option(help="What is mounted."),
     ] = "film-clamp",
-    stages: Annotated[
-        Literal["festo", "az", "festo-az", "az-festo"],
-        typer.Option(help="Stages z and x: on Modbus TCP, on one RTU line, or one each."),
-    ] = "festo",
+    stages: SimulatedStages = None,
     seed: Annotated[int, typer.Option(help="Seed of films and noise.", min=0)] = 0,
     world: Annotated[Path | None, typer.Option(help="World settings (TOML).")] = None,
     fault: Annotated[Path | None, typer.Option(help="Fault plan (TOML).")] = None,
@@ -47,8 +45,9 @@ def simulate(
 
         options = {"world": world, "fault": fault, "world_log": world_log}
         paths = {name: None if path is None else str(path) for name, path in options.items()}
+        chosen = {} if stages is None else {"stages": stages}
         factory: BenchFactory = load(BENCHES, "simulated")
-        factory.serve({"fixture": fixture, "stages": stages, "seed": seed, **paths}, ready)
+        factory.serve({"fixture": fixture, **chosen, "seed": seed, **paths}, ready)
         say("the simulated bench has ended")
 
 

@@ -16,6 +16,25 @@ def duration(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 60 else str(timedelta(seconds=round(seconds)))
 
 
+def time_span(seconds: float) -> str:
+    """A time as a person says it: ``4.6 s``, ``14 s``, ``2 min 40 s``, ``7 h 5 min``."""
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
+    if (whole := round(seconds)) < 3600:
+        larger, smaller = divmod(whole, 60)
+        units = ("min", "s")
+    else:
+        larger, smaller = divmod(round(seconds / 60), 60)
+        units = ("h", "min")
+    parts = [(larger, units[0]), (smaller, units[1])]
+    return " ".join(f"{number} {unit}" for number, unit in parts if number)
+
+
+def plural(number: int, noun: str) -> str:
+    """A number of things as a person writes it: ``1 run``, ``3 runs``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def parse(text: str, annotation: Any, unit: str | None) -> Any:
     """A text as a value for a field of this type; ValueError says what is wrong."""
     arguments = typing.get_args(annotation)

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from rig.core.entry_points import BENCHES, load
 from rig.core.imports import importing
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from rig.core.clock import Clock
     from rig.run.lock import BenchLock
 
-Stages = Literal["festo", "az", "festo-az", "az-festo"]
-"""Of a simulated bench: on Modbus TCP, or on one Modbus RTU line."""
 BENCH_FILE = Path("bench.toml")
 FIRST_TIME = "the first time on a computer it takes up to two minutes"
 STARTING: dict[Fixture, str] = {
@@ -46,7 +44,8 @@ class BenchRequest:
     seed: int = 0
     dry_run: bool = False
     """Rehearse on a simulated bench under the bench file's limits."""
-    stages: Stages | None = None
+    stages: str | None = None
+    """Which of `simulated_variants`; None for the usual one."""
     world: Path | None = None
     fault: Path | None = None
     world_log: Path | None = None
@@ -187,6 +186,25 @@ def start_simulated(
         },
         begun,
     )
+
+
+def simulated_variants() -> tuple[str, ...]:
+    """The names of the simulated benches that can be started; the usual one is the first."""
+    return _simulated_benches().variants()
+
+
+def require_variant(name: str) -> str:
+    """The name itself; ValueError lists the choices where no simulated bench has it."""
+    if name not in (known := simulated_variants()):
+        raise ValueError(f"has to be one of {', '.join(known)}")
+    return name
+
+
+def simulated_variant_for(plan: BenchPlan) -> str | None:
+    """The simulated bench whose stages have the limits of those of a bench file; None where there
+    is none for its drivers."""
+    drivers = {part.role: part.driver_name for part in plan.instruments}
+    return _simulated_benches().variant_for(drivers)
 
 
 def _simulated_benches() -> BenchFactory:

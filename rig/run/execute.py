@@ -27,7 +27,7 @@ from rig.files.runfile.compile import compile_run
 from rig.run.arming import BEAT_EVERY_S, OffFailure
 from rig.run.context import Run
 from rig.run.guard import GuardLink
-from rig.run.holds import HoldError, PauseSwitch
+from rig.run.holds import PAUSE, HoldError, PauseSwitch
 from rig.run.job import Job, Journal
 from rig.run.outcome import Outcome
 from rig.run.points import Point, Reading, check_points, require_roles
@@ -54,6 +54,11 @@ class Reporter(Protocol):
 
     def event(self, level: str, message: str) -> None:
         """Something a person should see now."""
+        ...
+
+    def state(self, name: str) -> None:
+        """The run is "paused" (by the operator) or "held" (by a condition that passes), both with
+        the bench safe; or it is "running" again."""
         ...
 
     def storing(self) -> None:
@@ -264,11 +269,13 @@ class _Loop:
             reasons = "; ".join(f"{f.name}: {f.reason}" for f in failures)
             raise RigError(reasons, None, ExitCode.INSTRUMENT) from hold
         self.reporter.event("warning", f"hold: {hold.message}; the bench is safe")
+        self.reporter.state("paused" if hold.message == PAUSE else "held")
         self.run.check_stop()
         while self.run.holds.active:
             self.bench.clock.sleep(HOLD_LOOK_S)
             self.run.check_force_stream()
         self.reporter.event("info", "going on")
+        self.reporter.state("running")
 
     def _switch_off(self, watch_on: bool = False) -> list[OffFailure]:
         """Run the offs, undisturbed by stop requests, drives and threads that fail meanwhile."""

@@ -48,7 +48,7 @@ def test_a_plan_lists_every_run_and_foretells_the_night(rig: Any) -> None:
         *("sweep-001", "sweep-002", "reference-001"),
     ]
     assert lines[2].endswith("load_N=2")
-    assert re.search(r"films: 7 runs of 3 conditions, .* ± .*, from .* to ", ended.stderr)
+    assert re.search(r"films: 7 runs \(3 conditions\), about .* ± .*, from .* to ", ended.stderr)
     assert "of run files" in ended.stderr
     assert not (rig.folder / "nights").exists(), "planning leaves nothing"
     assert not (rig.folder / "results").exists()

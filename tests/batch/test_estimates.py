@@ -11,8 +11,8 @@ import pytest
 from calibrated import write_record
 
 from procedures import roll_trial, slip_trial, sweep
-from rig.batch.plan.conditions import Plan
-from rig.batch.plan.estimate import Expected, expect, forecast, homing_s
+from rig.batch.plan.conditions import BatchPlan
+from rig.batch.plan.estimate import ExpectedRun, expect, forecast, homing_s
 from rig.batch.plan.expand import expand
 from rig.batch.plan.settings import BatchFile, BatchSettings
 from rig.bench.bench import BenchPlan, FixtureSettings, parse_bench
@@ -30,7 +30,7 @@ HEAD = FixtureSettings(
 PLACES = {"slip-trial": PLATE, "sweep": CLAMP, "roll-trial": HEAD}
 
 
-def plan_of(*experiments: dict[str, Any]) -> Plan:
+def plan_of(*experiments: dict[str, Any]) -> BatchPlan:
     whole = [{"procedure": "slip-trial", **experiment} for experiment in experiments]
     return expand(BatchFile.model_validate({"batch": {"name": "night"}, "experiment": whole}))
 
@@ -39,7 +39,7 @@ def batch(**own: Any) -> BatchSettings:
     return BatchSettings.model_validate({"name": "night", **own})
 
 
-def of_one(procedure: str = "slip-trial", real: bool = False, **settings: Any) -> Expected:
+def of_one(procedure: str = "slip-trial", real: bool = False, **settings: Any) -> ExpectedRun:
     (expected,) = expect(
         plan_of({"procedure": procedure, "settings": settings}), PLACES, real
     ).values()
@@ -141,9 +141,9 @@ def test_runs_follow_one_another_with_their_rests() -> None:
 
 def test_what_all_runs_share_adds_up_and_what_they_do_not_averages() -> None:
     plan = plan_of({"repeat": 100})
-    shared = forecast(batch(), plan, {"slip-trial-001": Expected(10.0, 1.0, 0)}, NOW)
+    shared = forecast(batch(), plan, {"slip-trial-001": ExpectedRun(10.0, 1.0, 0)}, NOW)
     assert shared.spread_s == pytest.approx(100.0, rel=0.01)
-    own = forecast(batch(), plan, {"slip-trial-001": Expected(10.0, 0.0, 0)}, NOW)
+    own = forecast(batch(), plan, {"slip-trial-001": ExpectedRun(10.0, 0.0, 0)}, NOW)
     assert own.spread_s < 2.0
 
 
@@ -152,7 +152,7 @@ def test_a_window_places_the_batch_and_says_how_many_runs_are_in_time() -> None:
     night = forecast(
         batch(not_before="22:00", stop_by="22:10"),
         plan,
-        {"slip-trial-001": Expected(60.0, 0.0, 0)},
+        {"slip-trial-001": ExpectedRun(60.0, 0.0, 0)},
         NOW,
     )
     assert night.begins == NOW.replace(hour=22)
@@ -179,7 +179,7 @@ def test_a_record_that_expires_on_the_way_is_named(
     tmp_path: Path, valid_until: str, expires: bool
 ) -> None:
     plan = plan_of({"repeat": 60})
-    expected = {"slip-trial-001": Expected(60.0, 0.0, 0)}
+    expected = {"slip-trial-001": ExpectedRun(60.0, 0.0, 0)}
     night = forecast(batch(), plan, expected, NOW, bench=bench_with(tmp_path, valid_until))
     assert [one.path.name for one in night.expiring] == (["cell.json"] if expires else [])
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.batch.plan.conditions import Plan
+from rig.batch.plan.conditions import BatchPlan
 from rig.batch.plan.expand import expand
 from rig.batch.plan.findings import RefusedBatchError
 from rig.batch.plan.settings import BatchFile
@@ -19,14 +19,14 @@ SPEEDS = [0.2, 0.5, 1.0]
 FORCES = [2.0, 4.0]
 
 
-def planned(*experiments: dict[str, Any], **tables: Any) -> Plan:
+def planned(*experiments: dict[str, Any], **tables: Any) -> BatchPlan:
     """The plan of experiments, of slip trials where they name no procedure."""
     whole = [{"procedure": "slip-trial", **experiment} for experiment in experiments]
     batch = {"name": "night", **tables.pop("batch", {})}
     return expand(BatchFile.model_validate({"batch": batch, "experiment": whole, **tables}))
 
 
-def varied(plan: Plan) -> list[dict[str, Any]]:
+def varied(plan: BatchPlan) -> list[dict[str, Any]]:
     return [dict(condition.varied) for condition in plan.conditions.values()]
 
 
@@ -270,9 +270,9 @@ SAMPLE = {"points": 3, "ranges": {"speed_mm_s": (0.1, 1.0)}}
     ("experiment", "words"),
     [
         ({"matrix": {"speed_mm_s": []}}, "matrix.speed_mm_s: has no value"),
-        ({"matrix": {"speed_mm_s": [0.5, "0.5"]}}, "is there twice"),
+        ({"matrix": {"speed_mm_s": [0.5, "0.5"]}}, "stands twice in the list"),
         ({"matrix": {"speed_mm_s": SPEEDS}, "sample": SAMPLE}, "the matrix varies it, too"),
-        ({"sample": {"points": 3, "ranges": {"loading": (1, 2)}}}, "loading: is no number"),
+        ({"sample": {"points": 3, "ranges": {"loading": (1, 2)}}}, "loading: is not a number"),
         ({"sample": {"points": 3, "ranges": {"pace": (1, 2)}}}, "no such setting"),
         ({"sample": {"points": 3, "ranges": {"start_mm": (-1e308, 1e308)}}}, "is too wide"),
         ({"exclude": [{"rest_s": 1}]}, "exclude.rest_s: the matrix does not vary it"),
@@ -281,7 +281,7 @@ SAMPLE = {"points": 3, "ranges": {"speed_mm_s": (0.1, 1.0)}}
             "no combination is left",
         ),
         ({"block_by": ["rest_s"]}, "block_by has no meaning with order = 'as-written'"),
-        ({"every": 3}, "a reference runs between others, and there is none"),
+        ({"every": 3}, "a reference runs between others, and there are none"),
         ({"include": [{"speed_mm_s": 0}]}, "include.speed_mm_s = 0 mm/s: has to be above 0 mm/s"),
         ({"sample": SAMPLE | {"ranges": {"speed_mm_s": (-1, 1)}}}, "sample.speed_mm_s = -"),
     ],

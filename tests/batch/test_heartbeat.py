@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.batch.report.heartbeat import EVERY_S, Beat, Heartbeat
+from rig.batch.report.heartbeat import EVERY_S, Heartbeat, HeartbeatRecord
 
 
 class Hours:
@@ -24,12 +24,12 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "night-1.heartbeat.json"
 
 
-def read(path: Path) -> Beat:
-    return Beat(**json.loads(path.read_text()))
+def read(path: Path) -> HeartbeatRecord:
+    return HeartbeatRecord(**json.loads(path.read_text()))
 
 
-def running(point: str = "", run: int = 12, message: str = "") -> Beat:
-    return Beat("running", run, 240, point, simulated=True, message=message)
+def running(point: str = "", run: int = 12, message: str = "") -> HeartbeatRecord:
+    return HeartbeatRecord("running", run, 240, point, simulated=True, message=message)
 
 
 def test_a_heartbeat_says_who_is_where_and_since_when(path: Path) -> None:
@@ -51,7 +51,7 @@ def test_a_new_point_waits_for_its_time_and_a_new_run_or_message_does_not(path: 
     hours = Hours()
     heartbeat = Heartbeat(path, hours)
 
-    def said(beat: Beat) -> Beat:
+    def said(beat: HeartbeatRecord) -> HeartbeatRecord:
         heartbeat.write(beat)
         return read(path)
 
@@ -61,7 +61,7 @@ def test_a_new_point_waits_for_its_time_and_a_new_run_or_message_does_not(path: 
     assert said(running("c")).point == "c"
     assert said(running("d", run=13)).point == "d"
     assert said(running("e", run=13, message="retaken")).message == "retaken"
-    assert said(Beat("holding", 13, 240)).state == "holding"
+    assert said(HeartbeatRecord("holding", 13, 240)).state == "holding"
 
 
 def test_a_disk_that_does_not_take_it_disturbs_nobody_and_is_told_once(

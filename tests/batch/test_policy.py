@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from rig.batch.plan.policy import (
-    Kind,
-    Verdict,
+    FailureDecision,
+    FailureKind,
     after_failure,
     does_not_fit,
     kind_of,
@@ -47,7 +47,7 @@ def batch(**given: Any) -> BatchSettings:
     ],
 )
 def test_the_first_cause_says_the_kind_but_an_unsafe_bench_comes_before(
-    code: int, failure: RigError, kind: Kind
+    code: int, failure: RigError, kind: FailureKind
 ) -> None:
     assert kind_of(code, [failure, LimitError("what came of it")]) == kind
 
@@ -58,14 +58,14 @@ def test_a_bench_that_the_guard_made_safe_is_one_that_can_be_gone_on_with() -> N
 
 
 @pytest.mark.parametrize(("kind", "tries"), [("timeout", 3), ("instrument", 2), ("died", 3)])
-def test_what_may_pass_is_tried_again_so_often(kind: Kind, tries: int) -> None:
+def test_what_may_pass_is_tried_again_so_often(kind: FailureKind, tries: int) -> None:
     for attempt in range(1, tries):
-        assert after_failure(batch(), kind, {kind: attempt}, 0, 0, "x") == Verdict("again")
+        assert after_failure(batch(), kind, {kind: attempt}, 0, 0, "x") == FailureDecision("again")
     assert after_failure(batch(), kind, {kind: tries}, 0, 0, "x").run == "failed"
 
 
 @pytest.mark.parametrize("kind", ["limit", "usage", "internal"])
-def test_what_would_happen_again_is_never_tried_again(kind: Kind) -> None:
+def test_what_would_happen_again_is_never_tried_again(kind: FailureKind) -> None:
     assert after_failure(batch(), kind, {kind: 1}, 0, 0, "x").run == "failed"
 
 

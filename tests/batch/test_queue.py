@@ -9,23 +9,25 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rig.batch.plan.conditions import Condition, Plan, PlannedRun
-from rig.batch.queue import Ended, Estimate, Queue
+from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
+from rig.batch.queue import AttemptResult, Queue, RunEstimate
 from rig.core.errors import ConfigurationError, RigError
 
 
-def plan(conditions: int = 2, repeats: int = 3) -> Plan:
+def plan(conditions: int = 2, repeats: int = 3) -> BatchPlan:
     names = [f"sweep-{k:03d}" for k in range(1, conditions + 1)]
     made = {
-        name: Condition(name, 0, "sweep", {"load_N": float(k)}, {"load_N": float(k)}, rest_s=1.0)
+        name: BatchCondition(
+            name, 0, "sweep", {"load_N": float(k)}, {"load_N": float(k)}, rest_s=1.0
+        )
         for k, name in enumerate(names, 1)
     }
     order = [(name, repeat) for repeat in range(1, repeats + 1) for name in names]
-    return Plan(made, tuple(PlannedRun(k, *run) for k, run in enumerate(order, 1)))
+    return BatchPlan(made, tuple(PlannedRun(k, *run) for k, run in enumerate(order, 1)))
 
 
-def created(path: Path, made: Plan) -> Queue:
-    estimates = dict.fromkeys(made.conditions, Estimate(10.0, 2.0, 1000))
+def created(path: Path, made: BatchPlan) -> Queue:
+    estimates = dict.fromkeys(made.conditions, RunEstimate(10.0, 2.0, 1000))
     return Queue.create(path / "queue.sqlite", made, estimates, {"name": "test"})
 
 
@@ -41,7 +43,7 @@ def test_runs_are_claimed_in_order_and_each_once(tmp_path: Path) -> None:
         while (upcoming := queue.upcoming()) is not None:
             claim = queue.claim(upcoming.number)
             order.append(claim.number)
-            queue.finish(claim, Ended("complete", bench_s=5.0, summary={"x": 1}), "done")
+            queue.finish(claim, AttemptResult("complete", bench_s=5.0, summary={"x": 1}), "done")
         assert order == [1, 2, 3, 4, 5, 6]
         assert queue.counts()["done"] == 6
         assert queue.bench_s() == 30.0
@@ -61,7 +63,7 @@ def test_what_a_dead_worker_had_claimed_is_found_and_goes_on_in_its_place(tmp_pa
         left = queue.unfinished()
         assert left is not None
         assert (left.number, left.attempt) == (1, 1)
-        queue.finish(left, Ended("died", "died", reason="it died"), "queued")
+        queue.finish(left, AttemptResult("died", "died", reason="it died"), "queued")
         again = queue.upcoming()
         assert again is not None
         assert (again.number, again.attempt) == (1, 2)
@@ -71,7 +73,7 @@ def test_what_a_dead_worker_had_claimed_is_found_and_goes_on_in_its_place(tmp_pa
 
 def test_what_is_left_counts_rests_and_adds_spreads_of_one_condition(tmp_path: Path) -> None:
     with created(tmp_path, plan()) as queue:
-        left = queue.left()
+        left = queue.remaining()
     assert left.runs == 6
     assert left.bench_s == 6 * 11.0
     assert left.spread_s == pytest.approx((6.0**2 + 6.0**2) ** 0.5)
@@ -80,12 +82,15 @@ def test_what_is_left_counts_rests_and_adds_spreads_of_one_condition(tmp_path: P
 def test_setting_a_condition_aside_leaves_the_others(tmp_path: Path) -> None:
     with created(tmp_path, plan()) as queue:
         claim = queue.claim(taken(queue) + 1)
-        queue.finish(claim, Ended("failed", "limit", 4, "too much"), "failed")
+        queue.finish(claim, AttemptResult("failed", "limit", 4, "too much"), "failed")
         assert queue.set_aside("sweep-002", "1 of its runs failed") == 2
         assert [row.number for row in queue.rows(("queued",))] == [3, 5]
         assert [row.number for row in queue.rows(("set-aside",))] == [4, 6]
+        queue.set_processed(2, {"file": None})
         assert queue.put_back() == 3
         assert [row.number for row in queue.rows(("queued",))] == [2, 3, 4, 5, 6]
+        queue.finish(queue.claim(2), AttemptResult("complete"), "done")
+        assert queue.unprocessed() == [(2, "sweep")], "its files are made anew"
         assert queue.attempts(2) == {}
 
 
@@ -93,7 +98,11 @@ def test_failures_in_a_row_end_with_a_run_that_is_done(tmp_path: Path) -> None:
     with created(tmp_path, plan()) as queue:
         for state in ("failed", "done", "failed", "failed"):
             claim = queue.claim(taken_next(queue))
-            ending = Ended("complete") if state == "done" else Ended("failed", "timeout", 3)
+            ending = (
+                AttemptResult("complete")
+                if state == "done"
+                else AttemptResult("failed", "timeout", 3)
+            )
             queue.finish(claim, ending, state)  # type: ignore[arg-type]
         assert queue.failed_in_a_row(10) == 2
 
@@ -106,14 +115,14 @@ def taken_next(queue: Queue) -> int:
 
 def test_requests_are_heard_once_and_in_order(tmp_path: Path) -> None:
     with created(tmp_path, plan()) as queue, Queue.open(queue.path) as terminal:
-        terminal.ask("pause")
-        terminal.ask("go")
-        assert queue.asked() == ["pause", "go"]
-        assert queue.asked() == []
+        terminal.add_request("pause")
+        terminal.add_request("go")
+        assert queue.take_requests() == ["pause", "go"]
+        assert queue.take_requests() == []
 
 
 def test_a_queue_that_was_not_written_whole_is_none(tmp_path: Path) -> None:
-    estimates = {"sweep-001": Estimate(1.0, 0.0)}  # of sweep-002 nothing is known
+    estimates = {"sweep-001": RunEstimate(1.0, 0.0)}  # of sweep-002 nothing is known
     with pytest.raises(KeyError):
         Queue.create(tmp_path / "queue.sqlite", plan(), estimates, {})
     with pytest.raises(ConfigurationError, match="holds no batch"):
@@ -153,7 +162,7 @@ def test_a_disk_that_takes_no_more_is_told_with_the_remedy(tmp_path: Path) -> No
 
 def _fill(queue: Queue) -> None:
     for _ in range(10_000):
-        queue.tell("info", 1000 * "x")
+        queue.add_event("info", 1000 * "x")
 
 
 def _pages(queue: Queue) -> int:
@@ -197,17 +206,17 @@ def _work(queue: Queue, journals: dict[int, bool], done: list[int], failing: set
         whole = journals.get(claim.number, False)
         queue.finish(
             claim,
-            Ended("complete") if whole else Ended("died", "died"),
+            AttemptResult("complete") if whole else AttemptResult("died", "died"),
             "done" if whole else "queued",
         )
     while (upcoming := queue.upcoming()) is not None:
         claim = queue.claim(upcoming.number)
         if claim.number in failing:
-            queue.finish(claim, Ended("failed", "limit", 4), "failed")
+            queue.finish(claim, AttemptResult("failed", "limit", 4), "failed")
             continue
         done.append(claim.number)
         journals[claim.number] = True
-        queue.finish(claim, Ended("complete"), "done")
+        queue.finish(claim, AttemptResult("complete"), "done")
 
 
 def _dies_after(queue: Queue, statements: int) -> None:

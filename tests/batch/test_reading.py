@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from rig.batch.plan.positions import lines_of
+from rig.batch.plan.findings import BatchText
 from rig.batch.plan.read import parse_batch, read_batch
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.toml_files import MAX_TOML_BYTES, MAX_TOML_LINE
@@ -71,8 +71,8 @@ def test_a_whole_file_is_read_and_expanded(tmp_path: Path) -> None:
         ("not_before = 22:00:00", 'not_before = "late"', 3, "batch.not_before = 'late': "),
         ("repeat = 2", "repeat = 0", 11, "experiment 1: repeat = 0: has to be at least 1"),
         ("repeat = 2", "repeats = 2", 11, "experiment 1: repeats: unknown key"),
-        ("    0.5,\n]", "    -0.5,\n]", 15, "experiment 1: matrix.speed_mm_s = -0.5 mm/s: has to"),
-        ("    0.5,\n]", "    [1],\n]", 15, "experiment 1: matrix.speed_mm_s: has to be true or"),
+        ("    0.5,\n]", "    -0.5,\n]", 13, "experiment 1: matrix.speed_mm_s = -0.5 mm/s: has to"),
+        ("    0.5,\n]", "    [1],\n]", 13, "experiment 1: matrix.speed_mm_s: has to be true or"),
         ('"1 min"', '"1 m"', 17, "experiment 1: matrix.rest_s = '1 m': 'm' does not convert to s"),
         ("rest_s = 60", "pause_s = 60", 20, "experiment 1: exclude.pause_s: the procedure has no"),
         ('"4 N"', '"4 kg"', 7, "defaults.slip-trial.normal_force_N = '4 kg': "),
@@ -90,12 +90,34 @@ def test_an_error_is_told_with_its_line(old: str, new: str, line: int, words: st
     assert any(one.startswith(place) for one in lines), (place, lines)
 
 
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("7", "stop_by = 7: has to be a time of day (07:00:00) or a date and time (2026-11-24 "),
+        ("2026-11-24", "has to be a time of day (07:00:00)"),
+        ('"7 am"', "stop_by = '7 am': write a time of day (07:00:00) or a date and time (2026-11"),
+        ('"7"', "stop_by = '7': write a time of day (07:00:00)"),
+    ],
+)
+def test_what_is_not_a_time_is_refused_with_how_to_write_one(value: str, words: str) -> None:
+    (line,) = refused(GOOD.replace("2026-11-23T07:00:00+01:00", value))
+    assert words in line
+
+
+def test_stages_that_no_simulated_bench_has_are_refused_with_the_choices() -> None:
+    (line,) = refused(GOOD + '[simulation]\nstages = "hexapod"\n')
+    assert line.startswith("night.toml:27: simulation.stages = 'hexapod': has to be one of festo, ")
+    batch, _, _ = parse_batch(GOOD + '[simulation]\nstages = "az-festo"\n', "night.toml")
+    assert batch.simulation is not None
+    assert batch.simulation.stages == "az-festo"
+
+
 def test_errors_of_file_and_settings_are_told_together_in_the_order_of_the_file() -> None:
     broken = (
         GOOD.replace('"night"', '""').replace('"1 min"', '"1 m"').replace("every = 3", "every=0")
     )
     lines = refused(broken.replace("    0.2,", "    0,"))
-    assert [int(re.match(r"night\.toml:(\d+): ", line)[1]) for line in lines] == [2, 14, 17, 24]  # type: ignore[index]
+    assert [int(re.match(r"night\.toml:(\d+): ", line)[1]) for line in lines] == [2, 13, 17, 24]  # type: ignore[index]
 
 
 def test_what_is_no_toml_is_told_with_its_line() -> None:
@@ -110,7 +132,7 @@ def test_more_errors_than_anybody_reads_are_counted() -> None:
     assert lines[-1] == "and 80 more"
 
 
-def test_every_part_of_a_file_has_its_line() -> None:
+def test_every_key_and_table_of_a_file_has_its_line() -> None:
     text = textwrap.dedent(
         """\
         top = 1
@@ -118,44 +140,40 @@ def test_every_part_of_a_file_has_its_line() -> None:
             # nothing
             [3,
              4]]
-        [x . "y"]
-        z = { p = 1, q.r = [
-            true ] }
+        [x . "y"]  # a comment
+        z = { p = 1 }
         [[list]]
         k = 1
         [[list.inner]]
         [[list.inner]]
         v = 2
         [list.sub]
-        w = '''
-        two'''
+        w = 3
         [[list]]
-        [[list.inner]]
-        v = 3
+          [[list.inner]]
+          v = 3
         """
     )
-    lines = lines_of(text)
     expected = {
         ("top",): 1,
         ("a", "b", "c d", "e"): 2,
-        ("a", "b", "c d", "e", 1): 2,
-        ("a", "b", "c d", "e", 2): 4,
-        ("a", "b", "c d", "e", 2, 1): 5,
+        ("a", "b", "c d", "e", 2, 1): 2,
         ("x", "y"): 6,
         ("x", "y", "z", "p"): 7,
-        ("x", "y", "z", "q", "r", 0): 8,
-        ("list",): 9,
-        ("list", 0): 9,
-        ("list", 0, "k"): 10,
-        ("list", 0, "inner", 0): 11,
-        ("list", 0, "inner", 1): 12,
-        ("list", 0, "inner", 1, "v"): 13,
-        ("list", 0, "sub"): 14,
-        ("list", 0, "sub", "w"): 15,
-        ("list", 1): 17,
-        ("list", 1, "inner", 0, "v"): 19,
+        ("list",): 8,
+        ("list", 0): 8,
+        ("list", 0, "k"): 9,
+        ("list", 0, "inner", 0): 10,
+        ("list", 0, "inner", 1): 11,
+        ("list", 0, "inner", 1, "v"): 12,
+        ("list", 0, "sub"): 13,
+        ("list", 0, "sub", "w"): 14,
+        ("list", 1): 15,
+        ("list", 1, "inner", 0, "v"): 17,
+        ("elsewhere",): 1,
     }
-    assert {where: lines.get(where) for where in expected} == expected
+    source = BatchText("night.toml", text)
+    assert {where: source.line(where) for where in expected} == expected
 
 
 # --- from strangers ---------------------------------------------------------------------------

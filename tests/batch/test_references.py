@@ -9,7 +9,7 @@ import pytest
 
 from procedures import roll_trial, slip_trial, sweep
 from rig.batch.execute.drift import (
-    Finding,
+    HoldReason,
     ReferenceRun,
     disk_space,
     expiring,
@@ -27,13 +27,13 @@ CLAMP = {"film": "film 'F12' in the clamp"}
 SKIN = {"strip_1": "strip 1 of skin 'B'", "strip_2": "strip 2 of skin 'B'"}
 
 
-def swept(*gains: float | None) -> list[Finding]:
+def swept(*gains: float | None) -> list[HoldReason]:
     """What the last of some reference sweeps shows; every tenth run is one."""
     runs = [ReferenceRun(1 + 10 * k, {GAIN: gain}) for k, gain in enumerate(gains)]
     return judge(runs[:-1], runs[-1], sweep.DRIFT, CLAMP)
 
 
-def tried(first: tuple[float, float], now: dict[str, float]) -> list[Finding]:
+def tried(first: tuple[float, float], now: dict[str, float]) -> list[HoldReason]:
     before = ReferenceRun(1, {S1: first[0], S2: first[1]})
     return judge([before], ReferenceRun(11, now), slip_trial.DRIFT, SKIN)
 
@@ -155,11 +155,11 @@ def test_the_axis_whose_zero_moved_most_is_told() -> None:
 def test_a_disk_is_to_hold_the_rest_of_the_batch_and_what_is_to_be_left() -> None:
     assert disk_space(10e9, 8.9e9, 1.0) == []
     (found,) = disk_space(10e9, 9.2e9, 1.0)
-    assert "10 GB are free, the rest of the batch takes about 9.2 GB; 1 GB are to be left" in (
+    assert "10 GB free; the rest of the batch takes about 9.2 GB; 1 GB have to remain free" in (
         found.text
     )
     (found,) = disk_space(0.5e9, 0.0, 1.0)
-    assert "0.5 GB are free; 1 GB" in found.text
+    assert "0.5 GB free; 1 GB" in found.text
 
 
 NOW = datetime(2026, 11, 22, 22, 0, tzinfo=UTC)
@@ -181,7 +181,7 @@ def test_a_record_that_expires_during_the_night_is_told_and_one_that_lasts_is_no
     (found,) = expiring([record(0.25), record(2.0)], NOW, timedelta(hours=11))
     assert found.text == (
         "film-7.json: the calibration of 'film 7' of 2026-08-24 expires on 2026-11-23 04:00, "
-        "before the batch is over (about 2026-11-23 09:00)"
+        "before the run is over (about 2026-11-23 09:00)"
     )
     assert "rig calibrate pvdf" in found.hint
     (found,) = expiring([record(-1.0)], NOW, timedelta(hours=11))

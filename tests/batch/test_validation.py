@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from rig.batch.plan.conditions import Plan
+from rig.batch.plan.conditions import BatchPlan
 from rig.batch.plan.expand import expand
 from rig.batch.plan.findings import RefusedBatchError
 from rig.batch.plan.settings import BatchFile
-from rig.batch.plan.validate import Checked, Connected, validate
+from rig.batch.plan.validate import BenchConnector, ValidationResult, validate
 from rig.bench.bench import Bench, BenchPlan, Fixture, InstrumentPlan, parse_bench
 from rig.core.clock import WallClock
 from rig.core.errors import ConfigurationError, ExitCode
@@ -77,12 +77,12 @@ def equipped(plan: BenchPlan) -> BenchPlan:
     return replace(plan, instruments=tuple(parts))
 
 
-def plan_of(*experiments: dict[str, Any]) -> Plan:
+def plan_of(*experiments: dict[str, Any]) -> BatchPlan:
     whole = [{"procedure": "slip-trial", **experiment} for experiment in experiments]
     return expand(BatchFile.model_validate({"batch": {"name": "night"}, "experiment": whole}))
 
 
-def benches() -> tuple[Connected, list[Fixture]]:
+def benches() -> tuple[BenchConnector, list[Fixture]]:
     """Benches with these instruments, and which fixtures they were asked for."""
     asked: list[Fixture] = []
 
@@ -95,7 +95,7 @@ def benches() -> tuple[Connected, list[Fixture]]:
     return connected, asked
 
 
-def check(plan: Plan, text: str | None) -> tuple[Checked, list[Fixture]]:
+def check(plan: BatchPlan, text: str | None) -> tuple[ValidationResult, list[Fixture]]:
     real = None if text is None else equipped(parse_bench(text, "bench.toml"))
     connected, asked = benches()
     return validate(plan, real, connected), asked
@@ -116,7 +116,7 @@ def test_a_batch_that_needs_another_fixture_half_way_is_refused_with_its_runs_an
     (finding,) = checked.findings
     assert finding.where == ("experiment", 1, "procedure")
     assert "sweep (run 3, 4, 5 and 2 more) needs the film-clamp, the bench has the plate" in (
-        finding.told
+        finding.text
     )
     assert '[[also_mounted]] mounted = "film-clamp" in bench.toml' in (finding.hint or "")
     assert asked == ["plate"], "the rest is checked all the same"
@@ -152,7 +152,7 @@ def test_every_limit_of_every_condition_is_told_once_with_its_experiment() -> No
         {"settings": {"largest_force_N": 50.0}},
     )
     checked, _ = check(plan, None)
-    told = [finding.told.split(" u is outside")[0] for finding in checked.findings]
+    told = [finding.text.split(" u is outside")[0] for finding in checked.findings]
     assert told == [
         "experiment 1: slip-trial-001 and 1 more: point trial-001: stage_x position 40.5",
         "experiment 1: slip-trial-002 and 1 more: point trial-001: stage_x position 41",

@@ -20,8 +20,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks.measured import machine
 
 from rig.batch.folder import BatchFolder
-from rig.batch.plan.conditions import Condition, Plan, PlannedRun
-from rig.batch.queue import Ended, Estimate, Queue
+from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
+from rig.batch.queue import AttemptResult, Queue, RunEstimate
 from rig.batch.report.status import status_of
 
 RUNS = int(os.environ.get("RIG_RUNS", "100000"))
@@ -31,15 +31,15 @@ META = {"name": "large", "state": "running", "simulated": "yes", "begun": "2026-
 RIG = [sys.executable, "-c", "from rig.cli import main; main()"]
 
 
-def plan() -> Plan:
+def plan() -> BatchPlan:
     """As many runs as are asked for, of a thousand conditions."""
     names = [f"sweep-{k:04d}" for k in range(CONDITIONS)]
     made = {
-        name: Condition(name, 0, "sweep", {"load_N": float(k)}, {"load_N": float(k)})
+        name: BatchCondition(name, 0, "sweep", {"load_N": float(k)}, {"load_N": float(k)})
         for k, name in enumerate(names)
     }
     runs = (PlannedRun(k + 1, names[k % CONDITIONS], k // CONDITIONS + 1) for k in range(RUNS))
-    return Plan(made, tuple(runs))
+    return BatchPlan(made, tuple(runs))
 
 
 def times_ms(act: Callable[[], object], count: int) -> str:
@@ -62,7 +62,7 @@ def take(queue: Queue) -> None:
     upcoming = queue.upcoming()
     assert upcoming is not None
     claim = queue.claim(upcoming.number)
-    queue.finish(claim, Ended("complete", bench_s=8.0, summary={"points": 3}), "done")
+    queue.finish(claim, AttemptResult("complete", bench_s=8.0, summary={"points": 3}), "done")
 
 
 def main() -> None:
@@ -72,7 +72,7 @@ def main() -> None:
         folder = BatchFolder(Path(name))
         made = plan()
         since = time.perf_counter()
-        estimates = dict.fromkeys(made.conditions, Estimate(8.0, 0.3, 300_000))
+        estimates = dict.fromkeys(made.conditions, RunEstimate(8.0, 0.3, 300_000))
         queue = Queue.create(folder.queue, made, estimates, META)
         print(f"{RUNS} runs written in {time.perf_counter() - since:.2f} s, ", end="")
         print(f"{folder.queue.stat().st_size / 1e6:.1f} MB")

@@ -113,7 +113,7 @@ def test_with_its_supervisor_killed_the_worker_stops_in_order_and_resume_goes_on
     running.send(signal.SIGKILL)
     await_answer(folder, "SELECT ending FROM attempt WHERE run = 1", "stopped")
     shown = rig.run("batch", "status")
-    assert f"go on with: rig batch resume results/{folder.name}" in shown.stdout
+    assert f"continue with: rig batch resume results/{folder.name}" in shown.stdout
     ended = rig.run("batch", "resume", "--json")
     assert ended.code == 0, ended.stderr
     same(taken(folder), uninterrupted)
@@ -128,7 +128,7 @@ def test_ctrl_c_stops_a_batch_safely_and_resume_goes_on_at_the_point(
     running.send(signal.SIGINT)
     ended = running.finish()
     assert ended.code == 130, ended.stderr
-    assert "go on with: rig batch resume" in ended.stderr
+    assert "continue with: rig batch resume" in ended.stderr
     journal = folder / "runs" / "r00001_sweep.rigj"
     assert rig.run("resume", str(journal), "--no-figures").code == 0, "a run alone, by hand"
     assert rig.run("batch", "resume").code == 0
@@ -142,7 +142,7 @@ def test_ctrl_backslash_stops_a_batch_as_ctrl_c_does(rig) -> None:
     running.send_as_the_terminal_does(signal.SIGQUIT)
     ended = running.finish()
     assert ended.code == 131, ended.stderr
-    assert "go on with: rig batch resume" in ended.stderr
+    assert "continue with: rig batch resume" in ended.stderr
     assert ask(folder, "SELECT ending, code FROM attempt WHERE run = 1") == [("stopped", 131)]
 
 
@@ -193,7 +193,7 @@ def test_a_time_out_is_tried_again_and_a_limit_never(rig) -> None:
     ]
     states = dict(ask(folder, "SELECT number, state FROM run"))
     assert states == {1: "done", 2: "failed", 3: "done", 4: "set-aside"}
-    assert "condition sweep-002 is set aside" in ended.stderr
+    assert "condition sweep-002: 1 run failed; 1 queued run left out" in ended.stderr
     assert (rig.folder / "told.txt").read_text().splitlines() == [
         "SIMULATED batch night: start",
         "SIMULATED batch night: failure",
@@ -202,7 +202,7 @@ def test_a_time_out_is_tried_again_and_a_limit_never(rig) -> None:
     beat = json.loads((folder / "heartbeat.json").read_text())
     assert (beat["state"], beat["of"], beat["simulated"]) == ("ended", 4, True)
     again = rig.run("batch", "resume", "--retry-failed")
-    assert "2 runs are queued again" in again.stderr
+    assert "2 runs queued again" in again.stderr
 
 
 def test_what_changed_since_the_beginning_is_told_and_refused(rig) -> None:
@@ -220,7 +220,7 @@ def test_a_second_supervisor_is_refused(rig) -> None:
     running = begin(rig, SIX_POINTS)
     folder = folder_of(rig.results)
     told = rig.run("batch", "resume", str(folder))
-    assert "told to go on" in told.stderr
+    assert "resumed" in told.stderr
     assert running.finish().code == 0
 
 

@@ -71,7 +71,10 @@ def population(tmp_path: Path) -> Path:
     [
         (["--seeds", "0:10"], "seeds 0:10 are reserved for tuning (below 1000000)"),
         (["--seeds", "999990:1000010"], "lie on both sides of 1000000"),
-        (["--seeds", "1000000:1000010", "--tuning"], "are reserved for reporting (from 1000000 on)"),
+        (
+            ["--seeds", "1000000:1000010", "--tuning"],
+            "are reserved for reporting (from 1000000 on)",
+        ),
         (["--seeds", "10"], "--seeds 10: not a range of seeds"),
         (["--tune", "x.json"], "--tune x.json: thresholds are chosen on tuning seeds only"),
         (["--kinds", "slide,fall"], "'fall' is no kind of trial; choose among slide,roll"),

@@ -288,6 +288,9 @@ class Reporter:
     def event(self, level: str, message: str) -> None:
         pass
 
+    def state(self, name: str) -> None:
+        pass
+
     def storing(self) -> None:
         pass
 

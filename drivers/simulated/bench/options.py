@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 if TYPE_CHECKING:
     from drivers.simulated.faults.plan import FaultPlan
@@ -17,6 +18,9 @@ Fixture = Literal["film-clamp", "plate", "semi-spherical-object"]
 HEAD: Fixture = "semi-spherical-object"
 Stages = Literal["festo", "az", "festo-az", "az-festo"]
 """Drives on Modbus TCP, on one Modbus RTU line, or z of the first kind and x of the second."""
+
+DRIVES = {"festo-cmmt": "festo", "oriental-az": "az"}
+"""The kind of drive that a driver controls, by the driver's name."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,16 @@ class Options:
     linger_s: float = LINGER_S
     results: str | None = None
     """Folder in which the owner records: where the fault plan's disk is."""
+
+
+def variant_for(drivers: Mapping[str, str]) -> Stages | None:
+    """The stages with the limits of these drivers, given by role; None where there are none."""
+    z = DRIVES.get(drivers.get("stage_z", ""))
+    x = DRIVES.get(drivers.get("stage_x", drivers.get("stage_z", "")))
+    if z is None or x is None:
+        return None
+    named = z if z == x else f"{z}-{x}"
+    return next(stages for stages in get_args(Stages) if stages == named)
 
 
 def drive_kind(stages: Stages, name: str) -> str:

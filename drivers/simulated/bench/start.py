@@ -16,14 +16,16 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
-from drivers.simulated.bench.options import Options, fault_plan
+from drivers.simulated.bench.options import Options, Stages, fault_plan, variant_for
 from rig.core.errors import ConfigurationError, InstrumentError
 from rig.core.processor import Turns, let_run_anywhere
 
 if TYPE_CHECKING:
     from drivers.simulated.faults.disk import FaultyDisk
+
+__all__ = ["StartedBench", "begin", "serve", "start", "variant_for", "variants"]
 
 ABANDONED_S = 0.5
 """How long a bench that nobody has connected to may take to end by itself."""
@@ -90,6 +92,12 @@ class StartedBench:
         """End the process, which nobody needs: it may still be making its skin, or know nothing."""
         self._process.terminate()
         self.wait(ABANDONED_S)
+
+
+def variants() -> tuple[str, ...]:
+    """The stages that the bench can have, by the names that `Options.stages` takes; the first is
+    the usual one."""
+    return get_args(Stages)
 
 
 def begin() -> StartedBench:

@@ -1,7 +1,7 @@
-"""The time that a batch goes by: the wall's, or that of a simulated bench that it starts itself.
+"""The time of a batch: real time, or virtual time on simulated benches that it starts for itself.
 
-A simulated bench's time is slaved, and a rest on it costs nothing; its night begins when the batch
-is begun and is as long as its runs and rests are.
+Virtual time begins when the batch begins and advances by the bench time of its runs and by its
+rests, which take no real time.
 """
 
 from __future__ import annotations
@@ -11,64 +11,63 @@ from collections.abc import Callable
 from datetime import datetime, timedelta
 from typing import Protocol
 
-LOOK_S = 0.2
-"""How often a rest looks whether it is over."""
+CHECK_EVERY_S = 0.2
+"""How often a rest in real time checks for commands."""
 
 
-class Night(Protocol):
-    """What time it is, and resting."""
+class BatchClock(Protocol):
+    """What time it is for the batch, and how it rests."""
 
     def now(self) -> datetime:
-        """The time of the day, with its offset from UTC."""
+        """Date and time, with the offset from UTC."""
         ...
 
     def used(self, bench_s: float) -> None:
-        """A run has taken so much bench time."""
+        """A run has taken this much bench time."""
         ...
 
-    def rest(self, seconds: float, look: Callable[[], None]) -> None:
-        """Let that much time go by; what `look` raises ends it."""
+    def rest(self, seconds: float, check: Callable[[], None]) -> None:
+        """Wait this long. `check` is called often; what it raises ends the rest."""
         ...
 
 
-class WallNight:
-    """Real time."""
+class WallBatchClock:
+    """Real time, for a bench of a bench file."""
 
     def now(self) -> datetime:
-        """See `Night`."""
+        """See `BatchClock`."""
         return datetime.now().astimezone()
 
     def used(self, bench_s: float) -> None:
-        """It has gone by."""
+        """See `BatchClock`; real time has passed by itself."""
 
-    def rest(self, seconds: float, look: Callable[[], None]) -> None:
-        """See `Night`."""
+    def rest(self, seconds: float, check: Callable[[], None]) -> None:
+        """See `BatchClock`."""
         until = time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0:
-            look()
-            time.sleep(min(left, LOOK_S))
+            check()
+            time.sleep(min(left, CHECK_EVERY_S))
 
 
-class SlavedNight:
-    """The time of benches that stand still between runs. `passed` gets what goes by, in s, before
-    it counts."""
+class VirtualBatchClock:
+    """Virtual time, `passed_s` after the batch began. `save` gets each new value, in s, at once."""
 
-    def __init__(self, begun: datetime, passed_s: float, passed: Callable[[float], None]):
-        self._begun, self._passed_s, self._keep = begun, passed_s, passed
+    def __init__(self, begun: datetime, passed_s: float, save: Callable[[float], None]):
+        self._begun, self._passed_s, self._save = begun, passed_s, save
 
     def now(self) -> datetime:
-        """See `Night`."""
+        """See `BatchClock`."""
         return self._begun + timedelta(seconds=self._passed_s)
 
     def used(self, bench_s: float) -> None:
-        """See `Night`."""
+        """See `BatchClock`."""
         self._pass(bench_s)
 
-    def rest(self, seconds: float, look: Callable[[], None]) -> None:
-        """See `Night`."""
-        look()
+    def rest(self, seconds: float, check: Callable[[], None]) -> None:
+        """See `BatchClock`."""
+        check()
         self._pass(seconds)
 
     def _pass(self, seconds: float) -> None:
         self._passed_s += max(0.0, seconds)
-        self._keep(self._passed_s)
+        self._save(self._passed_s)

@@ -1,8 +1,8 @@
-"""What became of a run whose worker died: told from the run's own files, never guessed.
+"""What became of a run whose worker died, as the run's own files show; nothing is guessed.
 
 The guard has made the bench safe and compiled what there was before this is asked (the worker's
 lock is the guard's as well). A journal that ends whole, or a run file whose journal is gone, is a
-run that is done; it is not taken again. Any other goes on at the point where it was interrupted.
+run that is done; it is not taken again. Any other is continued where it was interrupted.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.batch.plan.procedures import installed
-from rig.batch.queue import Ended
+from rig.batch.queue import AttemptResult
 from rig.core.errors import RigError
 from rig.files.errors import JournalError
 from rig.files.journal.reader import JournalContents, read_journal
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from rig.run.points import Reading
 
 
-def what_became_of(journal: Path) -> Ended:
+def outcome_from_journal(journal: Path) -> AttemptResult:
     """How the attempt ended whose journal this is, or was before it was compiled."""
     if journal.exists():
         try:
             contents = read_journal(journal)
         except JournalError as error:
-            return Ended("died", "died", reason=error.one_line())
+            return AttemptResult("died", "died", reason=error.one_line())
         readings = [point.reading for point in contents.kept()]
         end = contents.ends[-1] if contents.complete else None
         return _ended(
@@ -46,42 +46,44 @@ def what_became_of(journal: Path) -> Ended:
                 code = outcome.exit if outcome.status == "complete" else None
                 return _ended(run.header, code, run.readings(), outcome.duration)
         except RigError as error:
-            return Ended("died", "died", reason=error.one_line())
-    return Ended("died", "died", reason="it died before its first record")
+            return AttemptResult("died", "died", reason=error.one_line())
+    return AttemptResult("died", "died", reason="it died before its first record")
 
 
-def to_continue(journal: Path) -> JournalContents | None:
-    """The journal that a run goes on with; None where it begins afresh.
+def journal_to_resume(journal: Path) -> JournalContents | None:
+    """The contents of the journal that a run continues; None where the run begins anew.
 
-    One that cannot be continued is kept under another name.
+    A journal that cannot be continued is archived first.
     """
     if not journal.exists():
         return None
     try:
         return interrupted(journal)
     except JournalError:
-        put_away(journal)
+        archive_files(journal)
         return None
 
 
-def put_away(journal: Path) -> Path:
-    """Give a run's files another name, so that it can begin afresh; nothing is deleted."""
+def archive_files(journal: Path) -> Path:
+    """Rename a run's files, so that it can begin anew; nothing is deleted. Returns the new name of
+    the journal."""
     for number in range(1, 1000):
-        aside = journal.with_name(f"{journal.stem}.{number}{journal.suffix}")
-        if not aside.exists():
+        archived = journal.with_name(f"{journal.stem}.{number}{journal.suffix}")
+        if not archived.exists():
             break
     for old in (journal, journal.with_suffix(RUN_SUFFIX)):
         if old.exists():
-            old.rename(aside.with_suffix(old.suffix))
-    return aside
+            old.rename(archived.with_suffix(old.suffix))
+    return archived
 
 
 def _ended(
     header: RunHeader, code: int | None, readings: Sequence[Reading], bench_s: float
-) -> Ended:
-    """Of a complete run with this exit code, or None for one that was interrupted."""
+) -> AttemptResult:
+    """The result of a run that was completed with this exit code, or, where it is None, of one that
+    was interrupted."""
     if code is None:
-        return Ended(
+        return AttemptResult(
             "died",
             "died",
             reason="the process that ran it died",
@@ -91,7 +93,7 @@ def _ended(
         )
     procedure = installed(header.procedure)
     settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
-    return Ended(
+    return AttemptResult(
         "complete",
         code=code,
         bench_s=bench_s,

@@ -1,7 +1,7 @@
-"""What speaks against going on with a batch: what a reference run shows, and what will run out.
+"""Reasons to hold a batch: what a reference run shows, and what will run out.
 
-Pure: it compares numbers and says in words what it finds, naming the part. What is done about a
-finding is the supervisor's.
+Pure functions: they compare numbers and say in words what they find, naming the part. The worker
+holds the batch (`rig.batch.execute.worker`).
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from rig.instruments.calibration import COMMANDS, Record
 from rig.run.procedure import DriftFigure
 
 LARGE_LOSS_dB = 20.0
-"""A film that has lost so much gives next to nothing: no wear does that."""
+"""A film that has lost this much gives next to nothing, which wear does not explain."""
 LARGE_LOSS = 0.1
-"""What is left then of a figure that is not in dB."""
+"""The same loss of a figure that is not in dB: the share that is left."""
 AXES = "xyz"
-WORN_HINT = "look at the film, its cable and its connector; replace it and calibrate the new one"
+WORN_HINT = "check the film, its cable and its connector; replace it and calibrate the new one"
 
 
 @dataclass(frozen=True)
-class Finding:
-    """Something that speaks against going on, in words."""
+class HoldReason:
+    """Something that a person has to look at before the batch continues."""
 
     kind: Literal["drift", "no-figure", "force-zero", "disk", "calibration"]
     text: str
@@ -42,35 +42,35 @@ class ReferenceRun:
     """A run of the reference that has been finished."""
 
     number: int
-    """In the batch's queue."""
+    """Its number in the batch's queue."""
     summary: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class _Moved:
+class _DriftedFigure:
     """A figure beyond its tolerance; `by` is None where it was not found any more."""
 
     figure: DriftFigure
     text: str
     by: float | None
     lost: bool
-    """Next to nothing is left."""
+    """Whether next to nothing is left."""
     crept: bool
     """No step since the reference before was beyond the tolerance."""
 
 
 def watched_figures(
-    usual: Mapping[str, DriftFigure], told: Mapping[str, float]
+    usual: Mapping[str, DriftFigure], named: Mapping[str, float]
 ) -> dict[str, DriftFigure]:
     """What is watched of a reference: the figures that the batch file names with their tolerances,
     or else those of the procedure's ``DRIFT``."""
-    if not told:
+    if not named:
         return dict(usual)
     return {
         name: replace(usual[name], tolerance=tolerance)
         if name in usual
         else DriftFigure(name_without_unit(name).replace("_", " "), "", tolerance)
-        for name, tolerance in told.items()
+        for name, tolerance in named.items()
     }
 
 
@@ -91,14 +91,14 @@ def judge(
     now: ReferenceRun,
     watched: Mapping[str, DriftFigure],
     parts: Mapping[str, str],
-) -> list[Finding]:
+) -> list[HoldReason]:
     """What a reference run shows against the ones before it, oldest first.
 
     Each figure is compared with the first run that has it; `parts` are names as of `part_names`.
-    A small change that has crept is told as wear, a sudden one as wear or a tear, one that leaves
-    next to nothing as a tear or a cable; where all figures of several parts have moved alike, what
-    they have in common is named instead. The first reference is only asked whether it has what is
-    watched: then a figure that is missing cannot be judged.
+    A small change that has crept is reported as wear, a sudden one as wear or a tear, one that
+    leaves next to nothing as a tear or a cable; where all figures of several parts have moved
+    alike, what they have in common is named instead. The first reference is only asked whether it
+    has what is watched: a figure that is missing then cannot be judged.
     """
     if not earlier:
         return [
@@ -118,7 +118,7 @@ def judge(
 
 def zero_drift(
     first_N: Sequence[float], now_N: Sequence[float], limit_N: float, since_run: int = 1
-) -> list[Finding]:
+) -> list[HoldReason]:
     """Whether the force sensor's zero (x, y, z in N, ``force_zero_N`` of a summary) has moved along
     any axis by more than the limit since an earlier run."""
     moves = [now - first for first, now in zip(first_N, now_N, strict=True)]
@@ -130,29 +130,29 @@ def zero_drift(
         f"{first_N[axis]:.2f} to {now_N[axis]:.2f} N; limit {limit_N:g} N) since run {since_run}: "
         "overloaded, warmed up, or touched by something"
     )
-    hint = "look what lies on or touches the sensor; let it warm up; have it checked if it stays so"
-    return [Finding("force-zero", text, hint)]
+    hint = "check that nothing touches the sensor; let it warm up; if it stays so, have it checked"
+    return [HoldReason("force-zero", text, hint)]
 
 
-def disk_space(free_bytes: float, needed_bytes: float, least_GB: float) -> list[Finding]:
+def disk_space(free_bytes: float, needed_bytes: float, least_GB: float) -> list[HoldReason]:
     """Whether the disk of the results holds what the rest of the batch needs and `least_GB` (1e9
     bytes) besides."""
     free_GB, needed_GB = free_bytes / 1e9, needed_bytes / 1e9
     if free_GB - needed_GB >= least_GB:
         return []
-    rest = f", the rest of the batch takes about {needed_GB:.3g} GB" if needed_GB else ""
+    rest = f"; the rest of the batch takes about {needed_GB:.3g} GB" if needed_GB else ""
     text = (
-        f"disk of the results: {free_GB:.3g} GB are free{rest}; {least_GB:g} GB are to be left "
+        f"disk of the results: {free_GB:.3g} GB free{rest}; {least_GB:g} GB have to remain free "
         "(hold_when.free_disk_GB)"
     )
-    return [Finding("disk", text, "free space there, or give another folder for the results")]
+    return [HoldReason("disk", text, "free space there, or give another folder for the results")]
 
 
 def expiring(
     records: Iterable[tuple[Path, Record]], now: datetime, duration: timedelta
-) -> list[Finding]:
-    """Which of the calibration records, each with its file, have expired or will before a batch of
-    that duration is over. `now` carries its time zone."""
+) -> list[HoldReason]:
+    """Which of the calibration records, each with its file, have expired or will expire before a
+    run of this duration, begun `now` (with time zone), is over."""
     findings = []
     for source, record in records:
         if record.valid_until > now + duration:
@@ -162,9 +162,9 @@ def expiring(
         expires = f"expired on {ends}"
         if record.valid_until > now:
             over = (now + duration).strftime("%Y-%m-%d %H:%M")
-            expires = f"expires on {ends}, before the batch is over (about {over})"
+            expires = f"expires on {ends}, before the run is over (about {over})"
         findings.append(
-            Finding(
+            HoldReason(
                 "calibration",
                 f"{source}: the calibration of {record.sensor!r} of {date} {expires}",
                 f"calibrate with `{COMMANDS[record.kind]}`, or set allow_expired = true",
@@ -185,7 +185,7 @@ def _number(value: Any) -> float | None:
 
 def _moved(
     name: str, figure: DriftFigure, earlier: Sequence[ReferenceRun], now: ReferenceRun
-) -> _Moved | None:
+) -> _DriftedFigure | None:
     """The figure's move beyond its tolerance, if it has made one."""
     known = [
         (run.number, value)
@@ -193,14 +193,14 @@ def _moved(
         if (value := _number(run.summary.get(name))) is not None
     ]
     if not known:
-        return None  # told after the first reference
+        return None  # reported after the first reference
     (run, first), (_, before) = known[0], known[-1]
-    unit = f" {told}" if (told := unit_of(name)) else ""
+    unit = f" {known_unit}" if (known_unit := unit_of(name)) else ""
     places = max(0, 1 - math.floor(math.log10(figure.tolerance))) if figure.tolerance > 0 else 2
     value = _number(now.summary.get(name))
     if value is None:
         text = f"{figure.what} could not be found any more (in run {run}: {first:.{places}f}{unit})"
-        return _Moved(figure, text, None, lost=True, crept=False)
+        return _DriftedFigure(figure, text, None, lost=True, crept=False)
     by = value - first
     if abs(by) <= figure.tolerance:
         return None
@@ -209,10 +209,10 @@ def _moved(
         f"{value:.{places}f}{unit}; tolerance {figure.tolerance:g}{unit}) since run {run}"
     )
     lost = by <= -LARGE_LOSS_dB if unit == " dB" else abs(value) <= LARGE_LOSS * abs(first)
-    return _Moved(figure, text, by, lost, crept=abs(value - before) <= figure.tolerance)
+    return _DriftedFigure(figure, text, by, lost, crept=abs(value - before) <= figure.tolerance)
 
 
-def _together(moved: Sequence[_Moved], watched: Mapping[str, DriftFigure]) -> bool:
+def _together(moved: Sequence[_DriftedFigure], watched: Mapping[str, DriftFigure]) -> bool:
     """Whether every watched figure of several parts has moved, all alike or all to nothing."""
     if len(moved) < len(watched) or len({found.figure.part for found in moved}) < 2:
         return False
@@ -223,39 +223,39 @@ def _together(moved: Sequence[_Moved], watched: Mapping[str, DriftFigure]) -> bo
     return len(moves) == len(moved) and max(moves) - min(moves) <= widest
 
 
-def _common_cause(moved: Mapping[str, _Moved], parts: Mapping[str, str]) -> Finding:
-    told = "; ".join(_told(found, parts) for found in moved.values())
+def _common_cause(moved: Mapping[str, _DriftedFigure], parts: Mapping[str, str]) -> HoldReason:
+    text = "; ".join(_text_of(found, parts) for found in moved.values())
     if all(found.lost for found in moved.values()):
         why = "all of them together: unplugged, or an amplifier without power, rather than films"
-        return Finding("drift", f"{told}: {why}", "look at the plugs, the amplifiers and the DAQ")
+        return HoldReason("drift", f"{text}: {why}", "check the plugs, the amplifiers and the DAQ")
     why = "all of them alike: amplifier, load cell or force sensor rather than a film"
-    hint = "look at the amplifiers' gains and supply; check the force sensor with a known weight"
-    return Finding("drift", f"{told}: {why}", hint)
+    hint = "check the amplifiers' gains and supply; check the force sensor with a known weight"
+    return HoldReason("drift", f"{text}: {why}", hint)
 
 
-def _of_one_part(found: _Moved, parts: Mapping[str, str]) -> Finding:
-    told = _told(found, parts)
+def _of_one_part(found: _DriftedFigure, parts: Mapping[str, str]) -> HoldReason:
+    text = _text_of(found, parts)
     if found.figure.part not in parts:
-        return Finding("drift", told, "find out what has changed on the bench since then")
+        return HoldReason("drift", text, "find out what has changed on the bench since then")
     if found.lost:
-        return Finding("drift", f"{told}: torn or unplugged", WORN_HINT)
+        return HoldReason("drift", f"{text}: torn or unplugged", WORN_HINT)
     assert found.by is not None, "what was not found is lost"
     if found.by > 0:
         why = "not wear: its amplifier, its cable or how it is held has changed"
-        return Finding("drift", f"{told}: {why}", "look at amplifier, cable and clamp or skin")
+        return HoldReason("drift", f"{text}: {why}", "check amplifier, cable and clamp or skin")
     why = "worn, little by little" if found.crept else "worn or torn"
-    return Finding("drift", f"{told}: {why}", WORN_HINT)
+    return HoldReason("drift", f"{text}: {why}", WORN_HINT)
 
 
-def _told(found: _Moved, parts: Mapping[str, str]) -> str:
+def _text_of(found: _DriftedFigure, parts: Mapping[str, str]) -> str:
     part = parts.get(found.figure.part)
     return f"{part}: {found.text}" if part else found.text
 
 
-def _no_figure(name: str, figure: DriftFigure, run: ReferenceRun) -> Finding:
-    return Finding(
+def _no_figure(name: str, figure: DriftFigure, run: ReferenceRun) -> HoldReason:
+    return HoldReason(
         "no-figure",
         f"run {run.number}, the first of the reference, has no {figure.what} ({name}): whether it "
-        "drifts cannot be told",
+        "drifts cannot be judged",
         "have the reference measure it, or name figures of its summary in drift",
     )

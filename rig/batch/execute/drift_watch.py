@@ -1,5 +1,5 @@
-"""What speaks against the next run: what references show, and what runs out. It looks and says; the
-worker holds the batch."""
+"""Collects the reasons to hold a batch (`rig.batch.execute.drift`) from its queue, its bench file
+and the disk. The worker acts on them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from rig.batch.execute.drift import (
-    Finding,
+    HoldReason,
     ReferenceRun,
     disk_space,
     expiring,
@@ -20,27 +20,27 @@ from rig.batch.execute.drift import (
 from rig.batch.plan.estimate import records_of
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchFile
-from rig.batch.queue import Claim, Ended, Queue
+from rig.batch.queue import AttemptResult, Claim, Queue
 from rig.bench.bench import BenchPlan, BenchSettings, read_bench
 
 ZERO = "force_zero_N"
-"""Of a summary: what the force sensor said in free air."""
+"""The figure of a summary that holds the force sensor's reading in free air, before taring."""
 ACCEPTED = "accepted "
-"""Of the queue's words: from which run on a drifted figure is compared, since a person has looked
-at the bench and let it go on."""
+"""Prefix of the queue's entries that say from which run on a figure is compared, after a person has
+looked at the bench and resumed the batch."""
 
 
-class Watch:
-    """Looks at a batch between its runs."""
+class DriftWatch:
+    """Judges a batch between its runs."""
 
     def __init__(self, queue: Queue, file: BatchFile, bench: Path | None, results: Path):
         self._queue, self._file, self._results = queue, file, results
         self._plan: BenchPlan | None = None if bench is None else read_bench(bench)
 
-    def before(self, claim: Claim, now: datetime) -> list[Finding]:
-        """What speaks against beginning a run now."""
+    def before(self, claim: Claim, now: datetime) -> list[HoldReason]:
+        """The reasons not to begin this run now."""
         batch = self._file.batch
-        needed_B = self._queue.left().size_B
+        needed_B = self._queue.remaining().size_B
         free_B = shutil.disk_usage(self._results).free
         found = disk_space(free_B, needed_B, batch.hold_when.free_disk_GB)
         if not batch.allow_expired:
@@ -48,17 +48,17 @@ class Watch:
             found += expiring(records_of(self._plan), now, timedelta(seconds=run_s))
         return found
 
-    def after(self, claim: Claim, ended: Ended, bench: BenchSettings) -> list[Finding]:
-        """What a run that is done shows: of a reference, drift; of any, the force sensor's zero."""
+    def after(self, claim: Claim, ended: AttemptResult, bench: BenchSettings) -> list[HoldReason]:
+        """The reasons to hold that a finished run shows: drift of a reference's figures, or of
+        the force sensor's zero."""
         return [*self._zero(claim, ended), *self._drift(claim, ended, bench)]
 
     def accept(self, claim: Claim) -> None:
-        """A person has let the batch go on: what this run found is what others are compared with
-        from here on."""
+        """A person has resumed the batch: later runs are compared with this one."""
         self._queue.set_meta(ACCEPTED + ZERO, str(claim.number))
         self._queue.set_meta(ACCEPTED + claim.condition.id, str(claim.number))
 
-    def _zero(self, claim: Claim, ended: Ended) -> list[Finding]:
+    def _zero(self, claim: Claim, ended: AttemptResult) -> list[HoldReason]:
         now_N = (ended.summary or {}).get(ZERO)
         since = int(self._queue.meta(ACCEPTED + ZERO, "1"))
         first = self._queue.first_summary_with(ZERO, since)
@@ -67,7 +67,7 @@ class Watch:
         limit_N = self._file.batch.hold_when.zero_drift_N
         return zero_drift(first[1][ZERO], now_N, limit_N, first[0])
 
-    def _drift(self, claim: Claim, ended: Ended, bench: BenchSettings) -> list[Finding]:
+    def _drift(self, claim: Claim, ended: AttemptResult, bench: BenchSettings) -> list[HoldReason]:
         condition = claim.condition
         if not condition.reference or ended.summary is None:
             return []

@@ -1,47 +1,41 @@
-"""What is made of runs while the bench waits: compiled files, detector, figures.
+"""What is made of a run after it: the compiled run file, the detector's findings, the figures.
 
-``python -m rig.batch.execute.postprocess`` takes one JSON object a line on its standard input and
-gives one a line on its standard output:
+A batch gives each run to a process of its own, one at a time, of low priority:
 
-    {"journal": PATH, "figures": true, "detect": true}
+    python -m rig.batch.execute.postprocess JOURNAL [--no-detect] [--no-figures]
+
+It writes one line of JSON on its standard output:
+
     {"journal": PATH, "file": PATH, "processed": PATH, "figures": [PATH, ...], "warnings": [],
      "error": ""}
 
-Jobs are done one after the other, each in its turn by a worker process
-(`rig.batch.execute.postprocess_worker`) of the lowest priority. The lines ``hold`` and ``go`` have
-the worker stand still, in the middle of whatever it is at, and go on: it costs nothing while a run
-needs the computer. A worker that dies over a file costs that file, and the next one gets another
-worker.
+`PostprocessQueue` is the batch's side: runs wait in it until the batch has time for them. A process
+that dies or takes too long costs the files of its run, not those of the others. Every file appears
+under its name when it is whole, and a run that is given again does no harm.
 
-The input's end: what was given is still done. SIGTERM, or a parent that has died: the file under
-way is still done. The worker of a steward that was killed goes on to its file's end, too. Nothing
-that it leaves is half a file, and a job that is given again does no harm.
-
-This module is imported by the batch for `Afterwards` and is the steward's program: it imports
-nothing of weight.
+The batch imports this module, so the heavy libraries are imported where they are used.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import json
 import os
-import select
 import signal
-import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
-LOOK_S = 1.0
-"""How often the steward looks whether it is to end."""
-LONGEST_JOB_S = 3600.0
-"""Of work, standing still not counted: a file over which the worker hangs is given up."""
+from rig.batch.child import ChildResult, TimedChild
+from rig.core.errors import RigError
+
+LONGEST_S = 1800.0
+"""Time limit for the files of one run. A run of 20 s takes about 3 s, half of it for imports."""
+NICENESS = 19
 ONE_THREAD = dict.fromkeys(
     (
         *("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"),
@@ -49,17 +43,15 @@ ONE_THREAD = dict.fromkeys(
     ),
     "1",
 )
-"""One thread of linear algebra: a second processor may be the tick loop's."""
-NICENESS = 19
-PR_SET_PDEATHSIG = 1
-"""prctl(2): the signal that a process gets when its parent dies."""
-KILLED_S = 5.0
-"""What is waited for a process that was killed."""
+"""Linear algebra in one thread: another processor may be the tick loop's."""
+POLL_EVERY_S = 0.1
+LONGEST_QUOTE = 300
+"""Characters of a process's last words in a message."""
 
 
 @dataclass(frozen=True)
-class Job:
-    """A run to be worked on."""
+class PostprocessJob:
+    """A run whose files are to be made."""
 
     journal: Path
     """Its journal, or where that was before it was compiled."""
@@ -68,330 +60,212 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What came of a job."""
+class PostprocessResult:
+    """What was made of a run."""
 
-    journal: Path | None
-    """None where the job could not be understood."""
+    journal: Path
     file: Path | None = None
     """The run file."""
     processed: Path | None = None
-    """What the detector found; None of a run without strips."""
+    """What the detector found; None for a run without strips."""
     figures: tuple[Path, ...] = ()
     warnings: tuple[str, ...] = ()
     """What could not be drawn, detected or trusted."""
     error: str = ""
-    """Why there is no run file."""
+    """Why there is no run file; empty where there is one."""
 
     def as_line(self) -> str:
-        """It as a line of JSON."""
+        """This result as a line of JSON."""
         return json.dumps(asdict(self), default=str) + "\n"
 
 
-def answer_of(told: Mapping[str, Any]) -> Answer:
-    """An answer from its JSON object."""
-    return Answer(
-        journal=_path(told["journal"]),
-        file=_path(told["file"]),
-        processed=_path(told["processed"]),
-        figures=tuple(Path(figure) for figure in told["figures"]),
-        warnings=tuple(told["warnings"]),
-        error=told["error"],
+def result_from(fields: Mapping[str, Any]) -> PostprocessResult:
+    """A result from its JSON object."""
+    file, processed = fields["file"], fields["processed"]
+    return PostprocessResult(
+        journal=Path(fields["journal"]),
+        file=None if file is None else Path(file),
+        processed=None if processed is None else Path(processed),
+        figures=tuple(Path(figure) for figure in fields["figures"]),
+        warnings=tuple(fields["warnings"]),
+        error=fields["error"],
     )
-
-
-def job_of(line: str) -> Job:
-    """A job from its line; ValueError where it is none."""
-    try:
-        told = json.loads(line)
-        journal, others = told.pop("journal"), {"figures", "detect"}
-        if not isinstance(journal, str) or not all(
-            name in others and isinstance(value, bool) for name, value in told.items()
-        ):
-            raise TypeError
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise ValueError(f"no job: {line[:200]!r}") from None
-    return Job(Path(journal), **told)
-
-
-def _path(told: str | None) -> Path | None:
-    return None if told is None else Path(told)
 
 
 # --- the batch's side -------------------------------------------------------------------------
 
 
-class Afterwards:
-    """The steward as its batch has it. Nothing here waits, but for `close`, and nothing raises for
-    a steward that has died: `lost` says so."""
+class PostprocessQueue:
+    """The runs whose files are still to be made, the first of them perhaps under way."""
 
-    def __init__(self, held: Sequence[int] = ()) -> None:
-        """`held`: files that steward and worker keep open as long as they live, the batch's lock:
-        two of them would disturb each other over one file."""
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "rig.batch.execute.postprocess"],
-            pass_fds=held,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,  # a terminal's Ctrl-C is the batch's
-        )
-        assert self._process.stdout is not None
-        os.set_blocking(self._process.stdout.fileno(), False)
-        self._buffer = b""
-        self._held = False
+    def __init__(self, log: IO[bytes], inherited: Sequence[int] = (), longest_s: float = LONGEST_S):
+        """`log` gets what a process writes on its standard error; `inherited` are file descriptors
+        that it keeps open: the batch's lock, so that a process that outlives its batch is not
+        joined by another one over the same files."""
+        self._log, self._inherited, self._longest_s = log, inherited, longest_s
+        self._jobs: deque[PostprocessJob] = deque()
+        self._child: TimedChild | None = None
+
+    def __len__(self) -> int:
+        """How many runs are without their files."""
+        return len(self._jobs)
 
     @property
-    def pid(self) -> int:
-        """Of the steward."""
-        return self._process.pid
+    def pid(self) -> int | None:
+        """The process at work, if there is one."""
+        return None if self._child is None else self._child.pid
 
-    @property
-    def lost(self) -> bool:
-        """Whether it has died."""
-        return self._process.poll() is not None
+    def add(self, job: PostprocessJob) -> None:
+        """Have the files of a run made after those of the runs before it."""
+        self._jobs.append(job)
 
-    def give(self, job: Job) -> None:
-        """Have a run worked on after those given before."""
-        self._tell(json.dumps(asdict(job), default=str))
-
-    def hold(self) -> None:
-        """Stand still: a run needs the computer."""
-        if not self._held:
-            self._held = True
-            self._tell("hold")
-
-    def go(self) -> None:
-        """Go on: the bench waits."""
-        if self._held:
-            self._held = False
-            self._tell("go")
-
-    def answers(self) -> list[Answer]:
-        """What has been finished since the last call."""
-        assert self._process.stdout is not None
-        with contextlib.suppress(BlockingIOError, ValueError):
-            while chunk := os.read(self._process.stdout.fileno(), 65536):
-                self._buffer += chunk
-        *lines, self._buffer = self._buffer.split(b"\n")
-        return [answer_of(json.loads(line)) for line in lines]
-
-    def close(self, within_s: float) -> list[Answer]:
-        """Have it finish what was given, so long at most, then only the file under way, so long
-        again; the answers until then. What is without an answer can be given another time."""
-        assert self._process.stdin is not None
-        self.go()
-        with contextlib.suppress(OSError):
-            self._process.stdin.close()
-        answers = self._answers_until_end(within_s)
-        if not self.lost:
-            self._process.terminate()
-            answers += self._answers_until_end(within_s)
-        if not self.lost:
-            self._process.kill()
-            self._process.wait(KILLED_S)
-        answers += self.answers()
-        assert self._process.stdout is not None
-        self._process.stdout.close()
-        return answers
-
-    def _answers_until_end(self, within_s: float) -> list[Answer]:
-        """A pipe that nobody empties would keep it from ending."""
-        assert self._process.stdout is not None
-        answers: list[Answer] = []
-        deadline_s = time.monotonic() + within_s
-        while not self.lost and (left_s := deadline_s - time.monotonic()) > 0:
-            select.select([self._process.stdout], [], [], min(left_s, LOOK_S))
-            answers += self.answers()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(0.01)
-        return answers
-
-    def _tell(self, line: str) -> None:
-        assert self._process.stdin is not None
-        with contextlib.suppress(OSError, ValueError):
-            self._process.stdin.write(f"{line}\n".encode())
-            self._process.stdin.flush()
-
-
-# --- the steward's side -----------------------------------------------------------------------
-
-
-def _become_worker() -> None:
-    """In the new process, before its program begins: run only where nothing else wants to
-    (`SCHED_IDLE` where the system has it: Linux, which derives the disk's priority from it). If the
-    steward is killed while the worker stands still, have it go on to its file's end (Linux)."""
-    with contextlib.suppress(OSError):
-        os.nice(NICENESS)
-    with contextlib.suppress(AttributeError, OSError):
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    with contextlib.suppress(AttributeError, OSError):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGCONT))
-
-
-class _Worker:
-    """A worker process and the job that it has; the steward waits for it, never it for the
-    steward."""
-
-    def __init__(self) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "rig.batch.execute.postprocess_worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=os.environ | ONE_THREAD,
-            close_fds=False,  # the batch's lock is the worker's as well
-            preexec_fn=_become_worker,  # the steward has no thread that could hold a lock
-        )
-        assert self.process.stdout is not None
-        self.output = self.process.stdout.fileno()
-        self._buffer = b""
-        self._worked_s = 0.0
-        self._since_s: float | None = None
-        self._stands = False
-
-    def begin(self, line: str) -> None:
-        """Give it its next job."""
-        assert self.process.stdin is not None
-        self._worked_s, self._since_s = 0.0, time.monotonic()
-        with contextlib.suppress(OSError):  # it has died: its output ends
-            self.process.stdin.write(f"{line}\n".encode())
-            self.process.stdin.flush()
-
-    def stand(self, still: bool) -> None:
-        """Have it stand still, or go on."""
-        if still == self._stands:
-            return
-        self._stands = still
-        self._worked_s, self._since_s = self.worked_s, None if still else time.monotonic()
-        self.process.send_signal(signal.SIGSTOP if still else signal.SIGCONT)
-
-    @property
-    def worked_s(self) -> float:
-        """On its job, standing still not counted."""
-        return self._worked_s + (time.monotonic() - self._since_s if self._since_s else 0.0)
-
-    def answer(self) -> str | None:
-        """A line of its output, where one is complete; EOFError where it has died."""
-        chunk = os.read(self.output, 65536)
-        if not chunk:
-            raise EOFError
-        self._buffer += chunk
-        line, end, rest = self._buffer.partition(b"\n")
-        if not end:
+    def poll(self, *, start: bool) -> PostprocessResult | None:
+        """The next result, if there is one; returns at once. The files of another run are begun
+        only where `start` is true; those under way are continued in any case."""
+        if self._child is None:
+            if start and self._jobs:
+                return self._begin(self._jobs[0])
             return None
-        self._buffer = rest
-        return line.decode()
+        ended = self._child.poll()
+        if ended is None:
+            return None
+        self._child = None
+        return _result_of(self._jobs.popleft(), ended)
 
-    def end(self) -> int:
-        """Have it end with its job; its exit code."""
-        assert self.process.stdin is not None
-        with contextlib.suppress(OSError):
-            self.process.stdin.close()
-        return self.process.wait()
+    def close(self, within_s: float) -> PostprocessResult | None:
+        """Begin nothing more, and wait for the files under way; a process that takes longer than
+        `within_s` is killed. Its result, if it came to one."""
+        deadline_s = time.monotonic() + within_s
+        while self._child is not None and time.monotonic() < deadline_s:
+            if (result := self.poll(start=False)) is not None:
+                return result
+            time.sleep(POLL_EVERY_S)
+        if self._child is not None:
+            self._child.kill()
+            self._child.poll()
+            self._child = None
+        return None
 
-    def kill(self) -> None:
-        """Have it end at once."""
-        self.process.kill()
-        self.process.wait(KILLED_S)
-
-
-class Steward:
-    """Takes lines, has a worker do the jobs, gives answers."""
-
-    def __init__(self) -> None:
-        self._jobs: deque[Job] = deque()
-        self._under_way: Job | None = None
-        self._worker: _Worker | None = None
-        self._held = self._ending = self._all_given = False
-        self._buffer = b""
-        self._parent = os.getppid()
-
-    def serve(self) -> None:
-        """Until everything given is done, or the end is asked for."""
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
-            signal.signal(number, self._end_soon)
-        while not self._is_over():
-            self._begin_next()
-            self._wait()
-        if self._worker is not None:
-            self._worker.stand(still=False)
-            self._worker.end()
-
-    def _end_soon(self, *_: object) -> None:
-        self._ending = True
-
-    def _is_over(self) -> bool:
-        self._ending = self._ending or os.getppid() != self._parent
-        if self._under_way is not None:
-            return False
-        return self._ending or (self._all_given and not self._jobs)
-
-    def _begin_next(self) -> None:
-        still = self._held and not (self._ending or self._all_given)
-        if self._worker is not None:
-            self._worker.stand(still)
-        if self._under_way is not None or still or not self._jobs or self._ending:
-            return
-        self._under_way = self._jobs.popleft()
-        if self._worker is None:
-            self._worker = _Worker()
-        self._worker.begin(json.dumps(asdict(self._under_way), default=str))
-
-    def _wait(self) -> None:
-        """For lines, for the worker, or for `LOOK_S`."""
-        sources = [] if self._all_given else [sys.stdin.fileno()]
-        if self._worker is not None:
-            sources.append(self._worker.output)
-        ready, _, _ = select.select(sources, [], [], LOOK_S)
-        if self._worker is not None:
-            if self._worker.output in ready:
-                self._take_answer(self._worker)
-            elif self._under_way is not None and self._worker.worked_s > LONGEST_JOB_S:
-                self._worker.kill()
-                self._give_up(f"was not done with it after {LONGEST_JOB_S:g} s and was killed")
-        if sys.stdin.fileno() in ready:
-            self._take_lines()
-
-    def _take_lines(self) -> None:
-        chunk = os.read(sys.stdin.fileno(), 65536)
-        self._all_given = not chunk
-        *lines, self._buffer = (self._buffer + chunk).split(b"\n")
-        for line in lines:
-            self._take_line(line.decode(errors="replace").strip())
-
-    def _take_line(self, line: str) -> None:
-        if line in ("hold", "go"):
-            self._held = line == "hold"
-        elif line:
-            try:
-                self._jobs.append(job_of(line))
-            except ValueError as error:
-                self._say(Answer(None, error=str(error)).as_line())
-
-    def _take_answer(self, worker: _Worker) -> None:
+    def _begin(self, job: PostprocessJob) -> PostprocessResult | None:
+        program = [sys.executable, "-P", "-m", "rig.batch.execute.postprocess", str(job.journal)]
+        program += [] if job.detect else ["--no-detect"]
+        program += [] if job.figures else ["--no-figures"]
         try:
-            line = worker.answer()
-        except EOFError:
-            self._give_up(f"died over it with exit code {worker.end()}")
-            return
-        if line is not None:
-            self._under_way = None
-            self._say(line + "\n")
+            self._child = TimedChild(
+                program,
+                self._longest_s,
+                other=self._log,
+                environment=ONE_THREAD,
+                inherited=self._inherited,
+            )
+        except OSError as error:  # no memory, too many processes
+            self._jobs.popleft()
+            return PostprocessResult(job.journal, error=f"{job.journal}: not begun: {error}")
+        return None
 
-    def _give_up(self, how: str) -> None:
-        """The worker is gone, and so is its job; the next one gets another worker."""
-        job, self._under_way, self._worker = self._under_way, None, None
-        if job is not None:
-            self._say(Answer(job.journal, error=f"{job.journal}: the worker {how}").as_line())
 
-    def _say(self, line: str) -> None:
-        try:
-            sys.stdout.write(line)
-            sys.stdout.flush()
-        except OSError:  # nobody listens any more, also not when Python ends
-            self._ending = True
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _result_of(job: PostprocessJob, ended: ChildResult) -> PostprocessResult:
+    """What a process reported; an error where it died, was killed or reported nothing."""
+    lines = ended.output.strip().splitlines()
+    if not ended.failure:
+        with contextlib.suppress(ValueError, LookupError, TypeError):
+            return replace(result_from(json.loads(lines[-1])), journal=job.journal)
+    why = ended.failure or f"no result: {ended.output.strip()[-LONGEST_QUOTE:]!r}"
+    return PostprocessResult(
+        job.journal, error=f"{job.journal}: the process that makes its files failed: {why}"
+    )
+
+
+# --- the process that makes the files ----------------------------------------------------------
+
+
+def make_files(job: PostprocessJob) -> PostprocessResult:
+    """Compile a run's journal if it is still there, then detect and draw what was asked for.
+
+    A step that fails is reported in the result and does not stop the next one. Never raises.
+    """
+    try:
+        file = _run_file(job.journal)
+    except Exception as error:  # noqa: BLE001 - a defect is reported like any other failure
+        return PostprocessResult(job.journal, error=_reason(error))
+    warnings: list[str] = []
+    figures: list[Path] = []
+    processed: Path | None = None
+    with _reporting(warnings, f"{file.name}: not drawn"):
+        figure, has_points, has_strips = _kind_of(file)
+        if job.detect and has_points and has_strips:
+            with _reporting(warnings, f"{file.name}: not judged by the detector"):
+                processed, said = _detect(file)
+                warnings += said
+        if job.figures and has_points:
+            from rig.figures import draw
+
+            figures = draw(figure, file)
+    return PostprocessResult(job.journal, file, processed, tuple(figures), tuple(warnings))
+
+
+@contextlib.contextmanager
+def _reporting(warnings: list[str], what: str) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:  # noqa: BLE001 - a defect costs its step
+        warnings.append(f"{what}: {_reason(error)}")
+
+
+def _run_file(journal: Path) -> Path:
+    """The run's file, compiled if its journal is still there."""
+    from rig.files.naming import RUN_SUFFIX
+    from rig.files.runfile.compile import compile_run
+
+    file = journal.with_suffix(RUN_SUFFIX)
+    if file.exists() and not journal.exists():
+        return file
+    return compile_run(journal, retire=True)
+
+
+def _kind_of(file: Path) -> tuple[str, bool, bool]:
+    """A run file's figure; whether it has points; whether it has the strips' signals."""
+    from rig.files.runfile.reader import RunFile
+    from rig.processing.detection import stream_of_strips
+
+    with RunFile.open(file) as run:
+        figure = run.header.procedure.replace("-", "_")
+        return figure, bool(run.point_ids()), stream_of_strips(run.header.layout) is not None
+
+
+def _detect(file: Path) -> tuple[Path | None, list[str]]:
+    """The processed file beside a run file, as `rig detect` makes it, and its warnings."""
+    from rig.detector import DEFAULT_DETECTOR
+    from rig.detector.settings import named_detectors
+    from rig.processing import detection
+
+    found = detection.detect_file(detection.DetectionJob(file, named_detectors()[DEFAULT_DETECTOR]))
+    if isinstance(found, detection.DetectionFailure):
+        return None, [found.error().one_line()]
+    return found.file, list(found.warnings)
+
+
+def _reason(error: Exception) -> str:
+    return error.one_line() if isinstance(error, RigError) else f"{type(error).__name__}: {error}"
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Make the files of the run that the arguments name, and report on standard output."""
+    import argparse
+
+    parser = argparse.ArgumentParser("python -m rig.batch.execute.postprocess")
+    parser.add_argument("journal", type=Path)
+    parser.add_argument("--no-detect", action="store_true")
+    parser.add_argument("--no-figures", action="store_true")
+    given = parser.parse_args(arguments)
+    signal.alarm(round(LONGEST_S))  # ends it also where the batch that would has died
+    os.nice(NICENESS)
+    report = os.fdopen(os.dup(sys.stdout.fileno()), "w")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is not the report
+    job = PostprocessJob(given.journal, not given.no_figures, not given.no_detect)
+    report.write(make_files(job).as_line())
+    report.close()
 
 
 if __name__ == "__main__":
-    Steward().serve()
+    main(sys.argv[1:])

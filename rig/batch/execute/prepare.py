@@ -1,7 +1,7 @@
-"""Everything that is known of a batch before it begins: read, expanded, checked, foretold.
+"""Everything that is known of a batch before it begins: read, expanded, validated, forecast.
 
-What `rig batch plan` shows and `rig batch run` insists on. Nothing on a real bench is touched: its
-limits are asked of a simulated bench that has the bench file's.
+`rig batch plan` shows it, and `rig batch run` begins nothing without it. No real instrument is
+contacted: limits are checked on a simulated bench under the limits of the bench file.
 """
 
 from __future__ import annotations
@@ -14,54 +14,49 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from rig.batch.plan.conditions import Plan
-from rig.batch.plan.estimate import Expected, Forecast, expect, forecast, homing_s, records_of
-from rig.batch.plan.findings import Finding, RefusedBatchError, Where
+from rig.batch.plan.conditions import BatchPlan
+from rig.batch.plan.estimate import ExpectedRun, Forecast, expect, forecast, homing_s, records_of
+from rig.batch.plan.findings import KeyPath, PlanFinding, RefusedBatchError
 from rig.batch.plan.read import read_batch
 from rig.batch.plan.settings import BatchFile
-from rig.batch.plan.validate import Checked, Connected, validate
-from rig.batch.queue import Estimate
+from rig.batch.plan.validate import BenchConnector, ValidationResult, validate
+from rig.batch.queue import RunEstimate
 from rig.batch.report.notify import require_usable
 from rig.bench import bench as benches
 from rig.bench.bench import Bench, BenchPlan, Fixture, read_bench
 from rig.core.errors import ConfigurationError
 from rig.instruments.calibration import require_valid
-from rig.run.bench_selector import BenchRequest, Choosing, Stages, bench_file
-
-STAGES: dict[tuple[str, str], Stages] = {
-    ("oriental-az", "oriental-az"): "az",
-    ("festo-cmmt", "oriental-az"): "festo-az",
-    ("oriental-az", "festo-cmmt"): "az-festo",
-}
-"""Which simulated stages have the limits of those of a bench file, z and x."""
+from rig.run.bench_selector import BenchRequest, Choosing, bench_file, simulated_variant_for
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedBatch:
     """A batch that may begin."""
 
     batch: BatchFile
-    plan: Plan
+    plan: BatchPlan
     bench: Path | None
     """Bench file; None where every run gets a simulated bench of its own."""
-    expected: Mapping[str, Expected]
-    """By condition."""
+    expected: Mapping[str, ExpectedRun]
+    """What each run is expected to take, by condition."""
     forecast: Forecast
 
     @property
-    def estimates(self) -> dict[str, Estimate]:
+    def estimates(self) -> dict[str, RunEstimate]:
         """What is expected of a run, by condition."""
         return {
-            name: Estimate(one.duration_s, one.spread_s, one.size_B)
+            name: RunEstimate(one.duration_s, one.spread_s, one.size_B)
             for name, one in self.expected.items()
         }
 
 
-def prepare(path: Path, given: Path | None, now: datetime, say: Callable[[str], None]) -> Prepared:
-    """Read a batch file, expand it, check all of it against its bench and foretell it, were it
-    begun `now`. `given`: the bench file of the command line; `say` gets lines for a person.
+def prepare(
+    path: Path, given: Path | None, now: datetime, say: Callable[[str], None]
+) -> PreparedBatch:
+    """Read a batch file, expand it, validate all of it on its bench and forecast it as if it began
+    `now`. `given`: the bench file of the command line; `say` gets lines for a person.
 
-    RefusedBatchError tells all that is wrong, each with its line.
+    RefusedBatchError lists all that is wrong, each with its line.
     """
     batch, plan, source = read_batch(path)
     chosen = bench_of(batch, path, given)
@@ -69,18 +64,20 @@ def prepare(path: Path, given: Path | None, now: datetime, say: Callable[[str], 
     findings = [
         *_simulation(batch, path, chosen),
         *_bad_records(batch, real, now),
-        *_nobody_told(batch),
+        *_unusable_notifications(batch),
     ]
     with tempfile.TemporaryDirectory(prefix="rig-batch-plan-") as results:
         request = _request(batch, path, chosen, real, Path(results))
-        checked = validate(plan, real, rehearsed(request, say)) if not findings else Checked()
+        checked = (
+            validate(plan, real, rehearsed(request, say)) if not findings else ValidationResult()
+        )
     if findings := [*findings, *checked.findings]:
         raise RefusedBatchError(findings, source)
     fixtures = checked.fixtures
     expected = expect(plan, fixtures, real is not None)
     first_s = homing_s(plan, fixtures) if real is not None else 0.0
-    foretold = forecast(batch.batch, plan, expected, now, first_s, real)
-    return Prepared(batch, plan, chosen, expected, foretold)
+    expectation = forecast(batch.batch, plan, expected, now, first_s, real)
+    return PreparedBatch(batch, plan, chosen, expected, expectation)
 
 
 def bench_of(batch: BatchFile, path: Path, given: Path | None) -> Path | None:
@@ -91,7 +88,7 @@ def bench_of(batch: BatchFile, path: Path, given: Path | None) -> Path | None:
     return bench_file(given)
 
 
-def rehearsed(request: BenchRequest, say: Callable[[str], None]) -> Connected:
+def rehearsed(request: BenchRequest, say: Callable[[str], None]) -> BenchConnector:
     """Simulated benches under the limits of the request's bench file, connected one at a time."""
 
     @contextlib.contextmanager
@@ -117,7 +114,7 @@ def _request(
     """The simulated bench that a batch is checked on."""
     own = batch.simulation
     if real is not None or own is None:
-        stages = None if real is None else STAGES.get(_drivers(real))
+        stages = None if real is None else simulated_variant_for(real)
         return BenchRequest(bench=chosen, results=results, dry_run=True, stages=stages)
     world = None if own.world is None else path.parent / own.world
     return BenchRequest(
@@ -125,46 +122,41 @@ def _request(
     )
 
 
-def _drivers(real: BenchPlan) -> tuple[str, str]:
-    by_role = {part.role: part.driver_name for part in real.instruments}
-    return by_role.get("stage_z", ""), by_role.get("stage_x", by_role.get("stage_z", ""))
-
-
-def _simulation(batch: BatchFile, path: Path, bench: Path | None) -> Iterator[Finding]:
+def _simulation(batch: BatchFile, path: Path, bench: Path | None) -> Iterator[PlanFinding]:
     """What is wrong with [simulation]: a bench that it is not for, files that are not there."""
     own = batch.simulation
     if own is None:
         return
     if bench is not None:
-        yield Finding(
+        yield PlanFinding(
             ("simulation",),
-            f"[simulation] is of benches that the batch starts for itself, not of {bench}",
-            "leave it out, or the bench file",
+            f"[simulation] is for batches that start their own benches; this one uses {bench}",
+            "leave out [simulation], or the bench file",
         )
-    named: list[tuple[Where, str | None]] = [(("simulation", "world"), own.world)]
+    named: list[tuple[KeyPath, str | None]] = [(("simulation", "world"), own.world)]
     named += [(("simulation", "fault", k, "plan"), one.plan) for k, one in enumerate(own.fault)]
     named += [
         (("simulation", "change", k, "settings"), one.settings) for k, one in enumerate(own.change)
     ]
     for where, name in named:
         if name is not None and not (path.parent / name).is_file():
-            told = ".".join(str(part) for part in where if isinstance(part, str))
-            yield Finding(
+            key = ".".join(str(part) for part in where if isinstance(part, str))
+            yield PlanFinding(
                 where,
-                f"{told} = {name!r}: there is no such file beside the batch file",
+                f"{key} = {name!r}: there is no such file in the folder of the batch file",
                 "name a file relative to the batch file",
             )
 
 
-def _nobody_told(batch: BatchFile) -> Iterator[Finding]:
+def _unusable_notifications(batch: BatchFile) -> Iterator[PlanFinding]:
     """Notifications that could never be delivered."""
     try:
         require_usable(batch.batch.notify)
     except ConfigurationError as error:
-        yield Finding(("batch", "notify"), error.message, error.hint)
+        yield PlanFinding(("batch", "notify"), error.message, error.hint)
 
 
-def _bad_records(batch: BatchFile, real: BenchPlan | None, now: datetime) -> Iterator[Finding]:
+def _bad_records(batch: BatchFile, real: BenchPlan | None, now: datetime) -> Iterator[PlanFinding]:
     """Calibration records that no run could use."""
     try:
         for path, record in records_of(real):
@@ -177,4 +169,4 @@ def _bad_records(batch: BatchFile, real: BenchPlan | None, now: datetime) -> Ite
                 allow_expired=batch.batch.allow_expired,
             )
     except ConfigurationError as error:
-        yield Finding(("batch", "bench"), error.message, error.hint)
+        yield PlanFinding(("batch", "bench"), error.message, error.hint)

@@ -1,5 +1,5 @@
-"""Beginning a batch, and going on with one: the queue is written once; what it was made from is
-kept beside it, and looked at again before anything goes on."""
+"""Beginning and resuming a batch. The queue is written once, together with fingerprints of what it
+was made from; they are compared before a batch is resumed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 
 import rig
-from rig.batch.execute.prepare import Prepared
+from rig.batch.execute.prepare import PreparedBatch
 from rig.batch.folder import BatchFolder, new_folder
 from rig.batch.plan.settings import BatchFile, Simulation
 from rig.batch.queue import Queue
@@ -18,7 +18,7 @@ from rig.core.settings import fingerprint
 from rig.run.source_state import source_state
 
 
-def begin(batch_file: Path, prepared: Prepared, now: datetime) -> BatchFolder:
+def begin(batch_file: Path, prepared: PreparedBatch, now: datetime) -> BatchFolder:
     """Make the folder of a batch that may begin, with its queue."""
     batch, bench = prepared.batch, prepared.bench
     folder = new_folder(Path(batch.batch.results), batch.batch.name, now)
@@ -48,7 +48,7 @@ def begin(batch_file: Path, prepared: Prepared, now: datetime) -> BatchFolder:
 def fingerprints(
     batch_file: Path, batch: BatchFile, files_from: Path, bench: Path | None
 ) -> dict[str, str]:
-    """What has to be equal for a batch to go on."""
+    """What has to be unchanged for a batch to be resumed."""
     found = {
         "fingerprint batch file": _of_file(batch_file),
         "fingerprint program": f"{rig.__version__} {source_state()}".strip(),
@@ -78,8 +78,8 @@ def refuse_changes(queue: Queue, batch: BatchFile) -> None:
     if changed:
         raise ConfigurationError(
             f"{queue.path.parent}: changed since the batch began: {', '.join(changed)}",
-            "restore it; or go on all the same with --despite-changes: the queue stays as it was "
-            "expanded, and an interrupted run begins afresh",
+            "restore it, or continue all the same with --despite-changes: the queue stays as it "
+            "was expanded, and an interrupted run begins anew",
         )
 
 

@@ -1,11 +1,12 @@
-"""The supervisor: keeps a worker at work, hears people, and outlives what the worker dies of.
+"""The supervisor: the command that a person started, which keeps a worker at work to the end.
 
-It holds no bench. A worker that dies is followed by another one, once the guard of the first has
-made the bench safe (`rig.batch.execute.worker`). It tells people (`rig.batch.report.notify`) and
-outside monitors (`rig.batch.report.heartbeat`), and has runs worked on that have been taken
-(`rig.batch.execute.postprocess`). What people ask for from other terminals lies in the queue;
-signals of this terminal are its stop requests. Its word to the worker goes through a pipe, whose
-end tells the worker that the supervisor has died.
+It holds no bench, so it outlives what a worker dies of: another worker follows, once the guard of
+the first has made the bench safe (`rig.batch.execute.worker`). It notifies people
+(`rig.batch.report.notify`), writes the heartbeat for outside monitors
+(`rig.batch.report.heartbeat`) and has the files of finished runs made
+(`rig.batch.execute.postprocess`). Requests of other terminals are rows of the queue; signals of its
+own terminal are stop requests. Its commands reach the worker through a pipe, whose end tells the
+worker that the supervisor has died.
 """
 
 from __future__ import annotations
@@ -21,26 +22,47 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rig.batch.execute.postprocess import Afterwards, Answer, Job
+from rig.batch.execute.postprocess import PostprocessJob, PostprocessQueue, PostprocessResult
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.settings import BatchFile, Occasion
 from rig.batch.queue import Queue
-from rig.batch.report.heartbeat import Beat, Heartbeat, State
+from rig.batch.report.heartbeat import Heartbeat, HeartbeatRecord, HeartbeatState
 from rig.batch.report.notify import Notifier
 from rig.core.errors import ExitCode
+from rig.core.units import plural
 from rig.run.stopping import StopFlag
 
-LOOK_S = 0.1
-"""How often stop requests and other terminals are looked at."""
+POLL_EVERY_S = 0.1
+"""How often stop requests, other terminals and background processes are looked at."""
 STARTING_S = 300.0
-"""From a claim to its run's plan: boot, connect, compile for the first time. Who takes longer
-hangs; from then on the run's guard watches."""
+"""Time limit from a claim to its run's plan: boot, connect, compile for the first time. From then
+on the run's guard watches."""
 CRASHES = 3
-"""So many workers in a row that die without having begun a run: it is no use."""
+"""So many workers in a row that die before they have begun a run end the batch."""
+HEARTBEAT: dict[str, HeartbeatState] = {
+    "starting": "waiting",
+    "pausing": "running",
+    "paused": "holding",
+    "held": "holding",
+}
+"""The heartbeat's word for a state, where it is another one."""
+REQUESTS = {
+    "go": "resume",
+    "stop-now": "stop now",
+    "stop-after-point": "stop after this point",
+    "stop-after-run": "stop after this run",
+}
+"""A command's name for people, where it is another one."""
+BENCH_WAITS = ("waiting", "resting", "paused", "held")
+"""States in which no run needs the computer: the files of finished runs may be begun."""
+CLOSING_S = 10.0
+"""How long the files under way may take when a person has asked the batch to stop."""
+FILE_PATIENCE_S = 120.0
+"""How long a process that has outlived an earlier supervisor may take for the files under way."""
 
 
 @dataclass
-class Now:
+class BatchProgress:
     """What the batch is doing, for people and monitors."""
 
     state: str = "starting"
@@ -52,62 +74,46 @@ class Now:
     points: str = ""
 
 
-HEARTBEAT: dict[str, State] = {
-    "starting": "waiting",
-    "pausing": "running",
-    "paused": "holding",
-    "held": "holding",
-}
-"""States of a heartbeat that are called otherwise here."""
-CLOSING_S = 10.0
-"""How long work on a run's file is waited for when somebody waits for the command to end."""
-FILE_PATIENCE_S = 120.0
-"""How long the file is waited for that an earlier supervisor had begun to have worked on."""
-FEW_PROCESSORS = 4
-"""On a computer with less, nothing else works while a run needs its ticks in real time."""
-
-
 class Supervisor:
-    """Runs a batch to its end."""
+    """Runs a batch to its end. `say` gets lines for the person who started it."""
 
-    def __init__(self, folder: BatchFolder, stop: StopFlag, tell: Callable[[str], None]):
-        self._folder, self._stop, self._tell = folder, stop, tell
-        self._now = Now()
+    def __init__(self, folder: BatchFolder, stop: StopFlag, say: Callable[[str], None]):
+        self._folder, self._stop, self._say = folder, stop, say
+        self._progress = BatchProgress()
         self._end: dict[str, Any] | None = None
         self._begun_a_run = False
         self._give_up: float | None = None
         self._runs = 0
         self._numbers: dict[Path, int] = {}
-        """Of runs that are being worked on, by journal."""
+        """The runs whose files are still to be made, by journal."""
 
     def run(self) -> ExitCode:
-        """Have all runs taken; the exit code of the batch. ConfigurationError where another
-        supervisor has it."""
+        """Have all runs taken; returns the exit code of the batch. ConfigurationError where another
+        supervisor has the batch."""
         with (
             self._folder.held_by("supervisor", 0.0),
-            self._folder.held_by("afterwards", FILE_PATIENCE_S) as lock,
+            self._folder.held_by("postprocess", FILE_PATIENCE_S) as lock,
             Queue.open(self._folder.queue) as self._queue,
             self._folder.log.open("ab") as self._log,
         ):
             self._batch = BatchFile.model_validate_json(self._queue.meta("file")).batch
             self._simulated = self._queue.meta("simulated") == "yes"
-            self._ticks = bool(self._queue.meta("bench")) and (os.cpu_count() or 1) < FEW_PROCESSORS
             self._runs = sum(self._queue.counts().values())
             self._heartbeat = Heartbeat(self._folder.heartbeat)
             self._notifier = Notifier(self._batch.notify)
-            self._afterwards = Afterwards((lock,))
+            self._postprocess = PostprocessQueue(self._log, (lock,))
             for number, procedure in self._queue.unprocessed():
-                self._work_on(number, procedure)
+                self._add_job(number, procedure)
             self._queue.set_meta("state", "running")
-            self._queue.tell("info", f"begun by pid {os.getpid()}")
-            self._notify("start", f"{self._queue.left().runs} runs to take")
+            self._queue.add_event("info", f"started (process {os.getpid()})")
+            self._notify("start", f"{plural(self._queue.remaining().runs, 'run')} to take")
             code = self._workers()
             self._finish_files()
-            self._now.text = self._queue.meta("state")
-            self._beat("ended")
-            self._notify("end", self._now.text)
+            self._progress.text = self._queue.meta("state")
+            self._write_heartbeat("ended")
+            self._notify("end", self._progress.text)
             for warning in self._notifier.close():
-                self._tell(f"warning: {warning}")
+                self._say(f"warning: {warning}")
             self._queue.close_log()
             return code
 
@@ -122,20 +128,20 @@ class Supervisor:
             crashes = 0 if self._begun_a_run else crashes + 1
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             text = f"the worker died ({how}); see {self._folder.log}"
-            self._queue.tell("error", text)
-            self._tell(f"warning: {text}")
+            self._queue.add_event("error", text)
+            self._say(f"warning: {text}")
             if self._stop.requested is not None:
-                self._queue.set_meta("state", "stopped: the worker died while it was stopped")
+                self._queue.set_meta("state", "stopped: the worker died while it was stopping")
                 return ExitCode.INTERNAL
             if crashes >= CRASHES:
                 self._queue.set_meta("state", f"stopped: {text}")
-                self._tell(f"error: {crashes} workers in a row died before they began a run")
+                self._say(f"error: {crashes} workers in a row died before they began a run")
                 return ExitCode.INTERNAL
 
     # --- one worker -----------------------------------------------------------------------------
 
     def _one_worker(self) -> int:
-        """Start a worker and listen to it until it has ended; its exit code."""
+        """Start a worker and listen to it until it has ended; returns its exit code."""
         worker = subprocess.Popen(
             [sys.executable, "-P", "-m", "rig.batch.execute.worker", str(self._folder.path)],
             stdin=subprocess.PIPE,
@@ -147,169 +153,182 @@ class Supervisor:
         assert worker.stdout is not None
         os.set_blocking(worker.stdout.fileno(), False)
         self._queue.set_meta("worker", str(worker.pid))
-        told_to_stop = False
+        stop_sent = False
         buffer = b""
         with selectors.DefaultSelector() as selector, worker:
             selector.register(worker.stdout, selectors.EVENT_READ)
             while True:
-                if selector.select(LOOK_S):
+                if selector.select(POLL_EVERY_S):
                     chunk = worker.stdout.read(65536)
                     if chunk == b"":
                         break
                     *lines, buffer = (buffer + (chunk or b"")).split(b"\n")
                     for line in lines:
-                        self._hear(line)
-                if self._stop.requested is not None and not told_to_stop:
-                    told_to_stop = True
-                    asked = self._stop.requested
-                    self._say(worker, f"signal {asked.value}", f"stop by {asked.name}")
-                for word in self._queue.asked():
-                    self._say(worker, word)
-                self._look_around()
+                        self._handle(line)
+                if self._stop.requested is not None and not stop_sent:
+                    stop_sent = True
+                    number = self._stop.requested
+                    self._send(worker, f"signal {number.value}", f"stop by {number.name}")
+                for command in self._queue.take_requests():
+                    self._send(worker, command, REQUESTS.get(command, command))
+                self._poll()
                 if self._give_up is not None and time.monotonic() > self._give_up:
                     self._give_up = None
-                    self._tell(f"warning: the worker was silent for {STARTING_S:g} s; killed")
+                    self._say(f"warning: the worker was silent for {STARTING_S:g} s and was killed")
                     worker.kill()
             worker.stdin.close()
         return worker.returncode
 
-    def _say(self, worker: subprocess.Popen[bytes], word: str, told: str = "") -> None:
-        """Pass on what was asked for, `told` to a person in these words."""
+    def _send(self, worker: subprocess.Popen[bytes], command: str, request: str) -> None:
+        """Pass a command on to the worker; `request` says for people what was requested."""
         assert worker.stdin is not None
-        self._queue.tell("info", f"asked for: {told or word}")
+        self._queue.add_event("info", f"{request} requested")
         try:
-            worker.stdin.write(word.encode() + b"\n")
+            worker.stdin.write(command.encode() + b"\n")
             worker.stdin.flush()
         except OSError:  # it has died, which is seen at its other end
             pass
 
-    def _hear(self, line: bytes) -> None:
+    def _handle(self, line: bytes) -> None:
         """One line from the worker; what a library has printed goes to the log."""
         try:
-            said = json.loads(line)
-            heard = getattr(self, f"_on_{said['event']}")
+            event = json.loads(line)
+            handler = getattr(self, f"_on_{event['event']}")
         except (ValueError, TypeError, KeyError, AttributeError):
             self._log.write(line + b"\n")
             self._log.flush()
             return
-        heard(said)
+        handler(event)
 
-    def _look_around(self) -> None:
-        """What is to be done besides, often."""
-        self._beat(HEARTBEAT.get(self._now.state, self._now.state))
-        for answer in self._afterwards.answers():
-            self._keep(answer)
-        for warning in self._notifier.warnings():
-            self._tell(f"warning: {warning}")
+    def _poll(self) -> None:
+        """What has to be done often, beside listening to the worker."""
+        self._write_heartbeat(HEARTBEAT.get(self._progress.state, self._progress.state))
+        self._make_files(start=self._simulated or self._progress.state in BENCH_WAITS)
+        for warning in self._notifier.poll():
+            self._say(f"warning: {warning}")
 
-    def _beat(self, state: State | str) -> None:
-        now = self._now
+    def _write_heartbeat(self, state: HeartbeatState | str) -> None:
+        now = self._progress
         message = now.text or f"{now.condition} {now.points}".strip()
         self._heartbeat.write(
-            Beat(state, now.run or 0, self._runs, now.point, self._simulated, message)  # type: ignore[arg-type]
+            HeartbeatRecord(
+                state,  # type: ignore[arg-type]
+                now.run or 0,
+                self._runs,
+                now.point,
+                self._simulated,
+                message,
+            )
         )
 
     def _notify(self, occasion: Occasion, text: str) -> None:
         marker = "SIMULATED " if self._simulated else ""
         title = f"{marker}batch {self._batch.name}: {occasion}"
         details = {"folder": str(self._folder.path), "runs": self._queue.counts()}
-        self._notifier.tell(occasion, title, text, details)
+        self._notifier.notify(occasion, title, text, details)
 
-    # --- runs that have been taken ---------------------------------------------------------------
+    # --- files of finished runs -------------------------------------------------------------------
 
-    def _work_on(self, number: int, procedure: str) -> None:
+    def _add_job(self, number: int, procedure: str) -> None:
         journal = self._folder.journal(number, procedure)
+        if not journal.exists() and not self._folder.run_file(number, procedure).exists():
+            self._queue.set_processed(number, {})  # it failed before its first record
+            return
         self._numbers[journal] = number
-        self._afterwards.give(Job(journal, self._batch.figures, self._batch.detect))
+        self._postprocess.add(PostprocessJob(journal, self._batch.figures, self._batch.detect))
 
-    def _keep(self, answer: Answer) -> None:
-        """What was made of a run."""
-        number = self._numbers.pop(answer.journal) if answer.journal in self._numbers else None
-        for text in (*answer.warnings, *filter(None, [answer.error])):
-            self._queue.tell("warning", text)
-            self._tell(f"warning: {text}")
-        if number is not None and not answer.error:
+    def _make_files(self, *, start: bool) -> None:
+        wanted = start and self._stop.requested is None
+        if (result := self._postprocess.poll(start=wanted)) is not None:
+            self._save_result(result)
+
+    def _save_result(self, result: PostprocessResult) -> None:
+        number = self._numbers.pop(result.journal)
+        for text in (*result.warnings, *filter(None, [result.error])):
+            self._queue.add_event("warning", text)
+            self._say(f"warning: {text}")
+        if not result.error:
             made = {
-                "file": None if answer.file is None else answer.file.name,
-                "processed": None if answer.processed is None else answer.processed.name,
-                "figures": [figure.name for figure in answer.figures],
+                "file": None if result.file is None else result.file.name,
+                "processed": None if result.processed is None else result.processed.name,
+                "figures": [figure.name for figure in result.figures],
             }
             self._queue.set_processed(number, made)
 
     def _finish_files(self) -> None:
-        """Have everything worked on that was taken; a stop request ends it with the file under
-        way."""
-        self._afterwards.go()
-        if self._stop.requested is None and self._numbers:
-            self._tell(f"run files still to be made: {len(self._numbers)} ...")
-        while self._numbers and self._stop.requested is None and not self._afterwards.lost:
-            self._beat("finishing")
-            for answer in self._afterwards.answers():
-                self._keep(answer)
-            time.sleep(LOOK_S)
-        for answer in self._afterwards.close(CLOSING_S):
-            self._keep(answer)
-        if self._numbers:
-            self._tell(
-                f"runs that are journals still: {len(self._numbers)}; "
-                f"rig batch resume {self._folder.path} makes their files"
+        """Make the files of all finished runs. A stop request leaves out those that are not under
+        way; `rig batch resume` makes them."""
+        if self._stop.requested is None and len(self._postprocess):
+            self._say(f"finishing: making the files of {plural(len(self._postprocess), 'run')} ...")
+        while len(self._postprocess) and self._stop.requested is None:
+            self._write_heartbeat("finishing")
+            self._make_files(start=True)
+            time.sleep(POLL_EVERY_S)
+        if (result := self._postprocess.close(CLOSING_S)) is not None:
+            self._save_result(result)
+        if missing := len(self._queue.unprocessed()):
+            self._say(
+                f"the files of {plural(missing, 'run')} are still to be made; "
+                f"rig batch resume {self._folder.path} makes them"
             )
 
-    # --- what the worker says --------------------------------------------------------------------
+    # --- events from the worker -------------------------------------------------------------------
 
-    def _on_run(self, said: Mapping[str, Any]) -> None:
+    def _on_run(self, event: Mapping[str, Any]) -> None:
         self._begun_a_run = True
         self._queue.set_meta("state", "running")
-        if self._ticks:
-            self._afterwards.hold()
         self._give_up = time.monotonic() + STARTING_S
-        self._now = Now("running", "", said["number"], said["attempt"], said["condition"])
-        again = f", attempt {said['attempt']}" if said["attempt"] > 1 else ""
-        self._tell(
-            f"run {said['number']}/{self._runs} {said['condition']}{again}: "
-            f"about {said['estimate_s']:.0f} s"
+        number, attempt = event["number"], event["attempt"]
+        self._progress = BatchProgress("running", "", number, attempt, event["condition"])
+        again = f", attempt {attempt}" if attempt > 1 else ""
+        self._say(
+            f"run {number}/{self._runs} {event['condition']}{again}: "
+            f"about {event['estimate_s']:.0f} s"
         )
 
-    def _on_planned(self, said: Mapping[str, Any]) -> None:
+    def _on_planned(self, event: Mapping[str, Any]) -> None:
         self._give_up = None
-        self._now.points = f"{said['kept']}/{said['points']}"
+        self._progress.points = f"{event['kept']}/{event['points']}"
 
-    def _on_point(self, said: Mapping[str, Any]) -> None:
-        self._now.point, self._now.points = said["point"], f"{said['done']}/{said['of']}"
+    def _on_point(self, event: Mapping[str, Any]) -> None:
+        self._progress.point = event["point"]
+        self._progress.points = f"{event['done']}/{event['of']}"
 
-    def _on_note(self, said: Mapping[str, Any]) -> None:
-        if said["level"] != "info":
-            self._tell(f"{said['level']}: {said['text']}")
+    def _on_note(self, event: Mapping[str, Any]) -> None:
+        if event["level"] != "info":
+            self._say(f"{event['level']}: {event['text']}")
 
-    def _on_state(self, said: Mapping[str, Any]) -> None:
-        self._set_state(said["state"], said.get("text", ""))
+    def _on_state(self, event: Mapping[str, Any]) -> None:
+        self._set_state(event["state"], event.get("text", ""))
 
     def _set_state(self, state: str, text: str = "") -> None:
-        self._now.state, self._now.text = state, text
-        told = f"{state}: {text}" if text else state
-        self._queue.set_meta("state", told)
-        self._tell(told)
+        self._progress.state, self._progress.text = state, text
+        shown = f"{state}: {text}" if text else state
+        self._queue.set_meta("state", shown)
+        self._say(shown)
 
-    def _on_hold(self, said: Mapping[str, Any]) -> None:
-        self._set_state("held", said["text"])
-        self._notify("hold", said["text"])
-        self._tell(f"the bench is safe and waits; go on with: rig batch resume {self._folder.path}")
+    def _on_hold(self, event: Mapping[str, Any]) -> None:
+        self._set_state("held", event["text"])
+        self._notify("hold", event["text"])
+        self._say(
+            "the bench is safe and the batch waits; continue with: "
+            f"rig batch resume {self._folder.path}"
+        )
 
-    def _on_finished(self, said: Mapping[str, Any]) -> None:
+    def _on_finished(self, event: Mapping[str, Any]) -> None:
         self._give_up = None
-        text = f"run {said['number']}: {said['ending']}, {said['points']} points"
-        if said["reason"]:
-            text += f": {said['reason']}"
-        if said["again"]:
+        text = f"run {event['number']}: {event['ending']}, {event['points']} points"
+        if event["reason"]:
+            text += f": {event['reason']}"
+        if event["again"]:
             text += "; it is tried again"
-        self._tell(text)
-        self._afterwards.go()
-        if said["ending"] != "complete" or said["code"]:
-            self._queue.tell("warning", text)
-        if said["ending"] != "stopped" and not said["again"]:
-            self._work_on(said["number"], said["procedure"])
-            if said["ending"] != "complete":
+        self._say(text)
+        if event["ending"] != "complete" or event["code"]:
+            self._queue.add_event("warning", text)
+        if event["ending"] != "stopped" and not event["again"]:
+            self._add_job(event["number"], event["procedure"])
+            if event["ending"] != "complete":
                 self._notify("failure", text)
 
-    def _on_end(self, said: Mapping[str, Any]) -> None:
-        self._end = dict(said)
+    def _on_end(self, event: Mapping[str, Any]) -> None:
+        self._end = dict(event)

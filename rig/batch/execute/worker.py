@@ -2,10 +2,10 @@
 
     python -m rig.batch.execute.worker FOLDER
 
-It is started by the supervisor (`rig.batch.execute.supervisor`), which tells it words on its
-standard input ("stop-now", "stop-after-point", "stop-after-run", "pause", "go", "signal 2") and
-gets one object of JSON a line on its standard output. When its input ends the supervisor has died:
-it stops in order, as it does when it is told to.
+It is started by the supervisor (`rig.batch.execute.supervisor`), which sends
+commands on its standard input ("stop-now", "stop-after-point", "stop-after-run", "pause", "go",
+"signal 2") and gets one JSON object a line on its standard output. When its input ends the
+supervisor has died: the worker then stops safely, as at a stop request.
 
 What it decides is in `rig.batch.plan.policy`; that nothing is lost or doubled, in
 `rig.batch.queue`.
@@ -27,37 +27,37 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rig
-from rig.batch.execute.batch_clock import Night, SlavedNight, WallNight
-from rig.batch.execute.crash_recovery import put_away, to_continue, what_became_of
-from rig.batch.execute.drift_watch import Watch
+from rig.batch.execute.batch_clock import BatchClock, VirtualBatchClock, WallBatchClock
+from rig.batch.execute.crash_recovery import archive_files, journal_to_resume, outcome_from_journal
+from rig.batch.execute.drift_watch import DriftWatch
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.policy import after_failure, does_not_fit, kind_of, reason_to_end, window
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchFile
-from rig.batch.queue import Claim, Ended, Queue
+from rig.batch.queue import AttemptResult, Claim, Queue
 from rig.core.errors import ExitCode, RigError
+from rig.core.units import plural
 from rig.run.bench_selector import BenchRequest, Choosing, ChosenBench, start_simulated
-from rig.run.holds import PAUSE
 from rig.run.stopping import StopFlag, StopRequestedError
 
 if TYPE_CHECKING:
-    from rig.batch.execute.drift import Finding
+    from rig.batch.execute.drift import HoldReason
     from rig.bench.bench import BenchSettings, Fixture, RunningBench
     from rig.run.outcome import Outcome
     from rig.run.points import Point, Reading
     from rig.run.procedure import Procedure
 
-LOOK_S = 0.05
-"""How often a worker that waits for a person looks whether it may go on."""
+CHECK_EVERY_S = 0.05
+"""How often a worker that waits for a person checks for commands."""
 GUARD_PATIENCE_S = 60.0
-"""How long the guard of a worker that died is waited for."""
+"""How long the guard of an earlier worker that died may take to make the bench safe."""
 
-Say = Callable[..., None]
+SendEvent = Callable[..., None]
 
 
 @dataclass(frozen=True)
-class Terms:
-    """What a batch was begun with, as its queue keeps it."""
+class BatchTerms:
+    """What a batch was begun with, as its queue records it."""
 
     file: BatchFile
     bench: Path | None
@@ -70,7 +70,7 @@ class Terms:
     """Folder that the batch file's own file names are relative to."""
 
     @classmethod
-    def of(cls, queue: Queue, folder: BatchFolder) -> Terms:
+    def of(cls, queue: Queue, folder: BatchFolder) -> BatchTerms:
         """Read from a queue."""
         bench = queue.meta("bench")
         return cls(
@@ -84,68 +84,75 @@ class Terms:
 
 
 class _EndError(RigError):
-    """The batch ends here, in order, before its last run."""
+    """The batch ends here, safely, before its last run."""
 
 
-class _Words:
-    """What the supervisor says, heard by a thread; acted on by the main thread."""
+def _stopped(when: str) -> _EndError:
+    return _EndError(f"stopped by rig batch stop, {when}", None, ExitCode.SIGTERM)
 
-    def __init__(self, stop: StopFlag, say: Say):
-        self._stop, self._say = stop, say
+
+class _CommandListener:
+    """Reads the supervisor's commands in a thread of its own; the main thread acts on them."""
+
+    def __init__(self, stop: StopFlag, send: SendEvent):
+        self._stop, self._send = stop, send
         self.paused = threading.Event()
         self.stop_after_run = False
         self.in_run = False
-        threading.Thread(target=self._listen, name="words", daemon=True).start()
+        threading.Thread(target=self._listen, name="commands", daemon=True).start()
 
     def _listen(self) -> None:
         rest = b""
         while chunk := os.read(0, 4096):  # unbuffered: Python ends while this still listens
             *lines, rest = (rest + chunk).split(b"\n")
             for line in lines:
-                self._hear(line.decode())
-        os.kill(os.getpid(), signal.SIGHUP)  # nobody is there any more
+                self._handle(line.decode())
+        os.kill(os.getpid(), signal.SIGHUP)  # the supervisor has died
 
-    def _hear(self, word: str) -> None:
-        if word.startswith("signal "):
-            os.kill(os.getpid(), int(word.removeprefix("signal ")))
-        elif word == "stop-now":
+    def _handle(self, command: str) -> None:
+        if command.startswith("signal "):
+            os.kill(os.getpid(), int(command.removeprefix("signal ")))
+        elif command == "stop-now":
             os.kill(os.getpid(), signal.SIGTERM)
-        elif word == "stop-after-point":
+        elif command == "stop-after-point":
             self._stop.after_point = self.stop_after_run = True
-        elif word == "stop-after-run":
+        elif command == "stop-after-run":
             self.stop_after_run = True
-        elif word == "pause" and not self.paused.is_set():
+        elif command == "pause" and not self.paused.is_set():
             self.paused.set()
-            self._say("state", state="pausing")
-            if self.in_run:  # one that still connects takes no notice: the batch waits after it
+            self._send("state", state="pausing")
+            if self.in_run:  # a run that still connects takes no notice: the batch waits after it
                 os.kill(os.getpid(), signal.SIGTSTP)
-        elif word == "go":
+        elif command == "go":
             if self.paused.is_set():
-                self._say("state", state="running")
+                self._send("state", state="running")
             self.paused.clear()
             if self.in_run:
                 os.kill(os.getpid(), signal.SIGCONT)
 
 
 class _Reporter:
-    """A run's progress, for the supervisor."""
+    """Sends a run's progress to the supervisor."""
 
-    def __init__(self, say: Say):
-        self._say = say
+    def __init__(self, send: SendEvent):
+        self._send = send
 
     def planned(self, points: tuple[Point, ...], kept: set[str], overhead_s: float) -> None:
         """See `rig.run.execute.Reporter`."""
-        self._say("planned", points=len(points), kept=len(kept))
+        self._send("planned", points=len(points), kept=len(kept))
 
     def point_kept(self, number: int, total: int, point: Point, reading: Reading) -> None:
         """See `rig.run.execute.Reporter`."""
-        self._say("point", done=number, of=total, point=point.id)
+        self._send("point", done=number, of=total, point=point.id)
 
     def event(self, level: str, message: str) -> None:
         """See `rig.run.execute.Reporter`."""
-        self._say("note", level=level, text=message)
-        if PAUSE in message:
-            self._say("state", state="paused", text="the bench is safe")
+        self._send("note", level=level, text=message)
+
+    def state(self, name: str) -> None:
+        """See `rig.run.execute.Reporter`. That it runs again is said when the command arrives."""
+        if name == "paused":
+            self._send("state", state="paused", text="the bench is safe")
 
     def storing(self) -> None:
         """See `rig.run.execute.Reporter`."""
@@ -166,18 +173,20 @@ class _Ahead:
 class Worker:
     """Takes the runs of a queue until none is left, or something ends the night."""
 
-    def __init__(self, folder: BatchFolder, queue: Queue, lock: int, stop: StopFlag, say: Say):
+    def __init__(
+        self, folder: BatchFolder, queue: Queue, lock: int, stop: StopFlag, send: SendEvent
+    ):
         self._folder, self._queue, self._lock, self._stop = folder, queue, lock, stop
-        self._say = say
-        self._terms = Terms.of(queue, folder)
+        self._send = send
+        self._terms = BatchTerms.of(queue, folder)
         self._batch = self._terms.file.batch
-        self._words = _Words(stop, say)
-        self._night = self._nights()
+        self._commands = _CommandListener(stop, send)
+        self._clock = self._new_clock()
         self._bench: ChosenBench | None = None
-        """Of a bench file: locked once, for all runs."""
+        """The bench of the bench file, locked once for all runs."""
         self._ahead: _Ahead | None = None
-        """Of the next run, while this one is taken."""
-        self._watch = Watch(queue, self._terms.file, self._terms.bench, self._terms.results)
+        """The simulated bench of the next run, while this one is taken."""
+        self._watch = DriftWatch(queue, self._terms.file, self._terms.bench, self._terms.results)
         self._mounted: BenchSettings | None = None
         """The bench of the latest run."""
         self._from, self._until = window(self._batch, self._terms.begun)
@@ -187,7 +196,7 @@ class Worker:
         try:
             with ExitStack() as at_the_end:
                 at_the_end.callback(self._abandon)
-                self._settle()
+                self._recover()
                 self._wait_for_the_window()
                 while (claim := self._next()) is not None:
                     self._take(claim, at_the_end)
@@ -205,21 +214,21 @@ class Worker:
 
     # --- between runs ---------------------------------------------------------------------------
 
-    def _settle(self) -> None:
-        """What an earlier worker left: its run is done, or goes on where it was interrupted."""
+    def _recover(self) -> None:
+        """Conclude the run that an earlier worker left: it is done, or it is continued."""
         claim = self._queue.unfinished()
         if claim is None:
             return
-        ended = what_became_of(self._folder.journal(claim.number, claim.condition.procedure))
+        ended = outcome_from_journal(self._folder.journal(claim.number, claim.condition.procedure))
         earlier_s = self._queue.bench_s(claim.number)
         ended = replace(ended, bench_s=max(0.0, ended.bench_s - earlier_s))
-        self._night.used(ended.bench_s)
+        self._clock.used(ended.bench_s)
         if ended.reason:
-            self._say("note", level="warning", text=f"run {claim.number}: {ended.reason}")
+            self._send("note", level="warning", text=f"run {claim.number}: {ended.reason}")
         self._conclude(claim, ended)
 
     def _next(self) -> Claim | None:
-        """The next run, once nothing stands against it."""
+        """The next run, once nothing speaks against it; None after the last."""
         while True:
             self._between_runs()
             upcoming = self._queue.upcoming()
@@ -229,68 +238,68 @@ class Worker:
             why = reason_to_end(
                 self._batch, counts["done"], counts["failed"], self._queue.bench_s()
             ) or does_not_fit(
-                self._night.now(),
+                self._clock.now(),
                 self._until,
                 upcoming.condition.rest_s + upcoming.estimate_s,
                 upcoming.spread_s,
             )
             if why:
                 raise _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
-            if found := self._watch.before(upcoming, self._night.now()):
-                self._hold(_told(found))
+            if found := self._watch.before(upcoming, self._clock.now()):
+                self._hold(_text_of(found))
                 continue
             rest_s = upcoming.condition.rest_s
             if upcoming.attempt > 1 and self._queue.attempts(upcoming.number):
                 rest_s += self._batch.retries.rest_s
             if rest_s:
-                self._say("state", state="resting", text=f"{rest_s:g} s")
-                self._night.rest(rest_s, self._between_runs)
+                self._send("state", state="resting", text=f"{rest_s:g} s")
+                self._clock.rest(rest_s, self._between_runs)
             return upcoming
 
     def _between_runs(self) -> None:
-        """Look whether the batch shall stop or pause; the bench is safe."""
+        """Act on requests to stop or pause; the bench is safe."""
         self._stop.check()
-        if self._words.stop_after_run:
-            raise StopRequestedError(signal.SIGTERM, " between runs")
-        if self._words.paused.is_set():
-            self._say("state", state="paused", text="between runs")
+        if self._commands.stop_after_run:
+            raise _stopped("between runs")
+        if self._commands.paused.is_set():
+            self._send("state", state="paused", text="between runs")
             self._wait("paused")
 
     def _hold(self, why: str) -> None:
-        """Something wants a person: wait for one, or end, as the batch says."""
-        self._queue.tell("hold", why)
+        """A person is needed: wait for one, or end, as `on_hold` says."""
+        self._queue.add_event("hold", why)
         if self._batch.on_hold == "stop":
             raise _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
-        self._words.paused.set()
-        self._say("hold", text=why)
+        self._commands.paused.set()
+        self._send("hold", text=why)
         self._wait("held")
 
     def _wait(self, state: str) -> None:
-        while self._words.paused.is_set():
+        while self._commands.paused.is_set():
             self._stop.check()
-            if self._words.stop_after_run:
-                raise StopRequestedError(signal.SIGTERM, f" while {state}")
-            time.sleep(LOOK_S)
+            if self._commands.stop_after_run:
+                raise _stopped(f"while {state}")
+            time.sleep(CHECK_EVERY_S)
 
     def _wait_for_the_window(self) -> None:
-        if self._from is None or (wait_s := (self._from - self._night.now()).total_seconds()) <= 0:
+        if self._from is None or (wait_s := (self._from - self._clock.now()).total_seconds()) <= 0:
             return
-        self._say("state", state="waiting", text=f"not before {self._from:%Y-%m-%d %H:%M:%S}")
-        self._night.rest(wait_s, self._between_runs)
-        self._say("state", state="running")
+        self._send("state", state="waiting", text=f"not before {self._from:%Y-%m-%d %H:%M:%S}")
+        self._clock.rest(wait_s, self._between_runs)
+        self._send("state", state="running")
 
     def _end(self, state: str, why: str, code: ExitCode) -> None:
-        told = f"{state}: {why.removeprefix(state + ' ')}" if why else state
-        self._queue.set_meta("state", told)
-        self._queue.tell("info" if code == ExitCode.DONE else "warning", told)
-        self._say("end", state=state, text=why, code=int(code))
+        text = why if why.startswith(state) else f"{state}: {why}" if why else state
+        self._queue.set_meta("state", text)
+        self._queue.add_event("info" if code == ExitCode.DONE else "warning", text)
+        self._send("end", state=state, text=why, code=int(code))
 
     # --- one run --------------------------------------------------------------------------------
 
     def _take(self, upcoming: Claim, at_the_end: ExitStack) -> None:
-        """Claim it, take it, keep what became of it."""
+        """Claim a run, take it, record how it ended."""
         claim = self._queue.claim(upcoming.number)
-        self._say(
+        self._send(
             "run",
             number=claim.number,
             attempt=claim.attempt,
@@ -304,38 +313,37 @@ class Worker:
         try:
             outcome = self._perform(claim, at_the_end)
         except StopRequestedError as stopped:  # nothing was connected yet
-            self._queue.finish(claim, Ended("stopped", code=int(stopped.code)), "queued")
+            self._queue.finish(claim, AttemptResult("stopped", code=int(stopped.code)), "queued")
             raise
         except RigError as error:
             kind = kind_of(error.code, error.parts())
-            ended = Ended("failed", kind, int(error.code), error.one_line())
+            ended = AttemptResult("failed", kind, int(error.code), error.one_line())
         else:
             ended = _ended(outcome)
-        self._night.used(ended.bench_s)
+        self._clock.used(ended.bench_s)
         self._conclude(claim, ended)
 
-    def _completed_elsewhere(self, claim: Claim) -> Ended | None:
-        """How a run ended that was interrupted, and that somebody has completed with `rig resume`
-        since; None of any other."""
-        ended = what_became_of(self._folder.journal(claim.number, claim.condition.procedure))
+    def _completed_elsewhere(self, claim: Claim) -> AttemptResult | None:
+        """How an interrupted run ended if `rig resume` has completed it since; else None."""
+        ended = outcome_from_journal(self._folder.journal(claim.number, claim.condition.procedure))
         return replace(ended, bench_s=0.0) if ended.ending == "complete" else None
 
-    def _conclude(self, claim: Claim, ended: Ended) -> None:
-        """Keep how an attempt ended, and do what follows from it."""
+    def _conclude(self, claim: Claim, ended: AttemptResult) -> None:
+        """Record how an attempt ended, and do what follows from it."""
         if ended.ending == "complete":
             self._queue.finish(claim, ended, "done")
             self._finished(claim, ended)
             if self._mounted is not None and (
                 found := self._watch.after(claim, ended, self._mounted)
             ):
-                self._hold(_told(found))
+                self._hold(_text_of(found))
                 self._watch.accept(claim)
             return
         if ended.ending == "stopped":
             self._queue.finish(claim, ended, "queued")
             self._finished(claim, ended)
             self._stop.check()
-            raise StopRequestedError(signal.SIGTERM, " after a point")
+            raise _stopped("after a point")
         before = self._queue.attempts(claim.number)
         before[ended.kind] = before.get(ended.kind, 0) + 1
         verdict = after_failure(
@@ -359,15 +367,15 @@ class Worker:
     def _set_aside(self, claim: Claim) -> None:
         name = claim.condition.id
         failed = self._queue.failures_of(name)
-        why = f"{failed} of its runs failed"
+        why = f"{plural(failed, 'run')} failed"
         left_out = self._queue.set_aside(name, why)
-        text = f"condition {name} is set aside: {why}; {left_out} runs are left out"
-        self._queue.tell("warning", text)
-        self._say("note", level="warning", text=text)
+        text = f"condition {name}: {why}; {plural(left_out, 'queued run')} left out"
+        self._queue.add_event("warning", text)
+        self._send("note", level="warning", text=text)
 
-    def _finished(self, claim: Claim, ended: Ended, again: bool = False) -> None:
+    def _finished(self, claim: Claim, ended: AttemptResult, again: bool = False) -> None:
         journal = self._folder.journal(claim.number, claim.condition.procedure)
-        self._say(
+        self._send(
             "finished",
             number=claim.number,
             attempt=claim.attempt,
@@ -383,7 +391,7 @@ class Worker:
         )
 
     def _perform(self, claim: Claim, at_the_end: ExitStack) -> Outcome:
-        """One attempt at a run, from choosing the bench to a journal that is closed."""
+        """One attempt at a run, from choosing the bench to the closed journal."""
         from rig.run.execute import execute
         from rig.run.job import Job
 
@@ -391,7 +399,7 @@ class Worker:
         procedure = installed(condition.procedure)
         settings = procedure.Settings.model_validate_json(json.dumps(dict(condition.settings)))
         path = self._folder.journal(claim.number, condition.procedure)
-        resume = to_continue(path)
+        resume = journal_to_resume(path)
         bench = self._bench_for(claim, procedure, at_the_end)
         self._mounted = bench.plan.settings
         job = Job(
@@ -416,14 +424,14 @@ class Worker:
         if resume is not None and self._queue.meta("despite changes"):
             began = (resume.header.fingerprint, resume.header.program.version)
             if began != (job.fingerprint(toml), rig.__version__):
-                put_away(path)
+                archive_files(path)
                 job.resume = None
         self._boot_next()
-        self._words.in_run = True
+        self._commands.in_run = True
         try:
-            outcome = execute(job, bench.plan, bench.clock, self._stop, _Reporter(self._say))
+            outcome = execute(job, bench.plan, bench.clock, self._stop, _Reporter(self._send))
         finally:
-            self._words.in_run = False
+            self._commands.in_run = False
             if bench.started is not None:
                 bench.started.wait()
         return outcome
@@ -432,7 +440,7 @@ class Worker:
         """The bench file's bench, locked once for all runs; or a simulated one for this run."""
         fixture = procedure.FIXTURES[0]
         choosing = Choosing(
-            lambda text: self._say("note", level="info", text=text),
+            lambda text: self._send("note", level="info", text=text),
             getattr(procedure, "import_ahead", lambda: None),
         )
         if self._terms.bench is None:
@@ -447,7 +455,7 @@ class Worker:
         return replace(self._bench, clock=WallClock())
 
     def _booted(self, request: BenchRequest, fixture: Fixture) -> RunningBench | None:
-        """The simulated bench that was started ahead, if it is the one that is asked for."""
+        """The simulated bench that was started ahead, if it is the one that is needed."""
         ahead, self._ahead = self._ahead, None
         if ahead is not None and (ahead.request, ahead.fixture) != (request, fixture):
             ahead.started.abandon()
@@ -469,7 +477,7 @@ class Worker:
             self._ahead.started.abandon()
 
     def _simulated(self, claim: Claim) -> BenchRequest:
-        """What the simulated bench of a run is, and what befalls it."""
+        """The simulated bench of a run: its World and its faults."""
         own = self._terms.file.simulation
         request = BenchRequest(seed=self._seed, results=self._folder.path / "runs")
         if own is None:
@@ -493,30 +501,30 @@ class Worker:
         own = self._terms.file.simulation
         return 0 if own is None else own.seed
 
-    def _nights(self) -> Night:
+    def _new_clock(self) -> BatchClock:
         if self._terms.bench is not None:
-            return WallNight()
+            return WallBatchClock()
         queue = self._queue
 
         def keep(passed_s: float) -> None:
             queue.set_meta("night_s", f"{passed_s:.6f}")
 
-        return SlavedNight(self._terms.begun, float(queue.meta("night_s", "0")), keep)
+        return VirtualBatchClock(self._terms.begun, float(queue.meta("night_s", "0")), keep)
 
 
-def _told(findings: Sequence[Finding]) -> str:
+def _text_of(findings: Sequence[HoldReason]) -> str:
     return "; ".join(f"{found.text}: {found.hint}" for found in findings)
 
 
-def _ended(outcome: Outcome) -> Ended:
-    """An execution's outcome as the queue keeps it."""
+def _ended(outcome: Outcome) -> AttemptResult:
+    """The outcome of an execution as the queue records it."""
     failed = outcome.status == "failed"
     reasons = [failure.one_line() for failure in outcome.failures]
     reasons += [f"{off.name} not switched off: {off.reason}" for off in outcome.off_failures]
     safe_after_all = outcome.taken_over is not None and outcome.taken_over.safe
     if outcome.taken_over is not None:
         reasons.append(outcome.taken_over.told)
-    return Ended(
+    return AttemptResult(
         outcome.status,  # type: ignore[arg-type]
         kind_of(outcome.code, outcome.failures, safe_after_all) if failed else "",
         int(outcome.code),
@@ -533,13 +541,13 @@ def main(arguments: Sequence[str]) -> int:
     folder = BatchFolder(Path(arguments[0]))
     lines = threading.Lock()
 
-    def say(event: str, **fields: Any) -> None:
+    def send(event: str, **fields: Any) -> None:
         line = json.dumps({"event": event, **fields}) + "\n"
         with lines:
             try:
                 sys.stdout.write(line)
                 sys.stdout.flush()
-            except OSError:  # nobody listens: the end of standard input says so, too
+            except OSError:  # the supervisor has died: the end of standard input says so, too
                 sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115 - until the process ends
 
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # between runs; a run has its own switch
@@ -547,12 +555,12 @@ def main(arguments: Sequence[str]) -> int:
         try:
             with folder.held_by("worker", GUARD_PATIENCE_S) as lock, Queue.open(folder.queue) as q:
                 os.set_inheritable(lock, True)
-                return int(Worker(folder, q, lock, stop, say).work())
+                return int(Worker(folder, q, lock, stop, send).work())
         except StopRequestedError as stopped:
-            say("end", state="stopped", text=stopped.one_line(), code=int(stopped.code))
+            send("end", state="stopped", text=stopped.one_line(), code=int(stopped.code))
             return int(stopped.code)
         except RigError as error:
-            say("end", state="failed", text=error.one_line(), code=int(error.code))
+            send("end", state="failed", text=error.one_line(), code=int(error.code))
             return int(error.code)
 
 

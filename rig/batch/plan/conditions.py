@@ -8,7 +8,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Condition:
+class BatchCondition:
     """One set of settings of one procedure, run once or several times."""
 
     id: str
@@ -37,8 +37,8 @@ class PlannedRun:
 
 
 @dataclass(frozen=True)
-class Plan:
+class BatchPlan:
     """The expanded batch."""
 
-    conditions: Mapping[str, Condition]
+    conditions: Mapping[str, BatchCondition]
     runs: tuple[PlannedRun, ...]

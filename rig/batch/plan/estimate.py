@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.batch.plan.conditions import Condition, Plan, PlannedRun
+from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
 from rig.batch.plan.policy import window
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchSettings
@@ -37,16 +37,15 @@ RELATIVE = 0.03
 """Standard deviation of what is expected of a run, relative, the same for all runs: friction, the
 film's noise, how fast the drives home."""
 RANDOM_S = 0.15
-"""That of a single run."""
+"""Standard deviation of what differs from run to run, in s."""
 RUN_B, POINT_B = 270_000, 15_000
-"""Bytes of a run file for itself, and of each of its points besides their samples."""
+"""Bytes of a run file without its points, and of a point without its samples."""
 COUNTS_KEPT, NUMBERS_KEPT = 0.72, 0.85
-"""Share of the bytes of counts, with the times they belong to, and of other numbers that is left
-when they are compressed."""
+"""Compressed size by size: of counts with their times, and of other numbers."""
 ROWS_S = 1000.0
-"""Of streams that are not the DAQ's: frames of the force sensor."""
+"""Rows a second of streams that are not the DAQ's: frames of the force sensor."""
 UNIFORM = math.sqrt(12)
-"""Width of an even spread by its standard deviation."""
+"""Width of a uniform distribution divided by its standard deviation."""
 
 RECORDS: dict[str, type[FilmCalibration] | type[ForceCalibration] | type[LoadCellCalibration]] = {
     "film": FilmCalibration,
@@ -58,14 +57,14 @@ RECORDS: dict[str, type[FilmCalibration] | type[ForceCalibration] | type[LoadCel
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedRun:
     """What one run of a condition is expected to take."""
 
     duration_s: float
     common_s: float
     """Standard deviation of what is the same in all its runs: the place of the contact, say."""
     size_B: int
-    """Of its run file."""
+    """Size of its run file."""
 
     @property
     def spread_s(self) -> float:
@@ -82,7 +81,7 @@ class PlacedRun:
 
 
 @dataclass(frozen=True)
-class Expiring:
+class ExpiringRecord:
     """A calibration record that will have expired when the batch is over."""
 
     path: Path
@@ -102,8 +101,8 @@ class Forecast:
     runs: tuple[PlacedRun, ...]
     stop_by: datetime | None
     in_time: int
-    """So many runs, the first of the queue, are over by `stop_by`."""
-    expiring: tuple[Expiring, ...]
+    """How many runs of the queue, from the first on, will have ended by `stop_by`."""
+    expiring: tuple[ExpiringRecord, ...]
 
     @property
     def ends(self) -> datetime:
@@ -111,7 +110,9 @@ class Forecast:
         return self.begins + timedelta(seconds=self.duration_s)
 
 
-def expect(plan: Plan, fixtures: Mapping[str, FixtureSettings], real: bool) -> dict[str, Expected]:
+def expect(
+    plan: BatchPlan, fixtures: Mapping[str, FixtureSettings], real: bool
+) -> dict[str, ExpectedRun]:
     """What a run of each condition is expected to take. `fixtures`: what is mounted for each
     procedure; `real`: a bench that stands there, homed and parked by the run before."""
     return {
@@ -120,7 +121,7 @@ def expect(plan: Plan, fixtures: Mapping[str, FixtureSettings], real: bool) -> d
     }
 
 
-def homing_s(plan: Plan, fixtures: Mapping[str, FixtureSettings]) -> float:
+def homing_s(plan: BatchPlan, fixtures: Mapping[str, FixtureSettings]) -> float:
     """What the first run on a real bench is expected to take longer than `expect` says: its stages
     may not know where they are."""
     if not plan.runs:
@@ -132,8 +133,8 @@ def homing_s(plan: Plan, fixtures: Mapping[str, FixtureSettings]) -> float:
 
 def forecast(
     batch: BatchSettings,
-    plan: Plan,
-    expected: Mapping[str, Expected],
+    plan: BatchPlan,
+    expected: Mapping[str, ExpectedRun],
     now: datetime,
     first_s: float = 0.0,
     bench: BenchPlan | None = None,
@@ -166,7 +167,7 @@ def forecast(
         stop_by=stop_by,
         in_time=in_time,
         expiring=tuple(
-            Expiring(path, record)
+            ExpiringRecord(path, record)
             for path, record in records_of(bench)
             if now < record.valid_until <= ends
         ),
@@ -186,22 +187,22 @@ def records_of(bench: BenchPlan | None) -> Iterable[tuple[Path, Record]]:
             yield path, read_calibration(path, kind)  # type: ignore[type-var]
 
 
-def _expected(condition: Condition, fixture: FixtureSettings, real: bool) -> Expected:
+def _expected(condition: BatchCondition, fixture: FixtureSettings, real: bool) -> ExpectedRun:
     procedure = installed(condition.procedure)
     points = procedure.points(procedure.Settings.model_validate(condition.settings))
     taking_s = math.fsum(point.duration_s for point in points)
     duration_s = taking_s + _overhead_s(condition, fixture, real) + (CONNECTING_S if real else 0.0)
     earliest, latest = (_overhead_s(condition, place, real) for place in _ends_of_contact(fixture))
     common_s = math.hypot((latest - earliest) / UNIFORM, RELATIVE * duration_s)
-    return Expected(duration_s, common_s, _size_B(condition, points))
+    return ExpectedRun(duration_s, common_s, _size_B(condition, points))
 
 
-def _overhead_s(condition: Condition, fixture: FixtureSettings, homed: bool) -> float:
+def _overhead_s(condition: BatchCondition, fixture: FixtureSettings, homed: bool) -> float:
     procedure = installed(condition.procedure)
-    told = getattr(procedure, "overhead_s", None)
-    if told is None:
+    overhead_s = getattr(procedure, "overhead_s", None)
+    if overhead_s is None:
         return 0.0
-    return float(told(procedure.Settings.model_validate(condition.settings), fixture, homed))
+    return float(overhead_s(procedure.Settings.model_validate(condition.settings), fixture, homed))
 
 
 def _ends_of_contact(fixture: FixtureSettings) -> tuple[FixtureSettings, FixtureSettings]:
@@ -216,8 +217,8 @@ def _ends_of_contact(fixture: FixtureSettings) -> tuple[FixtureSettings, Fixture
     )
 
 
-def _size_B(condition: Condition, points: Iterable[Point]) -> int:  # noqa: N802 - bytes
-    """Bytes of a run file: every stream goes on for as long as its points take."""
+def _size_B(condition: BatchCondition, points: Iterable[Point]) -> int:  # noqa: N802 - bytes
+    """Bytes of a run file: every stream lasts as long as its points take."""
     streams = installed(condition.procedure).STREAMS
     size = float(RUN_B)
     for point in points:

@@ -16,10 +16,10 @@ from typing import Any, get_args, get_origin
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
-from rig.batch.plan.conditions import Condition, Plan, PlannedRun
-from rig.batch.plan.findings import Finding, RefusedBatchError, Where
+from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
+from rig.batch.plan.findings import KeyPath, PlanFinding, RefusedBatchError
 from rig.batch.plan.procedures import installed
-from rig.batch.plan.settings import MOST_RUNS, BatchFile, Experiment, Sample
+from rig.batch.plan.settings import MOST_RUNS, BatchFile, Experiment, SpaceSample
 from rig.core.errors import MOST_FINDINGS, ConfigurationError, finding, shortened
 from rig.core.settings import Settings, name_without_unit, unit_of
 from rig.core.units import parse
@@ -27,13 +27,13 @@ from rig.core.units import parse
 MOST_CONDITIONS = 100_000
 """Each has settings of its own; a night has time for fewer."""
 MOST_COMPARISONS = 2_000_000
-"""Of combinations with entries of exclude and include."""
+"""Limit on comparisons of combinations with entries of exclude and include."""
 SHUFFLING, SAMPLING = 0, 1
 """Which random numbers a seed is for."""
 
 
-def expand(batch: BatchFile) -> Plan:
-    """The conditions of a batch and the queue of their runs; RefusedBatchError tells all that is
+def expand(batch: BatchFile) -> BatchPlan:
+    """The conditions of a batch and the queue of their runs; RefusedBatchError lists all that is
     wrong with any of them."""
     findings = list(check_defaults(batch.defaults))
     expanded = [
@@ -51,7 +51,7 @@ def expand(batch: BatchFile) -> Plan:
     if findings:
         raise RefusedBatchError(findings)
     conditions = {c.id: c for expansion in expanded for c in expansion.conditions}
-    return Plan(conditions, tuple(_queue(batch, expanded)))
+    return BatchPlan(conditions, tuple(_queue(batch, expanded)))
 
 
 def labels(experiments: Sequence[Experiment]) -> list[str]:
@@ -68,15 +68,15 @@ def labels(experiments: Sequence[Experiment]) -> list[str]:
     return list(taken)
 
 
-def check_defaults(defaults: Mapping[str, Mapping[str, Any]]) -> Iterator[Finding]:
+def check_defaults(defaults: Mapping[str, Mapping[str, Any]]) -> Iterator[PlanFinding]:
     """What is wrong with [defaults] whatever the experiments are."""
     for name, table in defaults.items():
         try:
             model = installed(name).Settings
         except ConfigurationError as error:
-            yield Finding(("defaults", name), f"defaults: {error.message}", error.hint)
+            yield PlanFinding(("defaults", name), f"defaults: {error.message}", error.hint)
         else:
-            converted = _Converted(model)
+            converted = _SettingConverter(model)
             converted.table(table, ("defaults", name), f"defaults.{name}")
             yield from converted.findings
 
@@ -111,20 +111,20 @@ class Expansion:
         seed: int,
     ):
         self.number, self.experiment, self.label = number, experiment, label
-        self.where: Where = ("experiment", number)
-        self.conditions: list[Condition] = []
-        self.findings: list[Finding] = []
+        self.where: KeyPath = ("experiment", number)
+        self.conditions: list[BatchCondition] = []
+        self.findings: list[PlanFinding] = []
         self._seed = seed
         self._defaults = defaults.get(experiment.procedure, {})
         self._model: type[Settings] | None = None
         self._matrix: dict[str, list[Any]] = {}
         """In the settings' units."""
         self._places: dict[tuple[str, Any], int] = {}
-        """Of each of its values, where in its list it stands."""
+        """Index of each value in its setting's list."""
         try:
             self._model = installed(experiment.procedure).Settings
         except ConfigurationError as error:
-            self.findings.append(Finding((*self.where, "procedure"), error.message, error.hint))
+            self.findings.append(PlanFinding((*self.where, "procedure"), error.message, error.hint))
 
     @property
     def combinations(self) -> int:
@@ -149,8 +149,8 @@ class Expansion:
         if self._model is None:
             return
         experiment, where = self.experiment, self.where
-        converted = _Converted(self._model, self.findings)
-        defaults = _Converted(self._model).table(self._defaults, (), "")
+        converted = _SettingConverter(self._model, self.findings)
+        defaults = _SettingConverter(self._model).table(self._defaults, (), "")
         own = converted.table(experiment.settings, (*where, "settings"), "settings")
         for name, values in experiment.matrix.items():
             if kept := self._values_of(converted, name, values):
@@ -164,7 +164,7 @@ class Expansion:
         )
         for number, entry in enumerate(experiment.exclude):
             self.findings += [
-                Finding(
+                PlanFinding(
                     (*where, "exclude", number, name),
                     f"exclude.{shortened(name)}: the matrix does not vary it",
                     "exclude names combinations of the matrix",
@@ -177,14 +177,16 @@ class Expansion:
         self._validate(self._model, {**defaults, **own}, combinations)
         if not self.conditions and not self.findings:
             self.findings.append(
-                Finding(where, "no combination is left to run", "exclude fewer of them")
+                PlanFinding(where, "no combination is left to run", "exclude fewer of them")
             )
 
-    def _values_of(self, converted: _Converted, name: str, values: Sequence[Any]) -> list[Any]:
+    def _values_of(
+        self, converted: _SettingConverter, name: str, values: Sequence[Any]
+    ) -> list[Any]:
         """The values of a setting in the matrix: at least one, each once."""
         where, told = (*self.where, "matrix", name), f"matrix.{shortened(name)}"
         if not values:
-            self.findings.append(Finding(where, f"{told}: has no value", "give at least one"))
+            self.findings.append(PlanFinding(where, f"{told}: has no value", "give at least one"))
         kept: dict[Any, Any] = {}
         for number, value in enumerate(values):
             one = converted.one(name, value, (*where, number), told)
@@ -192,9 +194,9 @@ class Expansion:
                 continue
             if _same(one) in kept:
                 self.findings.append(
-                    Finding(
+                    PlanFinding(
                         (*where, number),
-                        f"{told} = {shortened(repr(value))}: is there twice",
+                        f"{told} = {shortened(repr(value))}: stands twice in the list",
                         "repeat = 2 runs each condition twice",
                     )
                 )
@@ -202,7 +204,7 @@ class Expansion:
             self._places[name, _same(one)] = number
         return list(kept.values())
 
-    def _is_sampled_well(self, sample: Sample | None) -> bool:
+    def _is_sampled_well(self, sample: SpaceSample | None) -> bool:
         """Whether every range is one of a number that nothing else varies."""
         if sample is None:
             return True
@@ -216,23 +218,27 @@ class Expansion:
                 self.findings.append(_unknown(self._model, name, told, where))
             elif name in self.experiment.matrix:
                 self.findings.append(
-                    Finding(where, f"{told}: the matrix varies it, too", "leave it in one of them")
+                    PlanFinding(
+                        where, f"{told}: the matrix varies it, too", "leave it in one of them"
+                    )
                 )
             elif _number(info) is None:
                 self.findings.append(
-                    Finding(where, f"{told}: is no number", "list its values in matrix instead")
+                    PlanFinding(
+                        where, f"{told}: is not a number", "list its values in matrix instead"
+                    )
                 )
             elif not math.isfinite(high - low) or (
                 name in sample.log and not math.isfinite(high / low)
             ):
                 self.findings.append(
-                    Finding(where, f"{told}: {low:g} to {high:g} is too wide", "narrow it")
+                    PlanFinding(where, f"{told}: {low:g} to {high:g} is too wide", "narrow it")
                 )
         return len(self.findings) == before
 
     def _combined(
         self,
-        sample: Sample | None,
+        sample: SpaceSample | None,
         excluded: Sequence[Mapping[str, Any]],
         included: Sequence[Mapping[str, Any]],
     ) -> list[_Combination]:
@@ -263,7 +269,7 @@ class Expansion:
                 further.append(_Combination(number + len(further) + 1, {}, added))
         return originals + further
 
-    def _sampled(self, sample: Sample) -> list[dict[str, Any]]:
+    def _sampled(self, sample: SpaceSample) -> list[dict[str, Any]]:
         """The points of a sample, each a value by setting."""
         import numpy as np
         from scipy.stats import qmc
@@ -306,10 +312,10 @@ class Expansion:
             except ValidationError as error:
                 self._refuse(error, name, combination)
                 if len(set(self.findings)) > MOST_FINDINGS:
-                    return  # nobody is told of more
+                    return  # no more are reported
                 continue
             self.conditions.append(
-                Condition(
+                BatchCondition(
                     id=name,
                     experiment=self.number,
                     procedure=self.experiment.procedure,
@@ -332,9 +338,9 @@ class Expansion:
                 )
                 where = self.where
                 told = f"{name}{f' ({shown})' if shown else ''}: {finding(item)}"
-            self.findings.append(Finding(where, told, _see(self.experiment.procedure)))
+            self.findings.append(PlanFinding(where, told, _see(self.experiment.procedure)))
 
-    def _origin(self, name: str, combination: _Combination) -> tuple[Where, tuple[str, ...]]:
+    def _origin(self, name: str, combination: _Combination) -> tuple[KeyPath, tuple[str, ...]]:
         """Where in the file a combination's value of a setting is from."""
         own, experiment = self.where, self.experiment
         if name in combination.added:
@@ -354,17 +360,17 @@ class Expansion:
 
 
 _WRONG: Any = object()
-"""Stands for a value of which a finding tells."""
+"""Stands for a value that a finding has reported."""
 
 
-class _Converted:
+class _SettingConverter:
     """Values of settings in the settings' own units, and findings of those that are none."""
 
-    def __init__(self, model: type[Settings], findings: list[Finding] | None = None):
-        self.findings: list[Finding] = [] if findings is None else findings
+    def __init__(self, model: type[Settings], findings: list[PlanFinding] | None = None):
+        self.findings: list[PlanFinding] = [] if findings is None else findings
         self._model = model
 
-    def table(self, table: Mapping[str, Any], where: Where, place: str) -> dict[str, Any]:
+    def table(self, table: Mapping[str, Any], where: KeyPath, place: str) -> dict[str, Any]:
         """Those of a table, which `place` names for people, but for the ones that are wrong."""
         converted = {
             name: self.one(name, value, (*where, name), f"{place}.{shortened(name)}")
@@ -372,7 +378,7 @@ class _Converted:
         }
         return {name: value for name, value in converted.items() if value is not _WRONG}
 
-    def one(self, name: str, value: Any, where: Where, told: str) -> Any:
+    def one(self, name: str, value: Any, where: KeyPath, told: str) -> Any:
         """A single one; _WRONG where it is wrong."""
         info = self._model.model_fields.get(name)
         if info is None:
@@ -381,7 +387,7 @@ class _Converted:
         try:
             return _in_own_unit(value, info.annotation, unit_of(name))
         except ValueError as error:
-            self.findings.append(Finding(where, f"{told} = {shortened(repr(value))}: {error}"))
+            self.findings.append(PlanFinding(where, f"{told} = {shortened(repr(value))}: {error}"))
             return _WRONG
 
 
@@ -394,12 +400,12 @@ def _in_own_unit(value: Any, annotation: Any, unit: str | None) -> Any:
     return value
 
 
-def _unknown(model: type[Settings], name: str, told: str, where: Where) -> Finding:
+def _unknown(model: type[Settings], name: str, told: str, where: KeyPath) -> PlanFinding:
     fields = list(model.model_fields)
     near = [field for field in fields if name_without_unit(field) == name]
     near = near or get_close_matches(shortened(name), fields, 1)
     hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(fields)}"
-    return Finding(where, f"{told}: the procedure has no such setting", hint)
+    return PlanFinding(where, f"{told}: the procedure has no such setting", hint)
 
 
 def _see(procedure: str) -> str:
@@ -429,8 +435,8 @@ def _has_all(values: Mapping[str, Any], entry: Mapping[str, Any], or_lacks: bool
 # --- the queue --------------------------------------------------------------------------------
 
 
-def _too_many(expanded: Sequence[Expansion]) -> Iterator[Finding]:
-    """What is not even expanded."""
+def _too_many(expanded: Sequence[Expansion]) -> Iterator[PlanFinding]:
+    """Why a batch is too large to be expanded."""
     others = references = conditions = 0
     hint = "make the matrix smaller, or two batches of it"
     for expansion in expanded:
@@ -438,7 +444,7 @@ def _too_many(expanded: Sequence[Expansion]) -> Iterator[Finding]:
         conditions += combinations
         others += combinations * experiment.repeat if experiment.every is None else 0
         if expansion.comparisons > MOST_COMPARISONS:
-            yield Finding(
+            yield PlanFinding(
                 ("experiment",),
                 f"experiment {expansion.number + 1}: {combinations} combinations are too many for "
                 f"so many entries of exclude and include ({MOST_COMPARISONS} pairs at most)",
@@ -448,30 +454,30 @@ def _too_many(expanded: Sequence[Expansion]) -> Iterator[Finding]:
         if expansion.experiment.every is not None:
             references += 1 + math.ceil(others / expansion.experiment.every)
     if conditions > MOST_CONDITIONS:
-        yield Finding(
+        yield PlanFinding(
             ("experiment",), f"{conditions} conditions are more than {MOST_CONDITIONS}", hint
         )
     if others + references > MOST_RUNS:
-        yield Finding(
+        yield PlanFinding(
             ("experiment",), f"{others + references} runs are more than {MOST_RUNS}", hint
         )
 
 
-def _misplaced(batch: BatchFile) -> Iterator[Finding]:
-    """Settings of the queue that cannot mean anything."""
+def _misplaced(batch: BatchFile) -> Iterator[PlanFinding]:
+    """Settings of the queue that have no effect."""
     alone = all(experiment.every is not None for experiment in batch.experiment)
     for number, experiment in enumerate(batch.experiment):
         where = ("experiment", number)
         if alone:
-            yield Finding(
+            yield PlanFinding(
                 (*where, "every"),
-                f"every = {experiment.every}: a reference runs between others, and there is none",
+                f"every = {experiment.every}: a reference runs between others, and there are none",
                 "leave every out",
             )
         if not experiment.block_by:
             continue
         if batch.batch.order != "blocked":
-            yield Finding(
+            yield PlanFinding(
                 (*where, "block_by"),
                 f"block_by has no meaning with order = {batch.batch.order!r}",
                 'set order = "blocked" in [batch], or leave block_by out',
@@ -480,7 +486,7 @@ def _misplaced(batch: BatchFile) -> Iterator[Finding]:
         included = {name for entry in experiment.include for name in entry}
         for name in experiment.block_by:
             if name not in experiment.matrix and name not in sampled and name not in included:
-                yield Finding(
+                yield PlanFinding(
                     (*where, "block_by"),
                     f"block_by: {shortened(name)} is not varied",
                     "name settings of the matrix",
@@ -506,7 +512,7 @@ def _queue(batch: BatchFile, expanded: Sequence[Expansion]) -> Iterator[PlannedR
 
 
 def _ordered(batch: BatchFile, expanded: Sequence[Expansion]) -> list[tuple[str, int]]:
-    """Condition and repeat of every run that is no reference, in the order asked for.
+    """Condition and repeat of every run that is not a reference, in the order asked for.
 
     As written: experiment by experiment, its whole matrix once, then again for each repeat.
     Blocked: the blocks of all experiments in random order, the runs of each shuffled.

@@ -1,51 +1,82 @@
-"""What is wrong with a batch: each finding with its place in the batch file, told all at once."""
+"""What is wrong with a batch: all findings at once, each with its place in the batch file."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
 
 from rig.core.errors import MOST_FINDINGS, ConfigurationError, ExitCode, RigError
 
-Where = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 """Keys and places in lists that lead to a part of the batch file: ("experiment", 1, "matrix")."""
 
 
 @dataclass(frozen=True)
-class Finding:
+class PlanFinding:
     """One thing that is wrong."""
 
-    where: Where
+    where: KeyPath
     message: str
     hint: str | None = None
     code: ExitCode = ExitCode.USAGE
 
     @property
-    def told(self) -> str:
-        """The message, after which experiment it is about, counted from 1."""
+    def text(self) -> str:
+        """The message, preceded by the experiment it is about, counted from 1."""
         if len(self.where) > 1 and self.where[0] == "experiment":
             return f"experiment {int(self.where[1]) + 1}: {self.message}"
         return self.message
 
 
+KEY = r"""[A-Za-z0-9_-]+|"[^"]*"|'[^']*'"""
+KEYS = rf"((?:{KEY})(?:\s*\.\s*(?:{KEY}))*)"
+HEADER = re.compile(rf"\s*(\[\[?)\s*{KEYS}\s*\]\]?\s*(?:#.*)?$")
+ASSIGNMENT = re.compile(rf"\s*{KEYS}\s*=")
+
+
 @dataclass(frozen=True)
-class Source:
-    """A batch file and on which line each of its parts begins."""
+class BatchText:
+    """The text of a batch file and its name, from which messages take line numbers."""
 
     name: str
-    lines: Mapping[Where, int] = field(default_factory=dict)
+    text: str
 
-    def line(self, where: Where) -> int:
-        """The line of a part, or of the nearest one around it that the file names."""
-        while where and where not in self.lines:
+    def line(self, where: KeyPath) -> int:
+        """The line of a key or table, counted from 1; that of the nearest table around it where the
+        part itself does not begin a line (an entry of a list, say), or 1."""
+        while where and where not in self._lines:
             where = where[:-1]
-        return self.lines.get(where, 1)
+        return self._lines.get(where, 1)
+
+    @cached_property
+    def _lines(self) -> dict[KeyPath, int]:
+        """The first line of every table and key. A search for headers and assignments, no parser:
+        what looks like one within a text of several lines is taken for one."""
+        lines: dict[KeyPath, int] = {}
+        table: KeyPath = ()
+        entries: dict[KeyPath, int] = {}
+        for number, line in enumerate(self.text.splitlines(), 1):
+            if header := HEADER.match(line):
+                table = ()
+                for name in _names(header[2]):
+                    table = (*table, *([entries[table]] if table in entries else []), name)
+                if header[1] == "[[":
+                    lines.setdefault(table, number)
+                    entries[table] = entries.get(table, -1) + 1
+                if table in entries:
+                    table = (*table, entries[table])
+                lines.setdefault(table, number)
+            elif key := ASSIGNMENT.match(line):
+                lines.setdefault((*table, *_names(key[1])), number)
+        return lines
 
 
 class RefusedBatchError(ConfigurationError):
-    """A batch that is not begun: all that is wrong with it, in the order of the file."""
+    """A batch that is not begun: everything that is wrong with it, in the order of the file."""
 
-    def __init__(self, findings: Iterable[Finding], source: Source | None = None):
+    def __init__(self, findings: Iterable[PlanFinding], source: BatchText | None = None):
         found = list(dict.fromkeys(findings))
         if source is not None:
             found.sort(key=lambda finding: source.line(finding.where))
@@ -60,10 +91,14 @@ class RefusedBatchError(ConfigurationError):
         )
 
     def parts(self) -> tuple[RigError, ...]:
-        """One error a finding."""
+        """One error for each finding."""
         return self._parts
 
 
-def _part(finding: Finding, source: Source | None) -> RigError:
+def _part(finding: PlanFinding, source: BatchText | None) -> RigError:
     place = "" if source is None else f"{source.name}:{source.line(finding.where)}: "
-    return RigError(place + finding.told, finding.hint, finding.code)
+    return RigError(place + finding.text, finding.hint, finding.code)
+
+
+def _names(key: str) -> list[str]:
+    return [name.strip("\"'") for name in re.findall(KEY, key)]

@@ -1,7 +1,7 @@
-"""What the end of a run means for the night: try again, go on, hold, or end. Pure.
+"""What the end of a run means for the night: try again, continue, hold, or end. Pure functions.
 
 A time-out is worth another try, a limit never: what was refused or tripped once would be again,
-with the skin pressed once more. A condition that keeps failing is set aside and the night goes on.
+with the skin pressed once more. A condition that keeps failing is left out and the night continues.
 """
 
 from __future__ import annotations
@@ -15,15 +15,17 @@ from rig.batch.plan.settings import BatchSettings
 from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
 from rig.files.errors import RecordingError
 
-Kind = Literal["timeout", "instrument", "died", "limit", "usage", "storage", "unsafe", "internal"]
-"""Of a failure."""
-SURE = 2.0
-"""A run fits into what is left of the night with so many standard deviations to spare."""
+FailureKind = Literal[
+    "timeout", "instrument", "died", "limit", "usage", "storage", "unsafe", "internal"
+]
+"""Why a run failed, as retries distinguish it."""
+SPARE_SIGMAS = 2.0
+"""A run is begun if it ends before `stop_by` with this many standard deviations to spare."""
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What becomes of a failed attempt, and of the batch."""
+class FailureDecision:
+    """What follows from a failed attempt for its run, its condition and the batch."""
 
     run: Literal["again", "failed"]
     batch: Literal["go-on", "hold", "end"] = "go-on"
@@ -32,7 +34,7 @@ class Verdict:
     """Whether its condition's other runs are left out."""
 
 
-def kind_of(code: int, failures: Sequence[RigError], made_safe: bool = False) -> Kind:
+def kind_of(code: int, failures: Sequence[RigError], made_safe: bool = False) -> FailureKind:
     """The kind of failure that ended a run: exit code and failures, first cause first; `made_safe`
     where the run could not make its bench safe, and its guard then could."""
     if code == ExitCode.UNSAFE:
@@ -42,7 +44,7 @@ def kind_of(code: int, failures: Sequence[RigError], made_safe: bool = False) ->
         return "storage"
     if isinstance(first, InstrumentTimeoutError):
         return "timeout"
-    by_code: dict[int, Kind] = {
+    by_code: dict[int, FailureKind] = {
         ExitCode.INSTRUMENT: "instrument",
         ExitCode.LIMIT: "limit",
         ExitCode.USAGE: "usage",
@@ -52,32 +54,34 @@ def kind_of(code: int, failures: Sequence[RigError], made_safe: bool = False) ->
 
 def after_failure(
     batch: BatchSettings,
-    kind: Kind,
+    kind: FailureKind,
     before: Mapping[str, int],
     failed_of_condition: int,
     failed_in_a_row: int,
     reason: str,
-) -> Verdict:
+) -> FailureDecision:
     """What to do about a failed attempt.
 
     `before`: attempts of this run that ended for each kind, this one included;
     `failed_of_condition`, `failed_in_a_row`: runs failed for good, this one not included.
     """
     if kind == "unsafe":
-        return Verdict("again", "end", f"the bench could not be made safe: {reason}")
+        return FailureDecision("again", "end", f"the bench could not be made safe: {reason}")
     if kind == "storage":
-        return Verdict("again", "hold", f"the data cannot be kept: {reason}")
+        return FailureDecision("again", "hold", f"the data cannot be saved: {reason}")
     if before.get(kind, 0) <= getattr(batch.retries, kind, 0):
-        return Verdict("again")
+        return FailureDecision("again")
     aside = failed_of_condition + 1 >= batch.set_aside_after
     if batch.on_failure == "stop":
-        return Verdict("failed", "end", f"a run failed: {reason}", aside)
+        return FailureDecision("failed", "end", f"a run failed: {reason}", aside)
     if batch.on_failure == "hold":
-        return Verdict("failed", "hold", f"a run failed: {reason}", aside)
+        return FailureDecision("failed", "hold", f"a run failed: {reason}", aside)
     row = failed_in_a_row + 1
     if row >= batch.hold_when.consecutive_failures:
-        return Verdict("failed", "hold", f"{row} runs in a row have failed, last: {reason}", aside)
-    return Verdict("failed", set_aside=aside)
+        return FailureDecision(
+            "failed", "hold", f"{row} runs in a row have failed, last: {reason}", aside
+        )
+    return FailureDecision("failed", set_aside=aside)
 
 
 def reason_to_end(batch: BatchSettings, done: int, failed: int, bench_s: float) -> str:
@@ -99,7 +103,7 @@ def does_not_fit(
     """Why a run is not begun any more; empty where it would be over in time."""
     if stop_by is None:
         return ""
-    over = now + timedelta(seconds=estimate_s + SURE * spread_s)
+    over = now + timedelta(seconds=estimate_s + SPARE_SIGMAS * spread_s)
     if over <= stop_by:
         return ""
     return f"the next run would last until {over:%H:%M:%S}, stop_by is {stop_by:%H:%M:%S}"

@@ -1,6 +1,6 @@
-"""The batch file as people write it: read whole, and all its errors told at once with their lines.
+"""Reading a batch file: the whole file is validated, and all errors are reported with their lines.
 
-What the file says of itself and what the settings of its procedures make of it are told together;
+Errors of the file and of the settings of its procedures are reported together;
 what a bench makes of it is in `rig.batch.plan.validate`.
 """
 
@@ -12,10 +12,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from rig.batch.plan.conditions import Plan
+from rig.batch.plan.conditions import BatchPlan
 from rig.batch.plan.expand import Expansion, check_defaults, expand, labels
-from rig.batch.plan.findings import Finding, RefusedBatchError, Source, Where
-from rig.batch.plan.positions import lines_of
+from rig.batch.plan.findings import BatchText, KeyPath, PlanFinding, RefusedBatchError
 from rig.batch.plan.settings import BatchFile, Experiment
 from rig.core.errors import finding
 from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
@@ -23,19 +22,19 @@ from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
 WHAT = "batch file"
 
 
-def read_batch(path: Path) -> tuple[BatchFile, Plan, Source]:
-    """A batch file, what it expands to, and where its parts stand.
+def read_batch(path: Path) -> tuple[BatchFile, BatchPlan, BatchText]:
+    """A batch file, what it expands to, and its text.
 
-    ConfigurationError for what is no such file; RefusedBatchError with all that is wrong in it.
+    ConfigurationError where it cannot be read; RefusedBatchError with all that is wrong in it.
     """
     text = read_text(path, WHAT, MAX_TOML_BYTES, "name a batch file (TOML)")
     return parse_batch(text, str(path))
 
 
-def parse_batch(text: str, name: str) -> tuple[BatchFile, Plan, Source]:
+def parse_batch(text: str, name: str) -> tuple[BatchFile, BatchPlan, BatchText]:
     """The same from the text of a file of this `name`."""
     tables = parse_toml(text, name)
-    source = Source(name, lines_of(text))
+    source = BatchText(name, text)
     try:
         batch = BatchFile.model_validate(tables)
     except ValidationError as error:
@@ -47,25 +46,25 @@ def parse_batch(text: str, name: str) -> tuple[BatchFile, Plan, Source]:
         raise RefusedBatchError(error.findings, source) from error
 
 
-def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[Finding]:
-    """What pydantic has found, in words; the kinds of value that something could be, but is none
-    of, are one finding."""
-    by_place: dict[Where, list[str]] = {}
+def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[PlanFinding]:
+    """What pydantic has found, in words. Where a value could be of several kinds and is of none of
+    them, that is one finding."""
+    by_place: dict[KeyPath, list[str]] = {}
     for item in error.errors():
-        where: Where = item["loc"]
+        where: KeyPath = item["loc"]
         named = where if item["type"] == "missing" else _existing(where, tables)
         shown = named[2:] if named[0] == "experiment" else named
         keys = tuple(part for part in shown if isinstance(part, str))
         by_place.setdefault(named, []).append(finding({**item, "loc": keys}))
-    for where, told in by_place.items():
-        first, *others = dict.fromkeys(told)
+    for where, messages in by_place.items():
+        first, *others = dict.fromkeys(messages)
         reasons = [other.rpartition(": ")[2].removeprefix("has to be ") for other in others]
-        yield Finding(where, " or ".join([first, *reasons]))
+        yield PlanFinding(where, " or ".join([first, *reasons]))
 
 
-def _existing(where: Where, tables: Any) -> Where:
+def _existing(where: KeyPath, tables: Any) -> KeyPath:
     """As far as a place exists in the file: pydantic adds which kind of value it tried."""
-    found: Where = ()
+    found: KeyPath = ()
     for part in where:
         try:
             tables = tables[part]
@@ -75,7 +74,7 @@ def _existing(where: Where, tables: Any) -> Where:
     return found or where[:1]
 
 
-def _further(tables: Mapping[str, Any]) -> Iterator[Finding]:
+def _further(tables: Mapping[str, Any]) -> Iterator[PlanFinding]:
     """What is wrong with the settings in a file of which another part is wrong."""
     defaults = tables.get("defaults", {})
     entries = tables.get("experiment", [])
@@ -88,7 +87,7 @@ def _further(tables: Mapping[str, Any]) -> Iterator[Finding]:
         try:
             experiments[number] = Experiment.model_validate(entry)
         except ValidationError:
-            continue  # told already
+            continue  # reported already
     for (number, experiment), label in zip(
         experiments.items(), labels(list(experiments.values())), strict=True
     ):

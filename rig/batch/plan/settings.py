@@ -1,10 +1,10 @@
-"""The batch file: what a night shall do, and what shall end or hold it.
+"""The batch file: what a night does, and what ends or holds it.
 
     [batch]              the night: name, order, window, policies
     [defaults.PROCEDURE] settings that every experiment of a procedure begins with
     [[experiment]]       a procedure over a matrix of settings, or over points that fill a space
-    [simulation]         what a simulated bench that the batch starts for itself is, and what
-                         befalls it
+    [simulation]         the benches that a batch without a bench file starts for itself, and
+                         their faults
 
 Here are the values and what can be said of each by itself. What they expand to is in
 `rig.batch.plan.expand`; what instruments make of them in `rig.batch.plan.validate`.
@@ -15,18 +15,54 @@ from __future__ import annotations
 from datetime import datetime, time
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_validator,
+)
 
 from rig.core.settings import Settings
 
 Order = Literal["as-written", "shuffled", "blocked"]
 Occasion = Literal["start", "failure", "hold", "end"]
 Value = bool | int | float | str
+EXAMPLE_DATE, EXAMPLE_TIME = "2026-11-24", "07:00:00"
 MOST_RUNS = 1_000_000
 """A queue of more is a mistake in a matrix."""
 
-Instant = Annotated[datetime | time, Field(union_mode="left_to_right")]
-"""A date with time, or a time of the day: the next one from the batch's start on."""
+
+def _installed_variant(name: str) -> str:
+    from rig.run.bench_selector import require_variant
+
+    return require_variant(name)
+
+
+Variant = Annotated[str, AfterValidator(_installed_variant)]
+"""The name of a variant of the simulated bench, which alone knows what it can be."""
+
+
+def _instant(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
+    """A number is refused, which pydantic would take for seconds since 1970."""
+    wanted = f"a time of day ({EXAMPLE_TIME}) or a date and time ({EXAMPLE_DATE} {EXAMPLE_TIME})"
+    if isinstance(value, str):  # also as the queue keeps it, in JSON
+        try:
+            float(value)
+        except ValueError:
+            try:
+                return parse(value)
+            except ValidationError:
+                pass
+        raise ValueError(f"write {wanted}, without quotes")
+    if not isinstance(value, datetime | time):
+        raise ValueError(f"has to be {wanted}")
+    return parse(value)
+
+
+Instant = Annotated[datetime | time, Field(union_mode="left_to_right"), WrapValidator(_instant)]
+"""A date with time, or a time of the day: the next one after the batch's start."""
 
 
 class Retries(Settings):
@@ -40,33 +76,33 @@ class Retries(Settings):
     died: int = Field(default=2, ge=0, le=100)
     """The process that ran it died, or was killed because it hung."""
     rest_s: float = Field(default=5.0, ge=0, le=3600)
-    """Wait before another try."""
+    """Rest before another try."""
 
 
 class StopWhen(Settings):
-    """What ends a batch in order before its last run (exit 6)."""
+    """What ends a batch safely before its last run (exit 6)."""
 
     finished_runs: int | None = Field(default=None, ge=1)
-    """So many runs have been finished."""
+    """This many runs have been finished."""
     failed_runs: int | None = Field(default=None, ge=1)
-    """So many runs have failed for good."""
+    """This many runs have failed for good."""
     bench_hours: float | None = Field(default=None, gt=0)
-    """The bench has been in use for so long."""
+    """The bench has been in use for this long."""
 
 
 class HoldWhen(Settings):
-    """What holds a batch: the bench is safe and waits for a person."""
+    """What holds a batch: the bench is safe and the batch waits for a person."""
 
     consecutive_failures: int = Field(default=3, ge=1)
-    """So many runs in a row have failed for good."""
+    """This many runs in a row have failed for good."""
     free_disk_GB: float = Field(default=1.0, ge=0)
-    """Less than that is left on the results' disk."""
+    """Less than this would be left on the results' disk."""
     zero_drift_N: float = Field(default=1.0, gt=0)
     """The force sensor's zero has moved by more since the batch's first run."""
 
 
-class Notify(Settings):
-    """Whom to tell, and of what. Nothing of it can disturb a run."""
+class NotifySettings(Settings):
+    """Who is notified, and of what. Notifications cannot disturb a run."""
 
     urls: tuple[str, ...] = ()
     """Addresses as apprise understands them (optional extra ``notify``)."""
@@ -91,29 +127,29 @@ class BatchSettings(Settings):
     not_before: Instant | None = None
     """Nothing is connected earlier."""
     stop_by: Instant | None = None
-    """No run begins that would not be over by then."""
+    """No run begins that would not have ended by then."""
     stop_when: StopWhen = StopWhen()
     hold_when: HoldWhen = HoldWhen()
     on_failure: Literal["continue", "hold", "stop"] = "continue"
-    """What a run that has failed for good means for the rest."""
+    """What happens to the batch when a run has failed for good."""
     on_hold: Literal["wait", "stop"] = "wait"
     """Whether a batch on hold waits for a person, or ends."""
     set_aside_after: int = Field(default=2, ge=1)
-    """So many failed runs of one condition, and its others are left out."""
+    """After this many failed runs of one condition its other runs are left out."""
     retries: Retries = Retries()
     order: Order = "as-written"
     seed: int = Field(default=0, ge=0)
-    """Of every random order and sample."""
+    """Seed of every random order and sample."""
     allow_expired: bool = False
     """Whether calibration records that have expired may be used."""
     figures: bool = True
-    """Whether figures are drawn of every run, while the bench waits or by what it leaves."""
+    """Whether figures are drawn of every run."""
     detect: bool = True
-    """Whether the detector goes over every trial's strips, likewise."""
-    notify: Notify = Notify()
+    """Whether the detector analyses the strips of every trial."""
+    notify: NotifySettings = NotifySettings()
 
 
-class Sample(Settings):
+class SpaceSample(Settings):
     """Points that fill a space of settings more evenly than a grid of as many."""
 
     method: Literal["latin-hypercube", "sobol"] = "latin-hypercube"
@@ -124,7 +160,7 @@ class Sample(Settings):
     """Settings that are spread evenly over their logarithm."""
 
     @model_validator(mode="after")
-    def _ranges_are_ranges(self) -> Sample:
+    def _ranges_are_ranges(self) -> SpaceSample:
         for name, (low, high) in self.ranges.items():
             if not low < high:
                 raise ValueError(f"ranges.{name}: {low:g} is not below {high:g}")
@@ -141,12 +177,12 @@ class Experiment(Settings):
 
     procedure: str
     name: str = Field(default="", pattern=r"^[A-Za-z0-9_.-]*$")
-    """Told beside its runs; left out, the procedure's."""
+    """Names its conditions; left out, the procedure's name."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """Settings that all its runs share."""
     matrix: dict[str, list[Value]] = Field(default_factory=dict)
     """Values by setting: every combination is a condition."""
-    sample: Sample | None = None
+    sample: SpaceSample | None = None
     """In place of a matrix, or crossed with it."""
     exclude: tuple[dict[str, Value], ...] = ()
     """Combinations to leave out: those that have all the values of one entry."""
@@ -156,12 +192,12 @@ class Experiment(Settings):
     repeat: int = Field(default=1, ge=1, le=100_000)
     """Runs of each condition."""
     block_by: tuple[str, ...] = ()
-    """With order "blocked": settings whose values are kept together; none, each repeat is a
+    """With order "blocked": settings whose values stay together; without any, each repeat is a
     block."""
     every: int | None = Field(default=None, ge=1)
     """A reference: one run before the others, one after so many of them, one after the last."""
     drift: dict[str, float] = Field(default_factory=dict)
-    """Of a reference: figures of its summary, and how far each may move from the first reference,
+    """For a reference: figures of its summary, and how far each may move from the first reference,
     in the figure's own unit; left out, what the procedure names."""
     rest_s: float = Field(default=0.0, ge=0, le=86_400)
     """Rest before each of its runs: rubber recovers."""
@@ -179,7 +215,7 @@ class Experiment(Settings):
         return self
 
 
-class FaultOn(Settings):
+class FaultSelection(Settings):
     """A fault plan in effect on some runs."""
 
     runs: tuple[int, ...]
@@ -187,11 +223,11 @@ class FaultOn(Settings):
     plan: str
     """The plan's file, relative to the batch file."""
     attempts: int = Field(default=1, ge=1)
-    """It strikes the first so many attempts of a run."""
+    """It is in effect in this many attempts of a run, from the first on."""
 
 
-class WorldFrom(Settings):
-    """Another World from a run on."""
+class WorldChange(Settings):
+    """Other World settings from a run on."""
 
     from_run: int = Field(ge=1)
     settings: str
@@ -202,13 +238,14 @@ class Simulation(Settings):
     """Table ``[simulation]``: only where the batch starts a simulated bench for itself."""
 
     seed: int = Field(default=0, ge=0)
-    stages: Literal["festo", "az", "festo-az", "az-festo"] = "festo"
+    stages: Variant | None = None
+    """One of the simulated benches that are installed; left out, the usual one."""
     world: str | None = None
     """The World's settings (TOML), relative to the batch file."""
-    fault: tuple[FaultOn, ...] = ()
-    change: tuple[WorldFrom, ...] = ()
+    fault: tuple[FaultSelection, ...] = ()
+    change: tuple[WorldChange, ...] = ()
     world_log: bool = False
-    """Whether every simulated bench's own log is kept beside its run."""
+    """Whether the log of every simulated bench is saved with its run."""
 
 
 class BatchFile(Settings):

@@ -12,33 +12,35 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
-from rig.batch.plan.conditions import Condition, Plan
-from rig.batch.plan.findings import Finding, Where
+from rig.batch.plan.conditions import BatchCondition, BatchPlan
+from rig.batch.plan.findings import KeyPath, PlanFinding
 from rig.batch.plan.procedures import installed
 from rig.bench.bench import Bench, BenchPlan, Fixture, FixtureSettings
 from rig.core.errors import RigError
 from rig.run.points import refusals, require_roles
 
-Connected = Callable[[Fixture], AbstractContextManager[Bench]]
+BenchConnector = Callable[[Fixture], AbstractContextManager[Bench]]
 """A connected bench with a fixture mounted, for as long as a `with` block lasts."""
 
 RUNS_NAMED = 3
 
 
 @dataclass
-class Checked:
-    """What a plan is on a bench."""
+class ValidationResult:
+    """What validating a batch on a bench has found."""
 
-    findings: list[Finding] = field(default_factory=list)
-    """All that is wrong; none where it can be begun."""
+    findings: list[PlanFinding] = field(default_factory=list)
+    """Everything that is wrong; empty if the batch may begin."""
     fixtures: dict[str, FixtureSettings] = field(default_factory=dict)
     """What is mounted for each procedure, and where everything is."""
 
 
-def validate(plan: Plan, real: BenchPlan | None, connected: Connected) -> Checked:
+def validate(
+    plan: BatchPlan, real: BenchPlan | None, connected: BenchConnector
+) -> ValidationResult:
     """Check a plan on a bench, each condition once. `real` is the bench file's plan, None where
     each run gets a simulated bench of its own, on which what it needs is mounted."""
-    checked = Checked()
+    checked = ValidationResult()
     wanted = {name: fixture_for(name, real) for name in procedures_of(plan)}
     if real is not None:
         checked.findings += _unmounted(plan, real, wanted)
@@ -52,7 +54,7 @@ def validate(plan: Plan, real: BenchPlan | None, connected: Connected) -> Checke
     return checked
 
 
-def procedures_of(plan: Plan) -> tuple[str, ...]:
+def procedures_of(plan: BatchPlan) -> tuple[str, ...]:
     """The procedures of a plan, each once, as the file names them first."""
     return tuple(dict.fromkeys(condition.procedure for condition in plan.conditions.values()))
 
@@ -67,8 +69,8 @@ def fixture_for(procedure: str, real: BenchPlan | None) -> Fixture | None:
 
 
 def _unmounted(
-    plan: Plan, real: BenchPlan, fixtures: Mapping[str, Fixture | None]
-) -> Iterator[Finding]:
+    plan: BatchPlan, real: BenchPlan, fixtures: Mapping[str, Fixture | None]
+) -> Iterator[PlanFinding]:
     """Experiments that would need another fixture mounted half-way."""
     mounted = " and the ".join(real.mounted)
     for experiment in dict.fromkeys(c.experiment for c in plan.conditions.values()):
@@ -78,10 +80,10 @@ def _unmounted(
             continue
         needed = installed(procedure).FIXTURES
         numbers = [run.number for run in plan.runs if run.condition in own]
-        yield Finding(
+        yield PlanFinding(
             ("experiment", experiment, "procedure"),
             f"{procedure} ({_runs(numbers)}) needs the {' or the '.join(needed)}, the bench has "
-            f"the {mounted} mounted: somebody would have to change it during the batch",
+            f"the {mounted} mounted: it would have to be changed during the batch",
             f"make a batch of its own of it; or, where both are mounted at once, declare the other "
             f'with [[also_mounted]] mounted = "{needed[0]}" in {real.source}',
         )
@@ -93,7 +95,9 @@ def _runs(numbers: list[int]) -> str:
     return f"run {named}" + (f" and {more} more" if more > 0 else "")
 
 
-def _refusals(condition: Condition, bench: Bench, real: BenchPlan | None) -> Iterator[RigError]:
+def _refusals(
+    condition: BatchCondition, bench: Bench, real: BenchPlan | None
+) -> Iterator[RigError]:
     """Why a condition cannot be run on a bench, every reason for itself."""
     procedure = installed(condition.procedure)
     settings = procedure.Settings.model_validate(condition.settings)
@@ -112,8 +116,8 @@ def _refusals(condition: Condition, bench: Bench, real: BenchPlan | None) -> Ite
         yield error
 
 
-def _together(refused: Iterable[tuple[Condition, RigError]]) -> Iterator[Finding]:
-    """A finding for each reason, told of the first condition and point that it holds for."""
+def _together(refused: Iterable[tuple[BatchCondition, RigError]]) -> Iterator[PlanFinding]:
+    """One finding for each reason, which names the first condition and point that it concerns."""
     conditions: dict[tuple[int, str], dict[str, None]] = {}
     errors: dict[tuple[int, str], RigError] = {}
     for condition, error in refused:
@@ -124,5 +128,5 @@ def _together(refused: Iterable[tuple[Condition, RigError]]) -> Iterator[Finding
         experiment, error = reason[0], errors[reason]
         name, more = next(iter(ids)), len(ids) - 1
         others = f" and {more} more" if more else ""
-        where: Where = ("experiment", experiment)
-        yield Finding(where, f"{name}{others}: {error.message}", error.hint, error.code)
+        where: KeyPath = ("experiment", experiment)
+        yield PlanFinding(where, f"{name}{others}: {error.message}", error.hint, error.code)

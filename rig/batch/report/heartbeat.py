@@ -5,8 +5,8 @@ One JSON object, replaced as a whole, so that a reader never sees half of it:
     {"time": "2026-11-22T23:14:05+01:00", "pid": 4711, "state": "running", "run": 12, "of": 240,
      "point": "trial-003", "simulated": false, "message": "slip-trial-002, repeat 3"}
 
-A monitor that cannot read JSON goes by the file's own time. A disk that is full or gone disturbs
-nobody: the file grows old, which is what it is for.
+A monitor that cannot read JSON goes by the file's own time. A disk that is full or gone
+stops nothing: the file grows old, which the monitor sees.
 """
 
 from __future__ import annotations
@@ -26,31 +26,31 @@ from rig.core.atomic import write_text
 EVERY_S = 5.0
 """Between two beats where nothing has changed but the point."""
 
-State = Literal["waiting", "running", "resting", "holding", "finishing", "ended"]
+HeartbeatState = Literal["waiting", "running", "resting", "holding", "finishing", "ended"]
 """waiting: for its window or the bench. running, resting: a run, or the rest before one. holding:
-a person is wanted. finishing: the bench is not needed any more. ended: nothing follows."""
+a person is needed. finishing: the bench is no longer needed. ended: nothing follows."""
 
 log = logging.getLogger("rig")
 
 
 @dataclass(frozen=True)
-class Beat:
+class HeartbeatRecord:
     """How far a batch is."""
 
-    state: State
+    state: HeartbeatState
     run: int = 0
-    """Number in the queue of the run under way, or of the latest; 0 before the first."""
+    """Number of the run under way, or of the latest; 0 before the first."""
     of: int = 0
-    """Runs of the queue."""
+    """Number of runs in the queue."""
     point: str = ""
-    """Of that run."""
+    """Id of the point being taken."""
     simulated: bool = False
     message: str = ""
-    """For people: what is under way, or why it holds or has ended."""
+    """What is under way, or why the batch is held or has ended; for people."""
     time: str = ""
     """When it was written, ISO 8601 with time zone."""
     pid: int = 0
-    """Of the process that writes."""
+    """Id of the process that writes."""
 
 
 class Heartbeat:
@@ -62,9 +62,9 @@ class Heartbeat:
         self._due_s = 0.0
         self._failed = False
 
-    def write(self, beat: Beat) -> None:
-        """Have the file say this, at once where more than the point has changed, else every
-        `EVERY_S`; its time and pid are filled in. Never raises."""
+    def write(self, beat: HeartbeatRecord) -> None:
+        """Write this, at once where more than the point has changed, else every `EVERY_S`. Fills in
+        time and pid. Never raises."""
         now_s = self._monotonic_s()
         told = (beat.state, beat.run, beat.of, beat.simulated, beat.message)
         if told == self._written and now_s < self._due_s:

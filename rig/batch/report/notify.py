@@ -1,47 +1,47 @@
-"""Telling people how a batch goes, without ever disturbing it.
+"""Notifies people of how a batch goes, without ever disturbing it.
 
-A thread of its own delivers one notification after the other, each by child processes that have a
-deadline and are killed at it: the user's command, and one for the addresses that apprise serves.
-What goes wrong is a line in the log and a warning to be collected; nothing is raised.
+Every message is delivered by one child process for each receiver: the user's command, and each
+address that apprise serves (this module run as a program). A child that is not done in time is
+killed, and the next one is started; what it writes is read up to a bound. Failures are lines in the
+log and warnings to be collected; nothing is raised.
 """
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
 import json
 import logging
-import os
-import queue
 import shutil
-import signal
-import subprocess
 import sys
-import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from rig.batch.plan.settings import Notify, Occasion
+from rig.batch.child import TimedChild
+from rig.batch.plan.settings import NotifySettings, Occasion
 from rig.core.errors import ConfigurationError
 
-PATIENCE_S = 10.0
-"""How long a command, or all addresses together, may take for one notification."""
-REAPED_S = 1.0
-"""What is waited for a killed process to be gone."""
+LONGEST_S = 10.0
+"""Time limit for one message to one receiver."""
 MOST_WAITING = 100
-"""Notifications; more only come where nothing is delivered."""
+"""Deliveries that may wait; there are more only where nothing is delivered."""
 LONGEST = 4000
-"""Characters of a text: a program's arguments are limited, and so is a person's patience."""
+"""Characters of a title or text: a program's arguments are limited."""
+LONGEST_REASON = 300
+"""Characters of a receiver's complaint in a warning."""
+POLL_EVERY_S = 0.1
+APPRISE_KINDS = {"start": "info", "failure": "failure", "hold": "warning", "end": "info"}
+"""apprise's kind of notification by occasion."""
 
 log = logging.getLogger("rig")
 
 
 @dataclass(frozen=True)
 class Notification:
-    """What is told."""
+    """A message to people."""
 
     occasion: Occasion
     title: str
@@ -51,16 +51,28 @@ class Notification:
     details: Mapping[str, Any]
 
     def as_json(self, **more: Any) -> str:
-        """It as one JSON object; a detail that JSON does not know becomes text."""
+        """The message as one JSON object; a detail that JSON does not know becomes text."""
         return json.dumps({**vars(self), **more}, default=str)
 
 
-def require_usable(settings: Notify) -> None:
+@dataclass(frozen=True)
+class _Delivery:
+    """One message to one receiver."""
+
+    receiver: str
+    """For people: an address itself may hold a password."""
+    program: tuple[str, ...]
+    given: str
+    """For the program's standard input."""
+    title: str
+
+
+def require_usable(settings: NotifySettings) -> None:
     """ConfigurationError where a notification could never be delivered: the extra ``notify`` or the
-    command is missing, or an address is none that apprise knows. Nothing is sent."""
+    command is missing, or an address is unknown to apprise. Nothing is sent."""
     if settings.command and shutil.which(settings.command[0]) is None:
         raise ConfigurationError(
-            f"notify.command: {settings.command[0]!r} is not found, or no program",
+            f"notify.command: {settings.command[0]!r} is not found, or is not a program",
             "give its whole path, and make it executable",
         )
     if not settings.urls:
@@ -76,113 +88,104 @@ def require_usable(settings: Notify) -> None:
     for number, url in enumerate(settings.urls, 1):
         if apprise.Apprise.instantiate(url) is None:  # the address itself may hold a password
             raise ConfigurationError(
-                f"notify.urls: address {number} ({_scheme(url)}) is none that apprise understands",
+                f"notify.urls: address {number} ({_scheme(url)}) is unknown to apprise",
                 "see the addresses in apprise's documentation: SCHEME://...",
             )
 
 
 class Notifier:
-    """Delivers notifications in the order in which they are told."""
+    """Delivers messages one after the other, in the order in which they were given.
 
-    def __init__(self, settings: Notify, patience_s: float = PATIENCE_S):
-        self._settings, self._patience_s = settings, patience_s
-        self._waiting: queue.Queue[Notification | None] = queue.Queue(MOST_WAITING)
-        self._warnings: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._deliver, name="notifier", daemon=True)
-        if settings.urls or settings.command:
-            self._thread.start()
+    `poll` has to be called often; nothing but `close` waits.
+    """
 
-    def tell(
+    def __init__(self, settings: NotifySettings, longest_s: float = LONGEST_S):
+        self._settings, self._longest_s = settings, longest_s
+        self._waiting: deque[_Delivery] = deque()
+        self._under_way: tuple[_Delivery, TimedChild] | None = None
+        self._warnings: list[str] = []
+
+    def notify(
         self, occasion: Occasion, title: str, text: str, details: Mapping[str, Any] | None = None
     ) -> None:
-        """Have people told, if they want to be on this occasion; returns at once."""
-        if occasion not in self._settings.on or not self._thread.is_alive():
+        """Have a message delivered, if the settings ask for this occasion; returns at once."""
+        if occasion not in self._settings.on:
             return
         now = datetime.now().astimezone().isoformat(timespec="seconds")
-        told = Notification(occasion, _plain(title), _plain(text), now, dict(details or {}))
+        message = Notification(occasion, _plain(title), _plain(text), now, dict(details or {}))
         try:
-            self._waiting.put_nowait(told)
-        except queue.Full:
-            self._warn(f"{told.title!r} was not told: {MOST_WAITING} are waiting already")
+            deliveries = list(self._deliveries(message))
+        except (TypeError, ValueError) as error:  # details that cannot be written as JSON
+            self._warn(f"{message.title!r} was not sent: {error}")
+            return
+        for delivery in deliveries:
+            if len(self._waiting) >= MOST_WAITING:
+                self._fail(delivery, f"{MOST_WAITING} messages are waiting already")
+            else:
+                self._waiting.append(delivery)
+        self._step()
 
-    def warnings(self) -> list[str]:
-        """What has gone wrong since the last call."""
-        found = []
-        with contextlib.suppress(queue.Empty):
-            while True:
-                found.append(self._warnings.get_nowait())
+    def poll(self) -> list[str]:
+        """Continue the deliveries; returns what has gone wrong since the last call."""
+        self._step()
+        found, self._warnings = self._warnings, []
         return found
 
-    def close(self, within_s: float = 3 * PATIENCE_S) -> list[str]:
-        """Wait until everything is delivered, so long at most; `warnings`, and what was given
-        up."""
-        if self._thread.is_alive():
-            with contextlib.suppress(queue.Full):
-                self._waiting.put(None, timeout=within_s)
-            self._thread.join(within_s)
-            if self._thread.is_alive():
-                self._warn(f"what was still to be told was given up after {within_s:g} s")
-        return self.warnings()
+    def close(self, within_s: float = 3 * LONGEST_S) -> list[str]:
+        """Wait until everything is delivered, at most `within_s`; returns what has gone wrong and
+        what was given up."""
+        deadline_s = time.monotonic() + within_s
+        self._step()
+        while self._under_way is not None and time.monotonic() < deadline_s:
+            time.sleep(POLL_EVERY_S)
+            self._step()
+        if self._under_way is not None:
+            delivery, child = self._under_way
+            child.kill()
+            for given_up in (delivery, *self._waiting):
+                self._fail(given_up, f"given up after {within_s:g} s")
+            self._under_way = None
+            self._waiting.clear()
+        return self.poll()
 
-    def _deliver(self) -> None:
-        while (told := self._waiting.get()) is not None:
-            settings = self._settings
-            if settings.command:
-                self._run("notify.command", (*settings.command, told.title, told.text), told)
-            if settings.urls:
-                program = (sys.executable, "-P", "-m", "rig.batch.report.apprise_sender")
-                self._run("notify.urls", program, told, urls=settings.urls)
+    def _deliveries(self, message: Notification) -> Iterator[_Delivery]:
+        command = self._settings.command
+        if command:
+            program = (*command, message.title, message.text)
+            yield _Delivery("notify.command", program, message.as_json(), message.title)
+        for number, url in enumerate(self._settings.urls, 1):
+            program = (sys.executable, "-P", "-m", "rig.batch.report.notify")
+            given = message.as_json(url=url)
+            yield _Delivery(f"notify.urls: address {number}", program, given, message.title)
 
-    def _run(self, what: str, program: Sequence[str], told: Notification, **more: Any) -> None:
-        try:
-            failure = _failure_of(program, told.as_json(**more), self._patience_s)
-        except (OSError, ValueError, TypeError) as error:
-            failure = str(error)
-        if failure:
-            self._warn(f"{what}: {told.title!r} was not told: {failure}")
+    def _step(self) -> None:
+        """Look after the delivery under way, and begin the next one when it has ended."""
+        if self._under_way is not None:
+            delivery, child = self._under_way
+            ended = child.poll()
+            if ended is None:
+                return
+            self._under_way = None
+            if ended.failure:
+                complaint = ended.output.strip().splitlines()[-1:]
+                self._fail(delivery, ": ".join([ended.failure, *complaint]))
+        while self._under_way is None and self._waiting:
+            delivery = self._waiting.popleft()
+            try:
+                child = TimedChild(
+                    delivery.program, self._longest_s, given=delivery.given, read="stderr"
+                )
+            except (OSError, ValueError) as error:
+                self._fail(delivery, str(error))
+            else:
+                self._under_way = delivery, child
+
+    def _fail(self, delivery: _Delivery, why: str) -> None:
+        self._warn(f"{delivery.receiver}: {delivery.title!r} was not sent: {why[:LONGEST_REASON]}")
 
     def _warn(self, text: str) -> None:
         log.warning("%s", text)
-        self._warnings.put(text)
-
-
-def _failure_of(program: Sequence[str], given: str, patience_s: float) -> str:
-    """Run a program with `given` on its standard input; what went wrong, "" if nothing did.
-
-    It has a session of its own, so that no Ctrl-C ends it and what it has started can be ended with
-    it.
-    """
-    process = subprocess.Popen(
-        program,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",
-        start_new_session=True,
-    )
-    begun_s = time.monotonic()
-    try:
-        _, complaint = process.communicate(given, timeout=patience_s)
-    except subprocess.TimeoutExpired:
-        _end(process)
-        return f"no end after {time.monotonic() - begun_s:.0f} s, killed"
-    if process.returncode == 0:
-        return ""
-    said = complaint.strip().splitlines()[-1:]
-    return ": ".join([f"exit code {process.returncode}", *said])
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    """Kill it and what it has started; whoever else holds its pipes is not waited for."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.communicate(timeout=REAPED_S)
-    for pipe in (process.stdin, process.stderr):
-        if pipe is not None:
-            with contextlib.suppress(OSError):
-                pipe.close()
+        self._warnings.append(text)
 
 
 def _plain(text: str) -> str:
@@ -192,6 +195,31 @@ def _plain(text: str) -> str:
 
 
 def _scheme(url: str) -> str:
-    """What of an address may be shown."""
+    """The part of an address that may be shown."""
     scheme, found, _ = url.partition("://")
     return f"{scheme[:20]}://..." if found else "without a scheme"
+
+
+def main() -> None:
+    """Send the message on standard input, with its address as ``url``, by apprise.
+
+    Exit code 1 where the address did not take it; standard error then says why, without the
+    address, which may hold a password.
+    """
+    import apprise
+
+    message = json.load(sys.stdin)
+    sender = apprise.Apprise()
+    with apprise.LogCapture(level=logging.WARNING, fmt="%(message)s") as captured:
+        sent = sender.add(message["url"]) and sender.notify(
+            body=message["text"],
+            title=message["title"],
+            notify_type=APPRISE_KINDS[message["occasion"]],
+        )
+        reasons = captured.getvalue().split("\n")
+    if not sent:
+        sys.exit(next((line for line in reasons if line), "not taken"))
+
+
+if __name__ == "__main__":
+    main()

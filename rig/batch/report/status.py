@@ -1,4 +1,4 @@
-"""How far a batch is, as anybody may ask at any time: read from its queue alone."""
+"""The status of a batch, read from its queue alone: any process may ask at any time."""
 
 from __future__ import annotations
 
@@ -7,26 +7,28 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from rig.batch.folder import BatchFolder
-from rig.batch.queue import Left, Queue, RunRow, RunState
-from rig.core.units import duration
+from rig.batch.queue import Queue, RemainingWork, RunRow, RunState
+from rig.core.units import plural, time_span
 
 LATEST = 5
-"""Failures and events that are shown."""
+"""How many of the latest failures and events are shown."""
 
 
 @dataclass(frozen=True)
-class Status:
-    """A look at a batch."""
+class BatchStatus:
+    """How far a batch is."""
 
     folder: BatchFolder
     name: str
     simulated: bool
-    """On benches that the batch starts for itself, whose time goes as fast as they can."""
+    """Whether its runs are on benches that it starts for itself, in virtual time."""
     state: str
     running: bool
-    """Whether a supervisor is at work."""
+    """Whether its supervisor is at work."""
     counts: dict[RunState, int]
-    left: Left
+    remaining: RemainingWork
+    unprocessed: int
+    """Finished runs whose files are still to be made."""
     bench_s: float
     current: RunRow | None
     failures: list[RunRow]
@@ -35,11 +37,11 @@ class Status:
 
     @property
     def finish(self) -> datetime:
-        """When it would be over if it went on from now as planned."""
-        return self.now + timedelta(seconds=self.left.bench_s)
+        """When it ends if it continues as planned from now on."""
+        return self.now + timedelta(seconds=self.remaining.bench_s)
 
     def as_object(self) -> dict[str, Any]:
-        """For programs."""
+        """The object that ``--json`` prints."""
         return {
             "folder": str(self.folder.path),
             "name": self.name,
@@ -47,9 +49,10 @@ class Status:
             "state": self.state,
             "running": self.running,
             "runs": dict(self.counts),
-            "left_s": self.left.bench_s,
-            "left_spread_s": self.left.spread_s,
+            "left_s": self.remaining.bench_s,
+            "left_spread_s": self.remaining.spread_s,
             "bench_s": self.bench_s,
+            "unprocessed": self.unprocessed,
             "finish": self.finish.isoformat(timespec="seconds"),
             "run": None if self.current is None else self.current.number,
             "condition": None if self.current is None else self.current.condition,
@@ -61,33 +64,33 @@ class Status:
         }
 
     def lines(self) -> list[str]:
-        """For people."""
+        """The lines that a person reads."""
         total = sum(self.counts.values())
         marker = "SIMULATED " if self.simulated else ""
         shown = [f"{marker}batch {self.name}: {self._state()} ({self.folder.path})"]
-        parts = [f"{self.counts['done']} of {total} runs done"]
+        parts = [f"{self.counts['done']} of {plural(total, 'run')} done"]
         parts += [f"{n} {state}" for state, n in self.counts.items() if n and state != "done"]
         shown.append(", ".join(parts))
         if self.current is not None and self.running:
             run = self.current
             again = f", attempt {run.attempts}" if run.attempts > 1 else ""
             shown.append(f"run {run.number}: {run.condition}{again}")
-        if self.left.runs:
-            spread = f" +- {duration(self.left.spread_s)}" if self.left.spread_s else ""
-            shown.append(
-                f"left: {duration(self.left.bench_s)}{spread} of bench time"
-                + (f", over at {self.finish:%Y-%m-%d %H:%M}" if self._goes_by_the_wall else "")
-            )
-        shown.append(f"used: {duration(self.bench_s)} of bench time")
+        if self.remaining.runs:
+            spread = f" ± {time_span(self.remaining.spread_s)}" if self.remaining.spread_s else ""
+            ends = f", until {self.finish:%Y-%m-%d %H:%M}" if self._real_time else ""
+            shown.append(f"remaining: {time_span(self.remaining.bench_s)}{spread}{ends}")
+        shown.append(f"elapsed: {time_span(self.bench_s)} of bench time")
+        if self.unprocessed:
+            shown.append(f"files of {plural(self.unprocessed, 'run')} still to be made")
         shown += [f"failed: run {r.number} {r.condition}: {r.reason}" for r in self.failures]
         shown += [f"{time[:19]} {level}: {text}" for time, level, text in self.events]
-        if not self.running and self.left.runs:
-            shown.append(f"go on with: rig batch resume {self.folder.path}")
+        if not self.running and (self.remaining.runs or self.unprocessed):
+            shown.append(f"continue with: rig batch resume {self.folder.path}")
         return shown
 
     @property
-    def _goes_by_the_wall(self) -> bool:
-        """Whether it is under way on a bench whose time is nobody's to move."""
+    def _real_time(self) -> bool:
+        """Whether it is under way on a bench whose time passes by itself."""
         return self.running and not self.simulated
 
     def _state(self) -> str:
@@ -96,17 +99,18 @@ class Status:
         return f"interrupted ({self.state}); its supervisor has died"
 
 
-def status_of(folder: BatchFolder) -> Status:
-    """Look at a batch; ConfigurationError where the folder holds none."""
+def status_of(folder: BatchFolder) -> BatchStatus:
+    """The status of a batch; ConfigurationError where the folder holds none."""
     with Queue.open(folder.queue, read_only=True) as queue:
-        return Status(
+        return BatchStatus(
             folder,
             queue.meta("name"),
             queue.meta("simulated") == "yes",
             queue.meta("state"),
             folder.is_held("supervisor"),
             queue.counts(),
-            queue.left(),
+            queue.remaining(),
+            len(queue.unprocessed()),
             queue.bench_s(),
             next(queue.rows(("running",)), None),
             queue.latest(("failed",), LATEST),

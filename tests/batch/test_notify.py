@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.batch.plan.settings import Notify
+from rig.batch.plan.settings import NotifySettings
 from rig.batch.report import notify as notification
 from rig.batch.report.notify import Notifier, require_usable
 from rig.core.errors import ConfigurationError
@@ -25,14 +25,14 @@ KEEPS = (
 CLOSING_S = 60.0
 
 
-def command(program: str, *arguments: str) -> Notify:
-    return Notify(command=(sys.executable, "-c", program, *arguments))
+def command(program: str, *arguments: str) -> NotifySettings:
+    return NotifySettings(command=(sys.executable, "-c", program, *arguments))
 
 
 def test_a_command_gets_title_and_text_as_arguments_and_all_of_it_as_json(tmp_path: Path) -> None:
     kept = tmp_path / "kept"
     notifier = Notifier(command(KEEPS, str(kept)))
-    notifier.tell("hold", "night-1: on hold", "film 'F12' is worn", {"run": 12, "file": kept})
+    notifier.notify("hold", "night-1: on hold", "film 'F12' is worn", {"run": 12, "file": kept})
     assert notifier.close(CLOSING_S) == []
     arguments, told = json.loads(kept.read_text())
     assert arguments == ["night-1: on hold", "film 'F12' is worn"]
@@ -47,9 +47,9 @@ def test_several_are_told_in_their_order_and_only_of_what_was_asked_for(tmp_path
     settings = command(KEEPS, str(kept)).model_copy(update={"on": ("failure", "end")})
     notifier = Notifier(settings)
     for number in range(4):
-        notifier.tell("failure", f"run {number} failed", "")
-        notifier.tell("start", "not asked for", "")
-    notifier.tell("end", "over", "")
+        notifier.notify("failure", f"run {number} failed", "")
+        notifier.notify("start", "not asked for", "")
+    notifier.notify("end", "over", "")
     assert notifier.close(CLOSING_S) == []
     titles = [json.loads(line)[0][0] for line in kept.read_text().splitlines()]
     assert titles == [f"run {number} failed" for number in range(4)] + ["over"]
@@ -57,11 +57,11 @@ def test_several_are_told_in_their_order_and_only_of_what_was_asked_for(tmp_path
 
 def test_a_command_that_fails_is_a_warning_and_in_the_log(caplog) -> None:
     notifier = Notifier(command("import sys; sys.exit('no network')"))
-    notifier.tell("failure", "run 3 failed", "")
+    notifier.notify("failure", "run 3 failed", "")
     (warning,) = notifier.close(CLOSING_S)
-    assert warning == "notify.command: 'run 3 failed' was not told: exit code 1: no network"
+    assert warning == "notify.command: 'run 3 failed' was not sent: exit code 1: no network"
     assert warning in caplog.text
-    assert notifier.warnings() == [], "each is told once"
+    assert notifier.poll() == [], "each is reported once"
 
 
 def test_a_command_that_hangs_is_killed_with_what_it_has_started(tmp_path: Path) -> None:
@@ -71,8 +71,8 @@ def test_a_command_that_hangs_is_killed_with_what_it_has_started(tmp_path: Path)
         "import subprocess, sys, time;"
         f"subprocess.Popen([sys.executable, '-c', {child!r}, sys.argv[1]]); time.sleep(600)"
     )
-    notifier = Notifier(command(program, str(marks)), patience_s=1.0)
-    notifier.tell("end", "over", "")
+    notifier = Notifier(command(program, str(marks)), longest_s=1.0)
+    notifier.notify("end", "over", "")
     begun = time.monotonic()
     (warning,) = notifier.close(CLOSING_S)
     assert "no end after 1 s, killed" in warning
@@ -81,19 +81,40 @@ def test_a_command_that_hangs_is_killed_with_what_it_has_started(tmp_path: Path)
 
 
 def test_telling_does_not_wait_and_what_is_not_delivered_in_time_is_given_up() -> None:
-    notifier = Notifier(command("import time; time.sleep(20)"), patience_s=20.0)
+    notifier = Notifier(command("import time; time.sleep(20)"), longest_s=20.0)
     for number in range(notification.MOST_WAITING + 5):
-        notifier.tell("failure", f"run {number}", "")
-    warnings = notifier.warnings()
-    assert warnings
-    assert all("100 are waiting already" in warning for warning in warnings), "none was waited for"
-    assert "given up after 0.1 s" in notifier.close(0.1)[-1]
+        notifier.notify("failure", f"run {number}", "")
+    warnings = notifier.poll()
+    assert len(warnings) == 4, "one is under way, 100 wait"
+    assert all("100 messages are waiting already" in warning for warning in warnings)
+    given_up = notifier.close(0.1)
+    assert len(given_up) == 101
+    assert all("given up after 0.1 s" in warning for warning in given_up)
+
+
+def test_one_that_hangs_and_one_that_floods_do_not_stop_later_messages(tmp_path: Path) -> None:
+    """Each costs its own time limit; what it writes is read up to a bound."""
+    arrived = tmp_path / "arrived"
+    program = (
+        "import sys, time\n"
+        "if sys.argv[2] == 'hangs': time.sleep(600)\n"
+        "while sys.argv[2] == 'floods': sys.stderr.write('x' * 65536)\n"
+        "open(sys.argv[1], 'a').write(sys.argv[2] + chr(10))\n"
+    )
+    notifier = Notifier(command(program, str(arrived)), longest_s=2.0)
+    for title in ("hangs", "floods", "arrives"):
+        notifier.notify("failure", title, "")
+    hung, flooded = notifier.close(CLOSING_S)
+    assert hung == "notify.command: 'hangs' was not sent: no end after 2 s, killed"
+    assert flooded.startswith("notify.command: 'floods' was not sent: no end after 2 s, killed: x")
+    assert len(flooded) < 400
+    assert arrived.read_text() == "arrives\n"
 
 
 def test_what_no_program_can_be_given_disturbs_nobody(tmp_path: Path) -> None:
     kept = tmp_path / "kept"
     notifier = Notifier(command(KEEPS, str(kept)))
-    notifier.tell("failure", "a\0b", "x" * 100_000, {"set": {1, 2}})
+    notifier.notify("failure", "a\0b", "x" * 100_000, {"set": {1, 2}})
     assert notifier.close(CLOSING_S) == []
     (title, text), _ = json.loads(kept.read_text())
     assert title == "a b"
@@ -101,8 +122,8 @@ def test_what_no_program_can_be_given_disturbs_nobody(tmp_path: Path) -> None:
 
 
 def test_a_command_that_is_gone_by_then_is_a_warning() -> None:
-    notifier = Notifier(Notify(command=("/nowhere/notify-send",)))
-    notifier.tell("start", "begun", "")
+    notifier = Notifier(NotifySettings(command=("/nowhere/notify-send",)))
+    notifier.notify("start", "begun", "")
     (warning,) = notifier.close(CLOSING_S)
     assert "No such file" in warning
 
@@ -131,27 +152,28 @@ def listener() -> Iterator[ThreadingHTTPServer]:
 
 def test_an_address_of_apprise_is_told_and_one_that_refuses_is_a_warning(listener) -> None:
     here = f"json://user:secret@127.0.0.1:{listener.server_address[1]}"
-    notifier = Notifier(Notify(urls=(f"{here}/refuses", f"{here}/takes")), patience_s=CLOSING_S)
-    notifier.tell("hold", "night-1: on hold", "the disk is full")
+    notifier = Notifier(
+        NotifySettings(urls=(f"{here}/refuses", f"{here}/takes")), longest_s=CLOSING_S
+    )
+    notifier.notify("hold", "night-1: on hold", "the disk is full")
     (warning,) = notifier.close(CLOSING_S)
     assert [(told["title"], told["message"], told["type"]) for told in listener.told] == 2 * [
         ("night-1: on hold", "the disk is full", "warning")
     ]
-    assert "notify.urls: 'night-1: on hold' was not told: exit code 1: address 1: " in warning
-    assert "address 2" not in warning
+    assert "notify.urls: address 1: 'night-1: on hold' was not sent: exit code 1: " in warning
     assert "secret" not in warning
 
 
 def test_what_could_never_be_delivered_is_refused_beforehand(monkeypatch) -> None:
-    require_usable(Notify())
-    require_usable(Notify(command=(sys.executable,), urls=("json://127.0.0.1:9",)))
+    require_usable(NotifySettings())
+    require_usable(NotifySettings(command=(sys.executable,), urls=("json://127.0.0.1:9",)))
     with pytest.raises(ConfigurationError, match="no-such-program"):
-        require_usable(Notify(command=("no-such-program", "-x")))
+        require_usable(NotifySettings(command=("no-such-program", "-x")))
     with pytest.raises(ConfigurationError, match=r"address 2 \(nosuch://\.\.\.\)") as refused:
-        require_usable(Notify(urls=("json://127.0.0.1:9", "nosuch://user:secret@host")))
+        require_usable(NotifySettings(urls=("json://127.0.0.1:9", "nosuch://user:secret@host")))
     assert "secret" not in refused.value.one_line()
     monkeypatch.setitem(sys.modules, "apprise", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ConfigurationError) as refused:
-        require_usable(Notify(urls=("json://127.0.0.1:9",)))
+        require_usable(NotifySettings(urls=("json://127.0.0.1:9",)))
     assert 'uv pip install "tactile-rig[notify]"' in refused.value.one_line()

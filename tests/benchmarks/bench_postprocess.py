@@ -1,23 +1,24 @@
-"""What the work on earlier runs costs the tick loop: lateness of its ticks with and without.
+"""What making the files of an earlier run costs the tick loop: lateness of its ticks.
 
 The loop of `rig.control.tick_loop` on the wall clock, 100 ticks a second with a millisecond's work
-in each, in windows that take turns: alone; with `rig.batch.execute.postprocess` at work; with it
-held; and, to compare, with the same worker at ordinary priority. On all processors, and with
-everything on one.
+in each, in windows that take turns: alone, and with processes of
+`rig.batch.execute.postprocess` at work, one after the other. On all processors, and with everything
+on one. A batch overlaps with at most one such process a run, and only where a rest is shorter than
+the process: the window shows the worst of it.
 
-Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_afterwards.py``.
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_postprocess.py``.
 """
 
 from __future__ import annotations
 
-import json
+import itertools
 import os
-import subprocess
 import sys
-import time
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import pytest
@@ -27,16 +28,14 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
 
 import recorded_trials as trials
 
-from rig.batch.execute.postprocess import Afterwards, Job
+from rig.batch.execute.postprocess import PostprocessJob, PostprocessQueue, PostprocessResult
 from rig.control.tick_loop import LATE, tick_loop
 from rig.core.clock import WallClock
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 
 RATE_Hz, WINDOW_S, ROUNDS = 100.0, 10.0, 4
-ROWS, JOBS = 20_000, 400
-WARM_S = 240.0
-"""For the first job, which imports everything."""
+ROWS = 20_000
 
 
 class Run:
@@ -67,21 +66,29 @@ def lateness_ms() -> np.ndarray:
 
 
 @contextmanager
-def at_ordinary_priority(journals: list[Path]) -> Iterator[None]:
-    """The worker itself, given the same."""
-    worker = subprocess.Popen(
-        [sys.executable, "-m", "rig.batch.execute.postprocess_worker"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    lines = [json.dumps({"journal": str(journals[k % len(journals)])}) for k in range(JOBS)]
-    worker.stdin.write("\n".join(lines) + "\n")
-    worker.stdin.flush()
-    worker.stdout.readline()
-    yield
-    worker.kill()
-    worker.communicate()
+def at_work(journals: list[Path], log: IO[bytes]) -> Iterator[list[PostprocessResult]]:
+    """Processes that make files, one after the other; gives what they have come to so far."""
+    queue = PostprocessQueue(log)
+    done: list[PostprocessResult] = []
+    ending = threading.Event()
+
+    def keep_at_work() -> None:
+        for journal in itertools.cycle(journals):
+            queue.add(PostprocessJob(journal))
+            while len(queue) and not ending.wait(0.05):
+                if (result := queue.poll(start=True)) is not None:
+                    done.append(result)
+            if ending.is_set():
+                return
+
+    thread = threading.Thread(target=keep_at_work)
+    thread.start()
+    try:
+        yield done
+    finally:
+        ending.set()
+        thread.join()
+        queue.close(0.0)
 
 
 @pytest.mark.parametrize("cores", [len(os.sched_getaffinity(0)), 1])
@@ -95,7 +102,8 @@ def test_lateness_of_the_tick_loop(tmp_path, cores):
             volts = {"trial-001": trials.slipping(ROWS, seed=number)}
             trials.write_trials(journal, volts, complete=False, procedure="import")
             journals.append(journal)
-        found = measured(journals)
+        with (tmp_path / "log").open("ab") as log:
+            found = measured(journals, log)
     finally:
         os.sched_setaffinity(0, everything)
     heading(f"tick loop at {RATE_Hz:g} Hz, {cores} processors, {ROUNDS} windows of {WINDOW_S:g} s")
@@ -119,31 +127,14 @@ def summary(windows: list[np.ndarray]) -> dict[str, float]:
     }
 
 
-def measured(journals: list[Path]) -> dict[str, list[np.ndarray]]:
-    """Lateness in the windows of each condition. They take turns, but for those alone, of which
-    half come before and half after: to begin takes the worker a while."""
-    alone = [lateness_ms() for _ in range(ROUNDS // 2)]
-    steward = Afterwards()
-    for k in range(JOBS):
-        steward.give(Job(journals[k % len(journals)]))
-    begun = time.monotonic()
-    while not steward.answers():
-        assert time.monotonic() - begun < WARM_S, "the worker is at work"
-        time.sleep(0.1)
+def measured(journals: list[Path], log: IO[bytes]) -> dict[str, list[np.ndarray]]:
+    """Lateness in the windows of each condition, in turns."""
+    found: dict[str, list[np.ndarray]] = {"alone": [], "files being made": []}
     done = 0
-    found: dict[str, list[np.ndarray]] = {"held": [], "at work": [], "at ordinary priority": []}
     for _ in range(ROUNDS):
-        steward.hold()
-        time.sleep(0.5)
-        found["held"].append(lateness_ms())
-        steward.answers()
-        steward.go()
-        found["at work"].append(lateness_ms())
-        done += len(steward.answers())
-        steward.hold()
-        with at_ordinary_priority(journals):
-            found["at ordinary priority"].append(lateness_ms())
-    steward.close(0.1)
-    alone += [lateness_ms() for _ in range(ROUNDS - len(alone))]
-    print(f"\n{done} runs worked on in {ROUNDS * WINDOW_S:g} s beside the loop")
-    return {"alone": alone, **found}
+        found["alone"].append(lateness_ms())
+        with at_work(journals, log) as results:
+            found["files being made"].append(lateness_ms())
+            done += len(results)
+    print(f"\nfiles of {done} runs made in {ROUNDS * WINDOW_S:g} s beside the loop")
+    return found

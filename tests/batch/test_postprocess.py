@@ -1,0 +1,280 @@
+"""What is made of finished runs, in this process and by real processes of a queue."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
+
+import recorded_run
+import recorded_trials as trials
+
+from rig.batch.execute.postprocess import (
+    PostprocessJob,
+    PostprocessQueue,
+    PostprocessResult,
+    make_files,
+    result_from,
+)
+from rig.detector.settings import named_detectors
+from rig.files.verify import verify
+from rig.processing import detection
+
+PATIENCE_S = 200.0
+"""A process of the lowest priority gets what a busy computer leaves."""
+
+
+def recorded(folder: Path, name: str, **changes: str) -> Path:
+    """The journal of a recording with a slip, that was stopped and has not been compiled."""
+    journal = folder / f"{name}.rigj"
+    slipping = {"trial-001": trials.slipping()}
+    trials.write_trials(journal, slipping, complete=False, **changes).unlink()
+    return journal
+
+
+def names(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+# --- one run -----------------------------------------------------------------------------------
+
+
+def test_a_journal_is_compiled_judged_and_drawn(tmp_path: Path) -> None:
+    journal = recorded(tmp_path, "a", procedure="import")
+    result = make_files(PostprocessJob(journal))
+    assert (result.error, result.warnings) == ("", ())
+    assert result.file == tmp_path / "a.h5"
+    assert verify(result.file) == []
+    assert result.figures == (tmp_path / "a.png", tmp_path / "a.svg")
+    assert all(figure.stat().st_size > 1000 for figure in result.figures)
+    assert result.processed is not None
+    found = detection.detect_file(detection.Job(result.file, named_detectors()["paper-hp"]))
+    assert isinstance(found, detection.Found)
+    assert found.kept, "as `rig detect` makes it"
+    assert found.file == result.processed
+
+
+def test_a_job_that_is_given_again_changes_nothing(tmp_path: Path) -> None:
+    journal = recorded(tmp_path, "a", procedure="import")
+    first = make_files(PostprocessJob(journal))
+    before = {name: (tmp_path / name).read_bytes() for name in names(tmp_path)}
+    assert make_files(PostprocessJob(journal)) == first
+    assert {name: (tmp_path / name).read_bytes() for name in names(tmp_path)} == before
+
+
+def test_a_run_that_is_complete_loses_its_journal_and_can_be_given_by_its_name(
+    tmp_path: Path,
+) -> None:
+    journal = recorded_run.write_run(tmp_path / "s.rigj")
+    result = make_files(PostprocessJob(journal, figures=False))
+    assert result.file == tmp_path / "s.h5"
+    assert result.processed is None, "a sweep has no strips, and that is no failure"
+    assert result.warnings == ()
+    assert not journal.exists()
+    assert make_files(PostprocessJob(journal, figures=False)) == result
+
+
+def test_what_is_not_asked_for_is_not_done(tmp_path: Path) -> None:
+    result = make_files(PostprocessJob(recorded(tmp_path, "a"), figures=False, detect=False))
+    assert result.figures == ()
+    assert result.processed is None
+    assert names(tmp_path) == {"a.rigj", "a.h5", "a.h5.sha256"}
+
+
+def test_a_figure_that_fails_is_told_and_the_rest_is_done(tmp_path: Path) -> None:
+    result = make_files(PostprocessJob(recorded(tmp_path, "a", procedure="slip-trial")))
+    assert result.processed is not None
+    assert result.figures == ()
+    (warning,) = result.warnings
+    assert warning.startswith("a.h5: not drawn: ")
+
+
+def test_a_journal_that_is_none_is_told(tmp_path: Path) -> None:
+    (tmp_path / "n.rigj").write_text("nonsense")
+    result = make_files(PostprocessJob(tmp_path / "n.rigj"))
+    assert result.file is None
+    assert "n.rigj" in result.error
+
+
+def test_a_result_survives_its_line() -> None:
+    result = PostprocessResult(Path("a.rigj"), Path("a.h5"), None, (Path("a.png"),), ("w",), "")
+    assert result_from(json.loads(result.as_line())) == result
+
+
+# --- the processes -----------------------------------------------------------------------------
+
+
+def results(queue: PostprocessQueue) -> list[PostprocessResult]:
+    """Everything that the queue comes to."""
+    found = []
+    deadline_s = time.monotonic() + PATIENCE_S
+    while len(queue):
+        assert time.monotonic() < deadline_s
+        if (result := queue.poll(start=True)) is not None:
+            found.append(result)
+        time.sleep(0.02)
+    return found
+
+
+def eventually(what: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not what():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+
+
+def begun(queue: PostprocessQueue) -> int:
+    """Begin with the first run; the process that makes its files."""
+    assert queue.poll(start=True) is None
+    assert queue.pid is not None
+    return queue.pid
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Iterator[IO[bytes]]:
+    with (tmp_path / "batch.log").open("ab") as file:
+        yield file
+
+
+@pytest.fixture
+def queue(log: IO[bytes]) -> Iterator[PostprocessQueue]:
+    queue = PostprocessQueue(log)
+    yield queue
+    queue.close(0.0)
+
+
+def test_runs_are_worked_on_in_turn_and_one_that_fails_does_not_end_the_others(
+    queue: PostprocessQueue, tmp_path: Path
+) -> None:
+    (tmp_path / "n.rigj").write_text("nonsense")
+    jobs = [recorded(tmp_path, "a"), tmp_path / "n.rigj", recorded(tmp_path, "b")]
+    for journal in jobs:
+        queue.add(PostprocessJob(journal, figures=False))
+    found = results(queue)
+    assert [result.journal for result in found] == jobs
+    assert [bool(result.error) for result in found] == [False, True, False]
+    assert all(result.processed for result in found if not result.error)
+
+
+def test_nothing_is_begun_while_the_bench_is_in_use_and_what_is_under_way_is_finished(
+    queue: PostprocessQueue, tmp_path: Path
+) -> None:
+    for name in "ab":
+        queue.add(PostprocessJob(recorded(tmp_path, name), figures=False, detect=False))
+    assert queue.poll(start=False) is None
+    assert queue.pid is None
+    begun(queue)
+    found = []
+
+    def first_is_done() -> bool:
+        found.append(queue.poll(start=False))
+        return found[-1] is not None
+
+    eventually(first_is_done)
+    assert found[-1].file == tmp_path / "a.h5"
+    assert queue.poll(start=False) is None
+    assert queue.pid is None
+    assert len(queue) == 1
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="looks at processes in /proc")
+def test_the_process_has_the_lowest_priority_and_one_thread(
+    queue: PostprocessQueue, tmp_path: Path
+) -> None:
+    queue.add(PostprocessJob(recorded(tmp_path, "a"), figures=False))
+    pid = begun(queue)
+    eventually(lambda: os.getpriority(os.PRIO_PROCESS, pid) == 19)
+    assert b"OPENBLAS_NUM_THREADS=1" in Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+
+
+def test_a_process_that_is_killed_costs_the_files_of_its_run(
+    queue: PostprocessQueue, tmp_path: Path
+) -> None:
+    jobs = [recorded(tmp_path, name) for name in "ab"]
+    for journal in jobs:
+        queue.add(PostprocessJob(journal, figures=False))
+    os.kill(begun(queue), signal.SIGKILL)
+    died, done = results(queue)
+    assert died.journal == jobs[0]
+    assert "a.rigj: the process that makes its files failed: signal 9" in died.error
+    assert done.file == tmp_path / "b.h5"
+
+
+def test_a_process_that_hangs_is_killed_at_its_time_limit(log: IO[bytes], tmp_path: Path) -> None:
+    """Stopped by a signal, as one that waits for a dead disk: it never ends by itself."""
+    queue = PostprocessQueue(log, longest_s=1.0)
+    queue.add(PostprocessJob(recorded(tmp_path, "a"), figures=False))
+    os.kill(begun(queue), signal.SIGSTOP)
+    (result,) = results(queue)
+    assert "no end after 1 s, killed" in result.error
+
+
+def test_close_begins_nothing_more_and_waits_for_the_files_under_way(
+    queue: PostprocessQueue, tmp_path: Path
+) -> None:
+    for name in "ab":
+        queue.add(PostprocessJob(recorded(tmp_path, name), figures=False))
+    begun(queue)
+    result = queue.close(PATIENCE_S)
+    assert result is not None
+    assert result.file == tmp_path / "a.h5"
+    assert len(queue) == 1
+    assert not (tmp_path / "b.h5").exists()
+
+
+def test_close_kills_what_takes_too_long(queue: PostprocessQueue, tmp_path: Path) -> None:
+    queue.add(PostprocessJob(recorded(tmp_path, "a"), figures=False))
+    pid = begun(queue)
+    os.kill(pid, signal.SIGSTOP)
+    assert queue.close(0.2) is None
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+@pytest.mark.parametrize("seen", ["a.h5", "processed", "a.png"])
+def test_a_process_that_is_killed_leaves_whole_files_only(
+    queue: PostprocessQueue, tmp_path: Path, seen: str
+) -> None:
+    """Killed as soon as something of a name is seen, also a part of it; then done again."""
+    journal = recorded(tmp_path, "a", procedure="import")
+    queue.add(PostprocessJob(journal))
+    pid = begun(queue)
+    eventually(lambda: any(seen in path.name for path in tmp_path.iterdir()))
+    os.kill(pid, signal.SIGKILL)
+    results(queue)
+    for file in tmp_path.rglob("[!.]*.h5"):
+        assert verify(file) == []
+    for figure in tmp_path.glob("[!.]*.png"):
+        assert figure.read_bytes().endswith(b"IEND\xaeB`\x82")
+    for figure in tmp_path.glob("[!.]*.svg"):
+        assert figure.read_text().rstrip().endswith("</svg>")
+    result = make_files(PostprocessJob(journal))
+    assert result.processed is not None
+    assert len(result.figures) == 2
+
+
+def test_by_hand_it_reports_on_one_line(tmp_path: Path) -> None:
+    journal = recorded(tmp_path, "a")
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "rig.batch.execute.postprocess"),
+            *(str(journal), "--no-figures", "--no-detect"),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=True,
+    )
+    (line,) = done.stdout.splitlines()
+    assert result_from(json.loads(line)).file == tmp_path / "a.h5"
+    assert not (tmp_path / "a.png").exists()
