@@ -179,6 +179,7 @@ def pressed_overhead_s(
     after each press. Stages that are `homed` wait where they are parked, x where the last run has
     left it.
     """
+    # Here and not at the top: numpy would slow `rig --help`.
     from rig.control.approach import TOUCH, search_speed_mm_s
 
     late_s, force_N = DELAY_S + max(settings.tick_s, 1 / LOOKS_Hz), settings.normal_force_N

@@ -13,7 +13,7 @@ from procedures.pressed.reading import DECIMATED_Hz, Taken, frame_times_s
 from rig.analysis.response.spectrum import share_above
 
 if TYPE_CHECKING:
-    from procedures.roll_trial import Settings
+    from procedures.roll_trial.settings import RollTrialSettings
     from rig.analysis.estimate import Estimate
     from rig.run.context import Run
     from rig.run.points import Reading
@@ -36,7 +36,7 @@ class RollTaken(Taken):
 
 def reading_of(run: Run, taken: RollTaken, offset: Estimate | None) -> Reading:
     """Figures of the trial, and why it does not count if it does not."""
-    settings: Settings = run.settings
+    settings: RollTrialSettings = run.settings
     reading = pressed_reading.reading_of(run, taken)
     force = np.concatenate(taken.force)
     t = frame_times_s(force)
@@ -61,7 +61,7 @@ def reading_of(run: Run, taken: RollTaken, offset: Estimate | None) -> Reading:
     return reading
 
 
-def _angles(settings: Settings, taken: RollTaken) -> Reading:
+def _angles(settings: RollTrialSettings, taken: RollTaken) -> Reading:
     """Largest errors: where the object stands still, and underway."""
     rows = np.array(taken.rotation)
     since = rows[:, 0] - taken.motion_from_s
@@ -76,7 +76,7 @@ def _angles(settings: Settings, taken: RollTaken) -> Reading:
     }
 
 
-def _strips(settings: Settings, taken: RollTaken) -> Reading:
+def _strips(settings: RollTrialSettings, taken: RollTaken) -> Reading:
     """Largest excursions of both strips on the way there, and what of v_d lies above 100 Hz."""
     volts = np.concatenate(taken.volts)
     t = np.arange(len(volts)) / DECIMATED_Hz - taken.filter_delay_s

@@ -13,15 +13,15 @@ import numpy as np
 from procedures.pressed.contact import TRAVEL_mm_s
 from procedures.pressed.settings import AFTER_S
 from procedures.pressed.trial import PressedSeries, PressedTrial
-from procedures.roll_trial import NUDGED_S, NUDGES, SETTLED_S
 from procedures.roll_trial.reading import RollTaken, reading_of
+from procedures.roll_trial.settings import NUDGED_S, NUDGES, SETTLED_S
 from rig.analysis.trial.axis_offset import Look, axis_offset
 from rig.core.errors import LimitError
 from rig.run.aside import Aside
 
 if TYPE_CHECKING:
-    from procedures.roll_trial import Settings
     from procedures.roll_trial.profile import Turn
+    from procedures.roll_trial.settings import RollTrialSettings
     from rig.analysis.estimate import Estimate
     from rig.control.tick_loop import Tick
     from rig.run.context import Run
@@ -66,7 +66,7 @@ class _OnHead(PressedTrial):
 
     EVENLY = True
     series: Series
-    settings: Settings
+    settings: RollTrialSettings
     taken: RollTaken
 
     def __init__(self, run: Run, number: int, series: Series):

@@ -14,7 +14,7 @@ from rig.analysis.trial.friction import FrictionError, friction
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from procedures.slip_trial import Settings
+    from procedures.slip_trial.settings import SlipTrialSettings
     from rig.run.context import Run
     from rig.run.points import Reading
 
@@ -36,7 +36,7 @@ class SlipTaken(Taken):
 
 def reading_of(run: Run, taken: SlipTaken) -> Reading:
     """Figures of the trial, and why it does not count if it does not."""
-    settings: Settings = run.settings
+    settings: SlipTrialSettings = run.settings
     reading = pressed_reading.reading_of(run, taken)
     force = np.concatenate(taken.force)
     t = frame_times_s(force)
@@ -54,7 +54,7 @@ def reading_of(run: Run, taken: SlipTaken) -> Reading:
 
 
 def _ramp(
-    settings: Settings,
+    settings: SlipTrialSettings,
     taken: SlipTaken,
     t: npt.NDArray[np.float64],
     force: npt.NDArray[np.float64],

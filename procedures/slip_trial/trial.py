@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from procedures.pressed.settings import AFTER_S
 from procedures.pressed.trial import PressedSeries, PressedTrial
-from procedures.slip_trial import SLID_ON_mm
 from procedures.slip_trial.reading import SlipTaken, reading_of
+from procedures.slip_trial.settings import SLID_ON_mm
 from rig.control.force_ramp import ForceRamp
 from rig.control.force_servo import ContactShift
 
 if TYPE_CHECKING:
-    from procedures.slip_trial import Settings
+    from procedures.slip_trial.settings import SlipTrialSettings
     from rig.control.tick_loop import Tick
     from rig.run.context import Run
     from rig.run.points import Reading
@@ -35,7 +35,7 @@ class Trial(PressedTrial):
     """One trial under way."""
 
     series: Series
-    settings: Settings
+    settings: SlipTrialSettings
     taken: SlipTaken
 
     def __init__(self, run: Run, number: int, series: Series):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from procedures.pressed.reading import Taken, reading_of
-from procedures.slip_trial import Settings
+from procedures.slip_trial.settings import SlipTrialSettings
 from rig.control.tick_loop import LoopStatistics
 
 TICKS = 200
@@ -35,7 +35,7 @@ def told(held_back: int) -> tuple[dict[str, object], list[str]]:
             said.append(message)
 
     run = SimpleNamespace(
-        settings=Settings(),
+        settings=SlipTrialSettings(),
         event=event,
         check_stop=lambda: None,
         clock=SimpleNamespace(truth=dict),
