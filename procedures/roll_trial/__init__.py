@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from procedures.pressed.contact import contact_range_mm
-from procedures.pressed.rates import pace_on
+from procedures.pressed.rates import rates_for, warn_of_slow_links
 from procedures.pressed.settings import (
     TOUCH_DRIFT,
     arm_pressed,
@@ -131,15 +131,19 @@ def arm(run: Run) -> None:
     """Watch the force; have the end of everything known before it begins; park, then find the
     object's reference, the skin being clear of it."""
     # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
-    from procedures.pressed.trial import scales_on
-    from procedures.roll_trial.trial import Series
+    from procedures.pressed.series import load_scales_for
+    from procedures.roll_trial.trial import RollSeries
 
-    run.state = run.state or Series(pace_on(run), scales_on(run))
+    if run.state is None:
+        rates = rates_for(run.bench, run.settings)
+        warn_of_slow_links(run, rates)
+        run.state = RollSeries(rates, load_scales_for(run))
     if run.settings.alignment == "none":
         run.event("warning", "alignment", "how far the rotary axis is off is not known")
     rotary, x = run.bench.rotary, run.bench.stage_x
     run.arm("x", x.stop, at_once=x.make_safe)
-    arm_pressed(run, "roll", lambda: _stand(run), rotary.make_safe)
+    tick_Hz = run.state.rates.tick_Hz
+    arm_pressed(run, "roll", lambda: _stand(run), rotary.make_safe, tick_Hz)
     if not rotary.homed():  # the skin is clear of the object
         rotary.home()
 
@@ -156,16 +160,17 @@ def take(run: Run, point: Point) -> Reading:
     """One trial: down, hold, rest, roll there and back, up; then what it shows. Before the first
     the axis is measured."""
     # As in arm().
-    from procedures.roll_trial.trial import AlignTrial, Series, Trial
+    from procedures.roll_trial.trial import AlignmentTrial, RollSeries, RollTrialRun
 
-    series: Series = run.state
+    series: RollSeries = run.state
     if run.settings.alignment != "none" and series.offset is None:
-        series.offset = AlignTrial(run, series).measure()
-    trial = Trial(run, int(point.condition), series)
-    trial.make_ready()
-    trial.record()
+        series.offset = AlignmentTrial(run, series).measure()
+    trial = RollTrialRun(run, int(point.condition), series)
+    trial.bring_upright()
+    trial.make_ready(trial.start_mm)
+    trial.start_recording()
     trial.press()
     trial.roll()
-    trial.end_record()
+    trial.stop_recording()
     trial.lift()
     return trial.reading()

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from procedures.pressed import layout as pressed_layout
 from procedures.pressed.contact import contact_range_mm
-from procedures.pressed.rates import pace_on
+from procedures.pressed.rates import rates_for, warn_of_slow_links
 from procedures.pressed.settings import (
     AFTER_S,
     TOUCH_DRIFT,
@@ -108,28 +108,30 @@ def import_ahead() -> None:
 def arm(run: Run) -> None:
     """Watch the force; have the end of everything known before it begins; park."""
     # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
-    from procedures.pressed.trial import scales_on
-    from procedures.slip_trial.trial import Series
+    from procedures.pressed.series import load_scales_for
+    from procedures.slip_trial.trial import SlipSeries
 
-    run.state = run.state or Series(pace_on(run), scales_on(run))
+    if run.state is None:
+        rates = rates_for(run.bench, run.settings)
+        warn_of_slow_links(run, rates)
+        run.state = SlipSeries(rates, load_scales_for(run))
     x = run.bench.stage_x
-    arm_pressed(run, "slide", x.stop, x.make_safe)
+    arm_pressed(run, "slide", x.stop, x.make_safe, run.state.rates.tick_Hz)
 
 
 def take(run: Run, point: Point) -> Reading:
     """One trial: down, hold, rest, slide, up; then what it shows."""
     # As in arm().
-    from procedures.slip_trial.trial import Series, Trial
+    from procedures.slip_trial.trial import SlipTrialRun
 
-    series: Series = run.state
-    pace = series.pace
-    if run.settings.rehearsed(pace.tick_s, pace.delay_s) and series.shift is None:
-        Trial(run, int(point.condition), series).rehearse()
-    trial = Trial(run, int(point.condition), series)
+    trial = SlipTrialRun(run, int(point.condition), run.state)
+    if trial.needs_rehearsal:
+        trial.rehearse()
+        trial = SlipTrialRun(run, int(point.condition), run.state)
     trial.make_ready(run.settings.start_mm)
-    trial.record()
+    trial.start_recording()
     trial.press()
     trial.slide()
-    trial.end_record()
+    trial.stop_recording()
     trial.lift()
     return trial.reading()
