@@ -14,7 +14,7 @@ from procedures.pressed.contact import ForceZero
 from procedures.pressed.layout import TOUCHED
 from procedures.pressed.settings import AFTER_S, PressedSettings
 from rig.analysis.trial.clock_offset import clock_offset
-from rig.analysis.trial.touch_down import Series, TouchDownError
+from rig.analysis.trial.touch_down import SampledSeries, TouchDownError
 from rig.analysis.trial.touch_gain import touch_gain
 from rig.bench.bench import STRIPS
 
@@ -165,11 +165,11 @@ def _touch_down(run: Run, record: TrialRecord, force: npt.NDArray[np.float64]) -
     end_s = min(record.tapped_s + CLOCKS_SEEN_S, record.motion_from_s)
     wider_s = CLOCKS_SEARCHED_S + CLOCKS_SEEN_S
 
-    def seen(column: npt.NDArray[np.float64]) -> Series:
-        return Series(*_stretch(column, DECIMATED_Hz, begin_s, end_s), record.filter_delay_s)
+    def seen(column: npt.NDArray[np.float64]) -> SampledSeries:
+        return SampledSeries(*_stretch(column, DECIMATED_Hz, begin_s, end_s), record.filter_delay_s)
 
     stretch = _stretch(force[:, 0], rate_S_s, begin_s - wider_s, end_s + wider_s)
-    felt = Series(*stretch, delay_s=0.5 / rate_S_s)
+    felt = SampledSeries(*stretch, delay_s=0.5 / rate_S_s)
     try:
         offset = clock_offset(felt, seen(volts.sum(axis=1)), CLOCKS_SEARCHED_S).offset
         gains = [touch_gain(felt, seen(column), offset.value) for column in volts.T]

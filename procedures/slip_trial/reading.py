@@ -77,7 +77,8 @@ def _friction(
     times, x = (np.array([row[k] for row in record.position]) for k in (0, 2))
     travel = np.abs(np.interp(t, times, x) - run.settings.start_mm)
     try:
-        found = friction(force[:, 0], np.abs(force[:, 1]), travel)
+        rate_Hz = record.force_rate_S_s
+        found = friction(force[:, 0], np.abs(force[:, 1]), travel, rate_Hz=rate_Hz)
     except FrictionError as error:
         run.event("warning", "friction", f"trial {record.number}: {error.one_line()}")
         return {**dict.fromkeys(FRICTION_COLUMNS), "no_friction": error.one_line()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.analysis.trial.clock_offset import ClockOffsetError, Series, clock_offset
+from rig.analysis.trial.clock_offset import ClockOffsetError, SampledSeries, clock_offset
 from rig.analysis.trial.decimation import Decimator
 from rig.physics.contact.settings import ContactSettings, Plate
 from rig.physics.contact.stepper import ContactStepper
@@ -42,7 +42,7 @@ def presses(skin6: CondensedSkin) -> dict[tuple[float, bool], tuple[np.ndarray, 
 
 def as_measured(
     force_N: np.ndarray, volts: np.ndarray, offset_s: float, seed: int, noise_V: float
-) -> tuple[Series, np.ndarray]:
+) -> tuple[SampledSeries, np.ndarray]:
     """Force as frames of a millisecond, begun anywhere, on a clock of their own; noisy volts."""
     rng = np.random.default_rng([21, seed])
     time = STEP_s * np.arange(1, force_N.size + 1)
@@ -52,7 +52,7 @@ def as_measured(
     frames += FORCE_NOISE_N * rng.normal(size=frames.size)
     hum = MAINS_V * np.sin(2 * np.pi * 50.02 * time + rng.uniform(0, 2 * np.pi))
     noisy = volts + hum + noise_V * rng.normal(size=volts.size)
-    return Series(frames, 1000.0, float(ends[0]) + offset_s, 0.5e-3), noisy
+    return SampledSeries(frames, 1000.0, float(ends[0]) + offset_s, 0.5e-3), noisy
 
 
 @pytest.mark.parametrize("force_N", [2.0, 4.0])
@@ -67,11 +67,11 @@ def test_a_tapped_touch_down_tells_the_offset(presses, force_N: float, decimated
     for seed in range(10):
         offset_s = float(np.random.default_rng(seed).uniform(-0.03, 0.03))
         frames, noisy = as_measured(*presses[force_N, True], offset_s, seed, 1e-3)
-        volts = Series(noisy, 10_000.0, STEP_s)
+        volts = SampledSeries(noisy, 10_000.0, STEP_s)
         if decimated:
             decimator = Decimator(10_000.0, 1)
             rows = decimator.add(noisy[:, None])[:, 0]
-            volts = Series(rows, 1000.0, STEP_s, decimator.delay_s)
+            volts = SampledSeries(rows, 1000.0, STEP_s, decimator.delay_s)
         found = clock_offset(frames, volts, within_s=0.05)
         assert found.reversed
         assert found.offset.value == pytest.approx(offset_s, abs=3e-4)
@@ -82,7 +82,7 @@ def test_a_tapped_touch_down_tells_the_offset(presses, force_N: float, decimated
 
 def test_a_press_that_only_rises_says_that_it_does_not_know(presses) -> None:
     frames, noisy = as_measured(*presses[4.0, False], 0.012, 1, 1e-3)
-    found = clock_offset(frames, Series(noisy, 10_000.0, STEP_s), within_s=0.05)
+    found = clock_offset(frames, SampledSeries(noisy, 10_000.0, STEP_s), within_s=0.05)
     assert not found.reversed
     assert found.offset.standard_error >= 0.015
     assert found.offset.covers(0.012)
@@ -90,8 +90,8 @@ def test_a_press_that_only_rises_says_that_it_does_not_know(presses) -> None:
 
 def test_strips_of_another_sign_and_size_tell_the_same(presses) -> None:
     frames, noisy = as_measured(*presses[4.0, True], -0.02, 2, 1e-3)
-    one = clock_offset(frames, Series(noisy, 10_000.0, STEP_s), within_s=0.05)
-    other = clock_offset(frames, Series(0.2 - 0.1 * noisy, 10_000.0, STEP_s), within_s=0.05)
+    one = clock_offset(frames, SampledSeries(noisy, 10_000.0, STEP_s), within_s=0.05)
+    other = clock_offset(frames, SampledSeries(0.2 - 0.1 * noisy, 10_000.0, STEP_s), within_s=0.05)
     assert other.offset.value == pytest.approx(one.offset.value, abs=1e-6)
 
 
@@ -99,13 +99,13 @@ def test_strips_that_felt_nothing_are_refused(presses) -> None:
     frames, _ = as_measured(*presses[4.0, True], 0.0, 3, 1e-3)
     noise = 1e-3 * np.random.default_rng(4).normal(size=9000)
     with pytest.raises(ClockOffsetError, match="no touch-down in common"):
-        clock_offset(frames, Series(noise, 10_000.0, STEP_s), within_s=0.05)
+        clock_offset(frames, SampledSeries(noise, 10_000.0, STEP_s), within_s=0.05)
 
 
 def test_series_that_do_not_overlap_are_refused(presses) -> None:
     frames, noisy = as_measured(*presses[4.0, True], 0.0, 5, 1e-3)
     with pytest.raises(ClockOffsetError, match="in common"):
-        clock_offset(frames, Series(noisy, 10_000.0, 5.0), within_s=0.05)
+        clock_offset(frames, SampledSeries(noisy, 10_000.0, 5.0), within_s=0.05)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_a_channel_that_says_the_same_throughout_is_refused(
     presses, silent: str, force_N: float, level: float
 ) -> None:
     frames, noisy = as_measured(*presses[4.0, True], 0.0, 5, 1e-3)
-    felt = Series(force_N * frames.values, frames.rate_Hz, frames.first_s)
-    volts = Series(level * noisy, 10_000.0, STEP_s)
+    felt = SampledSeries(force_N * frames.values, frames.rate_Hz, frames.first_s)
+    volts = SampledSeries(level * noisy, 10_000.0, STEP_s)
     with pytest.raises(ClockOffsetError, match=f"the {silent} did not change"):
         clock_offset(felt, volts, within_s=0.05)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.analysis.trial.touch_down import Series, TouchDownError
+from rig.analysis.trial.touch_down import SampledSeries, TouchDownError
 from rig.analysis.trial.touch_gain import touch_gain
 
 STEP_s = 1e-3
@@ -23,15 +23,15 @@ def pressed() -> tuple[np.ndarray, np.ndarray]:
 
 def seen(
     at_no_force: float, at_full_force: float, offset_s: float, seed: int
-) -> tuple[Series, Series]:
+) -> tuple[SampledSeries, SampledSeries]:
     """Force and volts as measured, of a share that goes from one value to another."""
     rng = np.random.default_rng([55, seed])
     force, rate = pressed()
     share = at_no_force + (at_full_force - at_no_force) * force / 4.0
     volts = 0.3 + share * rate + MAINS_V * np.sin(2 * np.pi * 50 * TIME + seed)
     return (
-        Series(force + FORCE_NOISE_N * rng.normal(size=force.size), 1000.0, offset_s),
-        Series(volts + VOLT_NOISE_V * rng.normal(size=volts.size), 1000.0),
+        SampledSeries(force + FORCE_NOISE_N * rng.normal(size=force.size), 1000.0, offset_s),
+        SampledSeries(volts + VOLT_NOISE_V * rng.normal(size=volts.size), 1000.0),
     )
 
 
@@ -70,7 +70,7 @@ def test_records_that_do_not_overlap_are_refused() -> None:
 FINE_s = 1e-4
 
 
-def as_frames(rate_S_s: float, seed: int) -> tuple[Series, Series]:
+def as_frames(rate_S_s: float, seed: int) -> tuple[SampledSeries, SampledSeries]:
     """The same touch-down as frames of a slower force sensor, each the mean over its interval, and
     volts at 1 kHz."""
     rng = np.random.default_rng([61, seed])
@@ -85,8 +85,8 @@ def as_frames(rate_S_s: float, seed: int) -> tuple[Series, Series]:
     frames = (np.interp(ends, time, total) - np.interp(ends - 1 / rate_S_s, time, total)) * rate_S_s
     frames += FORCE_NOISE_N * np.sqrt(rate_S_s / 1000) * rng.normal(size=frames.size)
     return (
-        Series(frames, rate_S_s, float(ends[0]), 0.5 / rate_S_s),
-        Series(volts + VOLT_NOISE_V * rng.normal(size=volts.size), 1000.0),
+        SampledSeries(frames, rate_S_s, float(ends[0]), 0.5 / rate_S_s),
+        SampledSeries(volts + VOLT_NOISE_V * rng.normal(size=volts.size), 1000.0),
     )
 
 

@@ -32,7 +32,7 @@ from rig.analysis.estimate import Estimate
 from rig.analysis.trial.touch_down import (
     GRID_Hz,
     Reals,
-    Series,
+    SampledSeries,
     SmoothForce,
     TouchDownError,
     standard_error,
@@ -81,14 +81,16 @@ class ClockOffset:
     """Whether the force went back on its way, so that the offset could be told."""
 
 
-def clock_offset(force_N: Series, volts: Series, within_s: float = 0.2) -> ClockOffset:
+def clock_offset(
+    force_N: SampledSeries, volts: SampledSeries, within_s: float = 0.2
+) -> ClockOffset:
     """Offset of the force's clock against the volts', searched for in ±`within_s`.
 
     `force_N` is F_n, `volts` the sum v_1 + v_2, raw or decimated; both hold the touch-down and some
     time before and after, at least `within_s` more of the force. ClockOffsetError where the series
     do not overlap, or have no touch-down in common.
     """
-    time, seen = volts_on_grid(volts)
+    time, seen = volts_on_grid(volts, force_N.rate_Hz)
     touch = SmoothForce(force_N)
     inside = (time - within_s >= touch.first_s) & (time + within_s <= touch.last_s)
     time, seen = time[inside], seen[inside]

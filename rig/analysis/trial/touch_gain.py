@@ -15,7 +15,7 @@ import numpy as np
 from rig.analysis.estimate import Estimate
 from rig.analysis.trial.touch_down import (
     Reals,
-    Series,
+    SampledSeries,
     SmoothForce,
     TouchDownError,
     standard_error,
@@ -29,14 +29,14 @@ ENOUGH = 10
 """Samples for each of them."""
 
 
-def touch_gain(force_N: Series, volts: Series, offset_s: float) -> Estimate:
+def touch_gain(force_N: SampledSeries, volts: SampledSeries, offset_s: float) -> Estimate:
     """A strip's gain in V s/N, with its sign; what was at t on the volts' clock was at t +
     `offset_s` on the force's, which is taken as known.
 
     Both hold the touch-down and some time before and after. TouchDownError where they do not
     overlap.
     """
-    time, seen = volts_on_grid(volts)
+    time, seen = volts_on_grid(volts, force_N.rate_Hz)
     touch = SmoothForce(force_N)
     inside = (time + offset_s >= touch.first_s) & (time + offset_s <= touch.last_s)
     time, seen = time[inside], seen[inside]
