@@ -25,7 +25,7 @@ STREAMS = (
         "N/s",
     ),
     StreamPlan(
-        "bridges", "force_sensor", ("x", "y", "z"), "Force sensor, bridges as sent", "<f4", "mV/V"
+        "bridges", "force_sensor", ("x", "y", "z"), "Force sensor, as it sent them", "<f4", ""
     ),
     StreamPlan(
         "force",
@@ -55,7 +55,7 @@ STREAMS = (
 
 ASKED = (
     Column("trial", "trial", "", "Trial"),
-    Column("normal_force_set", "normal_force_set_N", "N", "Normal force asked for (N)"),
+    Column("set_normal_force", "set_normal_force_N", "N", "Set point of the normal force (N)"),
 )
 """What was asked for."""
 
@@ -64,7 +64,7 @@ HELD = (
     Column("contact", "contact_mm", "mm", "z of the contact (mm)"),
     Column("stiffness", "stiffness_N_mm", "N/mm", "Stiffness at the force (N/mm)"),
     Column("overshoot", "overshoot_percent", "%", "Overshoot of the approach (%)"),
-    Column("normal_force", "normal_force_N", "N", "Mean normal force in the motion (N)"),
+    Column("mean_normal_force", "mean_normal_force_N", "N", "Mean normal force in the motion (N)"),
     Column("force_error_rms", "force_error_rms_percent", "%", "Force error, rms (%)"),
     Column("force_error_peak", "force_error_peak_percent", "%", "Force error, peak (%)"),
 )

@@ -120,12 +120,12 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
     missed = sum(loop.missed for loop in record.loops)
     reading: Reading = {
         "trial": record.number,
-        "normal_force_set_N": settings.normal_force_N,
+        "set_normal_force_N": settings.normal_force_N,
         **record.zero.columns(),
         "contact_mm": record.contact_mm,
         "stiffness_N_mm": record.stiffness_N_mm,
         "overshoot_percent": max(0.0, float(error[t < record.motion_from_s].max())),
-        "normal_force_N": float(force[held, 0].mean()),
+        "mean_normal_force_N": float(force[held, 0].mean()),
         "force_error_rms_percent": float(np.sqrt(np.mean(error[held] ** 2))),
         "force_error_peak_percent": float(np.abs(error[held]).max()),
         "samples": record.rows,

@@ -18,6 +18,7 @@ from rig.files.file_kind import TOLD, kind_of
 from rig.files.hdf5.open_file import OpenFile
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
 from rig.files.journal.values import RunHeader
+from rig.files.runfile.former_names import column_in, with_present_keys
 from rig.files.runfile.write_entry import header_of
 
 if TYPE_CHECKING:
@@ -146,7 +147,12 @@ class RunFile(OpenFile):
         return [column.name for column in self.header.layout.columns]
 
     def column(self, name: str) -> NDArray[Any]:
-        """A column of the readings: float64 (or text) of shape (points,), in plot order."""
+        """A column of the readings: float64 (or text) of shape (points,), in plot order.
+
+        Present names serve for older files as well, where a column had another one.
+        """
+        if name not in self.columns():
+            name = column_in(self.header.layout, name)
         if name not in self.columns():
             raise RunFileError(self.path, f"no column {name!r}", f"it has {self.columns()}")
         with _naming(self.path):
@@ -158,12 +164,16 @@ class RunFile(OpenFile):
             return numbers
 
     def readings(self) -> list[dict[str, Any]]:
-        """The readings as the procedure gave them, in the order of ``point_ids``."""
+        """The readings as the procedure gave them, by the present names of what they hold, in the
+        order of ``point_ids``."""
         from rig.files.journal.format import from_json
 
         with _naming(self.path):
             results = texts_of(self.entry["attempts/result"])
-            return [from_json(results[n])["reading"] for n in whole(self.entry["points/attempt"])]
+            readings = [
+                from_json(results[n])["reading"] for n in whole(self.entry["points/attempt"])
+            ]
+        return [with_present_keys(self.header.layout, reading) for reading in readings]
 
     def waveforms(
         self, point: str | None = None, status: str = "kept", stream: str | None = None
