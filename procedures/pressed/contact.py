@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rig.core.errors import ConfigurationError, InstrumentError, UnsafeError
+from rig.core.errors import ConfigurationError, InstrumentError, LimitError, UnsafeError
 from rig.files.journal.layout import Column
 
 if TYPE_CHECKING:
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from rig.run.context import Run
     from rig.run.points import Reading
 
+FORCE_RATE_S_S = 1000.0
+"""Frames a second that a force sensor is asked for (paper 4.1)."""
 TRAVEL_mm_s = 10.0
 CLEAR_mm = 0.3
 """Where the quick way ends, before the earliest contact."""
@@ -122,29 +124,44 @@ def park(run: Run, name: str, way_back: Callable[[float], None]) -> None:
     stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
 
 
+def stream_force(run: Run, least_S_s: float, what: str) -> None:
+    """Begin to stream and to watch the force, at `FORCE_RATE_S_S` or the nearest rate that the
+    sensor has: `run.force.rate_S_s` from now on.
+
+    LimitError where that is less than `least_S_s`, which `what` needs; call it before any motion.
+    """
+    rates = run.bench.force_sensor.reach()["rate"]
+    rate_S_s = run.stream_force(min(max(FORCE_RATE_S_S, rates.low), rates.high)).rate_S_s
+    if rate_S_s < least_S_s:
+        raise LimitError(
+            f"force_sensor: it sends {rate_S_s:g} frames/s, and {what} needs {least_S_s:g} or more",
+            "use a faster force sensor, or set this one to a higher rate",
+        )
+
+
 def tare_in_free_air(run: Run) -> ForceZero:
     """Zero the force sensor once what has moved is at rest; where its zero was found."""
     run.clock.sleep(2 * TARE_S)
     return ForceZero(*run.force.tare(TARE_S))
 
 
-def come_close(run: Run, contact_N: float, look_s: float, every_s: float) -> None:
+def come_close(run: Run, contact_N: float, window_s: float, every_s: float) -> None:
     """Go to just above the earliest contact; a force of more than `contact_N` ends it.
 
-    The force is the mean of `look_s`, looked at every `every_s`; its limit is watched all the time.
+    The force is the mean over `window_s`, taken every `every_s`; its limit is watched all the time.
     """
     stage = run.bench.stage_z
     first_mm, _ = contact_range_mm(run.bench)
     stage.start_move(first_mm - CLEAR_mm, TRAVEL_mm_s)
     while stage.moving():
         run.clock.sleep(every_s)
-        refuse_early_contact(run, felt_N(run, look_s), contact_N)
+        refuse_early_contact(run, felt_N(run, window_s), contact_N)
     stage.stop()
 
 
-def felt_N(run: Run, look_s: float) -> float:  # noqa: N802 - the unit keeps its capital
-    """Mean force along z over the latest `look_s`, in N; what presses is positive."""
-    return float(run.force.mean_N(look_s)[2])
+def felt_N(run: Run, window_s: float) -> float:  # noqa: N802 - the unit keeps its capital
+    """Mean force along z over the latest `window_s`, in N; what presses is positive."""
+    return float(run.force.mean_N(window_s)[2])
 
 
 def refuse_early_contact(run: Run, force_N: float, contact_N: float) -> None:

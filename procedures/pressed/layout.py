@@ -25,7 +25,7 @@ STREAMS = (
         "N/s",
     ),
     StreamPlan(
-        "bridges", "force_sensor", ("x", "y", "z"), "Force sensor, bridges as sent", "<f4", "mV/V"
+        "bridges", "force_sensor", ("x", "y", "z"), "Force sensor, as it sent them", "<f4", ""
     ),
     StreamPlan(
         "force",
@@ -55,7 +55,7 @@ STREAMS = (
 
 ASKED = (
     Column("trial", "", "Trial"),
-    Column("normal_force_set", "N", "Normal force asked for"),
+    Column("set_normal_force", "N", "Set point of the normal force"),
 )
 """What was asked for."""
 
@@ -64,7 +64,7 @@ HELD = (
     Column("contact", "mm", "z of the contact"),
     Column("stiffness", "N/mm", "Stiffness at the force"),
     Column("overshoot", "%", "Overshoot of the approach"),
-    Column("normal_force", "N", "Mean normal force in the motion"),
+    Column("mean_normal_force", "N", "Mean normal force in the motion"),
     Column("force_error_rms", "%", "Force error, rms"),
     Column("force_error_peak", "%", "Force error, peak"),
 )

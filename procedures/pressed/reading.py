@@ -12,7 +12,7 @@ import numpy as np
 
 from procedures.pressed.contact import ForceZero
 from procedures.pressed.layout import TOUCHED
-from procedures.pressed.settings import AFTER_S, FORCE_RATE_S_S, PressedSettings
+from procedures.pressed.settings import AFTER_S, PressedSettings
 from rig.analysis.trial.clock_offset import clock_offset
 from rig.analysis.trial.touch_down import TouchDownError, TouchRecord
 from rig.analysis.trial.touch_gain import touch_gain
@@ -31,24 +31,26 @@ CONTACT_N = 0.1
 DECIMATED_Hz = 1000.0
 MISSING_S = 0.05
 """Samples or frames of so long may be under way when a record ends."""
-SERVO_SEEN = 5
-"""Frames over which the error of the force is averaged."""
+SERVO_ERROR_S = 0.005
+"""Stretch over which the error of the force is averaged, in an odd number of frames."""
 HELD_BACK = 0.5
-"""Of the ticks: if more told z nothing, it is told."""
+"""Share of the ticks without a new target for z beyond which there is a warning."""
 AT_REST_S = 0.2
 """Beginning of a record, before contact: the strips' zero is its mean."""
 CLOCKS_SEEN_S, CLOCKS_SEARCHED_S = 0.1, 0.2
 """What the two clocks are compared by reaches so far beyond touch-down and tap; and how far apart
-they are taken to be at most."""
+they are assumed to be at most."""
 
 
 @dataclass
-class Taken:
+class TrialRecord:
     """What a trial has recorded so far; times in s since the record began."""
 
     number: int
     tick_Hz: float
-    """Of the servo."""
+    """Ticks of the servo."""
+    force_rate_S_s: float
+    """Frames a second, as the force sensor reported."""
     begun_s: float = 0.0
     """When the record began, on the run's clock."""
     filter_delay_s: float = 0.0
@@ -74,6 +76,14 @@ class Taken:
     """Ticks of the servo without a new target: the drive had not answered to what came before."""
     loops: list[LoopStatistics] = field(default_factory=list)
 
+    def forces_N(self) -> npt.NDArray[np.float64]:  # noqa: N802 - the unit keeps its capital
+        """F_n, F_t, F_y of every frame, (n, 3)."""
+        return np.concatenate(self.force)
+
+    def frame_times_s(self) -> npt.NDArray[np.float64]:
+        """When the frames came, (n,)."""
+        return np.arange(sum(len(block) for block in self.force)) / self.force_rate_S_s
+
     def load_rates(self, scales: Mapping[str, LoadScale]) -> npt.NDArray[np.float64]:
         """Rate of load on each strip in N/s at 1 kHz, (n, 2); NaN where a strip has no scale."""
         volts = np.concatenate(self.volts)
@@ -98,78 +108,73 @@ class Taken:
         return reading
 
 
-def frame_times_s(force: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """When the frames of a record came, (n,)."""
-    return np.arange(len(force)) / FORCE_RATE_S_S
-
-
-def reading_of(run: Run, taken: Taken) -> Reading:
+def reading_of(run: Run, record: TrialRecord) -> Reading:
     """How the force was held during the motion, how the record went, both clocks, the truth of a
     simulated bench; and why the trial does not count if it does not (``invalid``)."""
     settings: PressedSettings = run.settings
-    force = np.concatenate(taken.force)
-    t = frame_times_s(force)
-    held = (t >= taken.motion_from_s) & (t <= taken.motion_to_s)
-    error = 100 * (_smoothed(force[:, 0]) / settings.normal_force_N - 1)
-    ticks = sum(loop.ticks for loop in taken.loops)
-    late = sum(loop.late for loop in taken.loops)
-    missed = sum(loop.missed for loop in taken.loops)
+    force, t = record.forces_N(), record.frame_times_s()
+    held = (t >= record.motion_from_s) & (t <= record.motion_to_s)
+    error = 100 * (_smoothed(force[:, 0], record.force_rate_S_s) / settings.normal_force_N - 1)
+    ticks = sum(loop.ticks for loop in record.loops)
+    late = sum(loop.late for loop in record.loops)
+    missed = sum(loop.missed for loop in record.loops)
     reading: Reading = {
-        "trial": taken.number,
-        "normal_force_set_N": settings.normal_force_N,
-        **taken.zero.columns(),
-        "contact_mm": taken.contact_mm,
-        "stiffness_N_mm": taken.stiffness_N_mm,
-        "overshoot_percent": max(0.0, float(error[t < taken.motion_from_s].max())),
-        "normal_force_N": float(force[held, 0].mean()),
+        "trial": record.number,
+        "set_normal_force_N": settings.normal_force_N,
+        **record.zero.columns(),
+        "contact_mm": record.contact_mm,
+        "stiffness_N_mm": record.stiffness_N_mm,
+        "overshoot_percent": max(0.0, float(error[t < record.motion_from_s].max())),
+        "mean_normal_force_N": float(force[held, 0].mean()),
         "force_error_rms_percent": float(np.sqrt(np.mean(error[held] ** 2))),
         "force_error_peak_percent": float(np.abs(error[held]).max()),
-        "samples": taken.rows,
-        "frames": taken.frames,
-        "tick_Hz": taken.tick_Hz,
+        "samples": record.rows,
+        "frames": record.frames,
+        "tick_Hz": record.tick_Hz,
         "ticks": ticks,
         "late_ticks": late,
         "missed_ticks": missed,
-        "held_back_ticks": taken.held_back,
-        "largest_lateness_s": max(loop.largest_lateness_s for loop in taken.loops),
-        "filter_delay_s": taken.filter_delay_s,
+        "held_back_ticks": record.held_back,
+        "largest_lateness_s": max(loop.largest_lateness_s for loop in record.loops),
+        "filter_delay_s": record.filter_delay_s,
     }
-    if taken.held_back > HELD_BACK * ticks:
+    if record.held_back > HELD_BACK * ticks:
         run.event(
             "warning",
             "servo",
-            f"trial {taken.number}: z was busy in {taken.held_back} of {ticks} ticks: the servo "
-            f"held the force with fewer targets than its {taken.tick_Hz:g} a second",
+            f"trial {record.number}: z was busy in {record.held_back} of {ticks} ticks: the servo "
+            f"held the force with fewer targets than its {record.tick_Hz:g} a second",
         )
     run.check_stop()  # computing takes a while: still alive
-    reading |= _touch_down(run, taken, force)
+    reading |= _touch_down(run, record, force)
     run.check_stop()
     if truth := run.clock.truth():
-        begun_us = round(1e6 * taken.begun_s)
+        begun_us = round(1e6 * record.begun_s)
         reading["simulated_truth"] = json.dumps({**truth, "record_begun_us": begun_us})
-    reading["invalid"] = "; ".join(_doubts(settings, taken, reading, late / max(ticks, 1)))
+    reading["invalid"] = "; ".join(_doubts(settings, record, reading, late / max(ticks, 1)))
     return reading
 
 
-def _touch_down(run: Run, taken: Taken, force: npt.NDArray[np.float64]) -> Reading:
+def _touch_down(run: Run, record: TrialRecord, force: npt.NDArray[np.float64]) -> Reading:
     """How far the force sensor's clock and the DAQ's are apart, and each strip's gain, from
     touch-down and tap that all of them saw."""
-    volts = np.concatenate(taken.volts)
-    touch_s = float(np.argmax(force[:, 0] > CONTACT_N)) / FORCE_RATE_S_S
+    volts = np.concatenate(record.volts)
+    rate_S_s = record.force_rate_S_s
+    touch_s = float(np.argmax(force[:, 0] > CONTACT_N)) / rate_S_s
     begin_s = touch_s - CLOCKS_SEEN_S
-    end_s = min(taken.tapped_s + CLOCKS_SEEN_S, taken.motion_from_s)
+    end_s = min(record.tapped_s + CLOCKS_SEEN_S, record.motion_from_s)
     wider_s = CLOCKS_SEARCHED_S + CLOCKS_SEEN_S
 
     def seen(column: npt.NDArray[np.float64]) -> TouchRecord:
-        return TouchRecord(*_stretch(column, DECIMATED_Hz, begin_s, end_s), taken.filter_delay_s)
+        return TouchRecord(*_stretch(column, DECIMATED_Hz, begin_s, end_s), record.filter_delay_s)
 
-    stretch = _stretch(force[:, 0], FORCE_RATE_S_S, begin_s - wider_s, end_s + wider_s)
-    felt = TouchRecord(*stretch, delay_s=0.5 / FORCE_RATE_S_S)
+    stretch = _stretch(force[:, 0], rate_S_s, begin_s - wider_s, end_s + wider_s)
+    felt = TouchRecord(*stretch, delay_s=0.5 / rate_S_s)
     try:
         offset = clock_offset(felt, seen(volts.sum(axis=1)), CLOCKS_SEARCHED_S).offset
         gains = [touch_gain(felt, seen(column), offset.value) for column in volts.T]
     except TouchDownError as error:
-        run.event("warning", "touch-down", f"trial {taken.number}: {error.one_line()}")
+        run.event("warning", "touch-down", f"trial {record.number}: {error.one_line()}")
         return {column.key: None for column in TOUCHED}
     reading: Reading = {
         "clock_offset_s": offset.value,
@@ -181,7 +186,9 @@ def _touch_down(run: Run, taken: Taken, force: npt.NDArray[np.float64]) -> Readi
     return reading
 
 
-def _doubts(settings: PressedSettings, taken: Taken, reading: Reading, late: float) -> list[str]:
+def _doubts(
+    settings: PressedSettings, record: TrialRecord, reading: Reading, late: float
+) -> list[str]:
     doubts = []
     for name, limit in (
         ("overshoot_percent", settings.overshoot_percent),
@@ -194,8 +201,8 @@ def _doubts(settings: PressedSettings, taken: Taken, reading: Reading, late: flo
             doubts.append(f"{words} {value:.2g} % is above {limit:g} %")
     if 100 * late > settings.late_ticks_percent:
         doubts.append(f"{100 * late:.2g} % of the ticks were late")
-    span_s = taken.motion_to_s + AFTER_S
-    for name, rate in (("samples", settings.rate_S_s), ("frames", FORCE_RATE_S_S)):
+    span_s = record.motion_to_s + AFTER_S
+    for name, rate in (("samples", settings.rate_S_s), ("frames", record.force_rate_S_s)):
         missing = span_s * rate - float(reading[name] or 0)
         if missing > MISSING_S * rate:
             doubts.append(f"{missing:.0f} {name} are missing")
@@ -210,7 +217,8 @@ def _stretch(
     return values[first : round(end_s * rate_Hz)], rate_Hz, first / rate_Hz
 
 
-def _smoothed(force_N: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Mean of `SERVO_SEEN` frames: the error of a servo is not the sensor's noise."""
-    kernel = np.full(SERVO_SEEN, 1 / SERVO_SEEN)
-    return np.convolve(np.pad(force_N, SERVO_SEEN // 2, mode="edge"), kernel, "valid")
+def _smoothed(force_N: npt.NDArray[np.float64], rate_S_s: float) -> npt.NDArray[np.float64]:
+    """Running mean over `SERVO_ERROR_S`: the error of a servo is not the sensor's noise."""
+    frames = 2 * round((SERVO_ERROR_S * rate_S_s - 1) / 2) + 1
+    kernel = np.full(frames, 1 / frames)
+    return np.convolve(np.pad(force_N, frames // 2, mode="edge"), kernel, "valid")

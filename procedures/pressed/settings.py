@@ -20,6 +20,7 @@ from procedures.pressed.contact import (
     expected_contact_mm,
     force_zero_of,
     park,
+    stream_force,
     travel_s,
     unload,
 )
@@ -35,19 +36,21 @@ if TYPE_CHECKING:
 
     from rig.run.context import Run
 
-FORCE_RATE_S_S = 1000.0
-"""Frames of the force sensor (paper 4.1)."""
+MIN_FORCE_RATE_S_S = 100.0
+"""Fewest frames a second of a force sensor: below, a frame is longer than the tap's way back, so
+that the clocks could not be compared, and the servo has no new force in every usual tick."""
 DELAY_S = 0.004
-"""From a command to the first force that shows it: link 1 ms, half a frame, half a look, the
-rubber's relaxation. Two milliseconds too much ring at 500 Hz (decision 0038)."""
+"""From a command to the first force that shows it, with a force sensor at 1000 frames/s: link 1 ms,
+half a frame, half of the window that a tick takes the mean of, the rubber's relaxation. Two
+milliseconds too much ring at 500 Hz (decision 0038)."""
 LINK_S = 0.001
-"""Of a look at an axis and a new target, that much is in `DELAY_S`; of what it takes longer, half
-comes between look and command (decision 0042)."""
+"""What a poll of an axis and a new target together have in `DELAY_S`; of what they take longer,
+half comes between poll and command (decision 0042)."""
 TICK_Hz = 100.0
-"""Of the servo, where stages can be told so often."""
-LOOKS_Hz = 100.0
-"""How often stages and DAQ are asked and the record goes on, also where ticks are more frequent; an
-approach, which needs the place of z in every tick, has no more of them."""
+"""Ticks of the servo, where the links of the stages have time for them."""
+POLL_RATE_Hz = 100.0
+"""How often stages and DAQ are polled and recorded at most, also where ticks are more frequent. An
+approach, which needs the place of z in every tick, has no more ticks than that."""
 NEAR_mm = 0.06
 """Where the slow search begins, before the place at which contact has been felt already."""
 TAP_S = 0.04
@@ -179,9 +182,10 @@ def pressed_overhead_s(
     after each press. Stages that are `homed` wait where they are parked, x where the last run has
     left it.
     """
+    # Here and not at the top: numpy would slow `rig --help`.
     from rig.control.approach import TOUCH, search_speed_mm_s
 
-    late_s, force_N = DELAY_S + max(settings.tick_s, 1 / LOOKS_Hz), settings.normal_force_N
+    late_s, force_N = DELAY_S + max(settings.tick_s, 1 / POLL_RATE_Hz), settings.normal_force_N
     slow, quick = (
         search_speed_mm_s(share * force_N, late_s, settings.acceleration_mm_s2)
         for share in (TOUCH, 1.0)
@@ -235,13 +239,18 @@ def import_what_a_trial_needs() -> None:
     import scipy.special  # noqa: F401
 
 
-def arm_pressed(run: Run, what: str, stop: Callable[[], None], at_once: Callable[[], None]) -> None:
-    """Watch the force; have the end of everything known before it begins; park.
+def arm_pressed(
+    run: Run, what: str, stop: Callable[[], None], at_once: Callable[[], None], tick_Hz: float
+) -> None:
+    """Watch the force; register how everything is ended before it begins; park.
 
     `what` moves under the held force; it is ended by `stop`, or `at_once` where a watcher acts.
+    LimitError before any motion for a force sensor with less than `MIN_FORCE_RATE_S_S`, or less
+    than a frame for each of `tick_Hz` ticks a second.
     """
     bench, settings = run.bench, run.settings
-    run.stream_force(FORCE_RATE_S_S)
+    least_S_s = max(MIN_FORCE_RATE_S_S, tick_Hz)
+    stream_force(run, least_S_s, f"a trial whose servo acts at {tick_Hz:g} Hz")
     run.force.watch(settings.largest_force_N)
     run.arm("acquisition", bench.daq.stop)  # last: a DAQ that hangs keeps no skin pressed
     run.arm(what, stop, at_once=at_once)

@@ -12,14 +12,12 @@ skin by h times the angle; a first press measures h, and x takes it back while t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
-
-from pydantic import Field, model_validator
+from typing import TYPE_CHECKING, Any
 
 from procedures.pressed.contact import contact_range_mm
+from procedures.pressed.rates import rates_for, warn_of_slow_links
 from procedures.pressed.settings import (
     TOUCH_DRIFT,
-    PressedSettings,
     arm_pressed,
     import_what_a_trial_needs,
     pressed_overhead_s,
@@ -29,8 +27,14 @@ from procedures.pressed.settings import (
     why_invalid,
 )
 from procedures.roll_trial import layout as roll_layout
-from procedures.roll_trial.profile import Curve, Profile, ThereAndBack
-from rig.bench.bench import Fixture, FixtureSettings
+from procedures.roll_trial.settings import (
+    HOMING_ROTARY_S,
+    NUDGED_S,
+    NUDGES,
+    SETTLED_S,
+    RollTrialSettings,
+)
+from rig.bench.bench import Fixture, FixtureSettings, require
 from rig.core.errors import ConfigurationError
 from rig.run.points import Move, Point, Reading
 
@@ -46,86 +50,13 @@ STREAMS = roll_layout.STREAMS
 invalid = why_invalid
 DRIFT = TOUCH_DRIFT
 
-NUDGES = (0, 1, 0, -1, 0)
-NUDGED_S = 0.35
-"""For a nudge, which measures the axis, and until the rubber is at rest."""
-SETTLED_S = 0.05
-"""What a stage may be late at the end of its profile."""
-HOMING_ROTARY_S = 1.0
-"""Expected of a rotary stage without a reference, and of bringing the object upright."""
-
-
-class Settings(PressedSettings):
-    """What a roll trial may be asked for."""
-
-    angle_deg: float = 3.5
-    """Angle that is rolled from upright and back (paper 5); positive rolls towards +x."""
-    turn_speed_deg_s: float = Field(default=12.0, gt=0)
-    """Largest speed of the turn."""
-    turn_acceleration_deg_s2: float = Field(default=60.0, gt=0)
-    """Of the turn."""
-    stay_s: float = Field(default=0.3, ge=0, le=60)
-    """Stay at the angle, before the way back."""
-    profile_times_s: tuple[float, ...] = ()
-    """Times of a curve of angles that is rolled instead, from 0."""
-    profile_angles_deg: tuple[float, ...] = ()
-    """Its angles, from 0 back to 0."""
-    start_mm: float = -5.0
-    """Place on the skin, from its middle, at which the roll begins: -5 mm rolls over the third
-    ridge (Figure 19 b), -6.5 mm up to it (19 a)."""
-    alignment: Literal["compensate", "measure", "none"] = "compensate"
-    """Before the first trial: measure how far the rotary axis is off and have x take it back; only
-    measure it; or neither."""
-    largest_offset_mm: float = Field(default=1.0, gt=0)
-    """Offset of the axis, as measured, that is left uncompensated and refused: 2 mm drag the skin
-    by half of what makes it slip."""
-    angle_error_deg: float = Field(default=0.02, gt=0)
-    """Error of the angle at the ends of the roll beyond which a trial does not count."""
-    force_error_rms_percent: float = Field(default=3.0, gt=0)
-    """Error of the normal force during the roll, rms, beyond which a trial does not count."""
-    force_error_peak_percent: float = Field(default=10.0, gt=0)
-    """Its largest error beyond which a trial does not count."""
-
-    @model_validator(mode="after")
-    def _can_be_rolled(self) -> Settings:
-        times, angles = self.profile_times_s, self.profile_angles_deg
-        if len(times) != len(angles):
-            raise ValueError(
-                f"profile_times_s has {len(times)} values, profile_angles_deg has {len(angles)}: "
-                "each time needs its angle"
-            )
-        if times and (len(times) < 3 or times[0] != 0 or sorted(set(times)) != list(times)):
-            raise ValueError("profile_times_s has to ascend from 0 and to hold at least 3 times")
-        if angles and (angles[0] != 0 or angles[-1] != 0):
-            raise ValueError("profile_angles_deg has to begin and to end with 0 deg, upright")
-        return self
-
-    @property
-    def profile(self) -> Profile:
-        """What is rolled."""
-        if self.profile_times_s:
-            own = (self.profile_times_s, self.profile_angles_deg)
-            return Curve(*own, acceleration_deg_s2=self.turn_acceleration_deg_s2)
-        return ThereAndBack(
-            self.angle_deg, self.turn_speed_deg_s, self.turn_acceleration_deg_s2, self.stay_s
-        )
-
-    @property
-    def angles_deg(self) -> tuple[float, float]:
-        """Between which it is rolled."""
-        angles = self.profile_angles_deg or (0.0, self.angle_deg)
-        return min(angles), max(angles)
-
-    @property
-    def updates_a_tick(self) -> int:
-        """See `PressedSettings`: x may follow the turn."""
-        return 2 if self.alignment == "compensate" else 1
+Settings = RollTrialSettings
 
 
 # --- what will be done ------------------------------------------------------------------------
 
 
-def points(settings: Settings) -> tuple[Point, ...]:
+def points(settings: RollTrialSettings) -> tuple[Point, ...]:
     """One point a trial."""
     motion_s = settings.profile.duration_s + SETTLED_S
     aligned = settings.alignment != "none"
@@ -137,7 +68,7 @@ def points(settings: Settings) -> tuple[Point, ...]:
     return trial_points(settings, moves, motion_s, first_s)
 
 
-def overhead_s(settings: Settings, fixture: FixtureSettings, homed: bool) -> float:
+def overhead_s(settings: RollTrialSettings, fixture: FixtureSettings, homed: bool) -> float:
     """Bench time that the ways in z, homing and parking are expected to take."""
     presses = settings.trials + (settings.alignment != "none")
     x_mm = (fixture.centre_mm or 0.0) + settings.start_mm
@@ -145,7 +76,7 @@ def overhead_s(settings: Settings, fixture: FixtureSettings, homed: bool) -> flo
     return rotary_s + pressed_overhead_s(settings, fixture, homed, presses, x_mm)
 
 
-def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, Any]:
+def summarise(settings: RollTrialSettings, readings: Sequence[Reading]) -> Mapping[str, Any]:
     """Patterns, forces and angle, means of the trials that count, and how many count."""
     names = (
         "peak_1_mV",
@@ -166,10 +97,8 @@ def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, A
     return found
 
 
-def check(settings: Settings, bench: Bench) -> None:
+def check(settings: RollTrialSettings, bench: Bench) -> None:
     """Refuse a fixture that does not say where the object is, or a roll beyond a stage's limits."""
-    from rig.bench.bench import require
-
     contact_range_mm(bench)
     fixture = bench.settings.fixture
     if fixture.centre_mm is None or fixture.upright_deg is None:
@@ -195,22 +124,26 @@ def check(settings: Settings, bench: Bench) -> None:
 def import_ahead() -> None:
     """See `rig.run.procedure`."""
     import_what_a_trial_needs()
-    import procedures.roll_trial.trial  # noqa: F401
+    import procedures.roll_trial.trial  # noqa: F401 - with numpy: not for `rig --help`
 
 
 def arm(run: Run) -> None:
     """Watch the force; have the end of everything known before it begins; park, then find the
     object's reference, the skin being clear of it."""
-    from procedures.pressed.rates import pace_on
-    from procedures.pressed.trial import scales_on
-    from procedures.roll_trial.trial import Series
+    # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
+    from procedures.pressed.series import load_scales_for
+    from procedures.roll_trial.trial import RollSeries
 
-    run.state = run.state or Series(pace_on(run), scales_on(run))
+    if run.state is None:
+        rates = rates_for(run.bench, run.settings)
+        warn_of_slow_links(run, rates)
+        run.state = RollSeries(rates, load_scales_for(run))
     if run.settings.alignment == "none":
         run.event("warning", "alignment", "how far the rotary axis is off is not known")
     rotary, x = run.bench.rotary, run.bench.stage_x
     run.arm("x", x.stop, at_once=x.make_safe)
-    arm_pressed(run, "roll", lambda: _stand(run), rotary.make_safe)
+    tick_Hz = run.state.rates.tick_Hz
+    arm_pressed(run, "roll", lambda: _stand(run), rotary.make_safe, tick_Hz)
     if not rotary.homed():  # the skin is clear of the object
         rotary.home()
 
@@ -226,16 +159,18 @@ def _stand(run: Run) -> None:
 def take(run: Run, point: Point) -> Reading:
     """One trial: down, hold, rest, roll there and back, up; then what it shows. Before the first
     the axis is measured."""
-    from procedures.roll_trial.trial import AlignTrial, Series, Trial
+    # As in arm().
+    from procedures.roll_trial.trial import AlignmentTrial, RollSeries, RollTrialRun
 
-    series: Series = run.state
+    series: RollSeries = run.state
     if run.settings.alignment != "none" and series.offset is None:
-        series.offset = AlignTrial(run, series).measure()
-    trial = Trial(run, int(point.condition), series)
-    trial.make_ready()
-    trial.record()
+        series.offset = AlignmentTrial(run, series).measure()
+    trial = RollTrialRun(run, int(point.condition), series)
+    trial.bring_upright()
+    trial.make_ready(trial.start_mm)
+    trial.start_recording()
     trial.press()
     trial.roll()
-    trial.end_record()
+    trial.stop_recording()
     trial.lift()
     return trial.reading()

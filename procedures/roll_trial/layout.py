@@ -21,7 +21,7 @@ STREAMS = (
 
 LAYOUT = Layout(
     definition="NXrig_roll_trial",
-    version="1",
+    version="2",
     columns=(
         *ASKED,
         Column("start_on_skin", "mm", "Begin of the roll on the skin"),

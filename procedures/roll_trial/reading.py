@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from procedures.pressed import reading as pressed_reading
-from procedures.pressed.reading import DECIMATED_Hz, Taken, frame_times_s
+from procedures.pressed.reading import DECIMATED_Hz, TrialRecord
 from rig.analysis.response.spectrum import share_above
 
 if TYPE_CHECKING:
-    from procedures.roll_trial import Settings
+    from procedures.roll_trial.settings import RollTrialSettings
     from rig.analysis.estimate import Estimate
     from rig.run.context import Run
     from rig.run.points import Reading
@@ -25,7 +25,7 @@ ZERO_S = 0.1
 
 
 @dataclass
-class RollTaken(Taken):
+class RollTrialRecord(TrialRecord):
     """What a roll trial has recorded so far; its motion is the roll, there and back."""
 
     end_deg: float = 0.0
@@ -34,24 +34,23 @@ class RollTaken(Taken):
     """Time, angle from upright, the same commanded."""
 
 
-def reading_of(run: Run, taken: RollTaken, offset: Estimate | None) -> Reading:
+def reading_of(run: Run, record: RollTrialRecord, offset: Estimate | None) -> Reading:
     """Figures of the trial, and why it does not count if it does not."""
-    settings: Settings = run.settings
-    reading = pressed_reading.reading_of(run, taken)
-    force = np.concatenate(taken.force)
-    t = frame_times_s(force)
-    rolled = (t >= taken.motion_from_s) & (t <= taken.motion_to_s)
+    settings: RollTrialSettings = run.settings
+    reading = pressed_reading.reading_of(run, record)
+    force, t = record.forces_N(), record.frame_times_s()
+    rolled = (t >= record.motion_from_s) & (t <= record.motion_to_s)
     reading |= {
         "start_on_skin_mm": settings.start_mm,
-        "roll_from_s": taken.motion_from_s,
-        "roll_to_s": taken.motion_to_s,
+        "roll_from_s": record.motion_from_s,
+        "roll_to_s": record.motion_to_s,
         "largest_tangential_N": float(np.abs(force[rolled, 1]).max()),
         "axis_offset_mm": None if offset is None else offset.value,
         "axis_offset_error_mm": None if offset is None else offset.standard_error,
     }
-    reading |= _angles(settings, taken)
-    reading |= _strips(settings, taken)
-    reading |= _lifted(taken, reading)
+    reading |= _angles(settings, record)
+    reading |= _strips(settings, record)
+    reading |= _lifted(record, reading)
     doubts = [str(reading["invalid"])] if reading["invalid"] else []
     error_deg = float(reading["angle_error_deg"] or 0)
     if error_deg > settings.angle_error_deg:
@@ -61,14 +60,14 @@ def reading_of(run: Run, taken: RollTaken, offset: Estimate | None) -> Reading:
     return reading
 
 
-def _angles(settings: Settings, taken: RollTaken) -> Reading:
+def _angles(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
     """Largest errors: where the object stands still, and underway."""
-    rows = np.array(taken.rotation)
-    since = rows[:, 0] - taken.motion_from_s
-    inside = (since >= 0) & (rows[:, 0] <= taken.motion_to_s)
+    rows = np.array(record.rotation)
+    since = rows[:, 0] - record.motion_from_s
+    inside = (since >= 0) & (rows[:, 0] <= record.motion_to_s)
     extreme = max(settings.angles_deg, key=abs)
     reached = float(rows[inside, 1][np.argmax(np.abs(rows[inside, 1]))])
-    errors = [abs(reached - extreme), abs(taken.end_deg)]
+    errors = [abs(reached - extreme), abs(record.end_deg)]
     return {
         "angle_deg": reached,
         "angle_error_deg": max(errors),
@@ -76,15 +75,15 @@ def _angles(settings: Settings, taken: RollTaken) -> Reading:
     }
 
 
-def _strips(settings: Settings, taken: RollTaken) -> Reading:
+def _strips(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
     """Largest excursions of both strips on the way there, and what of v_d lies above 100 Hz."""
-    volts = np.concatenate(taken.volts)
-    t = np.arange(len(volts)) / DECIMATED_Hz - taken.filter_delay_s
-    before = (t >= taken.motion_from_s - ZERO_S) & (t < taken.motion_from_s)
+    volts = np.concatenate(record.volts)
+    t = np.arange(len(volts)) / DECIMATED_Hz - record.filter_delay_s
+    before = (t >= record.motion_from_s - ZERO_S) & (t < record.motion_from_s)
     volts = volts - volts[before].mean(axis=0)
     way_s = settings.profile.duration_s / 2
-    there = (t >= taken.motion_from_s) & (t < taken.motion_from_s + way_s)
-    rolled = (t >= taken.motion_from_s) & (t < taken.motion_to_s)
+    there = (t >= record.motion_from_s) & (t < record.motion_from_s + way_s)
+    rolled = (t >= record.motion_from_s) & (t < record.motion_to_s)
     peaks = [1e3 * float(column[np.argmax(np.abs(column))]) for column in volts[there].T]
     difference = volts[rolled, 0] - volts[rolled, 1]
     return {
@@ -94,14 +93,14 @@ def _strips(settings: Settings, taken: RollTaken) -> Reading:
     }
 
 
-def _lifted(taken: RollTaken, reading: Reading) -> Reading:
+def _lifted(record: RollTrialRecord, reading: Reading) -> Reading:
     """On a simulated bench, whether the ridge with the strips left the head during the roll."""
     truth = reading.get("simulated_truth")
     if not truth:
         return {"ridge_lifted": None}
     lifts_us = json.loads(str(truth))["ridge_lift_off_us"]
-    begun_us = 1e6 * taken.begun_s
+    begun_us = 1e6 * record.begun_s
     span = range(
-        round(begun_us + 1e6 * taken.motion_from_s), round(begun_us + 1e6 * taken.motion_to_s)
+        round(begun_us + 1e6 * record.motion_from_s), round(begun_us + 1e6 * record.motion_to_s)
     )
     return {"ridge_lifted": float(any(at_us in span for at_us in lifts_us))}

@@ -8,20 +8,20 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from procedures.pressed.contact import TRAVEL_mm_s
+from procedures.pressed.positions import AxisRows
+from procedures.pressed.series import PressedSeries
 from procedures.pressed.settings import AFTER_S
-from procedures.pressed.trial import PressedSeries, PressedTrial
-from procedures.roll_trial import NUDGED_S, NUDGES, SETTLED_S
-from procedures.roll_trial.reading import RollTaken, reading_of
+from procedures.pressed.trial import PressedTrial
+from procedures.roll_trial.reading import RollTrialRecord, reading_of
+from procedures.roll_trial.settings import NUDGED_S, NUDGES, SETTLED_S
 from rig.analysis.trial.axis_offset import NudgeForce, axis_offset
 from rig.core.errors import LimitError
-from rig.run.aside import Aside
 
 if TYPE_CHECKING:
-    from procedures.roll_trial import Settings
+    from procedures.pressed.links import TrialLinks
     from procedures.roll_trial.profile import Turn
+    from procedures.roll_trial.settings import RollTrialSettings
     from rig.analysis.estimate import Estimate
     from rig.control.tick_loop import Tick
     from rig.run.context import Run
@@ -32,9 +32,9 @@ UPRIGHT_deg_s, UPRIGHT_deg_s2 = 10.0, 100.0
 NUDGE_mm, NUDGE_deg = 0.02, 0.5
 """By how much x and the object are moved to either side to measure the axis: far below a slip."""
 NUDGE_mm_s, NUDGE_deg_s, NUDGE_deg_s2 = 0.2, 2.0, 20.0
-LOOKED_S = 0.1
-"""The stretch of force at the end of a nudge's rest that is looked at."""
-LOOKS_Hz = 50.0
+MEASURED_S = 0.1
+"""Stretch of force at the end of a nudge's rest that is its result."""
+MOST_POLLS_Hz = 50.0
 """How often three axes and the DAQ are asked at most: a hundred times would fill every tick."""
 LARGEST_COMPENSATED_mm = 8.0
 """Beyond, the object stands wrong: x would have to follow as fast as the head rolls."""
@@ -44,69 +44,104 @@ CATCH_UP = 1.02
 
 
 @dataclass(frozen=True)
-class Turned:
-    """A look at the rotary stage; angles from upright."""
+class RotaryPoll:
+    """The rotary stage's answer to where it is; angles from upright."""
 
     at_s: float = 0.0
-    """When it was, on the run's clock."""
+    """When it was asked, on the run's clock: the middle between question and answer."""
     angle_deg: float = 0.0
     commanded_deg: float = 0.0
 
 
+class PolledRotary:
+    """The rotary stage of a trial, with the object on it, by its angle from upright."""
+
+    def __init__(self, run: Run, upright_deg: float, links: TrialLinks):
+        links.add("rotary", "rotary stage")
+        self.stage, self.upright_deg = run.bench.rotary, upright_deg
+        self.commanded_deg = 0.0
+        self.in_motion = False
+        self.latest = RotaryPoll()
+        self._links, self._clock = links, run.clock
+
+    @property
+    def polled_s(self) -> float:
+        """See `PolledAxis`."""
+        return self.latest.at_s
+
+    @property
+    def angle_deg(self) -> float:
+        """The measured angle from upright, asked from the stage in the calling thread."""
+        return self.stage.angle_deg() - self.upright_deg
+
+    def poll(self) -> None:
+        """Ask the stage where it is, in the calling thread."""
+        commanded_deg, asked_s = self.commanded_deg, self._clock.now()
+        angle_deg = self.angle_deg
+        self.latest = RotaryPoll((asked_s + self._clock.now()) / 2, angle_deg, commanded_deg)
+
+    def ask_poll(self) -> None:
+        """See `PolledAxis`."""
+        self._links.ask("rotary", "poll", self.poll)
+
+    def ask_turn(self, turn: Turn) -> None:
+        """Ask the stage's link to begin a turn, or to change the one under way."""
+        to_deg = self.upright_deg + turn.to_deg
+        speeds = (turn.speed_deg_s, turn.acceleration_deg_s2)
+        self._links.ask("rotary", "turn", partial(self.stage.start_turn, to_deg, *speeds))
+
+    def row(self) -> tuple[float, float]:
+        """Angle and commanded angle as polled last, for the record."""
+        return self.latest.angle_deg, self.latest.commanded_deg
+
+
 @dataclass
-class Series(PressedSeries):
+class RollSeries(PressedSeries):
     """What the trials of a series have taught the ones that follow."""
 
     offset: Estimate | None = None
     """How far the rotary axis lies above where the head touches, mm; None where not measured."""
 
 
-class _OnHead(PressedTrial):
-    """A trial on an object that the rotary stage carries."""
+class HeadTrial(PressedTrial):
+    """A trial on an object with a head, which the rotary stage carries."""
 
-    EVENLY = True
-    series: Series
-    settings: Settings
-    taken: RollTaken
+    even_moves = True
+    series: RollSeries
+    settings: RollTrialSettings
+    record: RollTrialRecord
 
-    def __init__(self, run: Run, number: int, series: Series):
-        super().__init__(run, number, series, RollTaken(number, series.pace.tick_Hz))
-        self._rotary = run.bench.rotary
+    def __init__(self, run: Run, number: int, series: RollSeries):
+        record = RollTrialRecord(number, series.rates.tick_Hz, run.force.rate_S_s)
+        super().__init__(run, series, record, MOST_POLLS_Hz)
         fixture = run.bench.settings.fixture
         assert fixture.centre_mm is not None
-        assert fixture.upright_deg is not None, "arm() has seen to both"
-        self._upright_deg = fixture.upright_deg
-        self._start_mm = fixture.centre_mm + self.settings.start_mm
-        self._commanded_deg = 0.0
-        self._rotary_seen = Turned()
-        self._aside_rotary = Aside("rotary stage", run.clock)
-        self._links["rotary"] = self._aside_rotary
-        self._looks_Hz = min(self._looks_Hz, LOOKS_Hz)
+        assert fixture.upright_deg is not None, "check() has refused a fixture without them"
+        self.start_mm = fixture.centre_mm + self.settings.start_mm
+        """Position of x at which the roll begins."""
+        self.rotary = PolledRotary(run, fixture.upright_deg, self.links)
+        self.recorder.add_axis(
+            AxisRows(self.rotary, "rotation", "deg", record.rotation, self.rotary.row)
+        )
 
-    def make_ready(self, start_mm: float | None = None) -> None:
-        """Up, the object upright, x to where the roll begins; zero the force in free air."""
-        self.z.move_to(self.fixture.parked_mm, TRAVEL_mm_s)
-        self._rotary.turn_to(self._upright_deg, UPRIGHT_deg_s, UPRIGHT_deg_s2)
-        self._look_at_rotary()
-        super().make_ready(self._start_mm if start_mm is None else start_mm)
-
-    def _look_at_rotary(self) -> None:
-        commanded_deg, asked_s = self._commanded_deg, self.run.clock.now()
-        angle_deg = self._rotary.angle_deg() - self._upright_deg
-        at_s = (asked_s + self.run.clock.now()) / 2
-        self._rotary_seen = Turned(at_s, angle_deg, commanded_deg)
+    def bring_upright(self) -> None:
+        """Move z up, so that the skin is clear of the object, and turn the object upright."""
+        self.z.stage.move_to(self.run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
+        self.rotary.stage.turn_to(self.rotary.upright_deg, UPRIGHT_deg_s, UPRIGHT_deg_s2)
+        self.rotary.poll()
 
 
-class AlignTrial(_OnHead):
+class AlignmentTrial(HeadTrial):
     """A press that measures how far the rotary axis is off: nothing is recorded."""
 
-    def __init__(self, run: Run, series: Series):
+    def __init__(self, run: Run, series: RollSeries):
         super().__init__(run, 0, series)
 
     def measure(self) -> Estimate:
         """Nudge x, then the object, to either side and back, and see what each does to the
         tangential force; LimitError for an offset of which too much would be left."""
-        self.make_ready()
+        self.bring_upright()
+        self.make_ready(self.start_mm)
         self.press()
         along_x = [self._nudged(side * NUDGE_mm, self._nudge_x) for side in NUDGES]
         turned = [
@@ -114,9 +149,9 @@ class AlignTrial(_OnHead):
         ]
         self.lift()
         offset = axis_offset(along_x, turned)
-        told = f"the rotary axis lies {offset.value:.2f} mm above where the head touches"
+        found = f"the rotary axis lies {offset.value:.2f} mm above where the head touches"
         error = f"standard error {offset.standard_error:.2f} mm"
-        self.run.event("info", "alignment", f"{told}, {error}")
+        self.run.event("info", "alignment", f"{found}, {error}")
         compensated, left_mm = self.settings.alignment == "compensate", abs(offset.value)
         if compensated:
             left_mm = max(left_mm - LARGEST_COMPENSATED_mm, 0.0)
@@ -125,7 +160,7 @@ class AlignTrial(_OnHead):
             if compensated:
                 why = f"x takes back {LARGEST_COMPENSATED_mm:g} mm at most"
             raise LimitError(
-                f"rotary: {told}, {error}; {why}, and {left_mm:.2f} mm are more than the "
+                f"rotary: {found}, {error}; {why}, and {left_mm:.2f} mm are more than the "
                 f"{self.settings.largest_offset_mm:g} mm that may be left (largest_offset_mm)",
                 "mount the object anew, the top of its head on the axis of the rotary stage, or "
                 "have x take it back with --alignment compensate",
@@ -134,91 +169,63 @@ class AlignTrial(_OnHead):
 
     def _nudged(self, by: float, nudge: Callable[[float], None]) -> NudgeForce:
         nudge(by)
-        self._loop(NUDGED_S, self._hold)
-        frames = self.run.force.latest_N(LOOKED_S)
+        self.hold(NUDGED_S)
+        frames = self.run.force.latest_N(MEASURED_S)
         return NudgeForce(by, frames[:, 0])
 
     def _nudge_x(self, by_mm: float) -> None:
-        self.x.start_move(self._start_mm + by_mm, NUDGE_mm_s)
+        self.x.stage.start_move(self.start_mm + by_mm, NUDGE_mm_s)
 
     def _nudge_object(self, by_rad: float) -> None:
-        to_deg = self._upright_deg + math.degrees(by_rad)
-        self._rotary.start_turn(to_deg, NUDGE_deg_s, NUDGE_deg_s2)
+        to_deg = self.rotary.upright_deg + math.degrees(by_rad)
+        self.rotary.stage.start_turn(to_deg, NUDGE_deg_s, NUDGE_deg_s2)
 
 
-class Trial(_OnHead):
-    """One trial under way."""
+class RollTrialRun(HeadTrial):
+    """A roll trial: what turns is the object, and x takes back what the rotary axis is off."""
 
-    def __init__(self, run: Run, number: int, series: Series):
+    def __init__(self, run: Run, number: int, series: RollSeries):
         super().__init__(run, number, series)
         self._offset_mm = 0.0
-        """Of the axis, as far as x takes it back."""
+        """How far the rotary axis is off, as far as x takes it back."""
         if series.offset is not None and self.settings.alignment == "compensate":
             self._offset_mm = series.offset.value
         self._profile = self.settings.profile
-        self._turns = list(self._profile.turns(self._pace.tick_s))
+        self._turns = list(self._profile.turns(series.rates.tick_s))
 
     def roll(self) -> None:
         """Turn the object along the profile under the held normal force, x taking back what the
         axis is off; hold it a moment longer."""
-        taken = self.taken
-        self._await_tick()
-        taken.motion_from_s = self._since_s()
-        self._servo.slide_begins()
-        self._in_motion = True
-        self._loop(self._profile.duration_s + SETTLED_S, self._roll_on)
-        taken.motion_to_s = self._since_s()
-        self._loop(AFTER_S, self._hold)
-        self._rotary.stop()
-        self.x.stop()
-        self._in_motion = False
-        taken.end_deg = self._rotary.angle_deg() - self._upright_deg
+        self.begin_motion()
+        self.x.in_motion = self.rotary.in_motion = True
+        self.run_ticks(self._profile.duration_s + SETTLED_S, self._roll_on)
+        self.end_motion()
+        self.hold(AFTER_S)
+        self.rotary.stage.stop()
+        self.x.stage.stop()
+        self.x.in_motion = self.rotary.in_motion = False
+        self.record.end_deg = self.rotary.angle_deg
 
     def _roll_on(self, tick: Tick) -> bool:
-        """Tell the rotary stage what is due, have x follow, hold F_n."""
-        since_s = tick.began_s - self.taken.begun_s - self.taken.motion_from_s
-        while self._turns and self._turns[0].at_s <= since_s + self._pace.tick_s / 2:
-            turn = self._turns.pop(0)
-            self._aside_rotary.ask("turn", partial(self._turn, turn))
-        self._commanded_deg = self._profile.at_deg(since_s)
-        self._hold(tick)
+        """Ask the rotary stage for the turns that are due, have x follow, hold F_n."""
+        since_s = tick.began_s - self.record.begun_s - self.record.motion_from_s
+        while self._turns and self._turns[0].at_s <= since_s + self.series.rates.tick_s / 2:
+            self.rotary.ask_turn(self._turns.pop(0))
+        self.rotary.commanded_deg = self._profile.at_deg(since_s)
+        self.hold_tick(tick)
         if self._offset_mm:
             self._take_back(since_s)
         return True
 
     def _take_back(self, since_s: float) -> None:
         """Move x by what the turn will have dragged the skin by at the next tick."""
-        soon_s = since_s + self._pace.tick_s + self._pace.delay_s
+        tick_s = self.series.rates.tick_s
+        soon_s = since_s + tick_s + self.delay_s
         shift_mm = -self._offset_mm * math.sin(math.radians(self._profile.at_deg(soon_s)))
-        target_mm = self._start_mm + shift_mm
-        speed_mm_s = CATCH_UP * abs(target_mm - self._x_commanded) / self._pace.tick_s
-        self._x_commanded = target_mm
-        speed_mm_s = max(speed_mm_s, SLOWEST_mm_s)
-        self._aside_x.ask("target", lambda: self.x.start_move(target_mm, speed_mm_s))
-
-    def _turn(self, turn: Turn) -> None:
-        to_deg = self._upright_deg + turn.to_deg
-        self._rotary.start_turn(to_deg, turn.speed_deg_s, turn.acceleration_deg_s2)
-
-    def _ask_where(self) -> None:
-        super()._ask_where()
-        if self._in_motion:  # else it stands where it was brought
-            self._aside_rotary.ask("look", self._look_at_rotary)
-
-    def _seen_last_s(self) -> float:
-        return max(super()._seen_last_s(), self._rotary_seen.at_s)
-
-    def _record_seen(self, since_s: float) -> None:
-        seen = self._rotary_seen
-        self.taken.rotation.append((since_s, seen.angle_deg, seen.commanded_deg))
-        super()._record_seen(since_s)
-
-    def _record_places(self) -> None:
-        first, rows = self._recorded_rows, np.array(self.taken.rotation[self._recorded_rows :])
-        super()._record_places()
-        if len(rows):
-            self.run.put("rotation", first, rows[:, 1:], None, units="deg")
+        target_mm = self.start_mm + shift_mm
+        speed_mm_s = CATCH_UP * abs(target_mm - self.x.commanded_mm) / tick_s
+        self.x.start_move(target_mm, max(speed_mm_s, SLOWEST_mm_s))
 
     def reading(self) -> Reading:
-        """Figures of the trial, and why it does not count if it does not."""
-        return reading_of(self.run, self.taken, self.series.offset) | self._load_rates()
+        """Return the figures of the trial, and why it is not valid if it is not."""
+        return reading_of(self.run, self.record, self.series.offset) | self.record_load_rates()

@@ -7,7 +7,7 @@ from rig.files.journal.layout import Column, Layout, Plot, Trace
 
 LAYOUT = Layout(
     definition="NXrig_slip_trial",
-    version="1",
+    version="2",
     columns=(
         *ASKED,
         Column("speed", "mm/s", "Speed of the slide"),

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from procedures.pressed import reading as pressed_reading
-from procedures.pressed.reading import Taken, frame_times_s
+from procedures.pressed.reading import TrialRecord
 from rig.analysis.trial.friction import FrictionError, friction
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from procedures.slip_trial import Settings
+    from procedures.slip_trial.settings import SlipTrialSettings
     from rig.run.context import Run
     from rig.run.points import Reading
 
@@ -27,60 +27,60 @@ FRICTION_COLUMNS = (
 
 
 @dataclass
-class SlipTaken(Taken):
+class SlipTrialRecord(TrialRecord):
     """What a slip trial has recorded so far; its motion is the slide or the ramp."""
 
     ramp_to_s: float | None = None
     """Until when the tangential force followed its ramp, if there was one."""
 
 
-def reading_of(run: Run, taken: SlipTaken) -> Reading:
+def reading_of(run: Run, record: SlipTrialRecord) -> Reading:
     """Figures of the trial, and why it does not count if it does not."""
-    settings: Settings = run.settings
-    reading = pressed_reading.reading_of(run, taken)
-    force = np.concatenate(taken.force)
-    t = frame_times_s(force)
-    held = (t >= taken.motion_from_s) & (t <= taken.motion_to_s)
+    settings: SlipTrialSettings = run.settings
+    reading = pressed_reading.reading_of(run, record)
+    force, t = record.forces_N(), record.frame_times_s()
+    held = (t >= record.motion_from_s) & (t <= record.motion_to_s)
     reading |= {
         "speed_mm_s": settings.speed_mm_s,
         "direction": float(settings.along),
-        "slide_from_s": taken.motion_from_s,
-        "slide_to_s": taken.motion_to_s,
+        "slide_from_s": record.motion_from_s,
+        "slide_to_s": record.motion_to_s,
     }
-    reading |= _ramp(settings, taken, t, force)
-    reading |= _friction(run, taken, t[held], force[held])
+    reading |= _ramp(settings, record, t, force)
+    reading |= _friction(run, record, t[held], force[held])
     run.check_stop()  # computing takes a while: still alive
     return reading
 
 
 def _ramp(
-    settings: Settings,
-    taken: SlipTaken,
+    settings: SlipTrialSettings,
+    record: SlipTrialRecord,
     t: npt.NDArray[np.float64],
     force: npt.NDArray[np.float64],
 ) -> Reading:
     """How well the tangential force followed its ramp until the skin slipped."""
-    if taken.ramp_to_s is None:
+    if record.ramp_to_s is None:
         return {}
-    since = t - taken.motion_from_s
-    rising = (since >= 0) & (t <= taken.ramp_to_s)
+    since = t - record.motion_from_s
+    rising = (since >= 0) & (t <= record.ramp_to_s)
     rise = settings.along * (force[rising, 1] - force[rising, 1][0])
     error = rise - settings.ramp_N_s * since[rising]
     return {
         "ramp_error_rms_N": float(np.sqrt(np.mean(error**2))),
-        "ramp_to_s": taken.ramp_to_s,
+        "ramp_to_s": record.ramp_to_s,
     }
 
 
 def _friction(
-    run: Run, taken: SlipTaken, t: npt.NDArray[np.float64], force: npt.NDArray[np.float64]
+    run: Run, record: SlipTrialRecord, t: npt.NDArray[np.float64], force: npt.NDArray[np.float64]
 ) -> Reading:
-    times, x = (np.array([row[k] for row in taken.position]) for k in (0, 2))
+    times, x = (np.array([row[k] for row in record.position]) for k in (0, 2))
     travel = np.abs(np.interp(t, times, x) - run.settings.start_mm)
     try:
-        found = friction(force[:, 0], np.abs(force[:, 1]), travel)
+        rate_Hz = record.force_rate_S_s
+        found = friction(force[:, 0], np.abs(force[:, 1]), travel, rate_Hz=rate_Hz)
     except FrictionError as error:
-        run.event("warning", "friction", f"trial {taken.number}: {error.one_line()}")
+        run.event("warning", "friction", f"trial {record.number}: {error.one_line()}")
         return {**dict.fromkeys(FRICTION_COLUMNS), "no_friction": error.one_line()}
     return {
         "no_friction": "",

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from procedures.sweep import CHANNELS
+from procedures.sweep.settings import CHANNELS
 from rig.analysis.response.levelling import LearnedGain, LearnedMains
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ FOLLOWED_S = 0.02
 
 
 @dataclass
-class Memory:
+class SweepMemory:
     """What a sweep has learned so far, and the vibration under way."""
 
     preload: Preload

@@ -12,15 +12,15 @@ import math
 from typing import TYPE_CHECKING
 
 from procedures.pressed.contact import felt_N
-from procedures.sweep import LONG_RECORD_S
 from procedures.sweep.layout import reading_of
-from procedures.sweep.sampling import Sampled, Sampling, refuse_silence, warn_of_mains
+from procedures.sweep.sampling import FittedRecord, RecordSampler, refuse_silence, warn_of_mains
+from procedures.sweep.settings import LONG_RECORD_S
 from rig.analysis.response.levelling import AGREEMENT_SIGMAS, RecordNeeds, agreement, combined
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
-    from procedures.sweep import Condition, Settings
-    from procedures.sweep.memory import Memory
+    from procedures.sweep.memory import SweepMemory
+    from procedures.sweep.settings import SweepCondition, SweepSettings
     from rig.analysis.response.sine_fit import SineFit
     from rig.run.context import Run
     from rig.run.points import Reading
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # --- the drive ---
 CAUTION = 0.1
 """Share of the wanted load at a frequency of which nothing is known."""
-SURE = 0.003
+TRUSTED_PREDICTION_ERROR = 0.003
 """Relative error of the last prediction of the load from which the next one is trusted."""
 LOOK_BEFORE_S = 0.1
 """A record that long is not begun with a drive that may be wrong: a short one tells first."""
@@ -69,16 +69,16 @@ STATIC_S = 0.05
 """Least stretch of the force that a reading's preload is the mean of."""
 
 
-class Taking:
-    """One point under way: the drive, the records that count, and what is asked of them."""
+class SweepPointRun:
+    """The measurement of one point: the drive, the valid records, and what is asked of them."""
 
-    def __init__(self, run: Run, condition: Condition):
+    def __init__(self, run: Run, condition: SweepCondition):
         self.run, self.condition = run, condition
-        self.memory: Memory = run.state
-        self.settings: Settings = run.settings
-        self.kept: list[Sampled] = []
+        self.memory: SweepMemory = run.state
+        self.settings: SweepSettings = run.settings
+        self.kept: list[FittedRecord] = []
         """Records in a row at the present drive."""
-        self._sampling = Sampling(run, condition)
+        self._sampler = RecordSampler(run, condition)
         self._begun_s = run.clock.now()
         self._driven_s = 0.0
         """When the drive was changed."""
@@ -106,18 +106,18 @@ class Taking:
         the wait that was asked for."""
         f, lo = self.condition.frequency_Hz, self.condition.load_N
         gain = self.memory.vibrator.at(f)
-        costly = self._averages() and self._sampling.whole_length_s > LOOK_BEFORE_S
-        self._looking = self.memory.surprise > SURE and costly
+        costly = self._averages() and self._sampler.whole_length_s > LOOK_BEFORE_S
+        self._looking = self.memory.surprise > TRUSTED_PREDICTION_ERROR and costly
         if gain is None:
             self._drive(self.settings.first_amplitude_V)
         else:
             self._foretold = self.memory.vibrator.near(f)
             self._drive((1.0 if self._foretold else CAUTION) * lo / gain)
-        self._sampling.wait(self.settings.settling_s)
+        self._sampler.wait(self.settings.settling_s)
 
     def sample(self) -> None:
         """One record more at the present drive."""
-        sampled = self._sampling.take(self._needs(), only_load=self._looking)
+        sampled = self._sampler.take(self._needs(), only_load=self._looking)
         self.kept.append(sampled)
         if math.isnan(self._latest_N):
             self.memory.surprise = abs(sampled.load.amplitude / self.condition.load_N - 1)
@@ -129,7 +129,7 @@ class Taking:
         it is steady, and InstrumentError where it never was."""
         late = self.run.clock.now() - self._begun_s > self.settings.longest_point_s
         if self._is_level() and self._is_settled():
-            if self._sampling.physics_s > SILENCE_S:
+            if self._sampler.physics_s > SILENCE_S:
                 refuse_silence(self.kept[-1].voltage)
             return self._is_known() or late
         if late:
@@ -138,12 +138,12 @@ class Taking:
 
     def reading(self) -> Reading:
         """Record what counts, and what it shows."""
-        run, condition, kept, sampling = self.run, self.condition, self.kept, self._sampling
+        run, condition, kept, sampler = self.run, self.condition, self.kept, self._sampler
         for sampled in kept:
             run.emit("waveform", sampled.record)
         last = kept[-1]
         refuse_silence(last.voltage)
-        warn_of_mains(run, last.voltage, sampling.strong_mains("film"))
+        warn_of_mains(run, last.voltage, sampler.strong_mains("film"))
         self.memory.learn_noise("load_cell", last.load)
         self.memory.learn_noise("film", last.voltage)
         response = combined([sampled.response for sampled in kept])
@@ -154,8 +154,8 @@ class Taking:
             "degrees": sum(sampled.load.n - FITTED_PARAMETERS for sampled in kept),
             "records": len(kept),
             "taken_s": run.clock.now() - self._begun_s,
-            "physics_s": sampling.physics_s,
-            "largest_load_N": sampling.largest_load_N,
+            "physics_s": sampler.physics_s,
+            "largest_load_N": sampler.largest_load_N,
             "preload_N": felt_N(run, max(STATIC_S, 1 / condition.frequency_Hz)),
             **self.memory.preload.zero.columns(),
         }
@@ -172,12 +172,12 @@ class Taking:
         memory.change_vibration(f, amplitude_V, clock.now())
         self.kept.clear()
         if leapt and not self._averages():
-            self._sampling.wait(LEAP_S)
+            self._sampler.wait(LEAP_S)
         self._driven_s = clock.now()
         self._seen_ringing = None
         self._outlasted = False
-        if self._averages() and self._sampling.whole_length_s < VERY_LONG_RECORD_S:
-            self._sampling.wait(RINGING_S if changed else CORRECTED_S)
+        if self._averages() and self._sampler.whole_length_s < VERY_LONG_RECORD_S:
+            self._sampler.wait(RINGING_S if changed else CORRECTED_S)
 
     def _is_level(self) -> bool:
         """Whether the load is the one asked for; if it is not, the drive is corrected."""
@@ -201,13 +201,13 @@ class Taking:
 
     def _averages(self) -> bool:
         """Whether one record averages over all ringing."""
-        return self._sampling.whole_length_s >= LONG_RECORD_S and not self._leapt
+        return self._sampler.whole_length_s >= LONG_RECORD_S and not self._leapt
 
     def _needs(self) -> RecordNeeds:
         """How long the next record has to be: what is missing after those that are kept."""
         if not self.kept and not (self._outlasted or self._averages()):
-            return self._sampling.first_look()
-        return self._sampling.missing_after(sum(sampled.duration_s for sampled in self.kept))
+            return self._sampler.first_look()
+        return self._sampler.missing_after(sum(sampled.duration_s for sampled in self.kept))
 
     def _is_settled(self) -> bool:
         """Whether the last two records agree; those before are forgotten where they do not."""
@@ -255,7 +255,7 @@ class Taking:
             constant_s = (now - since_s) / math.log(first / visible)
             rest_s = constant_s * math.log(visible / (AGREEMENT * size))
             under_way_s = self.kept[-1].duration_s / 2  # in the next one
-            self._sampling.wait(max(min(rest_s, now - self._driven_s) - under_way_s, 0.0))
+            self._sampler.wait(max(min(rest_s, now - self._driven_s) - under_way_s, 0.0))
             self.kept.clear()
             self._outlasted = True
 

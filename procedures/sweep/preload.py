@@ -25,6 +25,7 @@ from procedures.pressed.contact import (
     nothing_felt,
     park,
     refuse_early_contact,
+    stream_force,
     tare_in_free_air,
     travel_s,
     unload,
@@ -36,13 +37,14 @@ from rig.run.trip import TripError
 if TYPE_CHECKING:
     from rig.run.context import Run
 
-FORCE_RATE_S_S = 1000.0
 TICK_S = 0.01
-"""Of the control of the force."""
-LOOK_AROUND_S = 0.02
-"""Of an approach, between two looks at the force; the limit is watched all the time."""
-LOOK_S = 0.005
-"""Stretch of force that a tick looks at."""
+"""From one step of the control of the force to the next."""
+MIN_FORCE_RATE_S_S = 1 / TICK_S
+"""Fewest frames a second of a force sensor: one for every step of the control."""
+CHECKED_EVERY_S = 0.02
+"""From one check of the force to the next in an approach; the limit is watched all the time."""
+FORCE_WINDOW_S = 0.005
+"""Stretch of force that a step takes the mean of: one frame at least."""
 CONTACT_N = 0.4
 """Force that means contact: far above the sensor's noise, far below the preload."""
 APPROACH_mm_s = 0.5
@@ -154,11 +156,11 @@ def press(run: Run, target_N: float) -> Preload:
     """Bring the film under `target_N` and hold it; the way back is armed before it is touched."""
     bench = run.bench
     first_mm, last_mm = contact_range_mm(bench)
-    run.stream_force(FORCE_RATE_S_S)
+    stream_force(run, MIN_FORCE_RATE_S_S, "the control of the preload")
     run.force.watch(bench.force_sensor.reach()["force"].high)
     park(run, "preload", lambda came_from_mm: unload(run, "film", came_from_mm))
     zero = tare_in_free_air(run)
-    come_close(run, CONTACT_N, LOOK_S, LOOK_AROUND_S)
+    come_close(run, CONTACT_N, FORCE_WINDOW_S, CHECKED_EVERY_S)
     while (pressed := _press_from(run, _approach(run, first_mm, last_mm), target_N)) is None:
         run.event("warning", "preload", "what was felt is gone again: the approach goes on")
     pressed.zero = zero
@@ -192,15 +194,15 @@ def _approach(run: Run, first_mm: float, last_mm: float) -> float:
             stage.stop()
             raise not_there(run, patience_s)
         stage.start_move(min(here_mm + AHEAD_S * APPROACH_mm_s, last_mm), APPROACH_mm_s)
-        clock.sleep(LOOK_AROUND_S)
-        if (force_N := felt_N(run, LOOK_S)) > CONTACT_N:
+        clock.sleep(CHECKED_EVERY_S)
+        if (force_N := felt_N(run, FORCE_WINDOW_S)) > CONTACT_N:
             touched_mm = stage.position_mm()
             if touched_mm < first_mm:
                 refuse_early_contact(run, force_N, CONTACT_N)
             return touched_mm
     stage.stop()
     check = "the film is clamped and the force sensor connected"
-    raise nothing_felt(run, felt_N(run, LOOK_S), CONTACT_N, check)
+    raise nothing_felt(run, felt_N(run, FORCE_WINDOW_S), CONTACT_N, check)
 
 
 def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload | None:
@@ -212,7 +214,7 @@ def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload | None:
     stiffness, largest_N = FIRST_STIFFNESS_N_mm, 0.0
     target_mm = contact_mm
     while clock.now() - start_s < PATIENCE_S:
-        force_N = felt_N(run, LOOK_S)
+        force_N = felt_N(run, FORCE_WINDOW_S)
         largest_N = max(largest_N, force_N)
         here_mm = stage.position_mm()
         pressed_mm = here_mm - contact_mm
@@ -247,8 +249,8 @@ def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload | None:
     raise InstrumentError(
         "stage_z",
         "preload",
-        f"{felt_N(run, LOOK_S):.3g} N after {PATIENCE_S:g} s, {target_N:g} N wanted; the stage "
-        f"stands at {stage.position_mm():.3f} mm",
+        f"{felt_N(run, FORCE_WINDOW_S):.3g} N after {PATIENCE_S:g} s, {target_N:g} N wanted; the "
+        f"stage stands at {stage.position_mm():.3f} mm",
         "look at the film and its clamp",
     )
 

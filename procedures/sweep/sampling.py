@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from procedures.sweep import CHANNELS, LISTEN_S
+from procedures.sweep.settings import CHANNELS, LISTEN_S
 from rig.analysis.response.complex_response import DB_PER_RELATIVE, Response, complex_response
 from rig.analysis.response.levelling import (
     NEGLIGIBLE_INFLATION,
@@ -28,8 +28,8 @@ from rig.instruments.roles import Acquisition, InputChannel, Record
 from rig.run.trip import TripError
 
 if TYPE_CHECKING:
-    from procedures.sweep import Condition, Settings
-    from procedures.sweep.memory import Memory
+    from procedures.sweep.memory import SweepMemory
+    from procedures.sweep.settings import SweepCondition, SweepSettings
     from rig.run.context import Run
 
 NO_SIGNAL_ERRORS = 5.0
@@ -44,7 +44,7 @@ LISTEN_MARGIN = 2.0
 
 
 @dataclass(frozen=True)
-class Sampled:
+class FittedRecord:
     """One record and what the fits make of it."""
 
     record: Record
@@ -62,7 +62,7 @@ class Sampled:
 
 def listen(run: Run) -> None:
     """Before anything vibrates: the noise of both channels, and the mains in them."""
-    memory: Memory = run.state
+    memory: SweepMemory = run.state
     settings, daq = run.settings, run.bench.daq
     rate = settings.slowest_rate_S_s if settings.rate_S_s is None else settings.rate_S_s
     ranges = daq.ranges_V()
@@ -89,13 +89,13 @@ def volts_per_unit(run: Run, channel: str) -> float:
     return run.bench.load_cell.sensitivity_V_N if channel == "load_cell" else 1.0
 
 
-class Sampling:
+class RecordSampler:
     """The records of one point, one after the other."""
 
-    def __init__(self, run: Run, condition: Condition):
+    def __init__(self, run: Run, condition: SweepCondition):
         self.run, self.condition = run, condition
-        self.memory: Memory = run.state
-        self.settings: Settings = run.settings
+        self.memory: SweepMemory = run.state
+        self.settings: SweepSettings = run.settings
         self.physics_s = 0.0
         """Time that went into waiting and sampling, and not into commands and computing."""
         self.largest_load_N = 0.0
@@ -107,7 +107,7 @@ class Sampling:
         self.physics_s += seconds
         self.run.clock.sleep(seconds)
 
-    def take(self, needs: RecordNeeds, only_load: bool) -> Sampled:
+    def take(self, needs: RecordNeeds, only_load: bool) -> FittedRecord:
         """One record more; one that was too large for its range is taken again on a larger.
 
         One that `only_load` is wanted of spends nothing on the mains, and the film learns nothing
@@ -129,7 +129,7 @@ class Sampling:
         response = complex_response(voltage, load)
         if shows(voltage) and not only_load:
             self.memory.film.learn(f, abs(response.value))
-        return Sampled(record, load, voltage, response)
+        return FittedRecord(record, load, voltage, response)
 
     # --- how long -------------------------------------------------------------------------------
 

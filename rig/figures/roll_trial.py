@@ -36,7 +36,7 @@ def draw_trial(run: RunFile, number: int, point: str) -> Figure:
     series = {w.stream: w for w in run.waveforms(point)}
     signals, force, rotation = series["signals"], series["force"], series["rotation"]
     begin, end = (float(run.column(name)[number]) for name in ("roll_from", "roll_to"))
-    wanted = float(run.column("normal_force_set")[number])
+    wanted = float(run.column("set_normal_force")[number])
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 8.6))
         panels = figure.subplots(

@@ -45,7 +45,7 @@ def draw_trial(run: RunFile, number: int, point: str) -> Figure:
     series = {w.stream: w for w in run.waveforms(point)}
     signals, force = series["signals"], series["force"]
     begin, end = (float(run.column(name)[number]) for name in ("slide_from", "slide_to"))
-    wanted = float(run.column("normal_force_set")[number])
+    wanted = float(run.column("set_normal_force")[number])
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 7.6))
         volts, newtons, ratio, error = figure.subplots(

@@ -292,11 +292,13 @@ class ForceFrames:
     first_index: int
     """Index of the first frame since the stream was started."""
     raw: npt.NDArray[np.float32]
-    """As the amplifier sent them: (n, 3), its own unit (mV/V)."""
+    """As the sensor sent them: (n, 3), in `raw_unit`."""
     force_N: npt.NDArray[np.float64]
     """(n, 3): forces along the sensor's x, y, z after matrix and tare."""
     saturated: npt.NDArray[np.bool_]
     """(n,): the amplifier's converter was at its end."""
+    raw_unit: str = "mV/V"
+    """Unit of `raw`, which the run file states: mV/V of a bridge amplifier, or N."""
 
     def __len__(self) -> int:
         return len(self.raw)

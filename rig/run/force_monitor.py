@@ -75,13 +75,20 @@ class ForceMonitor:
 
     # --- what the procedure uses --------------------------------------------------------------
 
-    def start(self, rate_S_s: float) -> None:
-        """Begin to stream and to watch; no limit is in force yet."""
+    def start(self, rate_S_s: float) -> float:
+        """Begin to stream and to watch; no limit is in force yet. Returns `rate_S_s`, the property:
+        the sensor may not have the rate that it was asked for."""
         self._unfollow = self._clock.follow_stream("force_sensor", self)
         self._looked_s = self._clock.now()
         self._reader.start()  # first: frames may come although the answer to the start is lost
         self._rate = self._sensor.start(rate_S_s)
         self._last_frame_s = self._clock.now()
+        return self._rate
+
+    @property
+    def rate_S_s(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """Frames a second, as the sensor reported when the stream was started."""
+        return self._rate
 
     def stop(self) -> None:
         """End reading and streaming."""
@@ -136,6 +143,7 @@ class ForceMonitor:
             np.concatenate([batch.raw for batch in parts])[skip:],
             np.concatenate([batch.force_N for batch in parts])[skip:],
             np.concatenate([batch.saturated for batch in parts])[skip:],
+            oldest.raw_unit,
         )
 
     @property

@@ -49,6 +49,8 @@ class StreamPlan:
     dtype: str = "<i2"
     """NumPy's notation."""
     units: str = "count"
+    """Unit of the rows as they are; empty where it is the one that they are recorded with, since
+    only the instrument knows."""
 
 
 @dataclass(frozen=True)

@@ -119,3 +119,17 @@ def test_the_interval_of_a_correlated_mean_holds_its_share(memory, at_least) -> 
         values[:, k] = memory * values[:, k - 1] + kicks[:, k]
     covered = sum(mean_of_correlated(row[200:])[0].covers(0.0) for row in values)
     assert at_least <= covered <= 590
+
+
+@pytest.mark.parametrize("rate_Hz", [100.0, 500.0, 1000.0])
+def test_a_slower_force_sensor_gives_the_same_coefficients(skin6, rate_Hz) -> None:
+    """Each of its frames is the mean of several of a fast one's."""
+    trial = slid(skin6, 0.7, 0.8, 4.0, 1.0, steady_s=1.0)
+    together = round(1000 / rate_Hz)
+    series = [values[: values.size // together * together] for values in sampled(trial, 3)]
+    slow = [values.reshape(-1, together).mean(axis=1) for values in series]
+    found = friction(*slow, rate_Hz=rate_Hz)
+    moved = trial.time_s > trial.motion_s
+    shown = (trial.block.tangential_force_N / trial.block.normal_force_N)[moved].max()
+    assert found.static.value == pytest.approx(shown, rel=0.03)
+    assert found.kinetic.value == pytest.approx(0.56, rel=0.005)

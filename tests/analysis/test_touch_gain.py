@@ -65,3 +65,34 @@ def test_records_that_do_not_overlap_are_refused() -> None:
     force, volts = seen(3e-4, 3e-4, 0.0, 3)
     with pytest.raises(TouchDownError, match="0 ms in common"):
         touch_gain(force, volts, 10.0)
+
+
+FINE_s = 1e-4
+
+
+def as_frames(rate_S_s: float, seed: int) -> tuple[TouchRecord, TouchRecord]:
+    """The same touch-down as frames of a slower force sensor, each the mean over its interval, and
+    volts at 1 kHz."""
+    rng = np.random.default_rng([61, seed])
+    time = FINE_s * np.arange(15_000)
+    since = (time - 0.4).clip(min=0)
+    force = 4.0 * (1 - np.exp(-since / 0.06) * (1 + since / 0.06))
+    force -= 0.6 * np.exp(-(((time - 0.95) / 0.015) ** 2))
+    share = 2e-4 + 2e-4 * force / 4.0
+    volts = (0.3 + share * np.gradient(force, FINE_s) + MAINS_V * np.sin(100 * np.pi * time))[::10]
+    total = np.concatenate([[0], np.cumsum((force[1:] + force[:-1]) / 2) * FINE_s])
+    ends = np.arange(1 / rate_S_s + 1e-3 * rng.uniform(), time[-1], 1 / rate_S_s)
+    frames = (np.interp(ends, time, total) - np.interp(ends - 1 / rate_S_s, time, total)) * rate_S_s
+    frames += FORCE_NOISE_N * np.sqrt(rate_S_s / 1000) * rng.normal(size=frames.size)
+    return (
+        TouchRecord(frames, rate_S_s, float(ends[0]), 0.5 / rate_S_s),
+        TouchRecord(volts + VOLT_NOISE_V * rng.normal(size=volts.size), 1000.0),
+    )
+
+
+@pytest.mark.parametrize("rate_S_s", [100.0, 500.0, 1000.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_gain_does_not_depend_on_the_force_sensors_rate(rate_S_s: float, seed: int) -> None:
+    gain = touch_gain(*as_frames(rate_S_s, seed), 0.0)
+    assert gain.value == pytest.approx(3e-4, rel=0.01)
+    assert gain.standard_error < 6e-6

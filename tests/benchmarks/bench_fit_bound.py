@@ -20,7 +20,7 @@ from measured import heading
 from drivers.simulated.instruments.keysight_u2300a import MODELS, codes_of_volts, volts_of_codes
 from drivers.simulated.ports import Excitation
 from drivers.simulated.world.world import FILM_TERMINAL, LOAD_CELL_TERMINAL, World, WorldSettings
-from procedures.sweep import Settings
+from procedures.sweep.settings import SweepSettings
 from rig.analysis.film.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz
 from rig.analysis.response.complex_response import quantisation_rms
 from rig.analysis.response.sine_fit import fit_sine, mains_lines, record_length
@@ -32,7 +32,7 @@ pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 
 DRAWS = 120
 LARGEST_RATIO = 1.2
-SETTINGS = Settings()
+SETTINGS = SweepSettings()
 AMPLITUDE_V, SETTLING_S, RANGE_V = 0.7, 0.2, 1.25
 LEAST_S, LEAST_CYCLES, MOST_S = 0.1, 4, 20.0
 

@@ -1,4 +1,4 @@
-"""What a trial tells of how its servo went, from what it has taken."""
+"""What a trial tells of how its servo went, from its record."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from procedures.pressed.reading import Taken, reading_of
-from procedures.slip_trial import Settings
+from procedures.pressed.reading import TrialRecord, reading_of
+from procedures.slip_trial.settings import SlipTrialSettings
 from rig.control.tick_loop import LoopStatistics
 
 TICKS = 200
 
 
-def taken(held_back: int) -> Taken:
+def record(held_back: int) -> TrialRecord:
     """Two seconds of 4 N, the motion in the second of them; no touch-down is seen."""
-    found = Taken(3, 100.0)
+    found = TrialRecord(3, 100.0, 1000.0)
     found.force = [np.tile([4.0, 0.5, 0.0], (2000, 1))]
     found.volts = [np.zeros((2000, 2))]
     found.rows, found.frames = 20_000, 2000
@@ -35,12 +35,12 @@ def told(held_back: int) -> tuple[dict[str, object], list[str]]:
             said.append(message)
 
     run = SimpleNamespace(
-        settings=Settings(),
+        settings=SlipTrialSettings(),
         event=event,
         check_stop=lambda: None,
         clock=SimpleNamespace(truth=dict),
     )
-    return dict(reading_of(run, taken(held_back))), said
+    return dict(reading_of(run, record(held_back))), said
 
 
 @pytest.mark.parametrize("held_back", [0, TICKS // 2])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from procedures.roll_trial import Settings
 from procedures.roll_trial.profile import Curve, ThereAndBack
+from procedures.roll_trial.settings import RollTrialSettings
 
 WAYS = [
     ThereAndBack(3.5, 12.0, 60.0, 0.3),  # reaches its speed
@@ -61,4 +61,4 @@ WRONG = [
 @pytest.mark.parametrize(("given", "words"), WRONG)
 def test_what_cannot_be_rolled_is_refused(given, words):
     with pytest.raises(ValidationError, match=words):
-        Settings.model_validate(given)
+        RollTrialSettings.model_validate(given)

@@ -87,14 +87,14 @@ class ClockOffset:
 
 
 def clock_offset(force_N: TouchRecord, volts: TouchRecord, within_s: float = 0.2) -> ClockOffset:
-    """Returns the offset of the clock of the force from that of the volts, within ± `within_s`.
+    """Offset of the force's clock against the volts', searched for in ±`within_s`.
 
     `force_N` is F_n and `volts` the sum v_1 + v_2, raw or decimated. Both must contain the
     touch-down and some time before and after it, the force at least `within_s` more.
 
     Raises ClockOffsetError if the records do not overlap or have no touch-down in common.
     """
-    time, seen = volts_on_grid(volts)
+    time, seen = volts_on_grid(volts, force_N.rate_Hz)
     touch = SmoothForce(force_N)
     inside = (time - within_s >= touch.first_s) & (time + within_s <= touch.last_s)
     time, seen = time[inside], seen[inside]

@@ -1,4 +1,4 @@
-"""Friction coefficients of a slide at constant normal force, from F_t and F_n at 1 kHz.
+"""Friction coefficients of a slide at constant normal force, from F_t and F_n at 1 kHz or less.
 
     static   the largest F_t/F_n on the way to gross slip
     kinetic  F_t/F_n in steady sliding afterwards
@@ -57,14 +57,17 @@ PEAK_WITHIN = 1.8
 """The peak is searched up to this multiple of the travel at which F_t/F_n came near its largest
 value. A later maximum is noise of steady sliding."""
 SHAPE = 0.002
-"""Relative error of the peak without noise, because samples miss it and it is not a parabola: rms
-over the simulated slides with which this module was tuned."""
-STRETCH = (4, 40)
-"""Fewest and most samples of a fitted parabola."""
+"""Relative error of the peak without noise: samples miss it, parabolas are not its shape. Rms over
+the simulated slides with which this module was tuned."""
+SHORTEST_STRETCH = 4
+"""Fewest samples of a fitted parabola."""
+LONGEST_STRETCH_s = 0.04
+"""Longest stretch that a parabola is fitted to, where that is more samples than the fewest."""
 REPEATS = 400
-"""Number of repeats of the search for the peak, from which its bias and scatter are computed."""
-BLOCK = 20
-"""Samples of a block of noise: more than the correlation time of the sensor's noise."""
+BLOCK_s = 0.02
+"""Length of a block of noise: longer than the sensor's noise remembers."""
+SHORTEST_BLOCK = 4
+"""Fewest samples of a block of noise."""
 WINDOW = 5.0
 """Window of the autocorrelation (Sokal): it is summed up to this multiple of the correlation
 time."""
@@ -99,8 +102,9 @@ def friction(
     tangential_N: ArrayLike,
     travel_mm: ArrayLike,
     zero_error_N: tuple[float, float] = (0.0, 0.0),
+    rate_Hz: float = 1000.0,
 ) -> Friction:
-    """Returns the coefficients from F_n, F_t and the travel, (n,) each, at equal time steps.
+    """Coefficients from F_n, F_t and the travel since the slide began, (n,) each, at `rate_Hz`.
 
     The arrays begin and end with the motion. F_t is positive along the travel: both directions give
     positive coefficients. `zero_error_N` are the standard errors of the zeros of F_n and F_t.
@@ -115,8 +119,9 @@ def friction(
     steady = _steady_from(ratio, travel, rough)
     rest = ratio[steady:]
     kinetic, independent = mean_of_correlated(rest)
-    stretch = _stretch(ratio, rough)
-    static, peak = _peak(ratio, rough, stretch, rest - rest.mean())
+    stretch = _stretch(ratio, rough, rate_Hz)
+    block = max(SHORTEST_BLOCK, round(BLOCK_s * rate_Hz))
+    static, peak = _peak(ratio, rough, stretch, rest - rest.mean(), block)
     level = float(normal[max(peak - 5, 0) : peak + 6].mean())
     static = _with_zeros(static, zero_error_N, level)
     kinetic = _with_zeros(kinetic, zero_error_N, float(normal[steady:].mean()))
@@ -221,12 +226,12 @@ def _slope(x: Reals, y: Reals) -> float:
     return float(centred @ y) / below if below > 0 else 0.0
 
 
-def _stretch(ratio: Reals, peak: int) -> int:
-    """Returns the number of samples of the parabola: half of those in the last tenth of the
-    rise."""
+def _stretch(ratio: Reals, peak: int, rate_Hz: float) -> int:
+    """Samples of the parabola: half of what the last tenth of the rise takes."""
     below = np.nonzero(ratio[:peak] < NEAR_PEAK * ratio[peak])[0]
     rise = peak - (int(below[-1]) if below.size else 0)
-    return int(np.clip(rise // 2, *STRETCH))
+    longest = max(SHORTEST_STRETCH, round(LONGEST_STRETCH_s * rate_Hz))
+    return int(np.clip(rise // 2, SHORTEST_STRETCH, longest))
 
 
 def _end_of_parabola(stretch: int) -> Reals:
@@ -246,8 +251,8 @@ def _ends(values: Reals, weights: Reals) -> Reals:
     return ends
 
 
-def _peak(ratio: Reals, rough: int, stretch: int, noise: Reals) -> tuple[Estimate, int]:
-    """Returns the peak, corrected for what noise adds to a maximum, with its error."""
+def _peak(ratio: Reals, rough: int, stretch: int, noise: Reals, block: int) -> tuple[Estimate, int]:
+    """The peak without what noise adds to a maximum, with its error."""
     weights = _end_of_parabola(stretch)
     first = max(0, rough - 4 * stretch)
     part = ratio[first : rough + 4 * stretch + 1]
@@ -257,9 +262,8 @@ def _peak(ratio: Reals, rough: int, stretch: int, noise: Reals) -> tuple[Estimat
     found = int(curve.argmax())
     value = float(curve[found])
     smooth = np.concatenate([part[: stretch - 1], curve])
-    # A fixed seed: the same data always give the same numbers.
-    rng = np.random.default_rng(0)
-    repeats = smooth + _blocks_of(noise, (REPEATS, smooth.size), rng)
+    rng = np.random.default_rng(0)  # the same data always give the same numbers
+    repeats = smooth + _blocks_of(noise, block, (REPEATS, smooth.size), rng)
     largest = _ends(repeats, weights).max(axis=-1)
     of_curve = float(_ends(smooth, weights).max())
     bias = float(largest.mean()) - of_curve
@@ -269,12 +273,12 @@ def _peak(ratio: Reals, rough: int, stretch: int, noise: Reals) -> tuple[Estimat
     return Estimate.normal(value - bias, error, ""), first + stretch - 1 + found
 
 
-def _blocks_of(noise: Reals, shape: tuple[int, int], rng: np.random.Generator) -> Reals:
-    """Returns noise of this shape, composed of blocks of the observed noise."""
+def _blocks_of(noise: Reals, block: int, shape: tuple[int, int], rng: np.random.Generator) -> Reals:
+    """Noise of this shape out of stretches of so many samples of what was seen."""
     rows, length = shape
-    blocks = -(-length // BLOCK)
-    starts = rng.integers(0, noise.size - BLOCK + 1, (rows, blocks))
-    taken: Reals = noise[starts[:, :, None] + np.arange(BLOCK)].reshape(rows, -1)[:, :length]
+    blocks = -(-length // block)
+    starts = rng.integers(0, noise.size - block + 1, (rows, blocks))
+    taken: Reals = noise[starts[:, :, None] + np.arange(block)].reshape(rows, -1)[:, :length]
     return taken
 
 

@@ -5,14 +5,17 @@ takes up its share of the force earlier or later than the others, so the volts a
 
     v(t) = P(F) dF/dt + v_0 + mains
 
-with a share P that depends on the force alone and is linear between fixed shares of the largest
-force. Both records are first smoothed by the same Gaussian, so that rates and frame times do not
-matter. `rig.analysis.trial.clock_offset` finds the offset between their clocks, and
-`rig.analysis.trial.touch_gain` the size of P.
+with a share P that is a function of the force alone: a broken line between some forces. Both
+records are first smoothed by the same Gaussian, so that rates and frame times do not matter. The
+frames of a slow force sensor, means over an interval that is long beside the Gaussian, are first
+interpolated, and the volts are averaged over as long an interval.
+`rig.analysis.trial.clock_offset` finds when the two were taken, `rig.analysis.trial.touch_gain` how
+large P is.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -27,7 +30,10 @@ WIDTH_s = 0.004
 """Standard deviation of the Gaussian, in s. It reduces 3 mN of noise per frame to 0.2 N/s of
 dF/dt."""
 GRID_Hz = 1000.0
-"""Rate at which the two records are compared, in Hz."""
+"""Where the two are compared."""
+FINE_RATE_Hz = 500.0
+"""From here on, frames are dense enough for the Gaussian to be sampled at them: two a width. At 100
+frames/s its sampled derivative would be half of the true one, and the gains twice as large."""
 MAINS_Hz = 50.0
 """Mains frequency, in Hz."""
 MEMORY = 4.0
@@ -42,7 +48,7 @@ class TouchDownError(RigError):
 
 @dataclass(frozen=True)
 class TouchRecord:
-    """Equally spaced samples of a touch-down on a clock of their own."""
+    """Equally spaced samples (n,) on a clock of their own."""
 
     values: Reals
     """The samples, (n,)."""
@@ -63,12 +69,11 @@ def _gaussian(values: Reals, rate_Hz: float, order: int) -> Reals:
     return result
 
 
-def volts_on_grid(volts: TouchRecord) -> tuple[Reals, Reals]:
-    """Returns times on the clock of the volts, corrected for their delay, and the smoothed volts.
-
-    Raises TouchDownError if there are too few samples.
-    """
+def volts_on_grid(volts: TouchRecord, force_rate_Hz: float) -> tuple[Reals, Reals]:
+    """Times on the volts' clock, corrected, and smoothed volts, as slow as frames at that rate."""
     values = np.asarray(volts.values, dtype=np.float64)
+    if force_rate_Hz < FINE_RATE_Hz:
+        values = _averaged(values, round(volts.rate_Hz / force_rate_Hz))
     start = volts.first_s - volts.delay_s
     edge = 4 * WIDTH_s
     end = start + (values.size - 1) / volts.rate_Hz
@@ -76,6 +81,27 @@ def volts_on_grid(volts: TouchRecord) -> tuple[Reals, Reals]:
     if not time.size:
         raise TouchDownError(f"{values.size} samples of volts are too few")
     return time, _cubic(start, volts.rate_Hz, _gaussian(values, volts.rate_Hz, 0))(time)
+
+
+def _averaged(values: Reals, width: int) -> Reals:
+    """The running mean over so many samples, centred: of an even number the mean of the two that
+    begin half a sample before and after."""
+    from scipy.ndimage import uniform_filter1d
+
+    means = uniform_filter1d(values, width, mode="nearest")
+    if width % 2 == 0:
+        means = (means + uniform_filter1d(values, width, mode="nearest", origin=-1)) / 2
+    result: Reals = means
+    return result
+
+
+def _interpolated(series: TouchRecord) -> TouchRecord:
+    """The series at a whole multiple of its rate, of at least that of the grid."""
+    values = np.asarray(series.values, dtype=np.float64)
+    times = math.ceil(GRID_Hz / series.rate_Hz)
+    at = np.arange((values.size - 1) * times + 1) / times
+    between = _cubic(0.0, 1.0, values)(at)
+    return TouchRecord(between, times * series.rate_Hz, series.first_s, series.delay_s)
 
 
 def _cubic(first_s: float, rate_Hz: float, values: Reals) -> Callable[[Reals], Reals]:
@@ -95,11 +121,13 @@ def _cubic(first_s: float, rate_Hz: float, values: Reals) -> Callable[[Reals], R
 class SmoothForce:
     """Smoothed force and its rate, at any time on the clock of the force."""
 
-    def __init__(self, record: TouchRecord):
-        values = np.asarray(record.values, dtype=np.float64)
-        self._time = record.first_s - record.delay_s + np.arange(values.size) / record.rate_Hz
-        self._force = _gaussian(values, record.rate_Hz, 0)
-        first_s, rate_Hz = float(self._time[0]), record.rate_Hz
+    def __init__(self, series: TouchRecord):
+        if series.rate_Hz < FINE_RATE_Hz:
+            series = _interpolated(series)
+        values = np.asarray(series.values, dtype=np.float64)
+        self._time = series.first_s - series.delay_s + np.arange(values.size) / series.rate_Hz
+        self._force = _gaussian(values, series.rate_Hz, 0)
+        first_s, rate_Hz = float(self._time[0]), series.rate_Hz
         self._force_at = _cubic(first_s, rate_Hz, self._force)
         self._rate_at = _cubic(first_s, rate_Hz, _gaussian(values, rate_Hz, 1))
         edge = 4 * WIDTH_s

@@ -30,14 +30,15 @@ ENOUGH = 10
 
 
 def touch_gain(force_N: TouchRecord, volts: TouchRecord, offset_s: float) -> Estimate:
-    """Returns the gain of a strip in V s/N, with its sign.
+    """A strip's gain in V s/N, with its sign; what was at t on the volts' clock was at t +
+    `offset_s` on the force's, which is taken as known.
 
     An event at t on the clock of the volts was at t + `offset_s` on that of the force; the offset
     is taken as known. Both records contain the touch-down and some time before and after it.
 
     Raises TouchDownError if they do not overlap.
     """
-    time, seen = volts_on_grid(volts)
+    time, seen = volts_on_grid(volts, force_N.rate_Hz)
     touch = SmoothForce(force_N)
     inside = (time + offset_s >= touch.first_s) & (time + offset_s <= touch.last_s)
     time, seen = time[inside], seen[inside]

@@ -135,6 +135,7 @@ class Stream(Settings):
     row_shape: tuple[int, ...]
     """Shape of one row, (channels,)."""
     units: Short = "count"
+    """Unit of the rows as they are; empty where each of the stream's states gives it."""
     long_name: Short = ""
 
     @model_validator(mode="after")

@@ -19,6 +19,7 @@ from rig.files.hdf5.open_file import OpenFile
 from rig.files.hdf5.safe_reading import DAMAGE, refuse_links, text_of, texts_of, whole
 from rig.files.journal.format import from_json
 from rig.files.journal.values import RunHeader
+from rig.files.runfile.former_names import column_in, with_present_keys
 
 if TYPE_CHECKING:
     import h5py
@@ -149,8 +150,12 @@ class RunFile(OpenFile):
 
     def column(self, name: str) -> NDArray[Any]:
         """Return a column of the readings, float64 (or text) of shape (points,), in plot order.
+
+        Files that were written before a column was renamed answer to its present name as well.
         RunFileError if there is no such column.
         """
+        if name not in self.columns():
+            name = column_in(self.header.layout, name)
         if name not in self.columns():
             raise RunFileError(self.path, f"no column {name!r}", f"it has {self.columns()}")
         with _naming(self.path):
@@ -162,10 +167,14 @@ class RunFile(OpenFile):
             return numbers
 
     def readings(self) -> list[dict[str, Any]]:
-        """Return the readings as the procedure gave them, in the order of ``point_ids``."""
+        """Return the readings as the procedure gave them, by their present keys, in the order of
+        ``point_ids``."""
         with _naming(self.path):
             results = texts_of(self.entry["attempts/result"])
-            return [from_json(results[n])["reading"] for n in whole(self.entry["points/attempt"])]
+            readings = [
+                from_json(results[n])["reading"] for n in whole(self.entry["points/attempt"])
+            ]
+        return [with_present_keys(self.header.layout, reading) for reading in readings]
 
     def waveforms(
         self, point: str | None = None, status: str = "kept", stream: str | None = None

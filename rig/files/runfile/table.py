@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.files.journal.layout import Column
 from rig.files.journal.reader import JournalContents
+from rig.files.runfile.former_names import value_for
 
 if TYPE_CHECKING:
     import numpy as np
@@ -57,8 +58,9 @@ def _table(ids: list[str], attempts: list[int], contents: JournalContents) -> Po
     readings = [contents.reading(attempt) for attempt in attempts]
     warnings: list[str] = []
     columns: dict[str, NDArray[np.float64] | list[str]] = {}
-    for column in contents.header.layout.columns:
-        values = [reading.get(column.key) for reading in readings]
+    layout = contents.header.layout
+    for column in layout.columns:
+        values = [value_for(layout, column, reading) for reading in readings]
         if column.kind == "text":
             columns[column.name] = ["" if value is None else str(value) for value in values]
         else:

@@ -78,6 +78,7 @@ class SampleWriter:
         data = group(self._places[place], name, "NXdata")
         fields = []
         names = channel_names(stream.channels)
+        units = stream.units or (segment.state.units if segment.state else "")
         axis = self._axis(data, segment)
         set_attributes(data, {"signal": names[0], "axes": [axis]})
         if names[1:]:
@@ -86,7 +87,7 @@ class SampleWriter:
         text_field(data, "title", self._title(segment, stream.name))
         for k, (dataset, channel) in enumerate(zip(names, stream.channels, strict=True)):
             field = empty_field(data, dataset, (segment.rows,), stream.dtype)
-            label(field, stream.units, f"{channel} ({stream.units})")
+            label(field, units, f"{channel} ({units})")
             set_attributes(field, channel_attributes(segment.state, k))
             fields.append(field)
         return fields

@@ -1,0 +1,101 @@
+"""The axes of a trial: where each was commanded to be, and where it was when it was last polled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from rig.bench.bench import require
+
+if TYPE_CHECKING:
+    from procedures.pressed.links import TrialLinks
+    from rig.instruments.roles import LinearStage
+    from rig.run.context import Run
+
+SLOWEST_mm_s = 0.01
+"""Slowest speed that z is commanded to move at."""
+
+
+@dataclass(frozen=True)
+class StagePoll:
+    """A stage's answer to where it is."""
+
+    at_s: float = 0.0
+    """When it was asked, on the run's clock: the middle between question and answer."""
+    position_mm: float = 0.0
+    commanded_mm: float = 0.0
+
+
+class PolledAxis(Protocol):
+    """An axis whose position a trial records."""
+
+    in_motion: bool
+    """Whether the axis is polled; one at rest stays where it was polled last."""
+
+    @property
+    def polled_s(self) -> float:
+        """When it was polled last, on the run's clock."""
+        ...
+
+    def ask_poll(self) -> None:
+        """Ask its link for the position; the answer is there for a later tick."""
+        ...
+
+
+class PolledStage:
+    """A linear stage of a trial, moved and polled through its link."""
+
+    def __init__(self, run: Run, role: str, stage: LinearStage, links: TrialLinks):
+        self.role, self.stage, self.links, self.clock = role, stage, links, run.clock
+        self.commanded_mm = 0.0
+        self.in_motion = False
+        self.latest = StagePoll()
+
+    @property
+    def polled_s(self) -> float:
+        """See `PolledAxis`."""
+        return self.latest.at_s
+
+    def poll(self) -> None:
+        """Ask the stage where it is, in the calling thread."""
+        commanded_mm, asked_s = self.commanded_mm, self.clock.now()
+        position_mm = self.stage.position_mm()
+        self.latest = StagePoll((asked_s + self.clock.now()) / 2, position_mm, commanded_mm)
+
+    def ask_poll(self) -> None:
+        """See `PolledAxis`."""
+        self.links.ask(self.role, "poll", self.poll)
+
+    def start_move(self, position_mm: float, speed_mm_s: float) -> None:
+        """Ask the stage's link to begin a move, or to change the target of the one under way."""
+        self.commanded_mm = position_mm
+        self.links.ask(self.role, "target", lambda: self.stage.start_move(position_mm, speed_mm_s))
+
+
+class PressingStage(PolledStage):
+    """The z stage of a trial, whose position decides the force; it is always polled."""
+
+    def __init__(self, run: Run, stage: LinearStage, links: TrialLinks, link_s: float):
+        super().__init__(run, "stage_z", stage, links)
+        self.in_motion = True
+        self.target_late_s = 0.0
+        """By how much later than usual the latest target came to the stage."""
+        self._link_s = link_s
+
+    def start_move(self, position_mm: float, speed_mm_s: float) -> None:
+        """Ask for a move to a position that the stage's limits allow, LimitError else; the speed is
+        brought within the stage's limits."""
+        reach = self.stage.reach()
+        require("position under the force", position_mm, reach["position"])
+        self.commanded_mm = position_mm
+        speed_mm_s = min(max(speed_mm_s, SLOWEST_mm_s), reach["speed"].high)
+        asked_s = self.clock.now()
+
+        def move() -> None:
+            begun_s = self.clock.now()
+            self.stage.start_move(position_mm, speed_mm_s)
+            # The target came in the middle of the time beyond the usual, which is in the delay.
+            beyond_s = max(0.0, self.clock.now() - begun_s - self._link_s)
+            self.target_late_s = begun_s - asked_s + beyond_s / 2
+
+        self.links.ask(self.role, "target", move)

@@ -1,0 +1,106 @@
+"""The force in a trial: what its latest frames say, how old that is, and the frames' record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from procedures.pressed.contact import FORCE_RATE_S_S
+
+if TYPE_CHECKING:
+    from procedures.pressed.rates import ServoRates
+    from procedures.pressed.reading import TrialRecord
+    from rig.run.context import Run
+
+FORCE_WINDOW_S = 0.004
+"""Stretch of force that a tick takes the mean of: shorter is noisier, longer is later. Where that
+is less than a frame, it is one frame."""
+FORCE_AGE_S = 0.003
+"""Age of that mean at `FORCE_RATE_S_S`: half of the window, half a frame, and the rubber."""
+BLOCK_S = 0.05
+"""Forces and positions are recorded in blocks of this length: each block has a checksum of its own
+and its place in the run file."""
+
+
+@dataclass(frozen=True)
+class ForceTiming:
+    """What follows from the frames that the force sensor sends a second."""
+
+    rate_S_s: float
+
+    @property
+    def window_s(self) -> float:
+        """Stretch of force that a tick takes the mean of: whole frames, one at least."""
+        return max(1, round(FORCE_WINDOW_S * self.rate_S_s)) / self.rate_S_s
+
+    @property
+    def block_frames(self) -> int:
+        """Frames of a block of the record."""
+        return max(1, round(BLOCK_S * self.rate_S_s))
+
+    @property
+    def older_s(self) -> float:
+        """By how much older a tick's force is than at `FORCE_RATE_S_S`: half of what window and
+        frame are longer."""
+        longer_s = self.window_s - FORCE_WINDOW_S + 1 / self.rate_S_s - 1 / FORCE_RATE_S_S
+        return longer_s / 2
+
+    @property
+    def age_s(self) -> float:
+        """Age of a tick's force."""
+        return FORCE_AGE_S + self.older_s
+
+    def delay_s(self, rates: ServoRates) -> float:
+        """From a command to the first force that shows it."""
+        return rates.delay_s + self.older_s
+
+
+class TrialForce:
+    """The force sensor's stream as a trial uses it: the latest force and its age for the servo,
+    and every frame for the record."""
+
+    def __init__(self, run: Run, record: TrialRecord):
+        self._run, self._record = run, record
+        self.timing = ForceTiming(record.force_rate_S_s)
+        self.tangential_N = 0.0
+        """Of the latest `update`, along x."""
+        self.measured_s = 0.0
+        """When the force of the latest `update` acted, on the run's clock."""
+        self.older_s = 0.0
+        """By how much older than usual it is."""
+        self._first_frame = self._frames_sent = 0
+        """Number of the record's first frame, and frames since then when the tick began."""
+
+    def update(self) -> float:
+        """Take the mean of the latest frames, and return it along z: what presses is positive."""
+        self.older_s = self._run.force.older_s
+        self.measured_s = self._run.clock.now() - self.timing.age_s - self.older_s
+        force_N = self._run.force.mean_N(self.timing.window_s)
+        self.tangential_N = float(force_N[0])
+        return float(force_N[2])
+
+    def start_recording(self) -> None:
+        """Have the record begin with the next frame."""
+        self._first_frame = self._run.force.frames_seen
+
+    def count_frames(self) -> None:
+        """Note how many frames have come: the next `record_frames` records these."""
+        self._frames_sent = self._run.force.frames_seen - self._first_frame
+
+    def record_frames(self, least: int = 1) -> None:
+        """Record what `count_frames` has counted and is not recorded, if it is `least` frames."""
+        run, record = self._run, self._record
+        fresh = self._frames_sent - record.frames
+        if fresh < least:
+            return
+        frames = run.force.frames_since(self._first_frame + record.frames)
+        assert frames is not None, "they have been seen"
+        first, record.frames = record.frames, record.frames + fresh
+        rate_S_s = self.timing.rate_S_s
+        run.put("bridges", first, frames.raw[:fresh], rate_S_s, units=frames.raw_unit)
+        # The sensor's z points up out of the object: what presses on it is F_n.
+        newton = np.ascontiguousarray(frames.force_N[:fresh, [2, 0, 1]])
+        run.put("force", first, newton, rate_S_s, units="N")
+        record.force.append(newton)

@@ -1,0 +1,77 @@
+"""The normal force held by a servo on z, one step a tick."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rig.core.errors import InstrumentError
+
+if TYPE_CHECKING:
+    from procedures.pressed.axes import PressingStage
+    from procedures.pressed.force import TrialForce
+    from procedures.pressed.links import TrialLinks
+    from procedures.pressed.reading import TrialRecord
+    from rig.control.force_servo import ContactShift, ForceServo
+    from rig.control.tick_loop import Tick
+
+SILENT_S = 0.5
+"""Where z does not answer for longer, nothing holds the force: what moves has to stop. A stalled
+computer is silent for less."""
+
+
+class ForceHold:
+    """Moves z, tick by tick, by what the force asks for."""
+
+    def __init__(
+        self,
+        servo: ForceServo,
+        z: PressingStage,
+        links: TrialLinks,
+        force: TrialForce,
+        record: TrialRecord,
+        at_rest_s: float,
+    ):
+        self._servo, self._z, self._links = servo, z, links
+        self._force, self._record = force, record
+        self._at_rest_s = at_rest_s
+        """From when on z has stood where the servo begins: an older force is not for it."""
+        self._ticks_since_step = 0
+
+    @property
+    def shift(self) -> ContactShift:
+        """What the motion under way has shown so far."""
+        return self._servo.shift
+
+    def begin_motion(self, expected: ContactShift | None) -> None:
+        """The next step is the first of a motion; `expected` is the `shift` of one like it."""
+        self._servo.slide_begins(expected)
+
+    def count_tick(self, tick: Tick) -> None:
+        """Note that a tick has begun, and how many were missed before it."""
+        self._ticks_since_step += 1 + tick.missed
+
+    def step(self, force_N: float) -> None:
+        """Give z a new target.
+
+        Nothing is asked of a link that is not done with what it was asked before: a target that
+        waits there would come later than the servo takes for granted, and the force would ring.
+        InstrumentError where z has not answered for longer than `SILENT_S`.
+        """
+        silent_s = self._links.silent_s("stage_z")
+        if silent_s > SILENT_S:
+            raise InstrumentError(
+                "stage_z",
+                "hold the force",
+                f"no answer for {silent_s:.2g} s: nothing holds "
+                f"{self._servo.settings.target_N:g} N",
+                "check the connection to the stage, and what else the computer is busy with",
+            )
+        force = self._force
+        if not self._links.is_idle("stage_z") or force.measured_s < self._at_rest_s:
+            self._record.held_back += 1
+            return
+        step = self._servo.step(
+            force_N, self._ticks_since_step, self._z.target_late_s, force.older_s
+        )
+        self._ticks_since_step = 0
+        self._z.start_move(self._z.commanded_mm + step.increment_mm, step.speed_mm_s)

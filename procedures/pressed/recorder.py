@@ -1,0 +1,162 @@
+"""What every tick of a trial does besides its own task: poll the stages, collect and record.
+
+Samples of the strips, frames of the force sensor and positions come at rates of their own. Each is
+recorded once in a poll interval, in a tick of its own where there are several ticks to choose from,
+so that no tick has to do all of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+from procedures.pressed.force import TrialForce
+from procedures.pressed.positions import AxisRows, PositionRecorder
+from procedures.pressed.strips import StripRecorder
+from rig.core.errors import RigError
+
+if TYPE_CHECKING:
+    from procedures.pressed.axes import PolledAxis, PolledStage
+    from procedures.pressed.links import TrialLinks
+    from procedures.pressed.reading import TrialRecord
+    from rig.control.tick_loop import Tick
+    from rig.run.context import Run
+
+
+class PollSchedule:
+    """Which ticks of a loop poll the stages: `rate_Hz` times a second at most."""
+
+    def __init__(self, rate_Hz: float):
+        self._rate_Hz = rate_Hz
+        self._every = 1
+        """Ticks of the loop under way from one poll to the next."""
+        self._latest = -1
+        """Number of the latest poll in the loop under way."""
+        self.interval_s = math.inf
+        """From one poll to the next."""
+
+    def begin_loop(self, tick_Hz: float) -> None:
+        """Count from the first tick of a loop at this rate; it is due."""
+        self._every = max(1, round(tick_Hz / self._rate_Hz))
+        self.interval_s, self._latest = self._every / tick_Hz, -1
+
+    def is_due(self, tick: Tick) -> bool:
+        """Return whether this tick polls: once in an interval, also where ticks were missed."""
+        number = tick.number // self._every
+        due, self._latest = number != self._latest, number
+        return due
+
+    def is_last(self, tick: Tick) -> bool:
+        """Return whether the next tick polls."""
+        return (tick.number + 1) % self._every == 0
+
+
+class TickRecorder:
+    """Polls the axes, and records strips, force and positions, tick by tick."""
+
+    def __init__(
+        self,
+        run: Run,
+        record: TrialRecord,
+        links: TrialLinks,
+        stages: tuple[PolledStage, PolledStage],
+        poll_rate_Hz: float,
+    ):
+        self._run, self._links = run, links
+        self._axes: list[PolledAxis] = [*stages]
+        """In the order in which they are polled."""
+        self.force = TrialForce(run, record)
+        self._strips = StripRecorder(run, record, links)
+        self._positions = PositionRecorder(run, record, *stages)
+        self._schedule = PollSchedule(poll_rate_Hz)
+        self._poll_due = self._recording = False
+        self._left: list[Callable[[], None]] = []
+        """What is still to be collected in this poll interval, the next one last."""
+
+    def add_axis(self, rows: AxisRows) -> None:
+        """Poll a further axis, after the stages, and record its positions with theirs."""
+        self._axes.append(rows.axis)
+        self._positions.add(rows)
+
+    def start(self) -> None:
+        """Begin to sample the strips and to record them, the forces and the positions."""
+        self._strips.start()
+        self.force.start_recording()
+        self._recording = True
+
+    def stop(self) -> None:
+        """Record what has still come, and end the acquisition."""
+        self._positions.add_row()
+        self._positions.record_rows()
+        self._strips.collect_rest()
+        self.force.count_frames()
+        self.force.record_frames()
+        self._recording = False
+        self._strips.stop()
+
+    @contextlib.contextmanager
+    def loop(self, tick_Hz: float) -> Iterator[None]:
+        """Around a loop of ticks at this rate. Leaving it records what had come when its last tick
+        began; what that raises is not raised where the loop itself has raised something."""
+        self._schedule.begin_loop(tick_Hz)
+        try:
+            yield
+        except BaseException:
+            with contextlib.suppress(RigError):
+                self._record_open_blocks()
+            raise
+        self._record_open_blocks()
+
+    def collect(self, tick: Tick, wait: bool = False) -> float:
+        """Poll and record what is due in this tick; return the latest normal force in N.
+
+        With `wait`, the stages are polled in any case, and their answers waited for. Raises what
+        an earlier request on one of the links has raised.
+        """
+        due = self._schedule.is_due(tick)
+        self._links.check()
+        self._poll_due = wait or due
+        if wait or self._run.clock.stands:
+            self.poll_if_due()
+        if wait:
+            self._links.settle("stage_z", "stage_x")
+        if self._recording:
+            self.force.count_frames()
+            if due:
+                self._positions.add_row()
+            self._collect_in_turn(due, self._schedule.is_last(tick))
+        return self.force.update()
+
+    def poll_if_due(self) -> None:
+        """Poll the axes in motion, where this tick has not done so: in real time after the tick's
+        own task, so that a new target goes ahead of the poll."""
+        due, self._poll_due = self._poll_due, False
+        if due:
+            for axis in self._axes:
+                if axis.in_motion:
+                    axis.ask_poll()
+
+    def _collect_in_turn(self, due: bool, last: bool) -> None:
+        """Strips and frames of a poll interval, one of them a tick; both by the next poll."""
+        if due:
+            self._collect_left()
+            block_frames = self.force.timing.block_frames
+            self._left = [
+                lambda: self.force.record_frames(block_frames),
+                lambda: self._strips.collect(self._schedule.interval_s),
+            ]
+        elif self._left:
+            self._left.pop()()
+        if last:
+            self._collect_left()
+
+    def _collect_left(self) -> None:
+        while self._left:
+            self._left.pop()()
+
+    def _record_open_blocks(self) -> None:
+        if self._recording:
+            self._positions.record_rows()
+            self.force.record_frames()

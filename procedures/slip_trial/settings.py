@@ -1,0 +1,87 @@
+"""Settings of a slip trial, and the constants that its modules share."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from procedures.pressed.settings import DELAY_S, PressedSettings
+
+UNREHEARSED_mm = 0.0175
+"""Travel within delay and tick up to which the servo holds the force through a slide that it has
+not seen, whatever the friction (decision 0035)."""
+SLID_ON_mm = 0.3
+"""How far a slide goes on after a ramp, for the kinetic coefficient."""
+FRICTION = 0.7
+"""Expected of the skin on the plate: where a ramp slips."""
+SEEN_S = 0.04
+"""Expected from the end of a slide until it is seen."""
+
+
+class SlipTrialSettings(PressedSettings):
+    """What a slip trial may be asked for."""
+
+    loading: Literal["slide", "ramp"] = "slide"
+    """What drags the skin: a slide at constant speed, or a tangential force that rises evenly."""
+    speed_mm_s: float = Field(default=0.5, gt=0)
+    """Speed of the slide; of a ramp, its limit and the speed after gross slip."""
+    distance_mm: float = Field(default=1.0, gt=0)
+    """Length of the slide; of a ramp, the longest."""
+    ramp_N_s: float = Field(default=2.0, gt=0)
+    """Rate at which a ramp has the tangential force rise."""
+    ramp_to_N: float = Field(default=10.0, gt=0)
+    """Tangential force at which a ramp ends where nothing has slipped."""
+    direction: Literal["+x", "-x"] = "+x"
+    """Direction of the slide."""
+    start_mm: float = 10.0
+    """Position of the x stage at which a trial begins."""
+    rehearsal: Literal["auto", "always", "never"] = "auto"
+    """A first slide without a record, from which the servo learns; auto: where it is needed."""
+
+    @model_validator(mode="after")
+    def _ramp_fits(self) -> SlipTrialSettings:
+        if self.loading == "ramp" and self.ramp_to_N >= self.largest_force_N:
+            raise ValueError(
+                f"ramp_to_N {self.ramp_to_N:g} is not below largest_force_N "
+                f"{self.largest_force_N:g}"
+            )
+        return self
+
+    @property
+    def longest_slide_s(self) -> float:
+        """What a slide or a ramp may take at most."""
+        ramps_s = 2 * self.speed_mm_s / self.acceleration_mm_s2
+        rise_s = self.ramp_to_N / self.ramp_N_s if self.loading == "ramp" else 0.0
+        return rise_s + self.distance_mm / self.speed_mm_s + ramps_s + 1.0
+
+    @property
+    def slide_s(self) -> float:
+        """What a slide or a ramp is expected to take."""
+        way_s = self.distance_mm / self.speed_mm_s + self.speed_mm_s / self.acceleration_mm_s2
+        if self.loading == "slide":
+            return way_s + SEEN_S
+        slips_N = min(self.ramp_to_N, FRICTION * self.normal_force_N)
+        on_mm = SLID_ON_mm if slips_N < self.ramp_to_N else 0.0
+        return slips_N / self.ramp_N_s + min(on_mm / self.speed_mm_s, way_s) + SEEN_S
+
+    @property
+    def updates_a_tick(self) -> int:
+        """See `PressedSettings`."""
+        return 2 if self.loading == "ramp" else 1
+
+    def rehearsed(self, tick_s: float, delay_s: float = DELAY_S) -> bool:
+        """Whether a series begins with a slide that only teaches the servo."""
+        if self.rehearsal != "auto":
+            return self.rehearsal == "always"
+        return self.speed_mm_s * (delay_s + tick_s) > UNREHEARSED_mm
+
+    @property
+    def along(self) -> int:
+        """Sign of the slide."""
+        return 1 if self.direction == "+x" else -1
+
+    @property
+    def end_mm(self) -> float:
+        """Where the slide ends."""
+        return self.start_mm + self.along * self.distance_mm

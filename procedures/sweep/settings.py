@@ -1,0 +1,127 @@
+"""Settings of a sweep, the conditions of its points, and the constants that its modules share."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Literal, NamedTuple
+
+from pydantic import Field, field_validator, model_validator
+
+from rig.core.settings import Settings
+
+CHANNELS = ("load_cell", "film")
+HIGHEST_RATE_S_S = 500e3
+"""Two channels of the slower of the DAQs this was written for."""
+LARGEST_SHARE_OF_PRELOAD = 0.8
+"""A larger load could lift the indentor off the film (paper 3.1 keeps it pressed)."""
+FEW_CYCLES = 2
+"""A record holds so many cycles where that costs no more than twice the shortest record."""
+LISTEN_S = 0.5
+"""Length of the record before anything vibrates."""
+LISTENED = 2
+"""How often it is expected to be taken: again on the ranges that the first one shows to fit."""
+LONG_RECORD_S = 0.03
+"""A record that has to be as long averages over all ringing: one is enough, else it takes two."""
+
+
+class SweepCondition(NamedTuple):
+    """What a point is taken at."""
+
+    frequency_Hz: float
+    load_N: float
+    """Peak."""
+    repeat: int = 1
+
+
+class SweepSettings(Settings):
+    """What a sweep can be told."""
+
+    frequencies_Hz: tuple[float, ...] = ()
+    """Frequencies in ascending order; none for the grid, which is refined where drops are."""
+    load_N: float = Field(default=1.0, gt=0)
+    """Sinusoidal load, peak."""
+    loads_N: tuple[float, ...] = ()
+    """Several loads at each frequency, peak, in place of one."""
+    preload_N: float = Field(default=25.0, gt=0)
+    """Static force that the film is held under."""
+    load_tolerance_percent: float = Field(default=1.0, gt=0, le=50)
+    """How far the load of a kept point may be from the one asked for."""
+    target_error_dB: float = Field(default=0.05, gt=0, le=10)
+    """Standard error of the gain up to which a point is measured."""
+    longest_point_s: float = Field(default=20.0, gt=0, le=600)
+    """Time a point may take, at most."""
+    lowest_Hz: float = Field(default=2.0, gt=0)
+    """First frequency of the grid."""
+    highest_Hz: float = Field(default=20e3, gt=0)
+    """Last frequency of the grid."""
+    coarse_per_decade: int = Field(default=10, ge=1, le=1000)
+    """Frequencies a decade below fine_from_Hz."""
+    fine_from_Hz: float = Field(default=200.0, gt=0)
+    """Where the fine part of the grid begins."""
+    fine_per_decade: int = Field(default=60, ge=1, le=1000)
+    """Frequencies a decade from there on."""
+    points_per_half_width: int = Field(default=6, ge=0, le=100)
+    """Further points within each half-width of a drop that the grid shows; 0 for none."""
+    repeats: int = Field(default=1, ge=1, le=1000)
+    """How often each condition is measured."""
+    order: Literal["auto", "ascending", "descending", "random"] = "auto"
+    """Order of the points; auto takes a list as it is, and the grid from its high end, where
+    records are short and cheap to learn from."""
+    order_seed: int = Field(default=0, ge=0)
+    """Seed of the random order."""
+    settling_s: float = Field(default=0.0, ge=0, le=60)
+    """Wait after a change of frequency, before records are compared."""
+    shortest_record_s: float = Field(default=0.0065, gt=0, le=60)
+    """Length of a record, at least."""
+    samples_per_cycle: float = Field(default=20.0, ge=2.5)
+    """The sampling rate follows the frequency by this factor."""
+    slowest_rate_S_s: float = Field(default=64e3, gt=0)
+    """Sampling rate, at least: it keeps the front end's noise from folding."""
+    rate_S_s: float | None = Field(default=None, gt=0)
+    """One sampling rate for all points, in place of one that follows the frequency."""
+    first_amplitude_V: float = Field(default=0.05, gt=0)
+    """Generator amplitude, peak, with which a sweep that knows nothing yet begins."""
+    mains_Hz: float = Field(default=50.0, gt=0)
+    """Mains frequency, whose lines are fitted beside the tone."""
+
+    @field_validator("frequencies_Hz", "loads_N")
+    @classmethod
+    def _ascending(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        for value in values:
+            if value <= 0:
+                raise ValueError(f"{value:g} is not above 0")
+        for lower, upper in itertools.pairwise(values):
+            if upper <= lower:
+                raise ValueError(f"{upper:g} follows {lower:g}; give each value once, ascending")
+        return values
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SweepSettings:
+        if self.highest_Hz <= self.lowest_Hz:
+            raise ValueError(
+                f"highest_Hz {self.highest_Hz:g} is not above lowest_Hz {self.lowest_Hz:g}"
+            )
+        for frequency in self.frequencies_Hz or (self.highest_Hz,):
+            if self.rate_at(frequency) < 2.5 * frequency:
+                raise ValueError(
+                    f"a rate of {self.rate_at(frequency):g} S/s cannot carry {frequency:g} Hz; "
+                    f"sample at {2.5 * frequency:g} S/s or more"
+                )
+        return self
+
+    def rate_at(self, frequency_Hz: float) -> float:
+        """Sampling rate for a frequency, S/s."""
+        if self.rate_S_s is not None:
+            return self.rate_S_s
+        wanted = max(self.slowest_rate_S_s, self.samples_per_cycle * frequency_Hz)
+        return min(wanted, max(HIGHEST_RATE_S_S, 2.5 * frequency_Hz))
+
+    def shortest_at(self, frequency_Hz: float) -> float:
+        """Shortest record at a frequency, s: one cycle at least, a few where they are short."""
+        few = FEW_CYCLES / frequency_Hz
+        return max(self.shortest_record_s, 1 / frequency_Hz, min(few, 2 * self.shortest_record_s))
+
+    @property
+    def levels_N(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital
+        """The loads at each frequency."""
+        return self.loads_N or (self.load_N,)

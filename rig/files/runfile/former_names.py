@@ -1,0 +1,66 @@
+"""Columns and reading keys that had other names in run files of earlier versions.
+
+Old files stay as they are. Whatever reads a column or a reading uses the present name; here is
+where it stands in the layout of an older file, and where a journal that was begun with an older
+layout finds what a resumed run has recorded under the present name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from rig.files.journal.layout import Column, Layout
+
+
+class RenamedColumn(NamedTuple):
+    """A column, by its name and its key in the readings, then and now."""
+
+    former_column: str
+    former_key: str
+    column: str
+    key: str
+
+
+_PRESSED = (
+    RenamedColumn("normal_force", "normal_force_N", "mean_normal_force", "mean_normal_force_N"),
+    RenamedColumn(
+        "normal_force_set", "normal_force_set_N", "set_normal_force", "set_normal_force_N"
+    ),
+)
+"""The setting ``normal_force_N`` is a set point, and a reading of that name was a mean."""
+RENAMED: Mapping[tuple[str, str], tuple[RenamedColumn, ...]] = {
+    ("NXrig_slip_trial", "1"): _PRESSED,
+    ("NXrig_roll_trial", "1"): _PRESSED,
+}
+"""By definition and version of the layout that has the former names."""
+
+
+def column_in(layout: Layout, name: str) -> str:
+    """Return what a file of this layout calls the column `name`: that, or its former name."""
+    for renamed in _renamed_in(layout):
+        if renamed.column == name:
+            return renamed.former_column
+    return name
+
+
+def with_present_keys(layout: Layout, reading: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a reading of a file of this layout with the present keys in place of former ones."""
+    present = {renamed.former_key: renamed.key for renamed in _renamed_in(layout)}
+    return {present.get(key, key): value for key, value in reading.items()}
+
+
+def value_for(layout: Layout, column: Column, reading: Mapping[str, Any]) -> Any:
+    """Return a reading's value for a column of this layout, recorded under its key there or under
+    the present one; None where the reading has neither."""
+    if column.key in reading:
+        return reading[column.key]
+    for renamed in _renamed_in(layout):
+        if renamed.former_key == column.key:
+            return reading.get(renamed.key)
+    return None
+
+
+def _renamed_in(layout: Layout) -> tuple[RenamedColumn, ...]:
+    return RENAMED.get((layout.definition, layout.version), ())
