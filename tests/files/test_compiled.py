@@ -456,7 +456,7 @@ def rename(path: str):
         (rename("data/gain_errors"), "data/gain_errors is missing"),
         (rename("events"), "events is missing"),
         (rename("outcome/seed"), "seed"),
-        (rename("journal_header"), "not of a run"),
+        (rename("journal_header"), "not a run file"),
     ],
 )
 def test_a_changed_file_is_found_wrong(own_file: Path, act, finding: str) -> None:
