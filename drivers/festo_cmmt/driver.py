@@ -12,7 +12,7 @@ What keeps a lost, doubled or late line from becoming a motion:
 * after `make_safe` no image that could move the axis is sent until `stop` was called: a procedure
   that is a few lines behind its watcher cannot set the axis going again;
 * a target that another thread was about to send when `stop` was called is not sent afterwards;
-* keep-alives only read. A stop that somebody else commanded is not overwritten by them.
+* keep-alives only read. A stop that another client commanded is not overwritten by them.
 
 Source of registers, words and sequences: the vendor's client festo-edcon 0.14.12. Not confirmed on
 a CMMT, and to be tried at the first bench; the code depends on each only where this list says:
@@ -21,7 +21,7 @@ a CMMT, and to be tried at the first bench; the code depends on each only where 
   the EMCA and CMMO drives; the vendor's client writes and reads every 10 ms;
 * its expiry is fault 391 with a controlled stop (`FAULTS`), and a new connection may have to set it
   again (`CmmtLink.watch`);
-* PNU 12698 and 12699 tell the units of telegram 111 (`trust_units` where they do not);
+* PNU 12698 and 12699 give the units of telegram 111 (`trust_units` where they do not);
 * PNU 11584 and 11585 are in position units and PNU 12168 is percent of the rated torque: each is
   read back, but its unit is taken on trust (`prepare`);
 * the task's acknowledgement, ZSW1.12, stands as long as the task is in force (`_require_task`);
@@ -91,15 +91,15 @@ ARRIVAL_POLL_S = 0.02
 KEEP_ALIVES_PER_TIMEOUT = 20
 """How often the communication time-out is fed within its length."""
 ACKNOWLEDGE_TIMEOUT_S = 0.5
-"""How long the drive may take to show that it has taken a task."""
+"""How long the drive may take to acknowledge a task."""
 FAULT_TIMEOUT_S = 5.0
 ENABLE_TIMEOUT_S = 10.0
 UPDATES_Hz = 1000.0
-"""A look and a new target take less than a millisecond on this link."""
+"""Targets a second: a poll and a new target take less than a millisecond on this link."""
 REJECT_HOLD_S = 0.02
 """How long a stop is held before it may be lifted: many of the drive's cycles."""
 SETTLING_S = 1.0
-"""What a motion may take beyond its profile."""
+"""How much longer than its profile a motion may take."""
 MAX_OVERTRAVEL_mm = 0.1
 """How far beyond its target an axis may be seen that has started from rest: many times what a drive
 overshoots, and less than the distance to any obstacle."""
@@ -330,7 +330,7 @@ class FestoAxis:
                 raise self._error("make safe", "did not take the stop", _LOOK)
 
     def close(self) -> None:
-        """Let go of the connection; the drive meets its communication time-out and holds."""
+        """Close the connection; the drive meets its communication time-out and holds."""
         self._link.close()
 
     # --- connecting ---------------------------------------------------------------------------
@@ -347,7 +347,7 @@ class FestoAxis:
         self._set_limits()
 
     def stop_and_wait(self) -> None:
-        """A stop for somebody who only came to stop: a drive without power is only watched."""
+        """Stop and wait for rest; a drive without power is only watched."""
         if Zsw1.OPERATION_ENABLED in self._read().zsw1:
             self._halt()
         else:
@@ -387,7 +387,7 @@ class FestoAxis:
                 return
             raise self._error(
                 refused.command,
-                "the drive does not tell its units",
+                "the drive does not report its units",
                 "check them in the vendor's software, then set trust_units = true",
             ) from refused
         power = int.from_bytes(bytes([code >> 24]), "little", signed=True)

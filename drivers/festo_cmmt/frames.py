@@ -128,7 +128,7 @@ class PosZsw2(IntFlag):
 
 @dataclass(frozen=True)
 class Outputs:
-    """What the controller tells the drive; the default is all zero, which asks for nothing."""
+    """The output image, from controller to drive; the default, all zero, asks for nothing."""
 
     stw1: Stw1 = Stw1.NONE
     pos_stw1: PosStw1 = PosStw1.NONE
@@ -170,7 +170,7 @@ class Outputs:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the drive tells the controller."""
+    """The input image, from drive to controller."""
 
     zsw1: Zsw1 = Zsw1.NONE
     pos_zsw1: PosZsw1 = PosZsw1.NONE
@@ -212,5 +212,5 @@ def _to_registers(packed: bytes) -> tuple[int, ...]:
 
 def _to_bytes(registers: Sequence[int], wanted: int) -> bytes:
     if 2 * len(registers) < wanted:
-        raise ValueError(f"{len(registers)} registers are no image of telegram 111")
+        raise ValueError(f"{len(registers)} registers are not an image of telegram 111")
     return struct.pack(f"<{len(registers)}H", *registers)[:wanted]

@@ -41,7 +41,7 @@ logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 _READ, _WRITE, _DONE = 1, 2, 0x10
 _BASIC, _REGULAR = 1, 2
 _BROKEN = (OSError, EOFError, struct.error, ValueError, IndexError, KeyError, TypeError)
-"""What a library may raise over an answer that is none; each becomes an InstrumentError."""
+"""What the library may raise over an unusable answer; each becomes an InstrumentError."""
 
 
 class CmmtLink:
@@ -124,7 +124,7 @@ class CmmtLink:
             raise self.garbage(what, (reply.address, list(reply.registers)), (address, [value]))
 
     def watch(self, timeout_ms: int) -> None:
-        """Have the drive stop by itself when nobody talks to it for so long, and read that back.
+        """Have the drive stop by itself when no request comes for so long, and read that back.
 
         Every connection opened later does the same first: it is unconfirmed whether the drive
         keeps the time-out beyond the connection that set it.
@@ -277,7 +277,9 @@ class CmmtLink:
         if charge and not self.charging:
             self.charging = True
             try:
-                with contextlib.suppress(InstrumentError):  # the time-out itself is the news
+                with contextlib.suppress(
+                    InstrumentError
+                ):  # the time-out itself is what has to be reported
                     self._clock.charge(self._timeout_s)
             finally:
                 self.charging = False

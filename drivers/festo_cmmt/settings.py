@@ -46,7 +46,7 @@ FAULTS: Mapping[int, Fault] = {
     280: Fault("the fixed stop was lost", "look for what gave way under the axis"),
     294: Fault("control by PLC is not set", "end the vendor's software: it has taken control"),
     391: Fault(
-        "communication time-out: nobody talked to the drive",
+        "communication time-out: no request reached the drive",
         "the program hung or the network failed; look at the bench and start again",
     ),
 }
@@ -72,7 +72,7 @@ class FestoCmmtSettings(Settings):
     speed_unit_mm_s: float = Field(default=0.001, gt=0, le=1)
     """What one count of speed is."""
     trust_units: bool = False
-    """Move although the drive would not tell its units, because a person has checked them."""
+    """Move although the drive does not report its units, because a person has checked them."""
     low_limit_mm: float
     """Lowest position allowed, set in the drive too."""
     high_limit_mm: float
@@ -86,7 +86,7 @@ class FestoCmmtSettings(Settings):
     full_acceleration_mm_s2: float = Field(default=1000, gt=0, le=50_000)
     """What the drive's parameters call 100 % of acceleration and deceleration."""
     communication_timeout_ms: int = Field(default=500, ge=100, le=10_000)
-    """The drive stops by itself when nobody has talked to it for so long."""
+    """The drive stops by itself when no request has reached it for so long."""
     torque_limit_percent: float | None = Field(default=None, gt=0, le=100)
     """Every motion travels to a fixed stop with this clamping torque: the barrier behind the force
     limit. Left out, the drive pushes with all it has."""

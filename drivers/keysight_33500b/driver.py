@@ -21,6 +21,7 @@ from rig.core.settings import Settings as BaseSettings
 from rig.instruments.roles import Identity, Reach
 
 ROLES = ("generator",)
+"""The roles this driver can play."""
 
 LOWEST_FREQUENCY_HZ = 1e-6
 HIGHEST_FREQUENCY_HZ = 20e6  # sine, 33511B/33512B; the 3352xB go to 30 MHz
@@ -95,7 +96,7 @@ class Generator33500B:
         }
 
     def sine(self, frequency_Hz: float, amplitude_V: float) -> None:
-        """A sine of this frequency and peak amplitude, read back."""
+        """Set a sine of this frequency and peak amplitude, and read both back."""
         source = self._source
         vpp = 2 * amplitude_V
         frequency, amplitude = self._link.command(
@@ -107,7 +108,7 @@ class Generator33500B:
         self._verify(f"{source}:VOLT", amplitude, vpp)
 
     def output(self, on: bool) -> None:
-        """Switch the output; its state is known by query."""
+        """Switch the output and verify its state by query."""
         (state,) = self._link.command(f"{self._output} {on:d}", then=(f"{self._output}?",))
         self._verify(self._output, state, float(on))
 
@@ -125,12 +126,12 @@ class Generator33500B:
         return reply == "1"
 
     def make_safe(self) -> None:
-        """Output off, verified by its state alone: old entries in the error queue do not count."""
+        """Switch the output off and verify its state, whatever the error queue holds."""
         reply = self._link.query(f"{self._output} 0;:{self._output}?")
         self._verify(self._output, reply, 0)
 
     def close(self) -> None:
-        """Let go of the connection; the output stays as it is."""
+        """Close the connection; the output stays as it is."""
         self._link.close()
 
     def _set(self, header: str, value: str, expected: float) -> None:
@@ -160,6 +161,6 @@ def connect(settings: Keysight33500BSettings, clock: Clock) -> Generator33500B:
 
 
 def make_safe(settings: Keysight33500BSettings) -> None:
-    """Switch the output off over a connection of its own; idempotent."""
+    """Switch the output off over a connection of its own; may be called repeatedly."""
     with contextlib.closing(Generator33500B(settings, WallClock())) as generator:
         generator.make_safe()

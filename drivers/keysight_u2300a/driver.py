@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 ROLES = ("daq",)
+"""The roles this driver can play."""
 
 LOWEST_RATE_S_S = 3.0
 MOST_SAMPLES = 8_000_000  # of one acquisition, all channels together
@@ -38,7 +39,7 @@ WIDE_RANGES_V = (10.0, 5.0, 2.5, 1.25)
 
 @dataclass(frozen=True)
 class U2300AModel:
-    """What the sheet says of one model."""
+    """One model's data from the data sheet."""
 
     bits: int
     """Resolution; 12-bit codes stand left-justified in 16-bit words."""
@@ -80,7 +81,9 @@ class KeysightU2300ASettings(BaseSettings):
             raise ValueError("two signals are wired to one terminal; give each its own")
         for name, terminal in channels.items():
             if not 101 <= terminal <= 164:
-                raise ValueError(f"{name} = {terminal} is no terminal; they count from 101 to 164")
+                raise ValueError(
+                    f"{name} = {terminal} is not a terminal; terminals are numbered 101 to 164"
+                )
         return channels
 
 
@@ -207,7 +210,7 @@ class U2300ADaq:
         return Record(counts, self._scaling_now(), first_index=0)
 
     def start(self, acquisition: Acquisition) -> Scaling:
-        """Begin sampling without end in blocks of `acquisition.samples` rows."""
+        """Sample until `stop`, in blocks of `acquisition.samples` rows; returns the scaling."""
         self._configure(acquisition, continuous=True)
         self._configured = None  # what follows a stream begins with a stop
         self._link.command("RUN")
@@ -255,13 +258,13 @@ class U2300ADaq:
             self._link.command("STOP")
 
     def make_safe(self) -> None:
-        """A DAQ drives nothing; its acquisition is ended, whatever the error queue holds."""
+        """End the acquisition, whatever the error queue holds; a DAQ drives nothing."""
         with self._talking:
             self._running = None
             self._ask("STOP;*OPC?", ("1",))
 
     def close(self) -> None:
-        """Let go of the connection."""
+        """Close the connection."""
         self._link.close()
 
     def _configure(self, acquisition: Acquisition, continuous: bool) -> None:
@@ -348,7 +351,7 @@ class U2300ADaq:
             raise InstrumentError(
                 "daq",
                 query,
-                f"the answer {reply!r} is none of {', '.join(known)}",
+                f"the answer {reply!r} is not one of {', '.join(known)}",
                 f"check the cable and that nothing else talks to {self._settings.resource}",
             )
         return reply
@@ -370,6 +373,6 @@ def connect(settings: KeysightU2300ASettings, clock: Clock) -> U2300ADaq:
 
 
 def make_safe(settings: KeysightU2300ASettings) -> None:
-    """End any acquisition over a connection of its own; idempotent."""
+    """End any acquisition over a connection of its own; may be called repeatedly."""
     with contextlib.closing(U2300ADaq(settings, WallClock())) as daq:
         daq.make_safe()

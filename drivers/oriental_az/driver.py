@@ -15,8 +15,8 @@ What keeps a lost, doubled or late line from becoming a motion:
 
 **Any valid frame on the line feeds both drives' communication time-outs** (HP-5142E p. 236). The
 time-out stops both axes of a program that has died, but not the one axis whose answers are lost
-while the other is talked to. So each axis minds that every drive of its line is heard
-(`keep_alive`), and a drive that may not have heard a stop is told as failed.
+while the other is talked to. So each axis checks that every drive of its line answers
+(`keep_alive`), and a drive that may not have received a stop is reported as failed.
 
 Sources: HP-5142E (sister product, same registers), om_modbus_master (vendor), M2FS-Control (an
 AZD-KD in use), pages of HM-60262E. Not confirmed on an AZ, and to be tried at the first bench:
@@ -93,17 +93,17 @@ POLL_S = 0.005
 KEEP_ALIVES_PER_TIMEOUT = 5
 """How often each drive is asked for its state within its communication time-out."""
 OVERDUE = 2.0
-"""From how many times as late it does not wait for the line to be free."""
+"""A keep-alive that is this many times overdue does not wait for the line to be free."""
 JUST_SEEN_S = 0.05
-"""So old may be what tells that an axis is on its way."""
+"""Age up to which a reading still shows that an axis is on its way."""
 UPDATE_S = 0.02
-"""Of a line at its fastest: a look at the axis and a new target, and room for keep-alives."""
+"""The fastest line takes this long for a poll and a new target, with room for keep-alives."""
 BEGIN_S = 0.1
 """How long the drive may take to show that it moves."""
 ACKNOWLEDGE_TIMEOUT_S = 0.5
 ALARM_TIMEOUT_S = 5.0
 SETTLING_S = 1.0
-"""What a motion may take beyond its profile."""
+"""How much longer than its profile a motion may take."""
 MAX_OVERTRAVEL_mm = 0.1
 """How far beyond its target an axis may be seen that has started from rest."""
 
@@ -190,7 +190,7 @@ class AzAxis:
     def reach(self) -> Mapping[str, Reach]:
         """Position and speed that the bench file allows; what the line has time for."""
         own, owner = self._settings, f"{self._device} {self.identity.model}"
-        line = f"{owner}: its line carries a look and a new target in {self._update_s():.3g} s"
+        line = f"{owner}: its line carries a poll and a new target in {self._update_s():.3g} s"
         return {
             "position": Reach(own.low_limit_mm, own.high_limit_mm, "mm", owner),
             "speed": Reach(1 / own.steps_per_mm, own.max_speed_mm_s, "mm/s", owner),
@@ -435,7 +435,7 @@ class AzAxis:
     def _prepare_motion(self, ticket: Ticket) -> Ticket:
         """Before the first write of a motion: no alarm, no stop of ours left standing because an
         answer was lost, homed, and the position known. What has just been seen is not read again:
-        with an alarm the drive does not start. Returns the ticket to go on with."""
+        with an alarm the drive does not start. Returns the ticket to continue with."""
         self._interlock.require_armed("move")
         now_s = self._clock.now()
         unseen = now_s - self._state_at_s > OVERDUE * self._keep_alive_s()
@@ -676,7 +676,7 @@ class AzAxis:
         return self._settings.communication_timeout_ms * 1e-3 / KEEP_ALIVES_PER_TIMEOUT
 
     def _update_s(self) -> float:
-        """A look and a new target, beside the keep-alives of two drives."""
+        """Duration of a poll and a new target, with the keep-alives of two drives on the line."""
         line, unit = self._line, self._settings.unit_id
         look = reading(unit, COMMAND_POSITION, max(POSITION_REGISTERS))
         target = writing(unit, DIRECT_DATA, (0,) * 16)

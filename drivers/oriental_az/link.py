@@ -81,9 +81,9 @@ class AzRequest:
     unit: int
     pdu: bytes
     answer_begins: bytes
-    """Of the PDU."""
+    """First bytes of the answer's PDU."""
     answer_bytes: int
-    """Of the frame."""
+    """Length of the answer's frame."""
 
     @property
     def frame(self) -> bytes:
@@ -125,7 +125,7 @@ class NoAnswerError(Exception):
 
 
 class BrokenAnswerError(Exception):
-    """Bytes that are no frame, or a port that failed."""
+    """Bytes that are not a frame, or a port that failed."""
 
 
 class AzLine:
@@ -151,7 +151,7 @@ class AzLine:
         self._free_at_s = 0.0
         """Bench time before which nothing may be sent."""
         self._listen_until_s = 0.0
-        """Wall time until which an answer may still come that nobody waits for any more."""
+        """Wall time until which an answer may still come that has been given up."""
         self._doubtful: set[int] = set()
         """Units that have to echo before they are believed."""
         self._known: set[int] = set()
@@ -230,7 +230,7 @@ class AzLine:
 
     @property
     def waiting(self) -> bool:
-        """Whether somebody waits for the line to be free, and is not held up."""
+        """Whether a caller waits for the line to be free, and for no longer than `HELD_UP_S`."""
         now_s = self._clock.now()
         return any(now_s - since_s <= HELD_UP_S for since_s in tuple(self._waits.values()))
 
@@ -373,7 +373,7 @@ def _first_frame(got: bytes) -> tuple[bytes | None, bytes]:
     elif code == READ:
         length = 5 + got[2] if len(got) > 2 else 5
     else:
-        raise BrokenAnswerError(f"{got[:16].hex(' ')} is no answer")
+        raise BrokenAnswerError(f"{got[:16].hex(' ')} is not an answer")
     if len(got) < length:
         return None, got
     if crc16(got[:length]):
@@ -441,7 +441,7 @@ class AzLink:
             )
 
     def close(self) -> None:
-        """Let go of the line."""
+        """Release the line."""
         if not self._closed:
             self._closed = True
             self.line.forget(self._unit)
@@ -499,14 +499,16 @@ class AzLink:
             return
         self.charging = True
         try:
-            with contextlib.suppress(InstrumentError):  # the time-out itself is the news
+            with contextlib.suppress(
+                InstrumentError
+            ):  # the time-out itself is what has to be reported
                 self._clock.charge(self._timeout_s)
         finally:
             self.charging = False
 
 
 class AzRefusalError(InstrumentError):
-    """The drive answered, and would not."""
+    """The drive answered with an exception: it refused the request."""
 
     def __init__(self, device: str, command: str, cause: str, hint: str, exception: int):
         super().__init__(device, command, cause, hint)

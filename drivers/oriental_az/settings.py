@@ -60,7 +60,7 @@ ALARMS: Mapping[int, Alarm] = {
     0x70: Alarm("the operation data cannot be carried out", "check speed, rates and steps_per_mm"),
     0x84: Alarm("RS-485 communication error", "check the cable, its shield and its termination"),
     0x85: Alarm(
-        "communication time-out: nobody talked on the line",
+        "communication time-out: no request on the line",
         "the program hung or the cable failed; look at the bench and start again",
     ),
 }
@@ -96,7 +96,7 @@ class OrientalAzSettings(Settings):
     deceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
     """Deceleration of every motion and of a stop."""
     communication_timeout_ms: int = Field(default=500, ge=200, le=10_000)
-    """The drive stops by itself when nobody has talked on its line for so long."""
+    """The drive stops by itself when no request has come over its line for so long."""
     torque_limit_percent: float = Field(default=100, gt=0, le=100)
     """Operating current of every motion: the barrier behind the force limit."""
     position_tolerance_mm: float = Field(default=0.02, gt=0, le=1)

@@ -11,8 +11,8 @@ What keeps a lost, doubled or late line from becoming a motion:
   procedure that is a few lines behind its watcher cannot set it going again;
 * keep-alives only ask.
 
-The stage has no communication time-out of its own [not confirmed]: when nobody talks to it any
-more, a turn goes on to its target, within the limits of angle, speed and acceleration that are set
+The stage has no communication time-out of its own [not confirmed]: when the program is gone, a
+turn continues to its target, within the limits of angle, speed and acceleration that are set
 in the stage at connect.
 
 Every answer carries the gravest warning flag. One of them, once seen, keeps the stage from turning
@@ -68,9 +68,9 @@ KEEP_ALIVE_S = 0.05
 """How old the last answer may become before a keep-alive asks: at 115200 baud an exchange takes 5
 to 10 ms, which a stream of set points needs for itself."""
 SETTLING_S = 1.0
-"""What a motion may take beyond its profile."""
+"""How much longer than its profile a motion may take."""
 SETTLED_S = 0.2
-"""How long a stage that reports no motion may stand beside its target, for its loop to settle."""
+"""How long a stage that reports no motion may stand off its target, for its loop to settle."""
 MAX_OVERTRAVEL_deg = 0.1
 """How far beyond its target a stage may be seen that has started from rest."""
 
@@ -311,7 +311,7 @@ class ZaberAxis:
             raise self._error(
                 "identify",
                 f"{self._link.where} has device id {number}, serial number {serial}, firmware "
-                f"{firmware}" + (" and is no rotary stage" if turn == 0 else ""),
+                f"{firmware}" + (" and is not a rotary stage" if turn == 0 else ""),
                 f"a rotary stage with firmware {oldest} or later is expected; correct port and "
                 "device in the bench file, or update the stage",
             )
@@ -325,7 +325,7 @@ class ZaberAxis:
         self._identity = Identity("Zaber", f"X-RST (device id {number})", serial, firmware)
 
     def _turn(self) -> float | None:
-        """Microsteps in one turn; 0 where the axis is a linear one, None where it does not tell."""
+        """Microsteps in one turn; 0 for a linear axis, None where the stage does not report it."""
         reply = self._link.ask(self._settings.axis, "get limit.cycle.dist")
         if not reply.accepted:
             return None
@@ -462,8 +462,7 @@ class ZaberAxis:
         return next((flag for flag in self._flags() if flag not in NOTES), "")
 
     def _disturbs(self, flag: str) -> bool:
-        """Whether something has to follow from a flag; that it is not homed is no news before it
-        has been."""
+        """Whether a flag stops the stage; "not homed" does not before the stage has been homed."""
         return flag not in NOTES and (self._referenced or flag not in NOT_REFERENCED)
 
     def _note(self, flag: str) -> bool:
@@ -515,7 +514,7 @@ class ZaberAxis:
 
     def _as_number(self, words: str, data: str) -> float:
         if _NUMBER.fullmatch(data) is None:
-            raise self._error(words, f"answers {data!r}, which is no number", _LOOK)
+            raise self._error(words, f"answers {data!r}, which is not a number", _LOOK)
         return float(data)
 
     # --- judging ------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ _REPLY = re.compile(
 
 
 class ZaberFrameError(ValueError):
-    """A line that is no message, or not the one that was sent."""
+    """A line that is not a message, or not the one that was sent."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def reply(line: bytes) -> Reply | None:
         return None
     match = _REPLY.fullmatch(b"@" + body)
     if match is None:
-        raise ZaberFrameError(f"it is no reply: {_shown(line)}")
+        raise ZaberFrameError(f"it is not a reply: {_shown(line)}")
     return Reply(
         int(match["device"]),
         int(match["axis"]),

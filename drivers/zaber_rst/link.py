@@ -1,11 +1,11 @@
 """A conversation with one device on a Zaber chain that takes nothing for an answer but its answer.
 
 What is sent and received, nothing about motion. The port is a serial one, or ``socket://host:port``
-for a chain on the network; that one is no pyserial port, whose sockets take 0.3 s to close and 5 s
-to find nobody there. Every command is sent once: whether a repetition is harmless, only the
-caller knows. An answer has the command's id, its device and axis, and a check that fits; a late or
-doubled one has another id and is passed over. After a time-out, or a line that cannot be read, the
-port is closed and the next command opens it anew, with what had been left in it thrown away.
+for a chain on the network; that one does not use pyserial, whose sockets take 0.3 s to close and 5
+s to find that nothing listens. Every command is sent once: whether a repetition is harmless, only
+the caller knows. An answer has the command's id, its device and axis, and a check that fits; a late
+or doubled one has another id and is passed over. After a time-out, or a line that cannot be read,
+the port is closed and the next command opens it anew, with what had been left in it thrown away.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 READ_WAIT_S = 0.005
 """Longest wait for bytes in one read: by so much a time-out may be late."""
 LONGEST_LINE = 1024
-"""Bytes without a line's end that are no message any more."""
+"""Longest message: more bytes without a line's end are an error."""
 SOCKET = "socket://"
 READ_BYTES = 4096
 
@@ -45,12 +45,12 @@ class _Port(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the port."""
         ...
 
 
 class _SerialPort:
-    """A serial port; nobody else may have it meanwhile, and what waits in it is dropped."""
+    """A serial port, opened exclusively; what waits in it is dropped."""
 
     def __init__(self, path: str, baudrate: int, timeout_s: float):
         import serial
@@ -196,7 +196,9 @@ class ZaberLink:
         if charge and not self.charging:
             self.charging = True
             try:
-                with contextlib.suppress(InstrumentError):  # the time-out itself is the news
+                with contextlib.suppress(
+                    InstrumentError
+                ):  # the time-out itself is what has to be reported
                     self._clock.charge(self._timeout_s)
             finally:
                 self.charging = False

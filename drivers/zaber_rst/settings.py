@@ -53,7 +53,7 @@ NOTES = frozenset({"--", "NI", "ND", "NR", "NT", "NU", "NJ"})
 _POWER = "check the supply, then switch the stage off and on"
 _BLOCKED = "look for what blocks the stage, then home it"
 _SERVICE = "home the stage; if it comes again, ask its maker"
-_HAND = "see that nobody is at the stage, then home it"
+_HAND = "make sure that no one is at the stage, then home it"
 FLAGS: Mapping[str, Meaning] = {
     "FF": Meaning("critical system error", _POWER),
     "FN": Meaning("peripheral not supported", "check what is connected to the controller"),
@@ -77,11 +77,11 @@ FLAGS: Mapping[str, Meaning] = {
     "WP": Meaning("calibration of another type", "correct it with the maker's program"),
     "WV": Meaning("supply voltage out of range", "check the supply"),
     "WT": Meaning("controller too hot", "let it cool"),
-    "WS": Meaning("stalled, and went on", _BLOCKED),
+    "WS": Meaning("stalled, and continued", _BLOCKED),
     "WM": Meaning("pushed away while it stood", _HAND),
     "WR": Meaning("it has no reference: not homed, or lost", "home it"),
     "WH": Meaning("it has not been homed", "home it"),
-    "NC": Meaning("somebody has turned its knob", _HAND),
+    "NC": Meaning("its knob has been turned by hand", _HAND),
 }
 """Warning flags, in our words."""
 UNKNOWN_FLAG = Meaning("a flag that this program does not know", "look it up in the manual")
@@ -101,7 +101,7 @@ REASONS: Mapping[str, Meaning] = {
     "LOCKSTEP": Meaning("it is bound to another axis", "undo that with the maker's program"),
     "NOACCESS": Meaning("it is locked at this access level", "set system.access to 1"),
     "PARKED": Meaning("it is parked", "unpark it with the maker's program, then home it"),
-    "REMOTE": Meaning("somebody else controls it", "end the other program"),
+    "REMOTE": Meaning("another program controls it", "end the other program"),
     "STATUSBUSY": Meaning("it is busy", "wait until it stands"),
     "AGAIN": Meaning("it cannot do it right now", "try again"),
     "FULL": Meaning("its memory is full", "clear what is stored in the stage"),

@@ -160,7 +160,7 @@ def test_a_wrong_file_is_refused_with_place_and_reason(case: str) -> None:
 def test_all_errors_are_told_at_once() -> None:
     text = changed("film-clamp", "vice").replace("= 2.0", "= 200.0").replace("= 101", "= 1")
     message = refused(text)
-    for told in ("fixture.mounted", "max_amplitude_V", "load_cell = 1 is no terminal"):
+    for told in ("fixture.mounted", "max_amplitude_V", "load_cell = 1 is not a terminal"):
         assert told in message
 
 

@@ -264,7 +264,7 @@ def test_a_motion_that_somebody_else_stopped_is_not_set_going_again(next_act: st
         (126, "following error"),
         (56, "homing method"),
         (58, "whole path"),
-        (391, "nobody talked"),
+        (391, "no request reached"),
         (4711, "manual"),
     ],
 )
@@ -437,7 +437,7 @@ def test_keep_alives_feed_the_time_out_and_nothing_else_does() -> None:
         it.bench.now_us += 2_000_000  # the procedure hangs
         assert it.drive.velocity_mm_s(begun + 490_000) == pytest.approx(1.0)
         assert it.drive.velocity_mm_s(begun + 510_000) == 0
-        with pytest.raises(InstrumentError, match="nobody talked to the drive"):
+        with pytest.raises(InstrumentError, match="no request reached the drive"):
             axis.moving()
 
 
@@ -588,7 +588,7 @@ def test_a_unit_that_agrees_is_used() -> None:
 def test_a_drive_that_does_not_tell_its_unit_needs_a_persons_word() -> None:
     with service() as it:
         it.wire.refused = {12698}
-        with pytest.raises(InstrumentError, match="does not tell its units") as caught:
+        with pytest.raises(InstrumentError, match="does not report its units") as caught:
             it.connect()
         assert "trust_units" in str(caught.value.hint)
     with service(trust_units=True) as it:

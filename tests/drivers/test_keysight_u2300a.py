@@ -122,7 +122,7 @@ def test_after_a_failure_the_unit_is_stopped_and_set_up_anew() -> None:
     )
     with playing("hislip", *exchanges) as resource:
         daq = connected(resource)
-        with pytest.raises(InstrumentError, match="'PERHAPS' is none of YES, NO"):
+        with pytest.raises(InstrumentError, match="'PERHAPS' is not one of YES, NO"):
             daq.acquire(THREE_ROWS)
         assert daq.acquire(THREE_ROWS).counts.tolist() == CODES
         daq.close()
@@ -342,7 +342,7 @@ def test_another_unit_is_refused_untouched(model: str) -> None:
     ("channels", "told"),
     [
         ({}, "at least 1"),
-        ({"film": 99}, "film = 99 is no terminal"),
+        ({"film": 99}, "film = 99 is not a terminal"),
         ({"film": 102, "load_cell": 102}, "wired to one terminal"),
     ],
 )

@@ -67,7 +67,7 @@ def test_a_slow_line_carries_fewer_updates() -> None:
     with service(baudrate=19_200, communication_timeout_ms=2000) as bench:
         axis = bench.connect()
         assert 10 < axis.reach()["update_rate"].high < 25
-        assert "its line carries a look and a new target in" in axis.reach()["update_rate"].owner
+        assert "its line carries a poll and a new target in" in axis.reach()["update_rate"].owner
 
 
 def test_two_axes_share_one_port_and_close_it_together() -> None:

@@ -3,6 +3,8 @@ and keeping to its limits, also where several threads call it at once."""
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,6 +16,7 @@ from stages.cases import CASES, StageCase
 from rig.core.errors import InstrumentError, LimitError
 
 EVERY = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+PATIENCE_S = 10.0
 CLOSE = 0.02
 """How near a motion ends to its target, mm or deg."""
 
@@ -157,6 +160,45 @@ def test_a_target_on_its_way_is_not_sent_after_another_thread_has_stopped_the_st
         assert caught.value.hint
         assert_stands(it)
         it.stage.stop()
+        assert_can_move(it)
+
+
+@EVERY
+def test_a_motion_that_waits_for_its_link_is_checked_when_its_turn_comes(case: Any) -> None:
+    """Another thread uses the link while a stop begins; the stop's command comes after that."""
+    with running(case) as it:
+        in_use, free = threading.Event(), threading.Event()
+        failures: list[InstrumentError] = []
+
+        def use_the_link() -> None:
+            with it.link_lock:
+                in_use.set()
+                assert free.wait(PATIENCE_S)
+
+        user = threading.Thread(target=use_the_link)
+
+        def wait_until_in_use() -> None:
+            user.start()
+            assert in_use.wait(PATIENCE_S)
+
+        def move() -> None:
+            try:
+                with it.before_a_motion_is_sent(wait_until_in_use):
+                    it.start(40.0, 10.0)
+            except InstrumentError as error:
+                failures.append(error)
+
+        procedure = threading.Thread(target=move)
+        procedure.start()
+        assert in_use.wait(PATIENCE_S)
+        time.sleep(0.2)  # until the procedure waits for the link as well
+        with it.stage._interlock.stopping():
+            pass
+        free.set()
+        for thread in (user, procedure):
+            thread.join(PATIENCE_S)
+        assert ["stopped meanwhile" in failure.message for failure in failures] == [True]
+        assert_stands(it)
         assert_can_move(it)
 
 

@@ -62,7 +62,7 @@ def test_information_and_alerts_answer_nothing(line: bytes) -> None:
     ],
 )
 def test_what_is_no_sound_message_is_told(line: bytes) -> None:
-    with pytest.raises(ZaberFrameError, match=r"checksum|no reply"):
+    with pytest.raises(ZaberFrameError, match=r"checksum|not a reply"):
         reply(line)
 
 
@@ -117,7 +117,7 @@ def test_a_limit_that_the_stage_does_not_keep_ends_the_connection(name: str) -> 
         ({"resolution": 128}, {}, "128 microsteps in a full step, the bench file says 64"),
         ({}, {"microstep_deg": 0.000234375}, "a microstep is 0.00015625 deg, not 0.000234375 deg"),
         ({"firmware": "7.11"}, {}, "firmware 7.11.*7.25 or later is expected"),
-        ({"turn_microsteps": 0}, {}, "SIM00001.*no rotary stage"),
+        ({"turn_microsteps": 0}, {}, "SIM00001.*not a rotary stage"),
         ({}, {"axis": 2}, "rejected with BADAXIS|has 1 axes, not 2"),
     ],
 )
@@ -283,7 +283,7 @@ def test_a_knob_that_was_turned_is_told_once_and_has_to_be_acknowledged() -> Non
     with service(stage=suffering(kind="knob", after_s=5.0, by_deg=1.0)) as it:
         axis = it.homed()
         axis.turn_to(10.0, 20.0, 100.0)
-        with pytest.raises(InstrumentError, match="reports NC: somebody has turned its knob"):
+        with pytest.raises(InstrumentError, match="reports NC: its knob has been turned by hand"):
             it.clock.sleep(6.0)
         it.clock.sleep(1.0)  # told once
         assert it.angle == pytest.approx(11.0, abs=0.001)
@@ -340,7 +340,7 @@ def sleep_beside(it: Service, axis: ZaberAxis) -> None:
         ({"kind": "warning-flag", "flag": "FE"}, "FE: limit sensor"),
         ({"kind": "limit-switch"}, "WL: a limit sensor"),
         ({"kind": "reference-lost"}, "WR: it has no reference"),
-        ({"kind": "knob"}, "NC: somebody has turned its knob"),
+        ({"kind": "knob"}, "NC: its knob has been turned by hand"),
         ({"kind": "runaway"}, "ran past its target"),
     ],
 )

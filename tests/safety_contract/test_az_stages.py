@@ -68,7 +68,7 @@ def test_more_ticks_than_the_line_has_time_for_are_refused_before_anything_moves
     assert ended.code == 4, ended.stderr
     (error,) = ended.errors
     assert "stage_z update_rate 100 Hz is outside 0 to 50 Hz" in error
-    assert "its line carries a look and a new target in 0.02 s" in error
+    assert "its line carries a poll and a new target in 0.02 s" in error
     assert not [e for e in rig.log() if e["what"] == "move"]
 
 

@@ -255,7 +255,7 @@ def _skin_drives(
     for drive in drives:
         drive.axis.stiffest_load_N_mm = stiffness
     if turned_deg is None and not settings.skin_mount.jitter_um:  # nothing else moves the load
-        z.axis.beside, x.axis.beside = x.axis, z.axis
+        z.axis.other_axis, x.axis.other_axis = x.axis, z.axis
     return drives
 
 

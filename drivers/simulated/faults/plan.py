@@ -225,7 +225,7 @@ class Overrun(Placed):
 
 
 class ClockJump(Placed):
-    """Time goes on without the run, as it does while a computer is suspended."""
+    """Time passes without the run, as it does while a computer is suspended."""
 
     kind: Literal["clock-jump"]
     by_s: float = Field(gt=0, le=60)
@@ -289,7 +289,7 @@ def devices_by_fault(on_a_line: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 _WHY_NOT = {
-    "double": "nothing in its protocol tells a doubled message from the next one",
+    "double": "its protocol cannot distinguish a doubled message from the next one",
     "checksum": "its protocol has no checksum of its own",
     "error": "its answers carry no error numbers",
     **dict.fromkeys(("reset", "half-open", "refused"), "it is not on a TCP connection"),

@@ -1,12 +1,12 @@
 """Simulated Festo CMMT drive with one linear axis: registers in, motion out, no I/O.
 
 The drive positions by telegram 111: it takes an output image, shows an input image, keeps
-parameters behind a mailbox, and watches that somebody talks to it. It may move its `Axis` and tell
-the World's log who commanded what; what pushes against the axis it asks from its `AxisPort`. It
+parameters behind a mailbox, and watches that requests come. It moves its `SimulatedAxis` and writes
+to the World's log who commanded what; what pushes against the axis it asks from its `AxisPort`. It
 shares no code with the driver that is tested against it, its telegram included.
 
-Everything is evaluated lazily at exact World times: a communication time-out that nobody was there
-to see has stopped the axis when it expired, not when somebody looked. World positions are the
+Everything is evaluated lazily at exact World times: a communication time-out has stopped the
+axis when it expired, not when the axis was asked for next. World positions are the
 carriage's, which equal the drive's own after homing, and must be asked from `position_mm`.
 
 Sources: register map, words and sequences from the vendor's client festo-edcon 0.14.12. UNCONFIRMED
@@ -426,7 +426,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         return share * self.settings.full_acceleration_mm_s2
 
     def _deceleration(self) -> float:
-        """Of a controlled stop: the task's own, or the full one where no task has set any."""
+        """Deceleration of a controlled stop: the task's, or the full one without a task."""
         return self._rate(10) if self._image.words[10] else self.settings.full_acceleration_mm_s2
 
     # --- what an input image shows ------------------------------------------------------------

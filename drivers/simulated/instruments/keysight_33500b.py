@@ -1,13 +1,13 @@
 """Simulated Keysight 33512B: two-channel function generator of the 33500B series, as SCPI core.
 
-It may keep its settings, tell the World what its terminals carry, and log what changed. It may not
-open connections or wait. Voltages are kept as an open circuit would see them: the amplifier behind
-50 ohm does not change when the load *setting* does, only the displayed volts do, so a value set for
-50 ohm reads twice as large once the load is INF.
+It keeps its settings, sets in the World what its terminals carry, and logs what changed. It does
+not open connections or wait. Voltages are kept as an open circuit would see them: the amplifier
+behind 50 ohm does not change when the load *setting* does, only the displayed volts do, so a value
+set for 50 ohm reads twice as large once the load is INF.
 
 Limits of the simulation: bursts are set and read back but not played. While a burst is switched on
 the terminals rest at the offset, so that nothing mistakes an endless wave for a burst. Arbitrary
-waveforms are stored; the World is told function ``ARB``, not its samples.
+waveforms are stored; the World gets the function ``ARB``, not its samples.
 
 ScpiCommand set: Keysight 33500 series Operating and Service Guide as two public clients use it
 (PyMeasure's and QCoDeS's drivers). Behaviour not confirmed on a real unit is marked UNCONFIRMED.

@@ -1,7 +1,7 @@
 """Simulated Keysight U2300A-family data acquisition unit, as SCPI core.
 
 It may keep its settings, ask the World for volts at given instants, and quantise them. It may not
-wait: whether an acquisition is over follows from the World's time when somebody asks.
+wait: whether an acquisition is over follows from the World's time when it is asked for.
 
 Codes and volts, for a range R (source: the family's programmer's reference as a public driver
 quotes it). 12-bit models send the code left-justified in an int16; with ``c = word >> 4``:

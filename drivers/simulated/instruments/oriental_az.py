@@ -1,12 +1,12 @@
 """Simulated Oriental Motor AZ drive (AZD-KD) with one linear actuator: registers in, motion out.
 
 The drive positions by direct data operation, shows its state in registers, keeps parameters, and
-watches that somebody talks on its line. It may move its `Axis` and tell the World's log who
-commanded what; what pushes against the axis it asks from its `AxisPort`. It shares no code with the
-driver that is tested against it.
+watches that requests come over its line. It moves its `SimulatedAxis` and writes to the World's log
+who commanded what; what pushes against the axis it asks from its `AxisPort`. It shares no code with
+the driver that is tested against it.
 
-Everything is evaluated lazily at exact World times: a communication time-out that nobody was there
-to see has stopped the axis when it expired, not when somebody looked. World positions are the
+Everything is evaluated lazily at exact World times: a communication time-out has stopped the
+axis when it expired, not when the axis was asked for next. World positions are the
 carriage's, which equal the drive's own after homing, and must be asked from `position_mm`.
 
 Sources: the register map of the vendor's manual HP-5142E (sister product, same scheme), the

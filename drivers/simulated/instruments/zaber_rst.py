@@ -1,8 +1,8 @@
 """Simulated Zaber X-RST rotary stage: commands in, replies and motion out, no I/O.
 
-The stage speaks Zaber ASCII, keeps settings and warning flags, and turns its `Axis`, whose
-millimetres are degrees here. It may tell the World's log who commanded what. It shares no code with
-the driver that is tested against it, the protocol's framing included.
+The stage speaks Zaber ASCII, keeps settings and warning flags, and turns its `SimulatedAxis`, whose
+millimetres are degrees here. It writes to the World's log who commanded what. It shares no code
+with the driver that is tested against it, the protocol's framing included.
 
 Everything is evaluated lazily at exact World times. World angles are the carriage's, which equal
 the stage's own after homing, and must be asked from `angle_deg`.

@@ -27,7 +27,7 @@ PROLOGUE = b"HS"
 PROTOCOL_VERSION = (2, 0)
 VENDOR_ID = int.from_bytes(b"ZZ", "big")
 MAX_MESSAGE_SIZE = 1 << 20
-"""Bytes of one HiSLIP message that the server takes and, until told otherwise, sends."""
+"""Bytes of one HiSLIP message that the server takes and, until the client says otherwise, sends."""
 MAX_PROGRAM_MESSAGE_BYTES = 64 << 20
 """Bytes of one program message, however many HiSLIP messages carry it."""
 SMALLEST_PAYLOAD_BYTES = 64
@@ -76,7 +76,7 @@ class FatalErrorCode(IntEnum):
 
 
 class ErrorCode(IntEnum):
-    """The message is skipped after one of these, and the session goes on."""
+    """The message is skipped after one of these, and the session continues."""
 
     UNIDENTIFIED = 0
     UNRECOGNISED_TYPE = 1

@@ -89,8 +89,8 @@ RTU_DIALECT = WireDialect(error=_exception, checksum=_wrong_checksum)
 class RtuLine:
     """Slaves on one line; a `SerialInstrument` for `PtyServer`.
 
-    What comes in is cut into frames by length and checksum. Bytes that are no frame are dropped up
-    to the next pause, which is the end of what came at once, or `gap_us` without a byte.
+    What comes in is cut into frames by length and checksum. Bytes that are not a frame are dropped
+    up to the next pause, which is the end of what came at once, or `gap_us` without a byte.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class RtuLine:
 
 
 def _length(begun: bytes) -> int | None:
-    """How long the request at the front is, as far as can be told; None for what is none."""
+    """Length of the request at the front, as far as known; None for what is not a request."""
     if len(begun) < 2:
         return SHORTEST_FRAME
     code = begun[1]

@@ -178,7 +178,7 @@ def _unpack(layout: str, data: bytes) -> tuple[int, ...]:
 
 
 class ModbusFrameError(Exception):
-    """Bytes that are no Modbus TCP frame: the connection cannot be understood any more."""
+    """Bytes that are not a Modbus TCP frame: the rest of the connection cannot be read."""
 
 
 class FrameSplitter:
@@ -253,7 +253,7 @@ class _ModbusPeer(TcpPeer):
             return
         for transaction, unit, pdu in frames:
             if unit not in UNITS or self._link.half_open:
-                continue  # nobody there: silence
+                continue  # nothing behind it any more: silence
             reply = frame(transaction, unit, reply_to(pdu, self._device, self._by))
             delivery = self._link.exchange(describe(pdu), reply, transaction)
             for one in delivery.replies:

@@ -484,7 +484,7 @@ def _byte(call: Call) -> int:
 def _read_header(unit: bytes, path: str) -> tuple[str, str, bytes]:
     """A unit's absolute header, the path it leaves for the next unit, and its parameters' bytes.
 
-    A header without a leading colon goes on at the level of the one before it in the same
+    A header without a leading colon continues at the level of the one before it in the same
     message; common commands leave that level alone (SCPI-1999 volume 1, 6.2.4).
     """
     words = unit.split(None, 1)  # no strip: a block may end in white space

@@ -6,8 +6,8 @@ event loop that called ``start``.
 
 A kernel buffer of a pseudo-terminal holds about 20 kB; what it does not take is queued here and
 follows as the client reads. A client that does not read loses measurements, as on a real line:
-beyond `LONGEST_BACKLOG` bytes of queue, what an instrument sends of its own accord is thrown away,
-whole batches at a time, and counted in ``bytes_lost``. Answers are never thrown away.
+beyond `LONGEST_BACKLOG` bytes of queue, what an instrument sends without being asked is dropped,
+whole batches at a time, and counted in ``bytes_lost``. Answers are never dropped.
 
 ``bytes_sent`` counts what was handed to the kernel or stands in the queue, since the server was
 made: all of it reaches a client that reads on. A slaved clock waits for exactly that.
@@ -58,7 +58,7 @@ class PtyServer:
         self.bytes_sent = 0
         """Bytes handed to the kernel or queued, of answers and stream."""
         self.bytes_lost = 0
-        """Bytes of the stream thrown away because nobody read."""
+        """Bytes of the stream dropped because the client did not read."""
         none = FaultPlan()
         by_device = faults if isinstance(faults, Mapping) else {"": faults or WireFaults(none, "")}
         self._links = {device: own.link() for device, own in by_device.items()}
@@ -103,7 +103,7 @@ class PtyServer:
             self._folder = None
 
     def set_free(self) -> None:
-        """Follow the timeline without being told, from the event loop's thread."""
+        """Follow the timeline by itself from now on; call it from the event loop's thread."""
         assert self._loop is not None, "the server has been started"
         if self._ticking is None:
             self._ticking = self._loop.create_task(self._tick())

@@ -22,7 +22,7 @@ _LINGER = struct.pack("ii", 1, 0)
 
 
 class TcpServer(ABC):
-    """Listens on ``host``; ``port`` 0 takes any free one, which `port` then tells."""
+    """Listens on ``host``; ``port`` 0 takes any free one, which `port` then holds."""
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0, faults: WireFaults | None = None):
         self.faults = faults if faults is not None else WireFaults(FaultPlan(), "")
@@ -31,7 +31,7 @@ class TcpServer(ABC):
         self._port = port
         self._server: asyncio.Server | None = None
         self._deaf: socket.socket | None = None
-        """Holds the port while nobody listens on it: a connection to it is refused."""
+        """Holds the port without listening on it: a connection to it is refused."""
         self._connections = 0
         self._accepted = 0
 
@@ -77,7 +77,7 @@ class TcpServer(ABC):
         return self._accept()
 
     def _refuse(self) -> None:
-        """Listen no longer, and keep the port, so that nobody else answers there."""
+        """Listen no longer, and keep the port, so that no other program answers there."""
         self.faults.report("refused")
         if self._server is not None:
             self._server.close()
@@ -121,7 +121,7 @@ class TcpPeer(asyncio.Protocol):
             self.transport.abort()
 
     def reset(self) -> None:
-        """Break the connection: the client is told that it was reset."""
+        """Break the connection: the client sees a reset."""
         if self.transport is not None:
             own: socket.socket = self.transport.get_extra_info("socket")
             own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER)

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 CYCLE_us = 1000
-FASTEST_BESIDE_mm_s = 20.0
+FASTEST_OTHER_mm_s = 20.0
 """At which something may move what an axis pushes against, where it is not known how fast."""
 COMMANDS_KEPT = 64
 """More than come within `LONGEST_LIGHT_s` from the fastest loop, 500 a second."""
@@ -271,8 +271,8 @@ class SimulatedAxis:
         self.stiffest_load_N_mm = math.inf
         """No load in its way rises faster, where that is known: then a force far below the limit is
         not asked for in vain."""
-        self.beside: SimulatedAxis | None = None
-        """What else moves the load, where that is one other axis alone."""
+        self.other_axis: SimulatedAxis | None = None
+        """The only other axis that moves the load, where there is one."""
         self.jammed = False
         """A fault: the carriage cannot be moved by any force."""
         self._load = load
@@ -315,8 +315,8 @@ class SimulatedAxis:
             now_us, position, velocity, command.profile(position, velocity), command.target_mm
         )
         self.look_ahead()
-        if self.beside is not None:
-            self.beside.look_ahead()
+        if self.other_axis is not None:
+            self.other_axis.look_ahead()
 
     def stop(self, now_us: int, deceleration_mm_s2: float) -> None:
         """A controlled stop."""
@@ -437,10 +437,10 @@ class SimulatedAxis:
         if self._asked is None:
             return
         t_us, load_N = self._asked
-        beside_mm_s = FASTEST_BESIDE_mm_s
-        if self.beside is not None:
-            beside_mm_s = self.beside.fastest_since_mm_s(t_us)
-        speed_mm_s = max(self.fastest_since_mm_s(t_us) + beside_mm_s, LEAST_SPEED_mm_s)
+        other_mm_s = FASTEST_OTHER_mm_s
+        if self.other_axis is not None:
+            other_mm_s = self.other_axis.fastest_since_mm_s(t_us)
+        speed_mm_s = max(self.fastest_since_mm_s(t_us) + other_mm_s, LEAST_SPEED_mm_s)
         light_s = (self._force_limit_N - load_N) / (self.stiffest_load_N_mm * speed_mm_s)
         self._light_until_us = t_us + math.floor(1e6 * min(light_s, LONGEST_LIGHT_s))
 

@@ -2,7 +2,7 @@
 
 No protocol: a drive of a model adds its registers or commands. Everything is evaluated lazily at
 exact World times: what was due before a request or a question happens first, in its order and at
-its own time, as if somebody had watched.
+its own time, as if it had been watched all along.
 """
 
 from __future__ import annotations

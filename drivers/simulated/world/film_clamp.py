@@ -1,7 +1,8 @@
 """The film's clamp in the World: what the stage's position makes of the static force, over time.
 
-A history of the force, one value a millisecond of World time, made when somebody asks and kept for
-a while, so that a converter may sample the past. It asks the axis where it was and may not move it.
+A history of the force, one value a millisecond of World time, computed when it is asked for and
+kept for a while, so that a converter may sample the past. It asks the axis where it was and may not
+move it.
 """
 
 from __future__ import annotations

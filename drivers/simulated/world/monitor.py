@@ -1,7 +1,8 @@
-"""The World's own watch over whoever drives it: what must not happen, looked for after every step.
+"""The World's own monitor of the program that drives it: checks after every step for what must not
+happen.
 
-It may look at forces, axes and outputs and write to the World's log; it may not change anything.
-What it finds is logged as ``violation``. It is there only where the World's settings ask for it.
+It reads forces, axes and outputs and writes to the World's log; it changes nothing. What it finds
+is logged as ``violation``. It runs only where the World's settings ask for it.
 
 - The force by which the stages press stays below its limit but for what a sensor cannot know yet:
   beyond the limit it never gets further than it has risen within one `reaction_s`.
@@ -24,7 +25,7 @@ from drivers.simulated.ports import Exchange, SerialInstrument
 from rig.core.settings import Settings
 
 STEP_us = 1000
-"""Of the instants at which the force is looked at."""
+"""Between the instants at which the force is checked."""
 FRAME_VALUES = slice(3, 15)
 """Bytes of a frame of three floats."""
 FRAME_BYTES = (16, 18)
@@ -34,7 +35,7 @@ Tell = Callable[[str, object], None]
 
 
 class WatchSettings(Settings):
-    """What a watched World is measured by."""
+    """The limits that a monitored World is checked against."""
 
     force_limit_N: float = Field(gt=0)
     """Along any axis, of what the stages press with."""
@@ -57,14 +58,14 @@ class Monitor:
         self._settings, self._force_N, self._active, self._tell = settings, force_N, active, tell
         self._before = max(1, round(settings.reaction_s * 1e6 / STEP_us))
         self._recent = np.zeros(self._before)
-        """Of the steps before the next one."""
+        """Forces at the steps before the next one, N."""
         self._next_us = 0
         self._allowed_N = 0.0
         """Largest rise within one reaction since the force went over its limit."""
         self._told = False
 
     def look(self, now_us: int) -> None:
-        """At everything since the last look."""
+        """Check everything since the last call."""
         times = np.arange(self._next_us, now_us + 1, STEP_us)
         if not times.size:
             return
@@ -79,7 +80,7 @@ class Monitor:
             self._judge(after, after - before)
 
     def over(self) -> None:
-        """The World ends, and with it the run."""
+        """The World ends, and with it the run: report what is still active."""
         for what in self._active():
             self._tell("violation", f"{what} although no run is active")
 

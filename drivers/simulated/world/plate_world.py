@@ -1,4 +1,4 @@
-"""The World with the skin above a plate or a head: its further settings, and how it is hung up.
+"""The World with the skin above a plate or a head: its further settings, and how it is mounted.
 
 Apart from `world`, so that a bench with the film clamp does not import what it has no use for.
 """

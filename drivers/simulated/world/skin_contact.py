@@ -7,11 +7,11 @@ sensor's z; F_t is what it drags the object with, positive along x while the sta
 The stages are pushed back with -F_n and -F_t. Seen from the skin the object slides towards +x when
 the stage does: the reference slide of `rig.physics.trials`.
 
-The contact goes in whole steps (0.1 ms), made when somebody asks and kept for a while, so that a
+The contact goes in whole steps (0.1 ms), computed when asked for and kept for a while, so that a
 converter may sample the past. What a step finds from the stages' positions at its beginning is
-force and volts at its end, so nothing that was told ever changes; between steps it is linear. The
-same motion gives the same bits, whatever the stretches of time in which it was asked for: blocks
-end at fixed instants, and a skin that nothing touches comes to rest at one of these.
+force and volts at its end, so a value that was returned never changes; between steps it is linear.
+The same motion gives the same bits, whatever the stretches of time in which it was asked for:
+blocks end at fixed instants, and a skin that nothing touches comes to rest at one of these.
 
 It asks the stages where they were and may not move them. A step without a solution is a failure
 that stays: the contact keeps its last values from there on, and whoever owns the World has to end
@@ -49,7 +49,7 @@ KEPT_s = 30.0
 BLOCK_STEPS = 100
 """Steps between the instants at which the skin may come to rest."""
 TOLD_STEPS = 5 * BLOCK_STEPS
-"""Steps between those at which slips are looked for and told, for whoever has not asked."""
+"""Steps between those at which slips are searched for and logged without being asked for."""
 AT_REST_mm = 1e-12
 """A skin that nothing touches and that is displaced by less everywhere is at rest."""
 TANGENTIAL_N, NORMAL_N, STRIP_1_V, STRIP_2_V = range(4)
@@ -106,7 +106,7 @@ class SkinContact:
         """None while the skin is at rest."""
         self._chain = self._fresh_chain()
         self._stresses: list[Reals] = []
-        """Of the newest steps, whose volts nobody has asked for."""
+        """Stresses of the newest steps, whose volts have not been asked for."""
         begin = below.at(np.zeros(1, np.int64))
         self._object_at_mm, self._turned_rad = float(begin.x_mm[0]), float(begin.turned_rad[0])
         """Where the skin sees the object and how it is turned, at the newest step."""

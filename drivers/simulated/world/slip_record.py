@@ -29,7 +29,7 @@ class _Slide:
     from_us: int
     watch: SlipWatch
     told: set[int] = field(default_factory=set)
-    """Ridges whose slip was told, from 1; 0 stands for all of the skin."""
+    """Ridges whose slip was logged, from 1; 0 stands for all of the skin."""
 
     def us(self, seconds: float) -> int | None:
         """World time of an instant of the watch, None for never."""
@@ -46,7 +46,7 @@ class SlipRecord:
         step_us: int,
         tell: Callable[[str, object], None],
     ):
-        """`watched_ridge` counts from 0; `tell` gets each event by name, with its value."""
+        """`watched_ridge` counts from 0; `tell` logs each event by name, with its value."""
         self._ridge_of_node = ridge_of_node
         self._watched = watched_ridge
         self._step_us = step_us
@@ -79,7 +79,7 @@ class SlipRecord:
         self._waiting.append((status, plate_mm))
 
     def judge(self) -> None:
-        """Look at what was added since; tell what is found."""
+        """Search what was added since the last call; log what is found."""
         if not self._waiting:
             return
         status, plate_mm = (np.concatenate(part) for part in zip(*self._waiting, strict=True))

@@ -1,6 +1,6 @@
 """World time: moved by the run that owns it, or by itself.
 
-A slaved timeline stands until somebody advances it. A free one follows the host's monotonic clock.
+A slaved timeline stands until its owner advances it. A free one follows the host's monotonic clock.
 A slaved one can be set free, which happens when its owner has gone: drives then meet their
 communication time-outs as they would on hardware.
 """
@@ -32,16 +32,16 @@ class WorldTimeline:
     def advance(self, step_us: int) -> None:
         """Move a slaved timeline on by `step_us` >= 0; ValueError on any other."""
         if self._free_since_ns is not None:
-            raise ValueError("this bench runs in real time; nobody can advance it")
+            raise ValueError("this bench runs in real time and cannot be advanced")
         if step_us < 0:
             raise ValueError(f"time cannot go back by {-step_us} us")
         self._base_us += step_us
 
     def jump(self, step_us: int) -> None:
-        """Time goes on by `step_us` >= 0 without anybody: a fault plan's doing."""
+        """Time passes by `step_us` >= 0 without its owner: a fault of a fault plan."""
         self._base_us += step_us
 
     def set_free(self) -> None:
-        """Go on in real time from here; does nothing on a free timeline."""
+        """Continue in real time from here; does nothing on a free timeline."""
         if self._free_since_ns is None:
             self._free_since_ns = time.monotonic_ns()

@@ -89,7 +89,7 @@ class WorldSettings(Settings):
     generator_link: Literal["socket", "hislip"] = "socket"
     """How the generator is reached."""
     watch: WatchSettings | None = None
-    """What the World looks for by itself, and tells its log of; None: nothing."""
+    """What the World's own monitor checks and logs; None: nothing."""
 
 
 W = TypeVar("W", bound=WorldSettings)
@@ -142,7 +142,7 @@ class World:
         """Begin and end in s, force in N."""
         self._schedule = Schedule(faults)
         self.tasks = TaskLog()
-        """Of tasks and acquisitions."""
+        """The bench's log of tasks and acquisitions."""
         self.tasks.listen(self._schedule.hear)
         self._elsewhere: dict[str, Callable[[TimedFault, int], None]] = {}
         self._excitation: Excitation | None = None
@@ -168,12 +168,12 @@ class World:
 
     @property
     def failure(self) -> str | None:
-        """Why this World can no longer be believed, if so; it goes on only to be brought to
+        """Why this World can no longer be believed, if so; it continues only to be brought to
         rest."""
         return None if self._skin is None else self._skin.failure
 
     def on_fault(self, device: str, act: Callable[[TimedFault, int], None]) -> None:
-        """Leave a device's faults to it: what is told of each, and of its World time in us."""
+        """Call `act` with each fault of a device and its World time in us, when it is due."""
         self._elsewhere[device] = act
 
     def settle(self) -> None:
@@ -231,7 +231,7 @@ class World:
         return along_z
 
     def weigh(self, force_N: tuple[float, float, float]) -> None:
-        """Somebody puts weights on the sensors, along x, y and z."""
+        """Weights are put on the sensors, along x, y and z."""
         self._weight_N = np.array(force_N, float)
         self.log("world", "weights", list(force_N), "world")
 
@@ -269,7 +269,7 @@ class World:
             self._apply_fault(self._schedule.take(), t_us)
 
     def _apply_fault(self, fault: TimedFault, t_us: int) -> None:
-        """A fault's time has come."""
+        """A fault begins."""
         self.log(fault.device, "injected", fault.kind, "plan")
         if isinstance(fault, Spike):
             begin_s = t_us * 1e-6

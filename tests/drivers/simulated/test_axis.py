@@ -271,7 +271,7 @@ def test_what_another_axis_does_to_the_load_is_never_felt_too_late(surge_mm_s: f
         z, x = axis(load), axis(load)
         if known:
             z.stiffest_load_N_mm = x.stiffest_load_N_mm = 150.0
-            z.beside, x.beside = x, z
+            z.other_axis, x.other_axis = x, z
         z.force_limit_N, x.force_limit_N = 40.0, 90.0
         z.move(0, go(10.2, 0.5))
         x.move(0, go(10.1, 1.0))

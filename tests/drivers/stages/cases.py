@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any, ClassVar
 
 from drivers.shared.stage import MotionWatch
@@ -63,6 +63,11 @@ class StageCase(ABC):
         self.clock.each_slice(self.stage.keep_alive)
         self.stage.home()
         self.said()
+
+    @property
+    def link_lock(self) -> AbstractContextManager[object]:
+        """The lock under which the driver's link sends."""
+        return self.stage._link._lock
 
     @contextmanager
     def before_a_motion_is_sent(self, act: Callable[[], object]) -> Iterator[None]:
@@ -143,6 +148,10 @@ class AzCase(StageCase):
         said = list(self._it.line.said)
         self._it.line.said.clear()
         return said
+
+    @property
+    def link_lock(self) -> AbstractContextManager[object]:
+        return self.stage._line._lock
 
 
 class ZaberCase(StageCase):
