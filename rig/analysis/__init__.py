@@ -1,2 +1,2 @@
-"""What measured signals mean: responses of films, trials under force, calibrations. Arrays in,
+"""Analysis of measured signals: responses of films, trials under force, calibrations. Arrays in,
 numbers out."""

@@ -1,1 +1,2 @@
-"""Physics of the bench: pure functions and settings, no I/O."""
+"""Physical models of the bench, for simulation and design: pure functions, settings and state in
+arrays. No input or output."""

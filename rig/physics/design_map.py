@@ -1,9 +1,10 @@
-"""The paper's design question: where do the transducers belong, and what should they measure?
+"""The design question of the paper: where should the transducers lie, and which stress should they
+measure?
 
-One reference slide is run once; its contact forces are then turned into the stress that strips at
-many places would have felt, in every ridge and in every component. Of each place the map keeps the
-hump (the low-frequency level of v_d before that ridge slips) and the HF peak (the largest part of
-v_d above 100 Hz around that ridge's slip).
+One reference slide is simulated. Its contact forces are then converted to the stress that strips at
+many places would have felt, in every ridge and every component. For each place the map contains the
+hump (low-frequency level of v_d before that ridge slips) and the peak (largest part of v_d above
+100 Hz around the slip of that ridge).
 """
 
 from __future__ import annotations
@@ -25,36 +26,44 @@ Floats = NDArray[np.float64]
 
 
 class MapSettings(Settings):
-    """Which slide, and at which places strips are tried."""
+    """The slide, and the places at which strips are tried."""
 
     skin: SkinSettings = SkinSettings(elements_per_ridge=6)
+    """The skin."""
     slide: SlideSettings = SlideSettings()
+    """The reference slide."""
     offsets_mm: tuple[float, ...] = (0.15, 0.25, 0.35, 0.45, 0.55)
-    """Distances of the strips' middles from the ridge's axis."""
+    """Distances of the middles of the strips from the axis of the ridge."""
     bottoms_mm: tuple[float, ...] = (-0.5, 0.0, 0.3, 0.6)
-    """Heights of the strips' lower edges above the foot of the ridge."""
+    """Heights of the lower edges of the strips above the foot of the ridge."""
     strip_width_mm: float = Field(0.3, gt=0)
+    """Extent of a strip along x."""
     strip_height_mm: float = Field(0.35, gt=0)
+    """Height of a strip."""
 
     def places(self) -> list[tuple[float, float]]:
-        """Every (offset, bottom) tried."""
+        """Returns every (offset, bottom) that is tried."""
         return [(offset, bottom) for bottom in self.bottoms_mm for offset in self.offsets_mm]
 
 
 @dataclass(frozen=True)
 class DesignMap:
-    """Hump and HF peak in V, shape (ridges, bottoms, offsets, 3 components xx yy xy)."""
+    """Hump and peak in V, (ridges, bottoms, offsets, 3 components xx yy xy)."""
 
     settings: MapSettings
+    """Slide and places of the map."""
     hump_V: Floats
-    """Mean of v_d from the end of the speed's ramp until 10 ms before the ridge's first event."""
+    """Mean of v_d from the end of the speed ramp until 10 ms before the first event of the
+    ridge."""
     peak_V: Floats
-    """Largest |v_d| above 100 Hz from 10 ms before to 20 ms after the ridge slips whole."""
+    """Largest |v_d| above 100 Hz, from 10 ms before to 20 ms after the whole ridge slips."""
     components: tuple[str, ...] = STRESSES
+    """Names of the stress components."""
 
 
 def design_map(settings: MapSettings) -> DesignMap:
-    """Run the slide and map it. Raises ValueError where a strip would leave the rubber."""
+    """Simulates the slide and returns its map. Raises ValueError if a strip would leave the
+    rubber."""
     elastic = ElasticSkin(settings.skin)
     skin = condense_elements(elastic)
     trial = slide(skin, settings.slide, keep_forces=True)

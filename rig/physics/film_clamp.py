@@ -1,8 +1,9 @@
-"""The film in its clamp as the stage and the force sensor meet it: a spring that creeps.
+"""Mechanics of a film in its clamp, as the stage and the force sensor experience them: a spring
+that creeps.
 
-The indentor of the vibrator presses the film against the force sensor's probe (paper 3.1, 25 N on
-8 mm2). Between them lie film, glue and the sensor's own compliance: a standard linear solid with
-one-sided contact. Positive displacement is compression. All values are assumed.
+The indentor of the vibrator presses the film against the probe of the force sensor (paper 3.1, 25 N
+on 8 mm²). Film, glue and the compliance of the sensor lie between them: a standard linear solid
+with one-sided contact. A positive displacement compresses. All values are assumed.
 """
 
 from __future__ import annotations
@@ -26,29 +27,31 @@ class FilmClampSettings(Settings):
     stiffness_N_mm: float = Field(default=80.0, gt=0)
     """Static stiffness, after all creep."""
     creep_stiffness_N_mm: float = Field(default=8.0, ge=0)
-    """Further stiffness against a fast compression; it relaxes."""
+    """Additional stiffness against a fast compression, which relaxes."""
     creep_s: float = Field(default=3.0, gt=0)
     """Time constant of that relaxation."""
     gain_per_newton_dB: float = Field(default=0.02, ge=-1, le=1)
     """Change of the film's gain with preload, about the nominal preload."""
     nominal_preload_N: float = Field(default=25.0, gt=0)
-    """Preload at which the film's gain is the nominal one."""
+    """Preload at which the film has its nominal gain."""
 
 
 def creep_step(
     settings: FilmClampSettings, fading_N: float, position_mm: Reals, step_s: float
 ) -> tuple[Reals, float]:
-    """Force at successive positions (n,), `step_s` apart, and the fading part at the last.
+    """Returns the forces (n,) in N at successive positions (n,), `step_s` apart, and the relaxing
+    part at the end.
 
-    `fading_N` is the relaxing part of the force at ``position_mm[0]``. Between positions the
-    motion is linear, for which the step is exact:
-    q' = -q / tau + k1 x', x the compression; F = k x + q, never a pull. Returns forces in N (n,).
+    `fading_N` is the relaxing part of the force at ``position_mm[0]``. The motion between two
+    positions is linear, for which the step is exact: q' = -q / tau + k1 x' with the compression x,
+    and F = k x + q, which never pulls.
     """
     decay = math.exp(-step_s / settings.creep_s)
     gain = settings.creep_s / step_s * (1 - decay) * settings.creep_stiffness_N_mm
     forces: list[float] = []
     before = max(float(position_mm[0]) - settings.contact_mm, 0.0)
-    for position in position_mm.tolist():  # a few at a time, mostly: arrays would cost more
+    # Plain numbers: there are mostly a few positions, for which arrays would cost more.
+    for position in position_mm.tolist():
         compression = max(position - settings.contact_mm, 0.0)
         if forces:
             fading_N = decay * fading_N + gain * (compression - before)
@@ -61,7 +64,7 @@ def creep_step(
 def push_after(
     settings: FilmClampSettings, fading_N: float, from_mm: float, to_mm: float, step_s: float
 ) -> float:
-    """Force in N at the end of one step of `creep_step`, without the arrays."""
+    """Returns the force in N at the end of one step of `creep_step`, without arrays."""
     before = max(from_mm - settings.contact_mm, 0.0)
     after = max(to_mm - settings.contact_mm, 0.0)
     if not after:
@@ -73,7 +76,7 @@ def push_after(
 
 
 def preload_gain(settings: FilmClampSettings, preload_N: Reals) -> Reals:
-    """Factor on the film's response at a preload: none without contact."""
+    """Returns the factor on the film's response at a preload: 0 without contact."""
     change_dB = settings.gain_per_newton_dB * (preload_N - settings.nominal_preload_N)
     factor: Reals = np.where(preload_N > 0, 10 ** (change_dB / 20), 0.0)
     return factor

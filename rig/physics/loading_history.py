@@ -1,13 +1,14 @@
 """The paper's simulation 4.2: 550 steps of 1e-6 s of a skin with inertia under given forces.
 
-A rigid plate passes F_n and F_t (Figure 12, as editable data) to the skin; the result is the
-stress difference between the strips of a ridge and its rate (Figure 13). Explicit central
-differences on the skin's own quadratic elements with a lumped mass; every node's contact is
-unilateral with Coulomb friction and slip weakening. A step above the stable limit is refused.
+A rigid plate transmits F_n and F_t (Figure 12, as editable data) to the skin. The results are the
+stress difference between the strips of a ridge and its rate (Figure 13). The method is explicit
+central differences on the skin's own quadratic elements with a lumped mass. Contact is unilateral
+at every node, with Coulomb friction and slip weakening. A step above the stable limit is refused.
 
-Over 0.55 ms a wave crosses the skin a few times and its slowest surface mode (0.8 kHz) does half a
-cycle: the answer is inertial, not a slide in slow motion. The rubber's relaxation of 0.5 ms cannot
-be taken explicitly; a short material damping keeps the grid's own vibration down instead.
+Within 0.55 ms a wave crosses the skin a few times, and the slowest surface mode (0.8 kHz) makes
+half a cycle: the response is inertial, not a slide in slow motion. The rubber's relaxation of 0.5
+ms cannot be integrated explicitly; a short material damping suppresses vibrations of the grid
+instead.
 """
 
 from __future__ import annotations
@@ -32,11 +33,14 @@ Floats = NDArray[np.float64]
 
 
 class LoadPoint(Settings):
-    """A corner of the loading history; forces are linear between corners."""
+    """A corner of the loading history. Forces are linear between corners."""
 
     step: int = Field(ge=0)
+    """Step at which the forces are reached."""
     normal_force_N: float = Field(ge=0)
+    """Normal force F_n."""
     tangential_force_N: float
+    """Tangential force F_t."""
 
 
 _UNTIL_RELIEF = (
@@ -45,8 +49,9 @@ _UNTIL_RELIEF = (
     LoadPoint(step=200, normal_force_N=4.0, tangential_force_N=1.6),
     LoadPoint(step=300, normal_force_N=4.0, tangential_force_N=1.6),
 )
-"""F_n alone, then F_t at 0.4 F_n: half of μ_s. Nearer to μ_s the skin would not wait for step 450:
-at 0.6 F_n ridge 3 slips whole before step 300, at 0.75 F_n everything slides (decision 0020)."""
+"""F_n alone, then F_t at 0.4 F_n: half of μ_s. With F_t nearer to μ_s the skin would not wait for
+step 450: at 0.6 F_n all of ridge 3 slips before step 300, at 0.75 F_n everything slides (decision
+0020)."""
 
 NORMAL_RAISED = (
     *_UNTIL_RELIEF,
@@ -55,7 +60,7 @@ NORMAL_RAISED = (
     LoadPoint(step=460, normal_force_N=6.0, tangential_force_N=4.6),
     LoadPoint(step=550, normal_force_N=6.0, tangential_force_N=4.9),
 )
-"""Relief at 300 by a raised normal force (levels assumed: the paper gives the ratio only)."""
+"""Relief at step 300 by a raised normal force (levels assumed: the paper gives the ratio only)."""
 
 TANGENTIAL_LOWERED = (
     *_UNTIL_RELIEF,
@@ -64,36 +69,38 @@ TANGENTIAL_LOWERED = (
     LoadPoint(step=480, normal_force_N=4.0, tangential_force_N=3.0),
     LoadPoint(step=550, normal_force_N=4.0, tangential_force_N=3.3),
 )
-"""Relief at 300 by a lowered tangential force (levels assumed)."""
+"""Relief at step 300 by a lowered tangential force (levels assumed)."""
 
 RELIEFS: dict[str, tuple[LoadPoint, ...]] = {
     "normal_raised": NORMAL_RAISED,
     "tangential_lowered": TANGENTIAL_LOWERED,
 }
+"""The two loading histories, by name."""
 
 
 class HistorySettings(Settings):
-    """The simulation of the paper's 4.2."""
+    """Parameters of the simulation of the paper's 4.2."""
 
     skin: SkinSettings = SkinSettings(elements_per_ridge=6, refinement="uniform")
-    """Uniform elements: the smallest one sets the stable step."""
+    """The skin, with uniform elements: the smallest one determines the stable step."""
     friction: FrictionSettings = FrictionSettings()
+    """Friction between plate and skin."""
     loads: tuple[LoadPoint, ...] = NORMAL_RAISED
-    """Figure 12."""
+    """Loading history (Figure 12)."""
     steps: int = Field(550, ge=1)
     """Number of steps (paper 4.2)."""
     step_us: float = Field(1.0, gt=0)
-    """Step (paper 4.2: 1e-6 s)."""
+    """Time step (paper 4.2: 1e-6 s)."""
     substeps: int = Field(2, ge=1)
-    """Explicit steps in each step: quadratic elements want shorter ones."""
+    """Explicit steps per step: quadratic elements require shorter ones."""
     damping_us: float = Field(0.2, ge=0)
-    """Stiffness-proportional damping time (assumed)."""
+    """Time constant of the stiffness-proportional damping (assumed)."""
     object_mass_g: float = Field(0.02, gt=0)
-    """Mass of the plate along x (assumed light: a heavy one would keep F_t to itself)."""
+    """Mass of the plate along x (assumed small: a heavy plate would absorb F_t)."""
     ridge: int = Field(3, ge=1)
-    """The ridge whose stress is followed, 1 is the leftmost."""
+    """Ridge whose stress is recorded; 1 is the leftmost."""
     component: Literal["xx", "yy", "xy"] = "yy"
-    """The stress that is subtracted (paper Figure 11)."""
+    """Stress component that is subtracted (paper Figure 11)."""
 
     @model_validator(mode="after")
     def _is_in_order(self) -> Self:
@@ -111,7 +118,7 @@ class HistorySettings(Settings):
         return self
 
     def forces(self) -> tuple[Floats, Floats]:
-        """F_n and F_t in N at the end of every substep, two arrays (steps * substeps,)."""
+        """Returns F_n and F_t in N at the end of every substep, two arrays (steps * substeps,)."""
         at = np.arange(1, self.steps * self.substeps + 1) / self.substeps
         corners = [p.step for p in self.loads]
         normal = np.interp(at, corners, [p.normal_force_N for p in self.loads])
@@ -121,38 +128,40 @@ class HistorySettings(Settings):
 
 @dataclass(frozen=True)
 class History:
-    """What the skin did; one row a step."""
+    """Response of the skin, one row per step."""
 
     step: NDArray[np.int64]
     """Step number, 1 to n, (n,)."""
     normal_force_N: Floats
+    """Given normal force, (n,)."""
     tangential_force_N: Floats
-    """The given forces, (n,)."""
+    """Given tangential force, (n,)."""
     friction_force_N: Floats
-    """What friction passed on of F_t, (n,)."""
+    """Part of F_t that friction transmits to the skin, (n,)."""
     stress_MPa: Floats
     """Mean stress of S1 and S2, (n, 2)."""
     status: Statuses
     """Status of every contact node, (n, m)."""
     ridge_of_node: NDArray[np.int64]
+    """Ridge of every contact node, 0 for the leftmost, (m,)."""
     truth: SlipTruth
-    """Times in s; one step is `step_us`."""
+    """Times of slip in s; one step is `step_us`."""
     stable_step_us: float
-    """The largest explicit step this mesh allows."""
+    """Largest explicit step that is stable on this mesh."""
     shots: dict[int, Floats]
-    """Displacements (dofs,) of the whole section at the steps asked for, mm."""
+    """Displacements (dofs,) of the whole section in mm, by the steps that were asked for."""
 
     @property
     def difference(self) -> Floats:
-        """Stress of S1 less that of S2, MPa, (n,)."""
+        """Stress of S1 minus that of S2, in MPa, (n,)."""
         difference: Floats = self.stress_MPa[:, 0] - self.stress_MPa[:, 1]
         return difference
 
 
 def run_history(settings: HistorySettings, shots: tuple[int, ...] = ()) -> History:
-    """Run the history, keeping the whole section at the steps `shots`.
+    """Simulates the history and records the whole section at the steps `shots`.
 
-    Raises ValueError, naming the limit, where the step is unstable.
+    Raises ValueError, which names the limit, if the step is unstable.
     """
     body = _Body(settings)
     stable_us = body.stable_step_us()
@@ -168,7 +177,7 @@ def run_history(settings: HistorySettings, shots: tuple[int, ...] = ()) -> Histo
 
 
 class _Body:
-    """The skin's matrices, reduced to its free degrees of freedom, in N, mm, s and tonnes."""
+    """Matrices of the skin, reduced to its free degrees of freedom, in N, mm, s and tonnes."""
 
     def __init__(self, settings: HistorySettings):
         self.settings = settings
@@ -190,13 +199,14 @@ class _Body:
         self.gap = settings.skin.gap_at(x)
 
     def whole(self, u: Floats) -> Floats:
-        """Displacements of all degrees of freedom, the fixed ones too."""
+        """Returns the displacements of all degrees of freedom, including the fixed ones."""
         displacement = np.zeros(self._dofs)
         displacement[self._free] = u
         return displacement
 
     def stable_step_us(self) -> float:
-        """Limit of central differences with lagged damping, from the largest frequency."""
+        """Returns the limit of central differences with lagged damping, from the largest
+        eigenfrequency."""
         from scipy.sparse import diags
         from scipy.sparse.linalg import eigsh
 
@@ -257,10 +267,10 @@ def _shear_begins_s(settings: HistorySettings) -> float:
 
 
 class _Plate:
-    """A rigid plate on the skin's nodes: gives each node the impulse that contact demands.
+    """A rigid plate on the nodes of the skin. It gives each node the impulse that contact requires.
 
-    Normally it has no inertia: its height is such that the pressing forces add up to F_n. Along x
-    it has a small mass, so that it has an answer when every node slips.
+    In the normal direction it has no inertia: its height is such that the pressing forces add up to
+    F_n. Along x it has a small mass, so that its motion is defined when every node slips.
     """
 
     def __init__(self, settings: HistorySettings, body: _Body, dt: float):
@@ -276,7 +286,8 @@ class _Plate:
         self.friction_N = 0.0
 
     def touch(self, u: Floats, v: Floats, normal_N: float, tangential_N: float) -> None:
-        """Correct the velocities `v` so that the step's end respects contact and friction."""
+        """Corrects the velocities `v` such that the end of the step satisfies contact and
+        friction."""
         stiffness = 1.0 / (self._per_N * self._dt)
         height = self._gap - u[self._y] - self._dt * v[self._y]
         pressing = _pressing(height, stiffness, normal_N)
@@ -304,7 +315,8 @@ class _Plate:
 
 
 def _pressing(height: Floats, stiffness: Floats, total_N: float) -> Floats:
-    """Forces p = max(0, k (d - height)) with the approach d that makes them add up to the total."""
+    """Returns the forces p = max(0, k (d - height)) with the approach d for which they add up to
+    the total."""
     if total_N <= 0:
         return np.zeros_like(height)
     order = np.argsort(height, kind="stable")
@@ -325,15 +337,15 @@ class _Drag:
     limit: Floats
 
     def forces(self, speed: float) -> Floats:
-        """Force on each node when the plate moves at `speed`."""
+        """Returns the force on each node when the plate moves at `speed`."""
         forces: Floats = np.clip(self.stiffness * (speed - self.velocity), -self.limit, self.limit)
         return forces
 
     def plate_speed(self, before: float, given_N: float, inertia: float) -> float:
-        """The speed at which friction and inertia balance the given force; found exactly.
+        """Returns the speed at which friction and inertia balance the given force, found exactly.
 
-        Friction against speed is a broken line that rises; its corners are where a node starts
-        and stops sticking.
+        Friction against speed is an increasing, piecewise linear function. Its corners are where a
+        node starts or stops sticking.
         """
         sticks = self.limit > 0
         k, width = self.stiffness[sticks], self.limit[sticks] / self.stiffness[sticks]

@@ -1,14 +1,15 @@
-"""Linear systems in modal form, driven by piecewise sinusoids, exact at any time.
+"""Linear systems in modal form, driven by piecewise sinusoids and exact at any time.
 
 A rational transfer function with simple poles is a sum of independent first-order modes,
 
-    x_k' = p_k x_k + b_k u,      y_o = Re(sum_k C[o, k] x_k) + D[o] u,
+    x_k' = p_k x_k + b_k u,      y_o = Re(sum_k C[o, k] x_k) + D[o] u
 
-and for u(t) = offset + amplitude sin(2 pi f t + phase) each mode has a closed solution: a constant,
-a sinusoid and a decaying exponential. Nothing is integrated step by step, so an output is exact to
-rounding at whatever times a converter samples it, however far apart, and the state moves over any
-interval in one step. Of a pair of complex conjugate poles only one is kept; its output row is
-doubled. No I/O, no randomness, no units of its own: the caller's zeros, poles and gains say them.
+For u(t) = offset + amplitude sin(2 pi f t + phase) each mode has a closed solution: a constant, a
+sinusoid and a decaying exponential. Nothing is integrated step by step. An output is therefore
+exact to rounding at whatever times a converter samples it, however far apart, and the state moves
+over any interval in one step. Of a pair of complex conjugate poles only one is stored, and its
+output row is doubled. There is no input or output, no randomness and no unit here: the caller's
+zeros, poles and gains determine the units.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 NEGLIGIBLE_TRANSIENT = 1e-12
-"""A transient below this fraction of its output's steady state is left out of an evaluation."""
+"""A transient below this fraction of its output's steady state is omitted."""
 
 CLOSEST_POLES = 1e-6
-"""Poles nearer to each other than this fraction of their size count as repeated."""
+"""Poles closer to each other than this fraction of their size are treated as repeated."""
 
 _SAME_POLE = 1e-12
 _SMALLEST_GRID = 64
 _BLOCK = 256
 _STACK = 32
-"""Blocks per matrix product: small enough that BLAS keeps it on the calling thread."""
+"""Blocks per matrix product: few enough that BLAS stays on the calling thread."""
 _VANISHED = -150.0
 
 
@@ -43,17 +44,20 @@ class ZeroPoleGain:
     """A real rational transfer function gain * prod(s - zeros) / prod(s - poles), s in rad/s."""
 
     zeros: tuple[complex, ...] = ()
+    """Zeros in rad/s; complex ones in conjugate pairs."""
     poles: tuple[complex, ...] = ()
+    """Poles in rad/s; complex ones in conjugate pairs."""
     gain: float = 1.0
+    """Gain factor."""
 
     def __mul__(self, other: ZeroPoleGain) -> ZeroPoleGain:
-        """The two in series, without loading each other."""
+        """Returns the two functions in series, without loading each other."""
         return ZeroPoleGain(
             self.zeros + other.zeros, self.poles + other.poles, self.gain * other.gain
         )
 
     def response(self, frequency: ArrayLike) -> Complexes:
-        """Complex response at frequencies in Hz; the shape of ``frequency``."""
+        """Returns the complex response at frequencies in Hz, with the shape of ``frequency``."""
         s = 2j * np.pi * np.asarray(frequency, dtype=float)
         value = np.full(s.shape, self.gain, dtype=complex)
         for zero in self.zeros:
@@ -68,12 +72,16 @@ class SineDrive:
     """An input offset + amplitude sin(2 pi frequency t + phase), from t = 0 on."""
 
     frequency_Hz: float = 0.0
+    """Frequency, in Hz."""
     amplitude: float = 0.0
+    """Peak amplitude."""
     phase_rad: float = 0.0
+    """Phase at t = 0."""
     offset: float = 0.0
+    """Constant part."""
 
     def after(self, interval_s: float) -> SineDrive:
-        """The same signal with its time origin moved later by ``interval_s``."""
+        """Returns the same signal with its time origin moved later by ``interval_s``."""
         cycles = self.frequency_Hz * interval_s
         phase = self.phase_rad + 2 * math.pi * (cycles - math.floor(cycles))
         phase = math.remainder(phase, 2 * math.pi)
@@ -81,7 +89,7 @@ class SineDrive:
 
     @property
     def phasor(self) -> complex:
-        """U such that the alternating part is Re(U exp(2 pi j f t))."""
+        """Complex amplitude U such that the alternating part is Re(U exp(2 pi j f t))."""
         return cmath.rect(self.amplitude, self.phase_rad - math.pi / 2)
 
 
@@ -89,8 +97,8 @@ class SineDrive:
 class ModalSystem:
     """A stable system of simple poles with one input and several outputs.
 
-    ``poles`` (n_modes,) rad/s, ``inputs`` b (n_modes,), ``outputs`` C (n_outputs, n_modes),
-    ``direct`` D (n_outputs,). Build it with :meth:`from_chains`.
+    ``poles`` (n_modes,) in rad/s, ``inputs`` b (n_modes,), ``outputs`` C (n_outputs, n_modes),
+    ``direct`` D (n_outputs,). Create it with :meth:`from_chains`.
     """
 
     poles: Complexes
@@ -100,10 +108,11 @@ class ModalSystem:
 
     @classmethod
     def from_chains(cls, chains: Sequence[ZeroPoleGain]) -> ModalSystem:
-        """Partial fractions of one transfer function per output, poles shared where equal.
+        """Returns the partial fractions of one transfer function per output; equal poles are
+        shared.
 
         Raises ValueError for a chain that is improper, unstable, not real (a complex zero or pole
-        without its conjugate) or has repeated poles, within a chain or nearly so between chains.
+        without its conjugate) or has repeated poles, and for nearly equal poles of two chains.
         """
         for chain in chains:
             _check(chain)
@@ -127,13 +136,13 @@ class ModalSystem:
         return len(self.direct)
 
     def rest(self) -> Complexes:
-        """The state of a system that has never been driven; shape (n_modes,)."""
+        """Returns the state of a system that has never been driven, (n_modes,)."""
         return np.zeros(len(self.poles), dtype=complex)
 
     def steady_state(self, frequency: ArrayLike) -> Complexes:
-        """Complex response of every output at frequencies in Hz; shape (..., n_outputs).
+        """Returns the complex response H of every output at frequencies in Hz, (..., n_outputs).
 
-        An input Re(U exp(j w t)) gives, once transients are over, Re(H U exp(j w t)).
+        An input Re(U exp(j w t)) gives Re(H U exp(j w t)) once transients have decayed.
         """
         s = 2j * np.pi * np.asarray(frequency, dtype=float)[..., None]
         upper = self.inputs / (s - self.poles)
@@ -144,17 +153,19 @@ class ModalSystem:
         return response
 
     def ring_down(self, fraction: float = 0.01) -> float:
-        """Seconds until the slowest mode has fallen to ``fraction`` of its start."""
+        """Returns the time in s after which the slowest mode has decayed to ``fraction`` of its
+        start."""
         return float(math.log(1 / fraction) / np.min(-self.poles.real))
 
     def settled(self, drive: SineDrive) -> Complexes:
-        """The state at t = 0 of a system that has been under ``drive`` for ever: (n_modes,)."""
+        """Returns the state at t = 0 of a system that has been under ``drive`` forever,
+        (n_modes,)."""
         return self._forced(drive, 0.0)
 
     def advance(self, state: Complexes, drive: SineDrive, interval_s: float) -> Complexes:
-        """The state ``interval_s`` after t = 0, where it was ``state``, under ``drive``.
+        """Returns the state ``interval_s`` after t = 0 under ``drive``, given the state at t = 0.
 
-        To go on with the same signal, continue with ``drive.after(interval_s)``.
+        To continue with the same signal, pass ``drive.after(interval_s)`` next time.
         """
         free = state - self._forced(drive, 0.0)
         moved: Complexes = self._forced(drive, interval_s) + free * np.exp(self.poles * interval_s)
@@ -167,12 +178,13 @@ class ModalSystem:
         times: ArrayLike,
         outputs: Sequence[int] | None = None,
     ) -> Reals:
-        """Outputs at ``times`` >= 0 (s after the state): shape (len(times), n_outputs).
+        """Returns the outputs at ``times`` >= 0 (s after the state), (len(times), n_outputs).
 
-        ``outputs`` picks some of them, in that order. Exact to rounding (about 1e-15 times the
-        number of radians since t = 0); a mode's transient that at the first of the times is below
-        1e-12 of its output's steady state is left out. Evenly spaced times are recognised and
-        cost two short tables and one matrix product in place of an exponential each.
+        ``outputs`` selects some of them, in that order. The result is exact to rounding (about
+        1e-15 times the number of radians since t = 0). The transient of a mode that at the first of
+        the times is below 1e-12 of its output's steady state is omitted. Evenly spaced times are
+        recognised; they cost two short tables and one matrix product in place of one exponential
+        each.
         """
         t = np.asarray(times, dtype=float)
         rows = list(range(self.n_outputs)) if outputs is None else list(outputs)
@@ -181,7 +193,7 @@ class ModalSystem:
         return self.driven(state, drive, rows).at(t)
 
     def driven(self, state: Complexes, drive: SineDrive, outputs: Sequence[int]) -> DrivenOutputs:
-        """What `evaluate` needs of one state and drive, to be evaluated again and again."""
+        """Returns what `evaluate` needs for one state and drive, to be evaluated repeatedly."""
         rows = list(outputs)
         return DrivenOutputs(
             frequency_Hz=drive.frequency_Hz,
@@ -192,7 +204,7 @@ class ModalSystem:
         )
 
     def _forced(self, drive: SineDrive, time_s: float) -> Complexes:
-        """The particular solution: the state that stays periodic under ``drive``."""
+        """Returns the particular solution: the state that remains periodic under ``drive``."""
         later = drive.after(time_s)
         omega = 2j * np.pi * drive.frequency_Hz
         up = later.phasor / 2 / (omega - self.poles)
@@ -203,16 +215,22 @@ class ModalSystem:
 
 @dataclass(frozen=True, eq=False)
 class DrivenOutputs:
-    """Outputs under one drive from one state on: steady (k,), constant (k,), transient (k, m)."""
+    """Outputs under one drive, starting from one state."""
 
     frequency_Hz: float
+    """Frequency of the drive."""
     poles: Complexes
+    """Poles of the system, (m,)."""
     steady: Complexes
+    """Complex amplitudes of the steady state, (k,)."""
     constant: Reals
+    """Constant parts, (k,)."""
     transient: Complexes
+    """Complex amplitudes of the transients at t = 0, (k, m)."""
 
     def at(self, t: Reals) -> Reals:
-        """The outputs at times >= 0 (s after the state), not none: shape (len(t), k)."""
+        """Returns the outputs at times >= 0 (s after the state), (len(t), k); `t` must not be
+        empty."""
         size = np.abs(self.transient) * np.exp(self.poles.real * float(t.min()))
         limit = NEGLIGIBLE_TRANSIENT * (np.abs(self.steady) + np.abs(self.constant))
         kept = (size > limit[:, None]).any(axis=0)
@@ -222,28 +240,30 @@ class DrivenOutputs:
 
 
 def resonance(frequency_Hz: float, quality: float, level_dB: float) -> ZeroPoleGain:
-    """A second-order section: 1 far from ``frequency_Hz`` (Hz), ``level_dB`` high (or deep) at it.
+    """Returns a second-order section: 1 far from ``frequency_Hz``, and ``level_dB`` high (or deep)
+    at it.
 
-    Poles of the given quality factor; zeros at the same frequency, their damping scaled by the
-    level: (s^2 + s w g/Q + w^2) / (s^2 + s w/Q + w^2) with g = 10^(level/20).
+    The poles have the given quality factor. The zeros have the same frequency, and their damping is
+    scaled by the level: (s^2 + s w g/Q + w^2) / (s^2 + s w/Q + w^2) with g = 10^(level/20).
     """
     scale = 10 ** (level_dB / 20)
     return ZeroPoleGain(_pair(frequency_Hz, quality / scale), _pair(frequency_Hz, quality))
 
 
 def lag(frequency_Hz: float) -> ZeroPoleGain:
-    """A first-order low-pass of unit gain at DC with its corner at ``frequency_Hz``."""
+    """Returns a first-order low-pass with unit gain at DC and its corner at ``frequency_Hz``."""
     omega = 2 * np.pi * frequency_Hz
     return ZeroPoleGain((), (complex(-omega),), omega)
 
 
 def _pair(frequency_Hz: float, quality: float) -> tuple[complex, complex]:
-    """The two roots of s^2 + s w/Q + w^2."""
+    """Returns the two roots of s^2 + s w/Q + w^2."""
     omega = 2 * math.pi * frequency_Hz
     half = 1 / (2 * quality)
     if half < 1:
         root = omega * complex(-half, math.sqrt(1 - half**2))
         return root, root.conjugate()
+    # By subtraction the slow root would lose digits; in this form it does not.
     slow = -omega / (half + math.sqrt(half**2 - 1))
     return complex(omega**2 / slow), complex(slow)
 
@@ -264,12 +284,12 @@ def _check(chain: ZeroPoleGain) -> None:
 
 
 def _upper(poles: Sequence[complex]) -> list[complex]:
-    """Real poles and the upper one of each conjugate pair."""
+    """Returns the real poles and the upper one of each conjugate pair."""
     return [complex(pole) for pole in poles if pole.imag >= 0]
 
 
 def _union(chains: Sequence[Sequence[complex]]) -> list[complex]:
-    """Every pole once; poles of two chains that are nearly, but not quite, equal are refused."""
+    """Returns every pole once. Raises ValueError for poles of two chains that are nearly equal."""
     union: list[complex] = []
     for pole in (pole for chain in chains for pole in chain):
         nearest = min((abs(pole - other) for other in union), default=math.inf)
@@ -282,7 +302,8 @@ def _union(chains: Sequence[Sequence[complex]]) -> list[complex]:
 
 
 def _residue(chain: ZeroPoleGain, pole: complex) -> complex:
-    """Residue at a simple pole, numerator and denominator factors taken in turn (no overflow)."""
+    """Returns the residue at a simple pole. Numerator and denominator factors alternate, to avoid
+    overflow."""
     others = list(chain.poles)
     others.remove(min(others, key=lambda other: abs(other - pole)))
     value = complex(chain.gain)
@@ -296,7 +317,7 @@ def _residue(chain: ZeroPoleGain, pole: complex) -> complex:
 
 
 def _sum_of_exponentials(rates: Complexes, weights: Complexes, t: Reals) -> Reals:
-    """Re(weights @ exp(rates t)), transposed: shape (len(t), n_outputs)."""
+    """Returns Re(weights @ exp(rates t)), transposed: (len(t), n_outputs)."""
     step = _even_step(t)
     if step is None:
         return (weights @ _exp(rates[:, None] * t)).real.T
@@ -314,7 +335,7 @@ def _sum_of_exponentials(rates: Complexes, weights: Complexes, t: Reals) -> Real
 
 
 def _even_step(t: Reals) -> float | None:
-    """The spacing, where the times are an even grid to their own rounding; else None."""
+    """Returns the spacing if the times are an even grid to their own rounding, else None."""
     if t.ndim != 1 or t.size < _SMALLEST_GRID:
         return None
     step = float(t[-1] - t[0]) / (t.size - 1)
@@ -326,11 +347,11 @@ def _even_step(t: Reals) -> float | None:
 
 
 def _reduced(rates: Complexes, t: Reals) -> Complexes:
-    """``rates`` times ``t`` with whole turns of the imaginary part taken off."""
+    """Returns ``rates`` times ``t`` with whole turns of the imaginary part removed."""
     turns = rates.imag[:, None] / (2 * np.pi) * t
     return rates.real[:, None] * t + 2j * np.pi * (turns - np.floor(turns))
 
 
 def _exp(exponents: Complexes) -> Complexes:
-    """Exponential, exactly 0 below 1e-65: no product becomes a denormal number, which is slow."""
+    """Returns the exponential, exactly 0 below 1e-65: products with denormal numbers are slow."""
     return np.where(exponents.real > _VANISHED, np.exp(exponents), 0)

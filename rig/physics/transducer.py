@@ -1,8 +1,8 @@
-"""From a strip's stress to volts: stress → charge → circuit → amplifier, at the step rate.
+"""Converts the stress of a strip to volts: stress → charge → circuit → amplifier, at the step rate.
 
-The circuit is the rational reading of ``rig.physics.pvdf`` with the paper's Table 1 (its equation 4
-is not used here), discretised exactly for a stress that is linear between steps. Sampling belongs
-to the data acquisition.
+The circuit is the rational reading of ``rig.physics.pvdf`` with the paper's Table 1 (equation 4 is
+not used here), discretised exactly for a stress that is linear between steps. Sampling is done by
+the data acquisition, not here.
 """
 
 from __future__ import annotations
@@ -21,27 +21,28 @@ from rig.physics.pvdf import SKIN_STRIP, CircuitSettings
 Floats = NDArray[np.float64]
 
 SERIES = 18
-"""Terms after which nothing is added any more where |a| is at most 1."""
+"""Terms of the series, after which the sum no longer changes for |a| up to 1."""
 
 
 class TransducerSettings(Settings):
     """A film strip in a ridge with its amplifier."""
 
     circuit: CircuitSettings = SKIN_STRIP.model_copy(update={"gain": 1000.0})
-    """Table 1; the gain is that of the skin's channels (assumed)."""
+    """Circuit of film and amplifier: Table 1, with the gain of the skin's channels (assumed)."""
     area_mm2: float = Field(default=8.0, gt=0)
-    """Area on which the stress acts (paper 3.1 gives it for the sweep's indentor)."""
+    """Area on which the stress acts (the paper's 3.1 gives it for the indentor of the sweep)."""
     output_limit_V: float = Field(default=10.0, gt=0)
-    """The output clips at plus and minus this (assumed)."""
+    """Voltage at which the output clips, in both directions (assumed)."""
 
     def response(self, frequency_Hz: ArrayLike) -> NDArray[np.complex128]:
-        """Volts per MPa of stress at the given frequencies, complex, without the clip."""
+        """Returns the complex response in V per MPa of stress at the given frequencies, without
+        clipping."""
         response: NDArray[np.complex128] = self.area_mm2 * pvdf.circuit(frequency_Hz, self.circuit)
         return response
 
 
 class TransducerChain:
-    """Volts of several equal channels from their stress, block by block."""
+    """Computes the volts of several equal channels from their stress, block by block."""
 
     def __init__(self, settings: TransducerSettings, step_s: float, channels: int = 2):
         if step_s <= 0:
@@ -53,7 +54,10 @@ class TransducerChain:
         self._last: Floats | None = None
 
     def advance(self, stress_MPa: Floats) -> Floats:
-        """Volts (k, channels) of stress (k, channels); the first call's first row is at rest."""
+        """Returns the volts (k, channels) for further stress (k, channels).
+
+        The first row of the first call is taken as the state of rest.
+        """
         force_N = np.asarray(stress_MPa, float) * self.settings.area_mm2
         if not force_N.shape[0]:
             return np.zeros_like(force_N)
@@ -69,8 +73,9 @@ class TransducerChain:
         return np.clip(volts, -self.settings.output_limit_V, self.settings.output_limit_V)
 
     def _states(self, drive: Floats) -> Floats:
-        """States after each step of a drive, both (k, order, channels)."""
-        if drive.shape[1] == 1:  # as Table 1 is: plain numbers are ten times as fast
+        """Returns the states after each step of a drive, both (k, order, channels)."""
+        # Table 1 gives a system of first order, for which plain numbers are ten times as fast.
+        if drive.shape[1] == 1:
             a = float(self._A[0, 0])
             columns = []
             for x, pushes in zip(self._x[0].tolist(), drive[:, 0].T.tolist(), strict=True):
@@ -84,7 +89,7 @@ class TransducerChain:
 
 
 def _state_space(numerator: Floats, denominator: Floats) -> tuple[Floats, Floats, Floats, float]:
-    """Controllable canonical form (A, b, c, d) of a proper rational function."""
+    """Returns the controllable canonical form (A, b, c, d) of a proper rational function."""
     order = denominator.size - 1
     a = denominator / denominator[0]
     n = np.concatenate([np.zeros(order + 1 - numerator.size), numerator]) / denominator[0]
@@ -98,9 +103,11 @@ def _state_space(numerator: Floats, denominator: Floats) -> tuple[Floats, Floats
 
 
 def _ramp_invariant(A: Floats, b: Floats, step_s: float) -> tuple[Floats, Floats, Floats]:
-    """Exact step for an input that is linear between the steps: x' = A x + b0 f_k + b1 f_k+1."""
+    """Returns the exact step for an input that is linear between steps: x' = A x + b0 f_k + b1
+    f_k+1."""
     order = b.size
-    if order == 1:  # as Table 1 is: in closed form, without scipy.linalg's import
+    # Table 1 gives a system of first order: a closed form, without importing scipy.linalg.
+    if order == 1:
         decay, held, rising = _exponentials(float(A[0, 0]) * step_s)
         driven = step_s * b
         return np.array([[decay]]), driven * (held - rising), driven * rising
@@ -116,7 +123,8 @@ def _ramp_invariant(A: Floats, b: Floats, step_s: float) -> tuple[Floats, Floats
 
 
 def _exponentials(a: float) -> tuple[float, float, float]:
-    """exp(a), (exp(a) - 1) / a and (exp(a) - 1 - a) / a^2, each to the last digits."""
+    """Returns exp(a), (exp(a) - 1) / a and (exp(a) - 1 - a) / a², accurate to the last digits."""
+    # For small a the formulas below lose digits by cancellation; the series does not.
     if abs(a) > 1:
         decay, held = math.exp(a), math.expm1(a) / a
         return decay, held, (held - 1) / a

@@ -1,8 +1,9 @@
-"""Scripted trials on the skin: the paper's slide (4.1) and roll (5), from settings to arrays.
+"""Scripted trials on the simulated skin: the paper's slide (4.1) and roll (5), from settings to
+arrays.
 
 A trial presses an object onto the skin along a raised cosine, lets it rest, and then slides or
-rolls it. The result holds forces, statuses, volts at the step rate and what a data acquisition at
-1 kHz behind its analogue filter would have sampled. Everything here is simulated.
+rolls it. The result contains forces, statuses, volts at the step rate, and the samples of a 1 kHz
+data acquisition behind its analogue filter. Everything here is simulated.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ Floats = NDArray[np.float64]
 
 
 class PressSettings(Settings):
-    """How the object is pressed on (assumed)."""
+    """Pressing of the object before the motion (assumed)."""
 
     normal_force_N: float = Field(4.0, gt=0)
-    """F_n (paper 2.2: 4 N brings nine ridges into contact)."""
+    """Normal force F_n (paper 2.2: 4 N brings nine ridges into contact)."""
     loading_s: float = Field(0.3, gt=0)
     """Duration of the raised cosine from 0 to F_n."""
     rest_s: float = Field(0.15, ge=0)
@@ -37,25 +38,31 @@ class PressSettings(Settings):
 
 
 class SampleSettings(Settings):
-    """The skin's data acquisition: an analogue Butterworth filter, then a slow clock."""
+    """Data acquisition of the skin: an analogue Butterworth filter, then sampling at a low rate."""
 
     rate_Hz: float = Field(1000.0, gt=0)
     """Sampling rate (paper 4.1)."""
     filter_Hz: float = Field(400.0, gt=0)
     """-3 dB frequency of the filter (assumed)."""
     filter_order: int = Field(4, ge=1, le=8)
+    """Order of the filter."""
 
 
 class SlideSettings(Settings):
     """A slide of the plate or another object at constant normal force."""
 
     press: PressSettings = PressSettings()
+    """Pressing before the slide."""
     contact: ContactSettings = ContactSettings()
+    """Friction and time step of the contact."""
     transducer: TransducerSettings = TransducerSettings()
+    """Films and amplifiers of the strips."""
     sample: SampleSettings = SampleSettings()
+    """Data acquisition of the strips."""
     body: Object = Plate()
+    """The object that slides."""
     start_x_mm: float = 0.0
-    """The object's x at first touch."""
+    """Position x of the object at first touch."""
     speed_mm_s: float = Field(0.5, ge=0)
     """Speed after the ramp, towards +x."""
     ramp_s: float = Field(0.05, ge=0)
@@ -63,68 +70,75 @@ class SlideSettings(Settings):
     slide_s: float = Field(0.4, gt=0)
     """Duration of the motion."""
     ridge: int = Field(3, ge=1)
-    """The ridge whose strips are read, 1 is the leftmost."""
+    """Ridge whose strips are read; 1 is the leftmost."""
 
 
 class RollSettings(Settings):
     """A roll of a cylinder or a head at constant normal force."""
 
     press: PressSettings = PressSettings()
+    """Pressing before the roll."""
     contact: ContactSettings = ContactSettings()
+    """Friction and time step of the contact."""
     transducer: TransducerSettings = TransducerSettings()
+    """Films and amplifiers of the strips."""
     sample: SampleSettings = SampleSettings()
+    """Data acquisition of the strips."""
     body: Object = Cylinder()
+    """The object that rolls."""
     start_x_mm: float = -5.0
-    """x of the contact's middle before the roll; -5.0 ends centred near ridge 3, -6.5 before it."""
+    """Position x of the middle of the contact before the roll. -5.0 ends centred near ridge 3, -6.5
+    before it."""
     angle_deg: float = 3.5
-    """Angle rolled (paper 5), along a raised cosine; positive moves the contact towards +x."""
+    """Angle of the roll (paper 5), along a raised cosine. A positive angle moves the contact
+    towards +x."""
     roll_s: float = Field(0.4, gt=0)
     """Duration of the roll."""
     settle_s: float = Field(0.1, ge=0)
-    """Rest after it."""
+    """Rest after the roll."""
     axis_offset_mm: float = 0.0
-    """How far the rotary axis lies from where pure rolling wants it; shears by offset times
-    angle."""
+    """Distance of the rotary axis from its position for pure rolling. It shears the skin by offset
+    times angle."""
     ridge: int = Field(3, ge=1)
-    """The ridge whose strips are read, 1 is the leftmost."""
+    """Ridge whose strips are read; 1 is the leftmost."""
 
 
 @dataclass(frozen=True)
 class SkinTrial:
-    """A simulated trial: rows at the step rate, samples at the data acquisition's rate."""
+    """A simulated trial: rows at the step rate, and samples at the rate of the data acquisition."""
 
     time_s: Floats
     """End of each step, (k,)."""
     motion_s: float
-    """When the slide or roll begins."""
+    """Start of the slide or roll."""
     block: ContactBlock
     """Forces, statuses and stresses, (k, ...)."""
     truth: SlipTruth
-    """Who slipped when, judged from the start of the motion on."""
+    """Times of slip, judged from the start of the motion."""
     volts: Floats
-    """S1 and S2 at the step rate, unfiltered, (k, 2)."""
+    """Signals of S1 and S2 at the step rate, unfiltered, (k, 2)."""
     filtered: Floats
-    """The same behind the analogue filter, (k, 2)."""
+    """Signals of S1 and S2 behind the analogue filter, (k, 2)."""
     sample_time_s: Floats
     """Sampling instants, (n,)."""
     sampled: Floats
-    """v_1 and v_2 as sampled, (n, 2)."""
+    """Signals v_1 and v_2 as sampled, (n, 2)."""
 
     @property
     def v_d(self) -> Floats:
-        """The paper's differential signal v_1 - v_2 as sampled, V, (n,)."""
+        """Differential signal v_1 - v_2 of the paper as sampled, in V, (n,)."""
         difference: Floats = self.sampled[:, 0] - self.sampled[:, 1]
         return difference
 
     @property
     def filtered_v_d(self) -> Floats:
-        """v_1 - v_2 behind the filter at the step rate, V, (k,)."""
+        """Signal v_1 - v_2 behind the filter at the step rate, in V, (k,)."""
         difference: Floats = self.filtered[:, 0] - self.filtered[:, 1]
         return difference
 
 
 def slide(skin: CondensedSkin, settings: SlideSettings, *, keep_forces: bool = False) -> SkinTrial:
-    """Press, rest, slide. Raises ConvergenceError where a step has no solution."""
+    """Simulates pressing, rest and slide. Raises ConvergenceError if a step has no solution."""
 
     def travel(t: Floats) -> tuple[Floats, Floats]:
         ramp = settings.ramp_s
@@ -137,7 +151,11 @@ def slide(skin: CondensedSkin, settings: SlideSettings, *, keep_forces: bool = F
 
 
 def roll(skin: CondensedSkin, settings: RollSettings, *, keep_forces: bool = False) -> SkinTrial:
-    """Press, rest, roll, rest. Raises ValueError for a plate, which cannot roll."""
+    """Simulates pressing, rest, roll and rest.
+
+    Raises ValueError for a plate, which cannot roll, and ConvergenceError if a step has no
+    solution.
+    """
     if isinstance(settings.body, Plate):
         raise ValueError("body plate cannot roll: give a cylinder or a sphere with its radius")
     radius = settings.body.radius_mm
@@ -170,18 +188,18 @@ def _run(
 
 @dataclass(frozen=True)
 class Script:
-    """What an object does, given at the end of every step of the contact's time step."""
+    """Motion of an object, given at the end of every time step of the contact."""
 
     force_N: Floats
     """Normal force, (k,)."""
     x_mm: Floats
-    """The object's x, (k,)."""
+    """Position x of the object, (k,)."""
     angle_rad: Floats
-    """The angle that it has rolled, from 0, (k,)."""
+    """Angle rolled so far, from 0, (k,)."""
     motion_s: float
-    """When the slide or roll begins: what slips before is not judged."""
+    """Start of the slide or roll. Slip before it is not judged."""
     start_x_mm: float
-    """The object's x before the first step."""
+    """Position x of the object before the first step."""
 
 
 def follow(
@@ -191,9 +209,11 @@ def follow(
     *,
     keep_forces: bool = False,
 ) -> SkinTrial:
-    """The trial of a script; of `settings` count the contact, body, transducer, sampling, ridge.
+    """Simulates the trial of a script.
 
-    Raises ConvergenceError where a step has no solution.
+    `settings` provides contact, object, transducer, sampling and ridge; its motion is not used.
+
+    Raises ConvergenceError if a step has no solution.
     """
     dt = settings.contact.step_us * 1e-6
     stepper = make_stepper(
@@ -228,7 +248,12 @@ def follow(
 def sample(
     volts: Floats, step_s: float, settings: SampleSettings
 ) -> tuple[Floats, NDArray[np.int64]]:
-    """Volts (k, channels) behind the analogue filter, and the rows that the slow clock takes."""
+    """Returns the volts (k, channels) behind the analogue filter, and the rows at which they are
+    sampled.
+
+    Raises ValueError if the sampling rate does not divide the step rate, or the filter is too fast
+    for it.
+    """
     from scipy.signal import butter, sosfilt
 
     rate = 1.0 / step_s
@@ -249,7 +274,7 @@ def sample(
 
 
 def high_frequency(signal: Floats, rate_Hz: float, corner_Hz: float = 100.0) -> Floats:
-    """The part of a signal above `corner_Hz`: a causal Butterworth filter of order 3."""
+    """Returns the part of a signal above `corner_Hz`, by a causal Butterworth filter of order 3."""
     from scipy.signal import butter, sosfilt
 
     sections = butter(3, corner_Hz, "highpass", fs=rate_Hz, output="sos")

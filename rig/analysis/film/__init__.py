@@ -1,1 +1,1 @@
-"""Analysis of a film's response: fits, circuit model, drops, slope, linearity, the gain curve."""
+"""Analysis of a film's response: model, fit, notches, slope, linearity, circuit and gain curve."""

@@ -1,10 +1,11 @@
-"""What a measured response says about the circuit of the paper's figure 6, and what it cannot say.
+"""Circuit values of the paper's figure 6 that a measured response determines, and those it cannot.
 
-The response fixes a level and a pole (`rig.analysis.film.fit`). Which circuit values it leaves
-open is computed, not assumed: from the derivatives of ln|H| of the nodal circuit by the logarithm
-of each value, at a circuit that has the measured level and pole, weighted with the measured errors.
-A value whose column is zero does not show; values whose columns are parallel act as one; and what
-is left in the null space are changes of several values together that leave |H| as it is.
+The response determines a level and a pole (`rig.analysis.film.fit`). Which circuit values remain
+open is computed, not assumed: from the derivatives of ln|H| of the nodal circuit with respect to
+the logarithm of each value, at a circuit with the measured level and pole, weighted with the
+measured errors. A value whose column is zero has no effect. Values whose columns are parallel act
+as one. Directions in the null space are changes of several values together that leave |H|
+unchanged.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from rig.physics import pvdf
 from rig.physics.pvdf import CircuitSettings
 
 Reading = Callable[[ArrayLike, CircuitSettings], Complexes]
+"""A reading of equation (4): the response (n,) at frequencies (n,) for given circuit values."""
 READINGS: Mapping[str, Reading] = {
     "printed": pvdf.printed,
     "ohmic": pvdf.ohmic,
@@ -30,7 +32,7 @@ READINGS: Mapping[str, Reading] = {
 }
 """The three readings of the paper's equation (4), by name."""
 PAPER_OFFSET_DB = 24.0
-"""What the paper subtracted from its computed gain to meet the measured one (figure 7)."""
+"""Offset that the paper subtracted from its computed gain to match the measured one (figure 7)."""
 SYMBOLS: Mapping[str, str] = {
     "film_capacitance_pF": "C_PV",
     "film_resistance_ohm": "R_PV",
@@ -42,78 +44,88 @@ SYMBOLS: Mapping[str, str] = {
     "d33_C_N": "d33",
     "gain": "gain",
 }
+"""Symbols of the paper for the settings of the circuit."""
 
 _STEP = 1e-3
 _PARALLEL = 1e-6
 _NULL = 1e-7
 _ASYMPTOTE_HZ = 1e-2
 _SAME_SIZE = 1.001
-"""Ratio within which a threshold is found."""
+"""Ratio to which a threshold is determined."""
 
 
 @dataclass(frozen=True)
 class Separability:
-    """What |H| tells about the values of a circuit; all names are symbols of the paper."""
+    """Which circuit values |H| determines. All names are symbols of the paper."""
 
     fixed: int
-    """How many combinations of values the response fixes."""
+    """Number of combinations of values that the response determines."""
     without_effect: tuple[str, ...]
-    """Values that do not show in |H| however large."""
+    """Values that do not affect |H|, however large they are."""
     act_as_one: tuple[tuple[str, ...], ...]
-    """Values that enter |H| through one common quantity."""
+    """Groups of values that enter |H| only through one common quantity."""
     trade: tuple[Mapping[str, float], ...]
-    """Null directions among what is left: exponents of common changes that leave |H| as it is."""
+    """Exponents of common changes of the remaining values that leave |H| unchanged."""
     seen_above: Mapping[str, float]
-    """Values that are zero in the circuit: from which size (ohm) |H| would show them (2 errors)."""
+    """Size in ohm at which |H| would show a value that is zero in the circuit (2 standard errors),
+    by name."""
 
     def sentences(self) -> list[str]:
-        """The list in words."""
-        lines = [f"|H| fixes {self.fixed} combinations of circuit values; it cannot separate:"]
-        lines += [f"  {' from '.join(names)} (they act as one)" for names in self.act_as_one]
+        """Returns the list in words."""
+        lines = [
+            f"Only {self.fixed} combinations of circuit values can be determined from |H|. "
+            "Not identifiable:"
+        ]
+        lines += [
+            f"  {' and '.join(names)} separately (they act as one)" for names in self.act_as_one
+        ]
         for direction in self.trade:
             largest_first = sorted(direction.items(), key=lambda change: -abs(change[1]))
-            changes = ", ".join(f"{name} by {power:+.2f} %" for name, power in largest_first)
-            lines.append(f"  {changes} together from no change")
+            changes = ", ".join(f"{name} {power:+.2f} %" for name, power in largest_first)
+            lines.append(f"  a simultaneous change of {changes} leaves |H| unchanged")
         if self.without_effect:
-            lines.append(f"  {', '.join(self.without_effect)} from anything (no effect on |H|)")
+            lines.append(f"  {', '.join(self.without_effect)} at all (no effect on |H|)")
         for name, size in self.seen_above.items():
             finite = math.isfinite(size)
-            below = f" while below {size / 1e3:.2g} kohm" if finite else ", however large"
-            lines.append(f"  {name} from zero{below}")
+            below = f"below {size / 1e3:.2g} kΩ" if finite else "however large"
+            lines.append(f"  {name}: any value {below} fits")
         return lines
 
 
 @dataclass(frozen=True)
 class CircuitComparison:
-    """Level and pole found, against the circuit as the paper gives it."""
+    """The measured level and pole, compared with the circuit that the paper gives."""
 
     level: Estimate
+    """Measured level b, in dB re 1 V/N at 1 Hz."""
     corner: Estimate
+    """Measured frequency of the pole, in Hz."""
     rate_sensitivity: Estimate
     """The level as a value of the circuit: volts per N/s of load rate, in uV s/N."""
     time_constant: Estimate
-    """The pole as a value of the circuit, us."""
+    """The pole as a value of the circuit, in us."""
     offsets: Mapping[str, Estimate]
-    """Reading less measured level at 1 Hz, dB: what to subtract from that reading."""
+    """Predicted minus measured level at 1 Hz for each reading, in dB."""
     film_corner_Hz: float
-    """1 / (2 pi R_PV C_PV) of the given circuit: 6631 Hz with Table 1."""
+    """Corner 1 / (2 pi R_PV C_PV) of the given circuit: 6631 Hz with Table 1."""
     circuit_corner_Hz: float
-    """The pole of the given circuit by nodal analysis (R_OPi parallel to R_PV)."""
+    """Pole of the given circuit by nodal analysis (R_OPi parallel to R_PV), in Hz."""
     highest_Hz: float
-    """End of the measured range."""
+    """Highest measured frequency."""
     separability: Separability
+    """Which circuit values the response determines."""
 
     def sentences(self) -> list[str]:
-        """The comparison in words."""
+        """Returns the comparison in words."""
         offsets = ", ".join(
             f"{name} {offset.value:+.2f} dB" for name, offset in self.offsets.items()
         )
         return [
             self._corner_sentence(),
             f"As values of the circuit: level {self.rate_sensitivity}, pole {self.time_constant}.",
-            f"Offset of each reading of equation (4) to the measured level (+- "
-            f"{self.level.high - self.level.value:.2g} dB): {offsets}; the paper subtracted "
-            f"{PAPER_OFFSET_DB:g} dB from its own.",
+            "Level predicted minus measured "
+            f"(± {self.level.high - self.level.value:.2g} dB) for the readings of equation (4): "
+            f"{offsets}. The paper subtracted {PAPER_OFFSET_DB:g} dB from its own prediction.",
             *self.separability.sentences(),
         ]
 
@@ -123,8 +135,8 @@ class CircuitComparison:
             f"(R_PV C_PV) and {self.circuit_corner_Hz:.0f} Hz with the amplifier's input"
         )
         if not math.isfinite(self.corner.high):
-            return f"No corner is seen up to {self.highest_Hz:g} Hz; {predicted}."
-        beyond = ", beyond the measured range and seen by its bend" * (
+            return f"No corner was found up to {self.highest_Hz:g} Hz; {predicted}."
+        beyond = ", beyond the measured range and visible by its bend" * (
             self.corner.low > self.highest_Hz
         )
         found = f"The gain saturates at {self.corner}{beyond}"
@@ -132,15 +144,16 @@ class CircuitComparison:
             return f"{found}, as expected: {predicted}."
         ratio = self.film_corner_Hz / self.corner.value
         return (
-            f"{found}; {predicted}: these values do not explain the measured saturation, which "
-            f"needs a time constant {ratio:.2f} times R_PV C_PV."
+            f"{found}; {predicted}. The film alone has {ratio:.2f} times the measured corner, so "
+            "the circuit's values do not explain the measured saturation."
         )
 
 
 def compare_circuit(
     curve: ResponseCurve, level: Estimate, corner: Estimate, given: CircuitSettings
 ) -> CircuitComparison:
-    """Set a fitted ``level`` (dB re 1 V/N at 1 Hz) and ``corner`` (Hz) beside a given circuit."""
+    """Compares a fitted ``level`` (dB re 1 V/N at 1 Hz) and ``corner`` (Hz) with a given
+    circuit."""
     offsets = {
         name: Estimate.normal(
             asymptote_dB(reading, given) - level.value, level.standard_error, "dB"
@@ -166,7 +179,8 @@ def compare_circuit(
 
 
 def _time_constant(corner: Estimate) -> Estimate:
-    """1 / (2 pi corner) in us; the interval of a corner is that of its inverse, turned over."""
+    """Returns 1 / (2 pi corner) in us. The ends of the interval are those of the corner,
+    inverted."""
     low, value, high = (
         1e6 / (2 * math.pi * frequency) for frequency in (corner.high, corner.value, corner.low)
     )
@@ -174,13 +188,15 @@ def _time_constant(corner: Estimate) -> Estimate:
 
 
 def asymptote_dB(reading: Reading, circuit: CircuitSettings) -> float:  # noqa: N802
-    """Level of a reading at 1 Hz as equation (2) means it: its low-frequency asymptote, dB."""
+    """Returns the level of a reading at 1 Hz as equation (2) defines it: its low-frequency
+    asymptote, in dB."""
     response = reading(np.array([_ASYMPTOTE_HZ]), circuit)
     return float(20 * np.log10(np.abs(response[0]) / _ASYMPTOTE_HZ))
 
 
 def matched(given: CircuitSettings, level_dB: float, corner_Hz: float) -> CircuitSettings:
-    """The given circuit with C_PV and d33 changed to a level and a corner (where it has one)."""
+    """Returns the given circuit with C_PV and d33 changed to a level and, if it is finite, a
+    corner."""
     values = given.model_dump()
     if math.isfinite(corner_Hz):
         scale = pvdf.corner_frequency(given) / corner_Hz
@@ -193,7 +209,8 @@ def matched(given: CircuitSettings, level_dB: float, corner_Hz: float) -> Circui
 
 
 def separability(curve: ResponseCurve, circuit: CircuitSettings) -> Separability:
-    """Which values of ``circuit`` the gains of ``curve`` tell apart, with their errors."""
+    """Returns which values of ``circuit`` the gains of ``curve``, with their errors, can
+    distinguish."""
     columns = _sensitivities(curve, circuit)
     zero = {name for name, value in circuit.model_dump().items() if value == 0}
     strength = {name: float(np.linalg.norm(column)) for name, column in columns.items()}
@@ -219,7 +236,8 @@ def separability(curve: ResponseCurve, circuit: CircuitSettings) -> Separability
 
 
 def _sensitivities(curve: ResponseCurve, circuit: CircuitSettings) -> dict[str, Reals]:
-    """Of ln|H| to each value's logarithm, in standard errors; (n,) each.
+    """Returns the sensitivity of ln|H| to the logarithm of each value, in standard errors, (n,)
+    each.
 
     A value that is zero has no logarithm: it is varied in units of the film's resistance.
     """
@@ -244,7 +262,7 @@ def _sensitivities(curve: ResponseCurve, circuit: CircuitSettings) -> dict[str, 
 
 
 def _parallel(names: list[str], columns: dict[str, Reals]) -> list[list[str]]:
-    """Names in groups of parallel columns, the strongest of each group first."""
+    """Returns the names in groups of parallel columns, the strongest of each group first."""
     ordered = sorted(names, key=lambda name: -float(np.linalg.norm(columns[name])))
     groups: list[list[str]] = []
     for name in ordered:
@@ -258,13 +276,14 @@ def _parallel(names: list[str], columns: dict[str, Reals]) -> list[list[str]]:
 
 
 def _sine(first: Reals, second: Reals) -> float:
-    """Of the angle between two columns."""
+    """Returns the sine of the angle between two columns."""
     unit = second / np.linalg.norm(second)
     return float(np.linalg.norm(first - unit * (unit @ first)) / np.linalg.norm(first))
 
 
 def _reduced(null: Reals) -> Reals:
-    """Null directions (k, m) in reduced echelon form: as few values in each as possible."""
+    """Returns the null directions (k, m) in reduced echelon form: as few values in each as
+    possible."""
     rows = null.copy()
     for k in range(len(rows)):
         pivot = int(np.argmax(np.abs(rows[k])))
@@ -287,11 +306,11 @@ def _exponents(direction: Reals, groups: list[list[str]]) -> dict[str, float]:
 def _smallest_seen(
     curve: ResponseCurve, circuit: CircuitSettings, name: str, basis: Reals
 ) -> float:
-    """Size in ohm of a value that is zero at which |H| would differ by two standard errors.
+    """Returns the size in ohm of a zero value at which |H| would differ by two standard errors.
 
-    From whole changes, not derivatives: what a small series resistance does to |H| is, to first
-    order, what the pole does. Level and corner follow the change (C_PV and d33 are fitted anyway).
-    Infinite where 1e12 times the film's resistance would not do.
+    It is found from whole changes, not from derivatives: to first order a small series resistance
+    changes |H| as the pole does. Level and corner follow the change, because C_PV and d33 are
+    fitted anyway. Infinite if even 1e12 times the film's resistance has no such effect.
     """
     weight = DB_PER_RELATIVE / curve.gain_errors_dB
     level, corner = pvdf.level_at_one_hertz(circuit), pvdf.corner_frequency(circuit)

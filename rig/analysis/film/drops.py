@@ -1,17 +1,19 @@
-"""Drops in a film's response, found against a first-order trend and fitted together with it.
+"""Finds notches (drops) in a film's response and fits them together with its first-order trend.
 
-A notch is linear in what it takes away: N = 1 - a B with a = 1 - 10^(-depth/20) and the band-pass
-B = (j x / Q) / (1 - x^2 + j x / Q). For a given frequency and Q the best ``a`` and the chi-square
-it saves are therefore a projection (a matched filter), and all frequencies and Qs can be tried. The
-best candidate joins the model, everything is fitted again together, and the search goes on until
-nothing more stands out. So no drop is ever averaged into the trend, nor into another drop.
+A notch is linear in what it removes: N = 1 - a B with a = 1 - 10^(-depth/20) and the band-pass B =
+(j x / Q) / (1 - x^2 + j x / Q). For a given frequency and Q the best ``a`` and the chi-square it
+saves are therefore a projection (a matched filter), and all frequencies and Qs can be tried. The
+best candidate joins the model, everything is fitted again together, and the search is repeated
+until no candidate is significant. No notch is therefore averaged into the trend or into another
+notch.
 
-Against invented drops: every point is given an error of at least 3 % beside its own, so that the
-search judges shape, in dB, and not the last digit of a precise point; a candidate must save six
-standard errors squared and end as a notch of at least 1 dB with a Q of at least 2, its depth five
-standard errors from zero, its frequency known to 2 %, and still needed when the one frequency that
-is nearest to it is left out: a single odd point is not a drop. A drop somewhat beyond the highest
-frequency is fitted too where its flank shows, for the corner's sake.
+Protection against invented notches: for the search every point is given an error of at least 3 % in
+addition to its own, so that the search judges shape, in dB, and not the last digit of a precise
+point. A candidate must save six standard errors squared. After the fit a notch must be at least 1
+dB deep with a Q of at least 2, its depth must be five standard errors from zero and its frequency
+known to 2 %, and it must still be needed when the frequency nearest to it is left out: a single odd
+point is not a notch. A notch slightly beyond the highest frequency is fitted too if its flank is
+visible, because it affects the corner.
 """
 
 from __future__ import annotations
@@ -26,25 +28,27 @@ from rig.analysis.response.complex_response import Reals
 from rig.analysis.response.curve import CurveError, ResponseCurve
 
 SMALLEST_DEPTH_DB = 1.0
-"""Anything shallower is not called a drop."""
+"""Least depth of a notch, in dB."""
 SMALLEST_Q = 2.0
-"""Anything broader is trend."""
+"""Least Q of a notch. Anything broader belongs to the trend."""
 MOST_DROPS = 12
+"""Most notches that are searched for."""
 SEARCH_ERROR = 0.03
-"""Relative error every point has in the search, at least: 0.26 dB."""
+"""Relative error added to every point in the search: 0.26 dB."""
 CLEAR_DROP = 36.0
-"""Chi-square a candidate must save: six standard errors."""
+"""Chi-square that a candidate must save: six standard errors."""
 CLEAR_WITHOUT_NEAREST = 18.0
-"""What the fitted notch must save without the frequency nearest to it."""
+"""Chi-square that the fitted notch must save without the frequency nearest to it."""
 BEYOND_RANGE = 1.2
-"""Over the highest frequency: as far as drops are looked for."""
+"""End of the search, as a multiple of the highest measured frequency."""
 CLEAR_DEPTH = 5.0
-"""Standard errors of the fitted depth."""
+"""Least depth of a notch in its standard errors."""
 KNOWN_FREQUENCY = 0.02
-"""Relative standard error of a drop's frequency, at most."""
+"""Largest relative standard error of the frequency of a notch."""
 LEAST_POINTS = 8
+"""Fewest different frequencies of a response that can be fitted."""
 LEAST_SPAN = 10.0
-"""Highest over lowest frequency of a response that has a trend."""
+"""Least ratio of highest to lowest frequency of a response that can be fitted."""
 
 _TRIED_Q = (2.0, 3.2, 5.0, 8.0, 12.5, 20.0, 32.0)
 _TRIED_CORNERS = 120
@@ -53,11 +57,12 @@ _TRIED_CORNERS = 120
 def fit_with_drops(
     curve: ResponseCurve, break_Hz: float | None = None, most_drops: int = MOST_DROPS
 ) -> FilmFit:
-    """Circuit and all drops of a measured response, fitted together.
+    """Fits the circuit and all notches of a measured response together.
 
-    With ``break_Hz`` the trend is that of a film with a break, which is looked for from there on.
-    Raises CurveError for fewer than 8 different frequencies or less than a decade of them. How near
-    the model comes to the points is for the caller to look at.
+    With ``break_Hz`` the trend is that of a film with a break, searched from this frequency on. The
+    caller has to check how well the model fits.
+
+    Raises CurveError for fewer than 8 different frequencies or less than a decade of them.
     """
     _check_span(curve)
     fit = fit_film(curve, _searched(curve, break_Hz, most_drops))
@@ -85,7 +90,7 @@ def _check_span(curve: ResponseCurve) -> None:
 
 
 def _searched(curve: ResponseCurve, break_Hz: float | None, most_drops: int) -> FilmModel:
-    """The circuit with every drop that stands out."""
+    """Returns the circuit with every significant notch."""
     tolerant = curve.with_relative_error(SEARCH_ERROR, SEARCH_ERROR)
     model = _first_trend(tolerant, break_Hz)
     candidates = _Candidates.over(tolerant)
@@ -98,7 +103,8 @@ def _searched(curve: ResponseCurve, break_Hz: float | None, most_drops: int) -> 
 
 
 def _first_trend(curve: ResponseCurve, break_Hz: float | None) -> FilmModel:
-    """Level and corner that drops do not pull: least sum of ln(1 + (distance / 0.1)^2)."""
+    """Returns level and corner that notches do not affect: the least sum of ln(1 + (distance /
+    0.1)^2)."""
     f = curve.frequencies
     rise = 1.0 if break_Hz is None else 1 + 1j * f / break_Hz
     best, best_cost = FilmModel(0.0, 0.0), np.inf
@@ -119,7 +125,8 @@ def _first_trend(curve: ResponseCurve, break_Hz: float | None) -> FilmModel:
 
 @dataclass(frozen=True, eq=False)
 class _Candidates:
-    """Notches to try: centres (m,) in Hz, Qs (m,), and -B of each in standard errors (m, 2 n)."""
+    """Candidate notches: centres (m,) in Hz, Qs (m,), and -B of each in standard errors (m, 2
+    n)."""
 
     centres: Reals
     qualities: Reals
@@ -127,7 +134,8 @@ class _Candidates:
 
     @classmethod
     def over(cls, curve: ResponseCurve) -> _Candidates:
-        """Centres half a half-width apart for each Q, up to somewhat beyond the curve."""
+        """Returns candidates half a half-width apart for each Q, up to slightly beyond the
+        curve."""
         f = curve.frequencies
         lowest, highest = float(f[0]), BEYOND_RANGE * float(f[-1])
         counts = [1 + int(np.ceil(np.log(highest / lowest) * 4 * q)) for q in _TRIED_Q]
@@ -141,7 +149,7 @@ class _Candidates:
 def _best_candidate(
     curve: ResponseCurve, model: FilmModel, candidates: _Candidates
 ) -> Notch | None:
-    """The notch that saves most chi-square, if it is a clear one."""
+    """Returns the notch that saves most chi-square, or None if none is significant."""
     f = curve.frequencies
     taken = curve.responses / model.response(f) - 1
     basis = np.linalg.qr(curve.whitened(model.log_jacobian(f)).T)[0]
@@ -149,12 +157,15 @@ def _best_candidate(
     residual -= basis @ (basis.T @ residual)
     filters = candidates.filters
     whole = np.square(filters).sum(axis=1)
+    # The floor avoids a division by zero for candidates that the model already explains completely.
     power = np.maximum(whole - np.square(filters @ basis).sum(axis=1), 1e-9 * whole + 1e-300)
     amount = (filters @ residual) / power
     saved = np.where(amount > 0, amount**2 * power, 0.0)
     best = int(np.argmax(saved))
     if saved[best] < CLEAR_DROP:
         return None
+    # At most 20 dB deep to begin with: noise may give an amount of 1 or more, which has no depth in
+    # dB.
     remaining = 1 - min(float(amount[best]), 0.9)
     return Notch(
         float(candidates.centres[best]),
@@ -164,7 +175,7 @@ def _best_candidate(
 
 
 def _least_likely(curve: ResponseCurve, fit: FilmFit) -> int | None:
-    """Index of the shallowest notch that is no drop, if there is one."""
+    """Returns the index of the shallowest notch that is not a real one, or None."""
     doubtful = [
         k
         for k in range(len(fit.model.notches))
@@ -174,7 +185,7 @@ def _least_likely(curve: ResponseCurve, fit: FilmFit) -> int | None:
 
 
 def _is_distinct(curve: ResponseCurve, fit: FilmFit, index: int) -> bool:
-    """Whether a notch is deep, narrow and well enough known to be called a drop."""
+    """Returns whether a notch is deep, narrow and well enough known."""
     notch, at = fit.model.notches[index], fit.model.first_notch + 3 * index
     variances = np.maximum(np.diag(fit.covariance)[at : at + 3], 0.0)
     frequency_error, _, depth_error = np.sqrt(variances)
@@ -187,7 +198,7 @@ def _is_distinct(curve: ResponseCurve, fit: FilmFit, index: int) -> bool:
 
 
 def _stands_without_nearest(curve: ResponseCurve, fit: FilmFit, index: int) -> bool:
-    """Whether the notch is needed by more than the one frequency nearest to it."""
+    """Returns whether more than the one frequency nearest to a notch requires it."""
     f = curve.frequencies
     nearest = f[np.argmin(np.abs(np.log(f / fit.model.notches[index].frequency_Hz)))]
     rest = curve.with_relative_error(fit.gain_error, fit.phase_error).at(f != nearest)

@@ -1,17 +1,17 @@
-"""Weighted least squares of a film model to a measured response, with stated errors.
+"""Weighted least-squares fit of a film model to a measured response, with standard errors.
 
-Residuals are differences of gain and phase, whitened with each point's own 2 x 2 covariance: to
+Residuals are differences of gain and phase, whitened with the 2 x 2 covariance of each point. To
 first order in the errors this is maximum likelihood, and the parameter covariance (J^T J)^-1 is its
 Cramer-Rao bound. (Complex differences would do as well for a model that fits. For one that does
-not, a large allowance for the phase would let its gain be anything.)
+not, a large allowance for the phase would let its gain take any value.)
 
-The measured covariances hold noise only. Where the points lie further from the fit than that, a
+The measured covariances contain noise only. If the points lie further from the fit than that, a
 *model error* is added: one relative error of the gain and one of the phase, the same at all points,
-each as large as it takes for its part's chi-square to equal its degrees of freedom (Mandel and
-Paule 1970, the rule of interlaboratory comparisons; none where chi-square is smaller). Gain and
-phase have one each, because what drifts in a clamp - preload, temperature - changes the gain alone.
-All intervals contain the model error, and the fit says how large it was. It describes what the
-model leaves out only as scatter; it is not a licence for a wrong model.
+each as large as needed for its part of chi-square to equal its degrees of freedom (Mandel and Paule
+1970, the rule of interlaboratory comparisons; none if chi-square is smaller). Gain and phase have
+separate model errors, because what drifts in a clamp - preload, temperature - changes the gain
+alone. All intervals include the model error, and the fit states its size. It describes what the
+model omits as scatter only; it does not justify a wrong model.
 """
 
 from __future__ import annotations
@@ -28,20 +28,22 @@ from rig.analysis.response.complex_response import DB_PER_RELATIVE, Reals
 from rig.analysis.response.curve import CurveError, ResponseCurve
 
 MISFIT_PROBABILITY = 1e-3
-"""A chi-square rarer than this is not noise alone."""
+"""A chi-square with a probability below this is not explained by noise alone."""
 BREAK_BAND_HZ = (500.0, 2000.0)
-"""Where a break from 20 to 40 dB/decade is looked for, about the 1.2 kHz once claimed."""
+"""Band in which a break from 20 to 40 dB/decade is searched, around the 1.2 kHz of the earlier
+claim."""
 
 _LARGEST_ERROR = 100.0
-"""Relative; where the search for a model error ends."""
+"""Largest relative model error that is searched."""
 _MOST_ROUNDS = 12
 _SAME_ERROR = 0.01
-"""Relative change of a model error that is none."""
+"""Relative change of a model error below which it has converged."""
 _NO_ERROR = 1e-7
-"""A model error below this is none."""
+"""Model errors below this are taken as zero."""
 _MOST_STEPS = 100
 _NO_PROGRESS = 1e-7
-"""In chi-square: parameters are then within 3e-4 of their standard errors."""
+"""Change of chi-square at which the fit has converged: the parameters are then within 3e-4 of their
+standard errors."""
 _LEAST_DAMPING = 1e-9
 _STUCK = 1e12
 _UNDETERMINED = 1e-12
@@ -50,70 +52,72 @@ _PROFILE_STEPS = 12
 
 @dataclass(frozen=True, eq=False)
 class DropEstimate:
-    """A drop with its intervals."""
+    """A notch with its intervals."""
 
     frequency: Estimate
-    """Hz; where the drop is deepest."""
+    """Frequency at which it is deepest, in Hz."""
     depth: Estimate
-    """dB."""
+    """Depth, in dB."""
     pole_Q: Estimate
+    """Quality factor of its poles."""
 
 
 @dataclass(frozen=True, eq=False)
 class FilmFit:
-    """A fitted model; parameters in the order of ``model.vector``."""
+    """A fitted model. Parameters are in the order of ``model.vector``."""
 
     model: FilmModel
+    """The model with the fitted parameters."""
     weighted: ResponseCurve
-    """The points, the model errors in their covariances."""
+    """The points, with the model errors included in their covariances."""
     covariance: Reals
-    """Of the parameters, (m, m), with the model error in it."""
+    """Covariance of the parameters, (m, m), including the model error."""
     chi_square: float
-    """Weighted with the measured covariances alone."""
+    """Chi-square with the measured covariances alone."""
     degrees: int
-    """2 n - m, and one less where an effect of the preload was free."""
+    """Degrees of freedom: 2 n - m, and one less if an effect of the preload was fitted."""
     gain_error: float
-    """Model error of the gain, a fraction; 0 where noise explains the residuals."""
+    """Relative model error of the gain; 0 if noise explains the residuals."""
     phase_error: float
-    """Model error of the phase, rad; 0 where noise explains the residuals."""
+    """Model error of the phase in rad; 0 if noise explains the residuals."""
     deviance: float
-    """-2 ln(likelihood) less a constant of the data: chi-square plus ln det of all covariances."""
+    """-2 ln(likelihood) up to a constant of the data: chi-square plus ln det of all covariances."""
 
     @property
     def gain_error_dB(self) -> float:  # noqa: N802
-        """The model error of the gain in dB."""
+        """Model error of the gain, in dB."""
         return DB_PER_RELATIVE * self.gain_error
 
     @property
     def phase_error_deg(self) -> float:
-        """The model error of the phase in degrees."""
+        """Model error of the phase, in degrees."""
         return math.degrees(self.phase_error)
 
     @property
     def probability(self) -> float:
-        """Of a chi-square this large from noise alone."""
+        """Probability of a chi-square at least this large from noise alone."""
         from scipy.special import chdtrc
 
         return float(chdtrc(self.degrees, self.chi_square))
 
     @property
     def aic(self) -> float:
-        """Akaike's criterion; a model error counts as a parameter where there is one."""
+        """Akaike's criterion. Each model error above zero counts as a parameter."""
         errors = (self.gain_error > 0) + (self.phase_error > 0)
         return self.deviance + 2 * (len(self.covariance) + errors)
 
     @property
     def level(self) -> Estimate:
-        """b in dB re 1 V/N."""
+        """Level b in dB re 1 V/N at 1 Hz."""
         return Estimate.normal(self.model.level_dB, self._errors[0], "dB")
 
     @cached_property
     def corner(self) -> Estimate:
-        """Frequency of the pole in Hz.
+        """Frequency of the pole, in Hz.
 
         A pole beyond the measured range turns the phase as a delay does and bends the gain only in
-        second order, so that no covariance describes it: its interval is then where chi-square,
-        all else refitted, rises by less than 3.84.
+        second order, so that no covariance describes it. Its interval is then where chi-square,
+        with everything else fitted again, rises by less than 3.84.
         """
         inverse, highest = self.model.inverse_corner_s, self.weighted.frequencies[-1]
         if inverse * highest > 1:
@@ -122,13 +126,16 @@ class FilmFit:
 
     @property
     def delay(self) -> Estimate:
-        """Of the film's channel after the load's, us."""
+        """Delay of the film's channel after that of the load, in us."""
         return Estimate.normal(1e6 * self.model.delay_s, 1e6 * self._errors[2], "us")
 
     @cached_property
     def preload_effect(self) -> Estimate | None:
-        """Change of the gain with the preload about its mean, dB/N; None where that is not known.
-        It was free in the fit: all other intervals hold what not knowing it costs."""
+        """Change of the gain with the preload about its mean, in dB/N; None if the preloads are
+        unknown.
+
+        It is free in the fit, so all other intervals include the cost of not knowing it.
+        """
         curve, model = self.weighted, self.model
         if curve.preload_excess is None:
             return None
@@ -142,7 +149,7 @@ class FilmFit:
 
     @property
     def slope(self) -> Estimate:
-        """The free exponent in dB/decade. Raises CurveError for a model without one."""
+        """Fitted exponent, in dB/decade. Raises CurveError for a model without one."""
         if self.model.slope_dB_decade is None:
             raise CurveError("the slope of this model was not free")
         return Estimate.normal(self.model.slope_dB_decade, self._errors[3], "dB/decade")
@@ -192,11 +199,12 @@ class FilmFit:
 
 
 def fit_film(curve: ResponseCurve, start: FilmModel) -> FilmFit:
-    """Fit all parameters of ``start`` to the curve, adding model errors where needed.
+    """Fits all parameters of ``start`` to the curve and adds model errors where they are needed.
 
-    The model error is found first, then the parameters, in turn until it stays the same: so that a
-    start far from the points, or a model that never comes near them, is no harder to fit. Raises
-    CurveError where there are no more measured numbers than parameters.
+    The model errors are determined first, then the parameters, in turn until they no longer change.
+    A start far from the points, or a model that never comes near them, is then no harder to fit.
+
+    Raises CurveError if there are not more measured numbers than parameters.
     """
     model, errors = start, _explaining_errors(curve, start)
     for _ in range(_MOST_ROUNDS):
@@ -221,10 +229,13 @@ def fit_film(curve: ResponseCurve, start: FilmModel) -> FilmFit:
 def minimised(
     curve: ResponseCurve, start: FilmModel, inverse_corner_s: float | None = None
 ) -> FilmModel:
-    """The model of least chi-square near ``start``, under the curve's covariances as they are.
+    """Returns the model of least chi-square near ``start``, with the covariances of the curve as
+    they are.
 
-    Levenberg-Marquardt, each parameter scaled by its own derivative; steps end at the bounds. The
-    pole stays at ``inverse_corner_s`` if given.
+    Levenberg-Marquardt, with each parameter scaled by its own derivative; steps end at the bounds.
+    If ``inverse_corner_s`` is given the pole stays there.
+
+    Raises CurveError if there are not more measured numbers than parameters.
     """
     vector = start.vector
     if len(vector) >= 2 * len(curve):
@@ -255,7 +266,8 @@ def minimised(
 def _linearised(
     curve: ResponseCurve, model: FilmModel, low: Reals, high: Reals
 ) -> tuple[Reals, Reals, Reals]:
-    """Normal matrix of unit diagonal, gradient and scale; parameters held by a bound stay put."""
+    """Returns the normal matrix with unit diagonal, the gradient and the scale. Parameters at a
+    bound stay there."""
     derivatives = curve.whitened(model.log_jacobian(curve.frequencies))
     residual = curve.whitened(curve.log_ratio(model.response(curve.frequencies)))
     push = derivatives @ residual
@@ -268,16 +280,16 @@ def _linearised(
 
 
 def chi_square(curve: ResponseCurve, model: FilmModel) -> float:
-    """Sum of squared whitened residuals."""
+    """Returns the sum of squared whitened residuals."""
     residual = curve.whitened(curve.log_ratio(model.response(curve.frequencies)))
     return float(residual @ residual)
 
 
 def _explaining_errors(curve: ResponseCurve, model: FilmModel) -> tuple[float, float]:
-    """Model errors of gain (a fraction) and phase (rad), each from its own part of the residuals.
+    """Returns the model errors of gain (relative) and phase (rad), each from its own part of the
+    residuals.
 
-    Of the degrees of freedom either part gets half: a pole or a notch shows as much in one as in
-    the other.
+    Each part gets half of the degrees of freedom: a pole or a notch affects both alike.
     """
     residual = curve.freed(curve.log_ratio(model.response(curve.frequencies)))
     degrees = len(curve) - len(model.vector) / 2
@@ -289,7 +301,8 @@ def _explaining_errors(curve: ResponseCurve, model: FilmModel) -> tuple[float, f
 
 
 def _mandel_paule(residuals: Reals, variances: Reals, degrees: float) -> float:
-    """The further error that brings chi-square down to ``degrees``, by bisection; 0 if none."""
+    """Returns the additional error that reduces chi-square to ``degrees``, by bisection; 0 if none
+    is needed."""
     squares = np.square(residuals)
     if (squares / variances).sum() <= degrees:
         return 0.0
@@ -304,7 +317,8 @@ def _mandel_paule(residuals: Reals, variances: Reals, degrees: float) -> float:
 
 
 def _bounds(curve: ResponseCurve, model: FilmModel) -> tuple[Reals, Reals]:
-    """Far limits that keep a search out of nonsense; the break alone has a stated band."""
+    """Returns wide limits that exclude meaningless parameters; only the break has a physical
+    band."""
     low, high = np.full(len(model.vector), -np.inf), np.full(len(model.vector), np.inf)
     if model.break_Hz is not None:
         at = model.first_notch - 1
@@ -317,10 +331,11 @@ def _bounds(curve: ResponseCurve, model: FilmModel) -> tuple[Reals, Reals]:
 
 
 def _inverse(normal: Reals) -> Reals:
-    """Of the normal matrix, scaled to unit diagonal first; what is undetermined becomes huge.
+    """Returns the inverse of the normal matrix; what is undetermined becomes huge.
 
-    Without a corner, for one, pole and delay look alike: their errors are then 1e6 times those of
-    either alone, not zero as a pseudo-inverse would have it.
+    It is scaled to a unit diagonal first. Without a corner, for example, pole and delay look alike:
+    their errors are then 1e6 times those of either alone, and not zero as a pseudo-inverse would
+    give.
     """
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0] = 1.0

@@ -1,8 +1,10 @@
-"""Where a sweep measures: a scan over the whole range, then more points in the drops that it shows.
+"""Chooses the frequencies of a sweep: a scan of the whole range, then more points in the notches
+found.
 
-Two plans of one run, both pure: the scan from settings alone, the refinement from settings and the
-response that the scan measured. A grid of 10 a decade would step over the drops (paper 3.2 (iii)).
-Frequencies come rounded to six figures, ascending, the same on every machine.
+Both plans of a run are pure functions: the scan depends on settings alone, the refinement on
+settings and the response that the scan measured. A grid of 10 per decade would step over the
+notches (paper 3.2 (iii)). Frequencies are rounded to six figures, ascending, and the same on every
+machine.
 """
 
 from __future__ import annotations
@@ -19,31 +21,32 @@ from rig.analysis.response.curve import ResponseCurve
 from rig.core.settings import Settings
 
 MAINS_LINES = 5
-"""Harmonics of the mains that the scan keeps away from."""
+"""Number of mains harmonics that the scan avoids."""
 
 _SAME_FREQUENCY = 1e-6
 
 
 class FrequencyPlanSettings(Settings):
-    """The grid of a sweep; the defaults are the paper's range at the bench's resolution."""
+    """Grid of a sweep. The defaults are the paper's range at the resolution of the bench."""
 
     lowest_Hz: float = Field(default=2.0, gt=0)
     """First frequency of the scan."""
     highest_Hz: float = Field(default=20e3, gt=0)
     """Last frequency of the scan."""
     coarse_per_decade: int = Field(default=10, ge=1, le=1000)
-    """Frequencies a decade below ``fine_from_Hz``, where no drop is expected."""
+    """Points per decade in the coarse part of the scan, where no notch is expected."""
     fine_from_Hz: float = Field(default=200.0, gt=0)
-    """Where the fine part of the scan begins."""
+    """Frequency from which the scan is fine."""
     fine_per_decade: int = Field(default=60, ge=1, le=1000)
-    """Frequencies a decade from there on: two within the full width of a drop of Q 10."""
+    """Points per decade in the fine part of the scan: 60 put two within the full width of a notch
+    of Q 10."""
     points_per_half_width: int = Field(default=6, ge=1, le=100)
-    """Frequencies that the refinement puts into each half-width of a drop."""
+    """Points that the refinement puts into each half-width of a notch."""
     mains_Hz: float = Field(default=50.0, gt=0)
     """Mains frequency."""
     mains_distance: float = Field(default=0.06, ge=0, lt=0.5)
-    """How far the scan keeps away from the first mains lines, relative, where half a step allows
-    it: a record of a third of a second then separates the two."""
+    """Relative distance that the scan keeps from the first mains lines, but never more than half a
+    step. With 6 %, a record of a third of a second separates tone and mains."""
 
     @model_validator(mode="after")
     def _has_a_range(self) -> Self:
@@ -55,7 +58,13 @@ class FrequencyPlanSettings(Settings):
 
 
 def scan_frequencies_Hz(settings: FrequencyPlanSettings) -> tuple[float, ...]:  # noqa: N802
-    """Coarse up to ``fine_from_Hz``, fine from there to ``highest_Hz``, beside the mains lines."""
+    """Returns the frequencies of the scan: coarse up to ``fine_from_Hz``, fine above, clear of
+    mains lines.
+
+    >>> plan = FrequencyPlanSettings(lowest_Hz=10, highest_Hz=100, coarse_per_decade=4)
+    >>> scan_frequencies_Hz(plan)  # 100 Hz is a mains line: 2 % below it is measured instead
+    (10.0, 17.7828, 31.6228, 56.2341, 98.0439)
+    """
     low, high = settings.lowest_Hz, settings.highest_Hz
     change = min(max(settings.fine_from_Hz, low), high)
     coarse = _geometric(low, change, settings.coarse_per_decade)[:-1]
@@ -66,13 +75,15 @@ def scan_frequencies_Hz(settings: FrequencyPlanSettings) -> tuple[float, ...]:  
 
 
 def refine_Hz(settings: FrequencyPlanSettings, scanned: ResponseCurve) -> tuple[float, ...]:  # noqa: N802
-    """Frequencies to measure after a scan: so many within each half-width of each drop it shows.
+    """Returns the frequencies to measure after a scan: points within each half-width of each notch
+    found.
 
-    For every drop: its centre and ``points_per_half_width`` on either side, out to where its poles
-    let half of their power through (about f / (2 Q)), evenly spaced in the detuning Q (x - 1/x);
-    within the scanned range; less those within a quarter of a step of one scanned or already
-    chosen. Empty where the scan shows no drop. Raises CurveError as ``fit_with_drops`` does, where
-    the scan is too short or too narrow to show a trend.
+    For every notch these are its centre and ``points_per_half_width`` on either side, out to where
+    its poles pass half of their power (about f / (2 Q)), evenly spaced in the detuning Q (x - 1/x).
+    Frequencies outside the scanned range are omitted, and so are those within a quarter of a step
+    of one scanned or already chosen. The result is empty if the scan shows no notch.
+
+    Raises CurveError, as ``fit_with_drops`` does, if the scan is too short or too narrow.
     """
     per_side = settings.points_per_half_width
     detuning = np.arange(-per_side, per_side + 1) / per_side
@@ -91,7 +102,8 @@ def refine_Hz(settings: FrequencyPlanSettings, scanned: ResponseCurve) -> tuple[
 
 
 def _geometric(low: float, high: float, per_decade: int) -> list[float]:
-    """From ``low`` on in equal ratios, less what comes to ``high`` or beyond, then ``high``."""
+    """Returns frequencies from ``low`` in equal ratios, without those at or above ``high``, then
+    ``high``."""
     steps = math.ceil(per_decade * math.log10(high / low) - _SAME_FREQUENCY)
     return [*(low * 10 ** (k / per_decade) for k in range(steps)), high]
 

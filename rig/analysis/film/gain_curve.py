@@ -1,16 +1,17 @@
-"""The analysis of a complete sweep of a film: chapter 3 of the paper, from arrays to sentences.
+"""Analysis of a complete sweep of a film: chapter 3 of the paper, from arrays to sentences.
 
-Numbers in: frequencies, complex responses with their covariances, loads and distortions. Numbers
-out: :class:`SweepAnalysis`. What each means:
+The input is frequencies, complex responses with their covariances, loads and distortions. The
+result is a :class:`SweepAnalysis`:
 
 - ``level`` is ``b`` of the paper's equation (2): the low-frequency asymptote at 1 Hz of a circuit
-  of 20 dB/decade and one pole, fitted together with all drops (`rig.analysis.film.model`);
+  with 20 dB/decade and one pole, fitted together with all notches (`rig.analysis.film.model`);
 - ``corner`` is the frequency of that pole;
 - ``slopes`` and ``plain`` are the slopes and the paper's own fit (`rig.analysis.film.slope`);
-- a drop's frequency is where it is deepest, its depth and Q those of a second-order notch.
+- ``drops`` are the notches: each has the frequency at which it is deepest, and the depth and Q of a
+  second-order notch.
 
-Intervals hold noise and, where there is one, the model error. The load cell's calibration error
-adds to ``b`` and is not in them.
+Intervals include noise and, if there is one, the model error. The calibration error of the load
+cell adds to ``b`` and is not included.
 """
 
 from __future__ import annotations
@@ -48,59 +49,62 @@ __all__ = [
 ]
 
 LARGEST_MODEL_ERROR = 0.5
-"""Relative; a model that is off by half has not been fitted."""
+"""Largest relative model error: a model that is off by half has not been fitted."""
 
 
 @dataclass(frozen=True, eq=False)
 class SweepAnalysis:
-    """All that a sweep says about a film."""
+    """Results of a sweep of a film."""
 
     curve: ResponseCurve
-    """What was analysed."""
+    """The points that were analysed."""
     fit: FilmFit
-    """The joint fit: level, corner, drops, misfit."""
+    """The joint fit: level, corner, notches, misfit."""
     slopes: Slopes | None
-    """None where less than an octave of 2 to 2000 Hz was measured."""
+    """Slopes; None if less than an octave of 2 to 2000 Hz was measured."""
     plain: PlainFit | None
-    """None with fewer than two points outside the drops from 2 to 2000 Hz."""
+    """The paper's fit; None with fewer than two points outside the notches from 2 to 2000 Hz."""
     circuit: CircuitComparison
+    """Comparison with the circuit of the paper."""
     linearity: LoadLinearity | None
-    """None where there is one load only."""
+    """Dependence of the gain on the load; None if there was only one load."""
     distortion: DistortionSummary | None
+    """Harmonic distortion; None if it was not measured."""
 
     @property
     def points(self) -> int:
-        """How many points were analysed."""
+        """Number of points that were analysed."""
         return len(self.curve)
 
     @cached_property
     def stress_jerk(self) -> StressJerkTest:
-        """The test of the withdrawn claim; made when first asked for, it takes longest."""
+        """Test of the alternative model with a break. Computed on first use, because it takes
+        longest."""
         return stress_jerk_test(self.curve, self.fit)
 
     @property
     def level(self) -> Estimate:
-        """b, dB re 1 V/N."""
+        """Level b, in dB re 1 V/N at 1 Hz."""
         return self.fit.level
 
     @property
     def corner(self) -> Estimate:
-        """Hz."""
+        """Frequency of the pole, in Hz."""
         return self.fit.corner
 
     @property
     def drops(self) -> tuple[DropEstimate, ...]:
-        """By ascending frequency."""
+        """The notches, by ascending frequency."""
         return self.fit.drops
 
     def sentences(self) -> list[str]:
-        """What a person wants to read, in the paper's order."""
+        """Returns the results in words, in the order of the paper."""
         lines = [f"{self.points} points. {self._slope_sentence()}", self._level_sentence()]
         lines += [
-            f"Drop at {drop.frequency}{self._beyond(drop)}, "
+            f"Notch at {drop.frequency}{self._beyond(drop)}, "
             f"{drop.depth} deep, pole Q {drop.pole_Q}."
             for drop in self.drops
-        ] or ["No drop was found."]
+        ] or ["No notch was found."]
         lines.append(self.stress_jerk.sentence())
         lines += self.circuit.sentences()
         lines += [part.sentence() for part in (self.linearity, self.distortion) if part is not None]
@@ -110,7 +114,8 @@ class SweepAnalysis:
         return lines
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON and HDF5 attributes; what is not finite becomes None."""
+        """Returns plain values for JSON and HDF5 attributes; numbers that are not finite become
+        None."""
         whole = {
             "points": self.points,
             "level": self.level.as_dict(),
@@ -149,20 +154,23 @@ class SweepAnalysis:
 
     def _beyond(self, drop: DropEstimate) -> str:
         beyond = drop.frequency.value > self.circuit.highest_Hz
-        return ", beyond the measured range and seen by its flank" if beyond else ""
+        return ", beyond the measured range and visible by its flank" if beyond else ""
 
     def _slope_sentence(self) -> str:
         if self.slopes is None:
             low, high = SLOPE_BAND_HZ
-            return f"No slope: less than an octave was measured from {low:g} to {high:g} Hz."
+            return f"No slope: less than one octave of {low:g} to {high:g} Hz was measured."
         low, high = self.slopes.band_Hz
         asymptotic = self.slopes.asymptotic
-        first = "holds" if asymptotic.covers(FIRST_ORDER_SLOPE) else "does not hold"
+        expected = f"{FIRST_ORDER_SLOPE:g} dB/decade"
+        verdict = f"consistent with {expected}"
+        if not asymptotic.covers(FIRST_ORDER_SLOPE):
+            off = abs(asymptotic.value - FIRST_ORDER_SLOPE)
+            verdict = f"differs from {expected} by {off:.2g} dB/decade"
         return (
-            f"The straight line through the gain from {low:g} to {high:g} Hz rises by "
-            f"{self.slopes.slope}, drops divided out. With the pole divided out as well the rise "
-            f"is {asymptotic}: {FIRST_ORDER_SLOPE:g} dB/decade (stress rate) {first} within the "
-            "interval."
+            f"Slope of the straight line through the gain from {low:g} to {high:g} Hz, with the "
+            f"fitted notches removed: {self.slopes.slope}. After removing the fitted first-order "
+            f"low-pass: slope {asymptotic}, {verdict} (stress rate)."
         )
 
     def _level_sentence(self) -> str:
@@ -170,29 +178,31 @@ class SweepAnalysis:
         if self.plain is None:
             return text + "."
         return (
-            f"{text}; the paper's plain eq. (2) over {self.plain.points} points outside the drops "
-            f"gives {self.plain.level_dB:.2f} dB (rms {self.plain.rms_dB:.2f} dB, depends on the "
-            f"grid; straight line of free slope {self.plain.slope_dB_decade:.2f} dB/decade)."
+            f"{text}. The paper's eq. (2), a 20 dB/decade line without corner, fitted to "
+            f"{self.plain.points} points outside the notches: {self.plain.level_dB:.2f} dB (rms "
+            f"{self.plain.rms_dB:.2f} dB; depends on the grid; line with free slope: "
+            f"{self.plain.slope_dB_decade:.2f} dB/decade)."
         )
 
     def _preload_sentence(self, effect: Estimate) -> str:
         assert self.curve.preloads_N is not None
         preloads = self.curve.preloads_N
         return (
-            f"Preload {preloads.mean():.2f} N, {preloads.min():.2f} to {preloads.max():.2f} N: the "
-            f"gain changes with it by {effect}, which is taken out."
+            f"Mean preload {preloads.mean():.2f} N "
+            f"({preloads.min():.2f} to {preloads.max():.2f} N). The "
+            f"gain changes with it by {effect}; this effect is removed."
         )
 
     def _misfit_sentence(self) -> str:
         fit = self.fit
-        text = f"Chi-square of the joint fit {fit.chi_square:.0f} of {fit.degrees}"
-        delay = f"Delay of film after load: {fit.delay}."
+        quality = f"χ² = {fit.chi_square:.0f} for {fit.degrees} d.o.f."
+        delay = f"Delay of the film after the load: {fit.delay}."
         if fit.probability >= MISFIT_PROBABILITY:
-            return f"{text}: noise explains the residuals. {delay}"
+            return f"Joint fit: {quality} (good fit). {delay}"
         return (
-            f"{text}: more than noise explains. The intervals contain a model error of "
-            f"{fit.gain_error_dB:.2g} dB and {fit.phase_error_deg:.2g} deg at every point and hold "
-            f"if it is scatter: look at the residuals. {delay}"
+            f"Poor fit ({quality}). A model error of {fit.gain_error_dB:.2g} dB and "
+            f"{fit.phase_error_deg:.2g}° per point has been added to the intervals; they are "
+            f"valid only if the residuals look random. Check the residual panel. {delay}"
         )
 
 
@@ -208,13 +218,16 @@ def analyse(
     film_distortion: ArrayLike | None = None,
     given: CircuitSettings = SKIN_STRIP,
 ) -> SweepAnalysis:
-    """Analyse a sweep's points, in any order: Hz, V/N, (n, 2, 2) of real and imaginary part.
+    """Analyses the points of a sweep: frequencies in Hz, responses in V/N, covariances (n, 2, 2).
 
-    ``degrees`` (n,) of freedom behind each covariance and ``preloads`` (n,) in N, static (see
-    :meth:`ResponseCurve.of`); ``loads`` (n,) in N, peak; distortions (n,) as fractions; ``given``
-    is the circuit to compare with, Table 1 by default. Raises CurveError for what cannot be
-    analysed: what :meth:`ResponseCurve.of` and :func:`fit_with_drops` refuse, and points that
-    neither first order nor the withdrawn claim comes near.
+    Points may be in any order. ``degrees`` (n,) are the degrees of freedom of each covariance and
+    ``preloads`` (n,) the static forces in N (see :meth:`ResponseCurve.of`). ``loads`` (n,) are peak
+    loads in N, distortions (n,) are fractions. ``given`` is the circuit to compare with, Table 1 by
+    default.
+
+    Raises CurveError for points that cannot be analysed: those that :meth:`ResponseCurve.of` and
+    :func:`fit_with_drops` refuse, and those that neither first order nor the alternative model
+    fits.
     """
     curve = ResponseCurve.of(frequencies, responses, covariances, degrees, preloads)
     fit = fit_with_drops(curve)
@@ -256,7 +269,7 @@ def _linearity_as_dict(linearity: LoadLinearity | None) -> dict[str, Any] | None
 
 
 def _plain(value: Any) -> Any:
-    """Lists and dicts of plain values, NaN and infinities as None."""
+    """Returns lists and dicts of plain values, with NaN and infinities as None."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,9 +1,9 @@
-"""Is the film linear? Gain against load at each frequency, and distortion over the sweep.
+"""Linearity of a film: gain against load at each frequency, and distortion over the sweep.
 
-The paper's second kind of data has several loads at each frequency; "gain has a linear relation for
-the load" (3.2, data2 (i)) is read as: voltage is proportional to load, so the gain does not depend
-on it. The figure that would tell is the slope of the gain in dB over a decade of load: zero for a
-linear film, +20 for a quadratic one.
+The paper's second kind of data has several loads at each frequency. Its statement "gain has a
+linear relation for the load" (3.2, data2 (i)) is read as: voltage is proportional to load, so the
+gain does not depend on the load. The characteristic number is the slope of the gain in dB per
+decade of load: zero for a linear film, +20 for a quadratic one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rig.analysis.response.complex_response import Reals
 from rig.analysis.response.curve import CurveError, ResponseCurve
 
 LEAST_LOAD_RATIO = 1.5
-"""Largest over smallest load at a frequency whose gain against load says anything."""
+"""Least ratio of largest to smallest load at a frequency at which the slope is computed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,56 +28,71 @@ class LoadLinearity:
     """Gain against load, at every frequency with several loads and over all of them."""
 
     frequencies: Reals
-    """Hz, (k,)."""
+    """Frequencies, in Hz, (k,)."""
     slopes: Reals
-    """Of the gain, dB per decade of load, (k,)."""
+    """Slopes of the gain, in dB per decade of load, (k,)."""
     slope_errors: Reals
     """Standard errors of the slopes, (k,)."""
     worst_deviations: Reals
-    """Largest distance of a gain from the frequency's weighted mean, dB, (k,)."""
+    """Largest distance of a gain from the weighted mean at its frequency, in dB, (k,)."""
     slope: Estimate
-    """Weighted mean of the slopes, dB per decade of load."""
+    """Weighted mean of the slopes, in dB per decade of load."""
     worst_deviation_dB: float
+    """Largest of all deviations, in dB."""
     worst_frequency_Hz: float
+    """Frequency of the largest deviation."""
     chi_square: float
-    """Of one gain for all loads at each frequency."""
+    """Chi-square of one gain for all loads at each frequency."""
     degrees: int
+    """Degrees of freedom of this chi-square."""
 
     @property
     def probability(self) -> float:
-        """Of a chi-square this large where the film is linear and the stated errors hold."""
+        """Probability of a chi-square at least this large if the film is linear and the stated
+        errors are right."""
         from scipy.special import chdtrc
 
         return float(chdtrc(self.degrees, self.chi_square))
 
     def sentence(self) -> str:
-        """The result in words."""
+        """Returns the result in words."""
         linear = self.probability >= MISFIT_PROBABILITY
-        verdict = "does not depend on the load" if linear else "depends on the load"
+        if linear:
+            verdict = "The gain does not depend on the load within its errors"
+        elif self.slope.covers(0.0):
+            verdict = "No common dependence on load, but the loads scatter more than their errors"
+        else:
+            verdict = "The gain depends on the load"
         return (
-            f"Within its errors the gain {verdict} (chi-square {self.chi_square:.0f} of "
-            f"{self.degrees}): {self.slope} of load over {self.frequencies.size} frequencies, "
-            f"worst deviation {self.worst_deviation_dB:.3f} dB at {self.worst_frequency_Hz:g} Hz."
+            f"{verdict} (χ² = {self.chi_square:.0f} for {self.degrees} d.o.f.): {self.slope} of "
+            f"load over {self.frequencies.size} frequencies; worst deviation "
+            f"{self.worst_deviation_dB:.3f} dB at {self.worst_frequency_Hz:g} Hz."
         )
 
 
 @dataclass(frozen=True)
 class DistortionSummary:
-    """Harmonic distortion (fractions of the tone) over a sweep."""
+    """Harmonic distortion of load and film over a sweep, as fractions of the tone."""
 
     median_load: float
+    """Median distortion of the load."""
     worst_load: float
+    """Largest distortion of the load."""
     worst_load_Hz: float
+    """Frequency of the largest distortion of the load."""
     median_film: float
+    """Median distortion of the film's voltage."""
     worst_film: float
+    """Largest distortion of the film's voltage."""
     worst_film_Hz: float
+    """Frequency of the largest distortion of the film's voltage."""
 
     def sentence(self) -> str:
-        """The result in words."""
+        """Returns the result in words."""
         return (
             f"Harmonic distortion: load {self.median_load:.2%} (worst {self.worst_load:.2%} at "
             f"{self.worst_load_Hz:g} Hz), film {self.median_film:.2%} (worst {self.worst_film:.2%} "
-            f"at {self.worst_film_Hz:g} Hz); noise is part of these figures."
+            f"at {self.worst_film_Hz:g} Hz); these figures include noise."
         )
 
 
@@ -88,9 +103,10 @@ def load_linearity(
     loads: ArrayLike,
     degrees: ArrayLike | None = None,
 ) -> LoadLinearity | None:
-    """Gain against load: arrays as in :meth:`ResponseCurve.of`, ``loads`` (n,) peak in N.
+    """Returns gain against load: arrays as in :meth:`ResponseCurve.of`, ``loads`` (n,) peak in N.
 
-    None where no frequency was measured at loads that differ by half or more.
+    Returns None if at no frequency the loads differ by half or more. Raises CurveError for loads
+    that are not positive or not as many as frequencies.
     """
     load = np.asarray(loads, dtype=float)
     frequency = np.asarray(frequencies, dtype=float)
@@ -118,7 +134,10 @@ def load_linearity(
 def distortion_summary(
     frequencies: ArrayLike, load_distortion: ArrayLike, film_distortion: ArrayLike
 ) -> DistortionSummary | None:
-    """Median and worst of both; arrays (n,), NaN where not measured. None without any value."""
+    """Returns median and worst distortion of load and film, or None if either was never measured.
+
+    Distortions (n,) are NaN where they were not measured.
+    """
     frequency = np.asarray(frequencies, dtype=float)
     found: list[float] = []
     for values in (load_distortion, film_distortion):
@@ -136,7 +155,8 @@ def distortion_summary(
 
 
 def _line(decades: Reals, gains: Reals, errors: Reals) -> tuple[float, float, float, float]:
-    """Slope, its error, largest distance from the weighted mean, chi-square about that mean."""
+    """Returns slope, its error, largest distance from the weighted mean, and chi-square about that
+    mean."""
     weight = 1 / errors**2
     mean = float(np.average(gains, weights=weight))
     lever = decades - np.average(decades, weights=weight)
@@ -151,7 +171,7 @@ def _line(decades: Reals, gains: Reals, errors: Reals) -> tuple[float, float, fl
 
 
 def _over_all(rows: Reals) -> LoadLinearity:
-    """Rows of frequency, slope, error, deviation, chi-square, degrees."""
+    """Summarises rows of frequency, slope, error, deviation, chi-square and degrees of freedom."""
     frequency, slopes, errors, deviations, squares, degrees = rows.T
     weight = 1 / errors**2
     worst = int(np.argmax(deviations))

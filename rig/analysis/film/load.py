@@ -1,9 +1,10 @@
-"""A film's gain curve as a calibration, and its inverse use: the load from the voltage.
+"""Computes the load on a film from its voltage, with its gain curve as a calibration.
 
-    load = voltage / H(f),   H from the film's record: 20 dB/decade, one pole, drops
+    load = voltage / H(f),   H from the film's record: 20 dB/decade, one pole, notches
 
-The drops belong to the mounting, and within them the answer hangs on their bottom. So a load is
-stated outside the drops only, where they take less than 0.5 dB; their flanks are divided out.
+The notches depend on the mounting, and within one the result depends on its exact bottom. A load is
+therefore stated only outside the notches, where they take less than 0.5 dB; their flanks are
+divided out.
 """
 
 from __future__ import annotations
@@ -31,29 +32,31 @@ Reals = NDArray[np.float64]
 
 
 class FilmLoadError(RigError):
-    """A voltage from which this record cannot tell the load."""
+    """Raised when a load cannot be computed from a voltage with this record."""
 
     code = ExitCode.FINISHED_WITH_FAILURES
 
 
 @dataclass(frozen=True, eq=False)
 class FilmLoad:
-    """A sinusoidal load as the film felt it."""
+    """A sinusoidal load on the film."""
 
     frequency_Hz: float
+    """Frequency of the load."""
     phasor: complex
-    """N, peak; its phase on the voltage's time axis."""
+    """Peak load in N, with its phase on the time axis of the voltage."""
     covariance: Reals
-    """Of (real, imaginary) part, N^2, (2, 2): voltage, calibration and its model error."""
+    """Covariance of (real, imaginary) part in N², (2, 2): voltage, calibration and its model
+    error."""
 
     @property
     def amplitude(self) -> Estimate:
-        """Peak load, N."""
+        """Peak load, in N."""
         return Estimate.normal(abs(self.phasor), self._error(1.0), "N")
 
     @property
     def phase_deg(self) -> Estimate:
-        """Phase, deg, in (-180, 180]."""
+        """Phase in degrees, in (-180, 180]."""
         error = math.degrees(self._error(1j) / abs(self.phasor))
         return Estimate.normal(math.degrees(cmath.phase(self.phasor)), error, "deg")
 
@@ -65,10 +68,11 @@ class FilmLoad:
 
 
 def coefficients(analysis: SweepAnalysis, load_cell_error: float = 0.0) -> dict[str, Any]:
-    """What the analysis of a sweep gives to the film's record, by the record's field names.
+    """Returns the entries of the film's calibration record, by field name, from the analysis of a
+    sweep.
 
-    ``load_cell_error`` is the relative standard error of the load cell's sensitivity: all loads of
-    the sweep have it in common, so that it adds to the error of b.
+    ``load_cell_error`` is the relative standard error of the sensitivity of the load cell. It is
+    common to all loads of the sweep and therefore adds to the error of b.
     """
     fit = analysis.fit
     covariance = fit.covariance.copy()
@@ -99,22 +103,25 @@ def load_from_voltage(
     voltage: complex,
     voltage_covariance: ArrayLike,
 ) -> FilmLoad:
-    """The load phasor (N, peak) behind a voltage phasor (V, peak) with its (2, 2) covariance.
+    """Returns the load phasor (N, peak) for a voltage phasor (V, peak) with its covariance (2, 2).
 
-    First-order errors of voltage and record, taken as independent. Raises FilmLoadError for a
-    voltage of zero, outside the calibrated frequencies, and within a drop.
+    Errors are first order; those of voltage and record are taken as independent.
+
+    Raises FilmLoadError for a voltage of zero, outside the calibrated frequencies, and within a
+    notch.
     """
     model = film_model(record)
     at = np.array([frequency_Hz])
     _refuse(record, model, frequency_Hz)
     if not voltage or not cmath.isfinite(voltage):
         raise FilmLoadError(
-            f"the film's voltage at {frequency_Hz:g} Hz is {voltage}: no load in it"
+            f"the film's voltage at {frequency_Hz:g} Hz is {voltage}: it contains no load"
         )
     response = complex(model.response(at)[0])
     load = voltage / response
     slopes = model.log_jacobian(at)[:, 0]
-    relative = np.stack([slopes.real, slopes.imag])  # of ln H, by the record's parameters
+    # Derivatives of ln H with respect to the parameters of the record.
+    relative = np.stack([slopes.real, slopes.imag])
     of_response = relative @ np.array(record.covariance) @ relative.T
     of_response[0, 0] += (record.gain_model_error_dB / DB_PER_RELATIVE) ** 2
     of_response[1, 1] += math.radians(record.phase_model_error_deg) ** 2
@@ -124,7 +131,7 @@ def load_from_voltage(
 
 
 def film_model(record: FilmCalibration) -> FilmModel:
-    """The film's response as its record has it."""
+    """Returns the response of the film as its calibration record states it."""
     return FilmModel(
         level_dB=record.b_dB.value if record.b_dB.value is not None else math.nan,
         inverse_corner_s=record.inverse_corner_s,

@@ -1,15 +1,16 @@
-"""The slopes of a gain curve: what "20 dB/decade from 2 to 2000 Hz" can mean, with errors.
+"""Slopes of a gain curve: what "20 dB/decade from 2 to 2000 Hz" can mean, with errors.
 
-- The *asymptotic slope* is the exponent of the rise, set free up to 2 kHz in the joint model of
-  circuit and drops: pole and drops are divided out. A first-order film has 20 dB/decade, whatever
-  its corner and whatever the grid. It tests the paper's statement (i).
+- The *asymptotic slope* is the exponent of the rise, free up to 2 kHz in the joint model of circuit
+  and notches: pole and notches are removed. A first-order film has 20 dB/decade, whatever its
+  corner and grid. It tests statement (i) of the paper.
 - The *slope* over 2 to 2000 Hz is that of the least-squares line through the trend, over log f,
-  every frequency of the band counting the same and the drops divided out, the pole not: what a
-  ruler finds on the paper's figure 5, freed of drops and grid. With the corner at 2 kHz it is
-  19.57 dB/decade; the circuit's table of readings is made of this slope.
-- The *plain fit* is the paper's equation (2), gain = 20 log10 f + b by unweighted least squares
-  over the measured points of the band outside the drops, with the line of free slope through the
-  same points. Pole and drops' tails pull it, the more the more points there are near 2 kHz.
+  with equal weight for every frequency of the band. The notches are removed, the pole is not: it is
+  what a ruler finds on the paper's figure 5, without the influence of notches and grid. With the
+  corner at 2 kHz it is 19.57 dB/decade. The circuit's table of readings uses this slope.
+- The *plain fit* is the paper's equation (2), gain = 20 log10 f + b, by unweighted least squares
+  over the measured points of the band outside the notches, with the line of free slope through the
+  same points. Pole and the flanks of notches bias it, the more so the more points there are near 2
+  kHz.
 """
 
 from __future__ import annotations
@@ -27,39 +28,42 @@ from rig.analysis.response.complex_response import DB_PER_RELATIVE, Reals
 from rig.analysis.response.curve import ResponseCurve
 
 OUTSIDE_DROPS_DB = 0.5
-"""A point is outside the drops where the fitted drops together take less than this from it."""
+"""A point is outside the notches if they together attenuate it by less than this, in dB."""
 NARROWEST_BAND = 2.0
-"""Highest over lowest frequency of a band that has a slope."""
+"""Least ratio of highest to lowest frequency of a band whose slope is computed."""
 
 _LINE_POINTS = 2000
 
 
 @dataclass(frozen=True)
 class Slopes:
-    """Both slopes, dB/decade, over the measured part of 2 to 2000 Hz."""
+    """Both slopes over the measured part of 2 to 2000 Hz."""
 
     band_Hz: tuple[float, float]
+    """Lowest and highest frequency used."""
     slope: Estimate
-    """Of the straight line through the trend."""
+    """Slope of the straight line through the trend, in dB/decade."""
     asymptotic: Estimate
-    """Exponent of the rise, the pole divided out."""
+    """Exponent of the rise with the pole removed, in dB/decade."""
 
 
 @dataclass(frozen=True)
 class PlainFit:
-    """Equation (2) as the paper fits it; depends on the grid."""
+    """Equation (2) as the paper fits it. The result depends on the grid."""
 
     level_dB: float
-    """b of gain = 20 log10 f + b, dB re 1 V/N."""
+    """b of gain = 20 log10 f + b, in dB re 1 V/N."""
     rms_dB: float
-    """Of the gains about that line."""
+    """Root mean square of the gains about that line."""
     slope_dB_decade: float
-    """Of the straight line of free slope through the same points."""
+    """Slope of the straight line of free slope through the same points."""
     points: int
+    """Number of points used."""
 
 
 def slopes(curve: ResponseCurve, fit: FilmFit) -> Slopes | None:
-    """Both slopes with their errors; None where less than an octave of the band was measured."""
+    """Returns both slopes with their errors, or None if less than an octave of the band was
+    measured."""
     low = max(SLOPE_BAND_HZ[0], float(curve.frequencies[0]))
     high = min(SLOPE_BAND_HZ[1], float(curve.frequencies[-1]))
     if high < NARROWEST_BAND * low:
@@ -75,7 +79,8 @@ def slopes(curve: ResponseCurve, fit: FilmFit) -> Slopes | None:
 
 
 def _line_weights(low: float, high: float) -> tuple[Reals, Reals]:
-    """Frequencies (n,) even over log f, and w (n,) such that w @ gains is the line's slope."""
+    """Returns frequencies (n,) even over log f, and w (n,) such that w @ gains is the slope of the
+    line."""
     decades = np.log10(high / low)
     position = (np.arange(_LINE_POINTS) + 0.5) / _LINE_POINTS - 0.5
     weights = position / (decades * float(position @ position))
@@ -83,15 +88,15 @@ def _line_weights(low: float, high: float) -> tuple[Reals, Reals]:
 
 
 def outside_drops(frequencies: Reals, model: FilmModel) -> NDArray[np.bool_]:
-    """True for the frequencies (n,) at which the drops take less than 0.5 dB."""
+    """Returns True for the frequencies (n,) at which the notches attenuate by less than 0.5 dB."""
     outside: NDArray[np.bool_] = np.abs(model.loss_dB(frequencies)) < OUTSIDE_DROPS_DB
     return outside
 
 
 def plain_fit(curve: ResponseCurve, model: FilmModel) -> PlainFit | None:
-    """Equation (2) over 2 to 2000 Hz, drops left out, every point counting the same.
+    """Fits equation (2) over 2 to 2000 Hz without the notches, all points with equal weight.
 
-    None with fewer than two frequencies there.
+    Returns None with fewer than two frequencies there.
     """
     f = curve.frequencies
     chosen = (f >= SLOPE_BAND_HZ[0]) & (f <= SLOPE_BAND_HZ[1]) & outside_drops(f, model)

@@ -1,1 +1,2 @@
-"""Measured frequency response: sine fits, complex gain, frequency plan, load levelling."""
+"""Measured frequency responses: sine fits, complex response, levelling of the load, response
+curves."""

@@ -1,4 +1,5 @@
-"""Complex response from two sine fits, with its errors, and the bounds no estimate can beat."""
+"""Complex response from two sine fits, with its errors, and the lowest errors that any estimate can
+have."""
 
 from __future__ import annotations
 
@@ -14,45 +15,49 @@ Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 DB_PER_RELATIVE = 20 / math.log(10)
-"""dB in a small relative change of an amplitude: 8.686."""
+"""Change of a level in dB per small relative change of an amplitude: 8.686."""
 
 CLEAR_LOAD = 5.0
-"""Standard errors by which a load's amplitude must exceed zero to be divided by."""
+"""Standard errors by which the amplitude of a load must exceed zero before it is divided by."""
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Output over load at one frequency, V/N, with first-order standard errors."""
+    """Output over load at one frequency in V/N, with first-order standard errors."""
 
     frequency_Hz: float
+    """Frequency of the load."""
     value: complex
+    """Complex response, in V/N."""
     covariance: Reals
-    """Of (real, imaginary) part of ``value``, (2, 2)."""
+    """Covariance of the (real, imaginary) part of ``value``, (2, 2)."""
     coherence: float
-    """Squared coherence of the two channels over the parts of the record; NaN with fewer than 2."""
+    """Squared coherence of the two channels over the parts of the record; NaN with fewer than 2
+    parts."""
 
     @property
     def gain_dB(self) -> float:  # noqa: N802
-        """20 log10 of the magnitude, dB re 1 V/N (paper eq. 1)."""
+        """Gain, 20 log10 of the magnitude, in dB re 1 V/N (paper eq. 1)."""
         return 20 * math.log10(abs(self.value)) if self.value else -math.inf
 
     @property
     def gain_standard_error_dB(self) -> float:  # noqa: N802
-        """Of the gain."""
+        """Standard error of the gain, in dB."""
         return DB_PER_RELATIVE * self._relative_error(1.0)
 
     @property
     def phase_deg(self) -> float:
-        """Phase of output against load, in (-180, 180]."""
+        """Phase of output against load in degrees, in (-180, 180]."""
         return math.degrees(math.atan2(self.value.imag, self.value.real))
 
     @property
     def phase_standard_error_deg(self) -> float:
-        """Of the phase."""
+        """Standard error of the phase, in degrees."""
         return math.degrees(self._relative_error(1j))
 
     def _relative_error(self, turn: complex) -> float:
-        """Error of the value along its own direction (turn 1) or across it (1j), over its size."""
+        """Returns the relative error of the value along its own direction (turn 1) or across it
+        (1j)."""
         if not self.value:
             return math.inf
         unit = turn * self.value / abs(self.value)
@@ -61,11 +66,13 @@ class Response:
 
 
 def complex_response(voltage: SineFit, load: SineFit) -> Response:
-    """Voltage over load, V/N, from independent fits of simultaneous records (V and N).
+    """Returns voltage over load in V/N, from independent fits of simultaneous records in V and N.
 
-    Errors to first order, H = V / L: dH = dV / L - H dL / L, each a rotation and scaling of its
-    channel's 2 x 2 covariance (JCGM 102:2011, 6.2; the bivariate form of the GUM's law). Raises
-    RecordError where frequencies differ or the load does not stand out of its noise.
+    Errors are first order: with H = V / L, dH = dV / L - H dL / L. Each term is a rotation and
+    scaling of the 2 x 2 covariance of its channel (JCGM 102:2011, 6.2, the bivariate form of the
+    GUM's law).
+
+    Raises RecordError if the frequencies differ or the load does not exceed its noise.
     """
     if voltage.frequency_Hz != load.frequency_Hz:
         raise RecordError(
@@ -86,32 +93,39 @@ def complex_response(voltage: SineFit, load: SineFit) -> Response:
 
 
 def cramer_rao_amplitude(noise_rms: float, n: int) -> float:
-    """Least standard error of a tone's amplitude in n samples of white noise: sigma sqrt(2/n)."""
+    """Returns the least standard error of the amplitude of a tone in n samples of white noise:
+    sigma sqrt(2/n).
+
+    >>> cramer_rao_amplitude(0.01, n=200)
+    0.001
+    """
     return noise_rms * math.sqrt(2 / n)
 
 
 def cramer_rao_phase_deg(noise_rms: float, amplitude: float, n: int) -> float:
-    """Least standard error in deg of the phase of a tone of known frequency."""
+    """Returns the least standard error in degrees of the phase of a tone of known frequency."""
     return math.degrees(cramer_rao_amplitude(noise_rms, n) / amplitude)
 
 
 def cramer_rao_gain_dB(noise_rms: float, amplitude: float, n: int) -> float:  # noqa: N802
-    """Least standard error in dB of a tone's level."""
+    """Returns the least standard error in dB of the level of a tone."""
     return DB_PER_RELATIVE * cramer_rao_amplitude(noise_rms, n) / amplitude
 
 
 def cramer_rao_duration(
     noise_rms: float, amplitude: float, rate: float, standard_error_dB: float
 ) -> float:
-    """Shortest record in s at ``rate`` (1/s) whose level can be known to ``standard_error_dB``."""
+    """Returns the shortest record in s at ``rate`` (1/s) that can determine a level to
+    ``standard_error_dB``."""
     relative = standard_error_dB / DB_PER_RELATIVE
     return 2 * (noise_rms / (amplitude * relative)) ** 2 / rate
 
 
 def quantisation_rms(step: float) -> float:
-    """Error of a converter of the given step, spread evenly: step / sqrt(12).
+    """Returns the rms error of a converter with the given step, evenly distributed: step /
+    sqrt(12).
 
-    Holds where noise of half a step or more moves the codes; it adds in power to the noise.
+    It holds if noise of at least half a step moves the codes. Its power adds to that of the noise.
     """
     return step / math.sqrt(12)
 

@@ -1,12 +1,12 @@
-"""A measured frequency response as arrays, checked once: what the analyses of a sweep start from.
+"""A measured frequency response as arrays, checked once: the input of every analysis of a sweep.
 
-Points may come in any order, repeat a frequency or leave some out; they are sorted here, so that no
+Points may be in any order, repeat a frequency or leave some out. They are sorted here, so that no
 result depends on the order of measurement.
 
-Where each point's preload is known, the gain may depend on it by a factor that nobody knows: a film
-that creeps under its stage is followed in steps, and the points lie a little apart. What such a
-factor could explain is then taken out of residuals and of derivatives alike, which is the joint
-fit with that factor free; every interval holds what not knowing it costs.
+If the preload of each point is known, the gain may depend on it by an unknown factor: a film that
+creeps under its stage is followed in steps, and its points then differ slightly. Whatever such a
+factor could explain is removed from residuals and derivatives alike. This is equivalent to a joint
+fit with that factor free, and every interval includes the cost of not knowing it.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from rig.analysis.response.complex_response import DB_PER_RELATIVE, Complexes, R
 from rig.core.errors import ExitCode, RigError
 
 SAME_PRELOAD_N = 1e-6
-"""Preloads so near to each other tell nothing of their effect."""
+"""Preloads that differ by less than this, in N, carry no information about their effect."""
 
 
 class CurveError(RigError):
-    """A measured response that cannot be analysed as asked."""
+    """Raised when a measured response cannot be analysed."""
 
     code = ExitCode.FINISHED_WITH_FAILURES
 
 
 @dataclass(frozen=True, eq=False)
 class ResponseCurve:
-    """Complex responses (V/N) over frequency (Hz) with their errors, ascending; see :meth:`of`."""
+    """Complex responses over ascending frequency with their errors. Create it with :meth:`of`."""
 
     frequencies: Reals
-    """Hz, (n,), ascending; repeats are allowed."""
+    """Frequencies in Hz, (n,), ascending; they may repeat."""
     responses: Complexes
-    """V/N, (n,)."""
+    """Complex responses in V/N, (n,)."""
     covariances: Reals
-    """Of (real, imaginary) part, (V/N)^2, (n, 2, 2)."""
+    """Covariances of the (real, imaginary) parts in (V/N)², (n, 2, 2)."""
     preloads_N: Reals | None = None
-    """Static force at each point, (n,); None where it is not known or the same everywhere."""
+    """Static force at each point, (n,); None if unknown or the same everywhere."""
 
     @classmethod
     def of(
@@ -53,17 +53,19 @@ class ResponseCurve:
         degrees: ArrayLike | None = None,
         preloads: ArrayLike | None = None,
     ) -> ResponseCurve:
-        """Check and sort: frequencies (n,) Hz, responses (n,) V/N, covariances (n, 2, 2), preloads
-        (n,) N.
+        """Checks and sorts frequencies (n,) in Hz, responses (n,) in V/N, covariances (n, 2, 2) and
+        preloads (n,) in N.
 
-        ``degrees`` (n,) are the degrees of freedom that each covariance was estimated from (samples
-        less fitted parameters of a record); without them covariances count as known. A mean whose
-        weights were estimated is worse than these weights say: its variance is larger by 1 + 4 /
-        degrees (P. Meier, Biometrics 9 (1953) 59, for many points), and so the covariances become.
+        ``degrees`` (n,) are the degrees of freedom from which each covariance was estimated
+        (samples minus fitted parameters of a record). Without them covariances are taken as known.
+        A mean whose weights were estimated is less accurate than these weights suggest: its
+        variance is larger by 1 + 4 / degrees (P. Meier, Biometrics 9 (1953) 59, for many points),
+        and the covariances are enlarged by this factor. Preloads that are not finite are taken as
+        unknown.
 
-        Raises CurveError, naming the argument and the value, for unequal lengths, anything not
-        finite, frequencies not above 0, covariances that are not positive definite and degrees
-        below 1. Preloads that are not finite count as not known.
+        Raises CurveError, which names the argument and the value, for unequal lengths, values that
+        are not finite, frequencies that are not positive, covariances that are not positive
+        definite and degrees below 1.
         """
         frequency = np.asarray(frequencies, dtype=float)
         response = np.asarray(responses, dtype=complex)
@@ -81,18 +83,18 @@ class ResponseCurve:
         )
 
     def __len__(self) -> int:
-        """Number of points."""
+        """Returns the number of points."""
         return self.frequencies.size
 
     @property
     def gains_dB(self) -> Reals:  # noqa: N802
-        """20 log10 of the magnitude, dB re 1 V/N (paper eq. 1)."""
+        """Gains, 20 log10 of the magnitudes, in dB re 1 V/N (paper eq. 1)."""
         gains: Reals = 20 * np.log10(np.abs(self.responses))
         return gains
 
     @cached_property
     def relative_covariances(self) -> Reals:
-        """Of (gain as a fraction, phase in rad), first order, (n, 2, 2)."""
+        """Covariances of (relative gain, phase in rad), first order, (n, 2, 2)."""
         unit = self.responses / np.abs(self.responses) ** 2
         turn = np.stack([unit.real, unit.imag, -unit.imag, unit.real], axis=1).reshape(-1, 2, 2)
         turned: Reals = turn @ self.covariances @ turn.transpose(0, 2, 1)
@@ -100,12 +102,13 @@ class ResponseCurve:
 
     @property
     def gain_errors_dB(self) -> Reals:  # noqa: N802
-        """Standard errors of the gains, first order."""
+        """Standard errors of the gains in dB, first order."""
         errors: Reals = DB_PER_RELATIVE * np.sqrt(self.relative_covariances[:, 0, 0])
         return errors
 
     def with_relative_error(self, gain: float, phase: float) -> ResponseCurve:
-        """The same points with further errors: of the gain (a fraction), of the phase (rad)."""
+        """Returns the same points with additional errors of the gain (relative) and the phase
+        (rad)."""
         along = np.stack([self.responses.real, self.responses.imag], axis=1)
         across = np.stack([-self.responses.imag, self.responses.real], axis=1)
         extra = gain**2 * along[:, :, None] * along[:, None, :]
@@ -113,7 +116,7 @@ class ResponseCurve:
         return replace(self, covariances=self.covariances + extra)
 
     def at(self, chosen: NDArray[np.bool_]) -> ResponseCurve:
-        """The points for which ``chosen`` (n,) is true."""
+        """Returns the points for which ``chosen`` (n,) is true."""
         return ResponseCurve(
             self.frequencies[chosen],
             self.responses[chosen],
@@ -122,14 +125,18 @@ class ResponseCurve:
         )
 
     def log_ratio(self, expected: Complexes) -> Complexes:
-        """ln(measured / expected), (n,): difference of the gains (neper) + j that of the phases."""
+        """Returns ln(measured / expected), (n,): difference of the gains (neper) + j that of the
+        phases."""
         ratio = self.responses / expected
         result: Complexes = np.log(np.abs(ratio)) + 1j * np.angle(ratio)
         return result
 
     def whitened(self, relative: Complexes) -> Reals:
-        """Gain + j phase (..., n) as (..., 2 n) reals, of unit variance if errors are right; less
-        what an unknown effect of the preload could explain of them."""
+        """Returns gain + j phase (..., n) as (..., 2 n) reals, of unit variance if the errors are
+        right.
+
+        Whatever an unknown effect of the preload could explain is removed.
+        """
         white = self._scaled(relative)
         if self._preload_direction is not None:
             along = self._preload_direction
@@ -137,20 +144,22 @@ class ResponseCurve:
         return white
 
     def freed(self, relative: Complexes) -> Complexes:
-        """Gain + j phase (n,) less the effect of the preload that explains most of them."""
+        """Returns gain + j phase (n,) without the effect of the preload that explains most of
+        them."""
         if self.preload_excess is None:
             return relative
         return relative - self.preload_effect(relative) * self.preload_excess
 
     def preload_effect(self, relative: Complexes) -> float:
-        """The change of the gain with the preload, 1/N, that explains most of `relative` (n,)."""
+        """Returns the change of the gain per N of preload that explains most of `relative` (n,)."""
         assert self.preload_excess is not None, "the preloads are not known"
         push = self._scaled(self.preload_excess)
         return float(push @ self._scaled(relative)) / float(push @ push)
 
     @cached_property
     def preload_excess(self) -> Complexes | None:
-        """Preloads less their mean, N, (n,), as a change of the gain alone."""
+        """Preloads minus their mean in N, (n,), as a change of the gain alone; None if they are
+        unknown."""
         if self.preloads_N is None:
             return None
         excess: Complexes = self.preloads_N - self.preloads_N.mean() + 0j
@@ -178,7 +187,7 @@ class ResponseCurve:
 
 
 def _varied(preloads: ArrayLike | None, size: int) -> Reals | None:
-    """Preloads that are known and not all the same."""
+    """Returns the preloads if they are known and not all the same."""
     if preloads is None:
         return None
     found = np.asarray(preloads, dtype=float)
@@ -188,8 +197,11 @@ def _varied(preloads: ArrayLike | None, size: int) -> Reals | None:
 
 
 def points_of(column: Callable[[str], Reals]) -> tuple[Reals, Complexes, Reals]:
-    """Frequencies (n,) in Hz, responses (n,) in V/N and their covariances (n, 2, 2) from the
-    columns of a sweep's table."""
+    """Returns frequencies (n,) in Hz, responses (n,) in V/N and covariances (n, 2, 2) from a
+    sweep's table.
+
+    `column` returns a column of the table by name.
+    """
     real, mixed = column("response_var_real"), column("response_cov")
     covariances = np.stack([real, mixed, mixed, column("response_var_imag")], axis=1)
     responses = column("response_real") + 1j * column("response_imag")

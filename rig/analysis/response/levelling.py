@@ -1,9 +1,10 @@
-"""Holding a sinusoidal load constant over frequency: what to drive with, how long to measure.
+"""Keeps a sinusoidal load constant over frequency: chooses the drive voltage and the length of
+records.
 
-What the vibrator makes of a volt is learned as the sweep goes: the drive for the next frequency is
-foretold from those measured nearby, so that most points are right at the first attempt. How long a
-record has to be follows from the noise of the records before it. Pure functions and a small memory;
-nothing here touches an instrument.
+The gain of the vibrator is learned during the sweep. The drive for the next frequency is predicted
+from those measured nearby, so that most points are right at the first attempt. The required length
+of a record follows from the noise of the records before it. Pure functions and a small memory; no
+instrument is used here.
 """
 
 from __future__ import annotations
@@ -19,53 +20,62 @@ from rig.analysis.response.complex_response import Response
 from rig.analysis.response.sine_fit import SineFit, inflation, whole_cycles
 
 NEAR = 1.35
-"""Within this ratio of a frequency that has been measured, a prediction is trusted."""
+"""Ratio to a measured frequency within which a prediction is trusted."""
 
 CLOSEST_KNOTS = 0.01
-"""Frequencies that differ by less (natural logarithm) are one to the prediction: their noise would
-be magnified."""
+"""Least distance in ln f of the frequencies used for a prediction: closer ones would amplify
+noise."""
 
 MAX_EXTRAPOLATION_RATIO = 2.0
-"""How far beyond the power gains that it is made from a prediction is believed."""
+"""Largest ratio by which a predicted power gain may lie outside those that it is computed from."""
 
 NEGLIGIBLE_INFLATION = 1.1
-"""Inflation of the variance that is not worth a longer record."""
+"""Inflation of the variance that does not justify a longer record."""
 
 FOLLOWING_A_LINE = 0.6
-"""Share of the spare variance that is planned with: finding a line's frequency costs the rest."""
+"""Share of the spare variance that is used for fitting a line; finding its frequency costs the
+rest."""
 
 SEPARABLE = 0.5
-"""Beats between a line and the tone that the longest record has to hold to be worth while."""
+"""Beats between a line and the tone that the longest record must contain for the line to be
+separated."""
 
 GROWTH = 1.2
-"""Step of a record's length in the search for one that separates the mains."""
+"""Step of the record length in the search for one that separates the mains."""
 
 
 class LearnedGain:
-    """Gain against frequency as measured so far: positive values, foretold on log-log axes."""
+    """Gain against frequency as measured so far; positive values, predicted on log-log axes.
+
+    >>> gain = LearnedGain()
+    >>> gain.learn(100.0, 2.0)
+    >>> round(gain.at(105.0), 6), gain.near(105.0), gain.near(200.0)
+    (2.0, True, False)
+    """
 
     def __init__(self) -> None:
         self._log_f: list[float] = []
         self._log_gain: dict[float, float] = {}
 
     def learn(self, frequency_Hz: float, gain: float) -> None:
-        """A measured gain; the latest one at a frequency counts."""
+        """Adds a measured gain; it replaces an earlier one at the same frequency."""
         x = math.log(frequency_Hz)
         if x not in self._log_gain:
             insort(self._log_f, x)
         self._log_gain[x] = math.log(gain)
 
     def near(self, frequency_Hz: float) -> bool:
-        """Whether something close by has been measured."""
+        """Returns whether a frequency near this one has been measured."""
         x = math.log(frequency_Hz)
         return any(abs(x - known) <= math.log(NEAR) for known in self._nearest(x, 1))
 
     def at(self, frequency_Hz: float) -> float | None:
-        """The foretold gain, None where nothing has been measured.
+        """Returns the predicted gain, or None if nothing has been measured.
 
-        1 / gain^2 of anything that resonates without a zero nearby is a polynomial in f^2, so a
-        parabola in f^2 through the three nearest foretells it, also one step beyond them. Where
-        they are too far away or too close to each other for that, the nearest itself.
+        1 / gain² of anything that resonates without a zero nearby is a polynomial in f². A parabola
+        in f² through the three nearest points therefore predicts the gain, also one step beyond
+        them. If they are too far away or too close to each other, the nearest gain itself is
+        returned.
         """
         x = math.log(frequency_Hz)
         knots: list[float] = []
@@ -80,14 +90,14 @@ class LearnedGain:
         used = knots[:3]
         squares = [math.exp(2 * (known - x)) for known in used]
         inverse = [math.exp(-2 * self._log_gain[known]) for known in used]
-        foretold = _lagrange(squares, inverse, 1.0)
+        predicted = _lagrange(squares, inverse, 1.0)
         if (
             not min(inverse) / MAX_EXTRAPOLATION_RATIO
-            < foretold
+            < predicted
             < max(inverse) * MAX_EXTRAPOLATION_RATIO
         ):
             return math.exp(self._log_gain[used[0]])
-        return 1 / math.sqrt(foretold)
+        return 1 / math.sqrt(predicted)
 
     def _nearest(self, x: float, count: int) -> list[float]:
         at = bisect_left(self._log_f, x)
@@ -105,22 +115,24 @@ def _lagrange(knots: Sequence[float], values: Sequence[float], x: float) -> floa
 
 @dataclass(frozen=True)
 class RecordNeeds:
-    """What the length of a record depends on, apart from frequency and rate."""
+    """Requirements on the length of a record, apart from frequency and rate."""
 
     shortest_s: float
+    """Shortest record, in s."""
     longest_s: float
+    """Longest record, in s."""
     target_dB: float
     """Standard error of the gain to be reached."""
     error_of_one_second_dB: float | None
-    """Standard error of the gain from one second, no line fitted beside; None if not known yet."""
+    """Standard error of the gain from one second without any fitted line; None if not known yet."""
 
 
 def record_samples(
     frequency: float, rate: float, needs: RecordNeeds, lines: Sequence[float]
 ) -> int:
-    """Samples in whole cycles that reach the target with the mains lines fitted beside the tone.
+    """Returns the samples of whole cycles that reach the target with the mains lines fitted.
 
-    One cycle, or the shortest record, where the noise is not known yet.
+    If the noise is not known yet it is one cycle or the shortest record.
     """
     error = needs.error_of_one_second_dB
     wanted = needs.shortest_s
@@ -142,7 +154,8 @@ def record_samples(
 
 
 def affordable_inflation(needs: RecordNeeds, duration_s: float) -> float:
-    """What fitting lines may cost in variance for the target still to be met."""
+    """Returns by how much fitting lines may inflate the variance so that the target is still
+    met."""
     error = needs.error_of_one_second_dB
     if not error:
         return NEGLIGIBLE_INFLATION
@@ -150,14 +163,17 @@ def affordable_inflation(needs: RecordNeeds, duration_s: float) -> float:
 
 
 class LearnedMains:
-    """How strong each mains line was seen in a channel: one that is weak need not be fitted."""
+    """Strength of each mains line in a channel as measured so far. A weak line need not be
+    fitted."""
 
     def __init__(self) -> None:
         self._most: dict[int, float] = {}
 
     def learn(self, fit: SineFit, nominal: float) -> None:
-        """What a fit says of its lines, the tone itself if it is one of them: amplitude with twice
-        its error; the least seen counts."""
+        """Adds the lines of a fit, and the tone itself if it is a mains line.
+
+        The bound of a line is its amplitude plus twice its error. The lowest bound so far is used.
+        """
         seen = list(zip(fit.fitted_Hz, fit.line_amplitudes, fit.line_errors, strict=True))
         if fit.frequency_Hz == nominal:
             seen.append((nominal, fit.amplitude, fit.standard_error))
@@ -167,24 +183,27 @@ class LearnedMains:
             self._most[order] = min(self._most.get(order, math.inf), most)
 
     def strong(self, nominal: float, count: int, harmless: float) -> list[float]:
-        """The lines that are not known to be below ``harmless``, in Hz."""
+        """Returns the lines in Hz that are not known to be below ``harmless``."""
         orders = range(1, count + 1)
         return [k * nominal for k in orders if self._most.get(k, math.inf) > harmless]
 
 
 def agreement(first: Response, second: Response, tolerance: float) -> float:
-    """Difference up to which two responses agree: a relative tolerance, and their noise."""
+    """Returns the largest difference up to which two responses agree: a relative tolerance plus
+    their noise."""
     noise = math.sqrt(float(np.trace(first.covariance + second.covariance)))
     return tolerance * abs(second.value) + AGREEMENT_SIGMAS * noise
 
 
 AGREEMENT_SIGMAS = 2.5
+"""Standard errors by which responses that agree may differ."""
 
 
 def combined(responses: Sequence[Response]) -> Response:
-    """Mean of responses at one frequency, each weighted by its own precision."""
+    """Returns the mean of responses at one frequency, each weighted by its own precision."""
     if len(responses) == 1:
         return responses[0]
+    # A noise-free response has a covariance of zero: tiny keeps its weight finite.
     tiny = np.finfo(float).tiny
     weights = np.array([1 / max(float(np.trace(r.covariance)), tiny) for r in responses])
     weights = weights / weights.sum()
@@ -196,6 +215,10 @@ def combined(responses: Sequence[Response]) -> Response:
 
 
 def range_for(amplitude_V: float, ranges_V: Sequence[float], margin: float = 1.6) -> float:
-    """The smallest input range that holds an amplitude with a margin, else the largest."""
+    """Returns the smallest input range that holds an amplitude with a margin, or else the largest.
+
+    >>> range_for(0.7, [0.1, 1.0, 1.25, 10.0])
+    1.25
+    """
     fitting = [r for r in ranges_V if r >= margin * amplitude_V]
     return min(fitting) if fitting else max(ranges_V)

@@ -1,22 +1,26 @@
-"""Least-squares sine fit at a known frequency, with mains lines and harmonics fitted beside it.
+"""Least-squares sine fit at a known frequency, with mains lines and harmonics fitted at the same
+time.
 
-The three-parameter fit of IEEE Std 1057 (sine, cosine, offset), extended by known interfering
-frequencies and by the tone's own harmonics as further regressors. Convention: a tone is
-x(t) = Re(phasor exp(2 pi j f t)), t = 0 at the record's first sample, seconds and volts (or any
-unit: phasors carry that of the samples). Sums of sines over an even grid have closed forms, so the
-normal equations cost nothing; the samples are read once to project and once for the residual.
+This is the three-parameter fit of IEEE Std 1057 (sine, cosine, offset), extended by known
+interfering frequencies and the tone's own harmonics as further regressors. Convention: a tone is
+x(t) = Re(phasor exp(2 pi j f t)), with t = 0 at the first sample of the record, in seconds; phasors
+have the unit of the samples. Sums of sines over an even grid have closed forms, so the normal
+equations cost nothing: the samples are read once for the projection and once for the residual.
 
-Which lines are fitted: an interfering line is taken in if the tone's variance then grows by no more
-than a tenth over that of the fit with tone and offset alone (for one line: about 0.8 of a beat,
-|f1 - f2| * n / rate). Otherwise it is left out; if the record does not even hold one full beat
-between it and the tone it is named in ``unresolved_Hz``: its share of the phasor cannot be known.
-Beyond one beat a line left out leaks at most 0.22 of its amplitude, less in proportion to the
-beats. The mains is never quite at its nominal frequency, and within a few beats of the tone that
-matters (at 51 Hz, 1 s of mains off by 0.02 Hz leaks 2 % of the line into the tone): the frequency
-of the nearest line is then found in the record itself, together with everything else, if the
-record tells it better than the mains wanders. Harmonics are measured where the record holds a full
-beat between them and every other line. Saturation is not judged here: the caller knows the
-converter's range.
+Which lines are fitted: an interfering line is included if the variance of the tone then grows by at
+most a tenth over that of the fit with tone and offset alone (for one line: about 0.8 of a beat, |f1
+- f2| * n / rate). Otherwise it is left out. If the record does not even contain one full beat
+between it and the tone, the line is listed in ``unresolved_Hz``: its share of the phasor cannot be
+known. Beyond one beat, a line that is left out leaks at most 0.22 of its amplitude, less in
+proportion to the beats.
+
+The mains is never exactly at its nominal frequency, and within a few beats of the tone that
+matters: at 51 Hz, 1 s of mains off by 0.02 Hz leaks 2 % of the line into the tone. The frequency of
+the nearest line is then found in the record itself, together with everything else, if the record
+determines it better than the mains wanders.
+
+Harmonics are measured if the record contains a full beat between them and every other line.
+Saturation is not judged here, because only the caller knows the range of the converter.
 """
 
 from __future__ import annotations
@@ -38,19 +42,21 @@ HARMONICS = (2, 3, 4, 5)
 """Orders whose amplitudes make up the harmonic distortion."""
 
 FULL_BEAT = 1.0
-"""Beats a record must hold between two lines for one not to be mistaken for the other."""
+"""Beats that a record must contain between two lines to distinguish them."""
 
 LARGEST_INFLATION = 1.1
-"""What further lines may do to the variance of the tone."""
+"""Largest factor by which further lines may inflate the variance of the tone."""
 
 FEW_BEATS = 3.0
-"""Within so many beats of the tone a line's true frequency matters."""
+"""Distance from the tone in beats within which the true frequency of a line matters."""
 
 MAINS_WANDER_HZ = 0.02
-"""How far public mains commonly is from its nominal frequency."""
+"""Usual deviation of the public mains from its nominal frequency."""
 
 SMALLEST_RECORD = 16
+"""Fewest samples of a record."""
 N_BLOCKS = 8
+"""Most parts of a record in which the tone is estimated separately."""
 
 _ROUNDING = 1e-6
 _WORST_INFLATION = 1e6
@@ -59,52 +65,60 @@ _STACK = 16
 
 
 class RecordError(RigError):
-    """A record from which the asked-for tone cannot be estimated."""
+    """Raised when a tone cannot be estimated from a record."""
 
     code = ExitCode.INSTRUMENT
 
 
 @dataclass(frozen=True, eq=False)
 class SineFit:
-    """A tone in a record and how well it is known; amplitudes are peak, in the samples' unit."""
+    """A tone in a record with its errors. Amplitudes are peak values in the unit of the samples."""
 
     frequency_Hz: float
+    """Frequency of the tone."""
     rate_Hz: float
+    """Sampling rate of the record."""
     n: int
+    """Number of samples."""
     phasor: complex
+    """Complex amplitude of the tone at t = 0."""
     covariance: Reals
-    """Of (real, imaginary) part of the phasor, (2, 2), from the residual taken as white."""
+    """Covariance of the (real, imaginary) part of the phasor, (2, 2), assuming a white residual."""
     offset: float
+    """Constant part of the record."""
     residual_rms: float
-    """Of what is left after all fitted lines, with n less the fitted parameters as divisor."""
+    """Rms of the residual after all fitted lines, with n minus the fitted parameters as divisor."""
     harmonics: Complexes
     """Phasors of the orders in ``HARMONICS``; NaN where not measured."""
     block_phasors: Complexes
-    """The tone in up to eight successive parts of whole cycles, same phase reference."""
+    """Phasors of the tone in up to eight successive parts of whole cycles, with the same phase
+    reference."""
     fitted_Hz: tuple[float, ...]
-    """Interfering lines fitted beside the tone, each at the frequency it was found at."""
+    """Interfering lines that were fitted, each at the frequency at which it was found."""
     line_amplitudes: tuple[float, ...]
     """Peak amplitudes of these lines."""
     line_errors: tuple[float, ...]
     """Standard errors of these amplitudes."""
     left_out_Hz: tuple[float, ...]
-    """Interfering lines the record is too short for."""
+    """Interfering lines for which the record is too short."""
 
     @property
     def unresolved_Hz(self) -> tuple[float, ...]:  # noqa: N802
-        """Lines left out that are within a beat of the tone: what they carry is in the phasor."""
+        """Lines within a beat of the tone that were left out: their amplitude is part of the
+        phasor."""
         duration = _duration(self.n, self.rate_Hz)
         near = (line for line in self.left_out_Hz if abs(line - self.frequency_Hz) * duration < 1)
         return tuple(near)
 
     @property
     def amplitude(self) -> float:
-        """Peak amplitude."""
+        """Peak amplitude of the tone."""
         return abs(self.phasor)
 
     @property
     def standard_error(self) -> float:
-        """Of the amplitude, first order: the phasor's error along its own direction."""
+        """Standard error of the amplitude, first order: the error of the phasor along its own
+        direction."""
         if not self.phasor:
             return math.sqrt(float(np.trace(self.covariance)) / 2)
         direction = np.array([self.phasor.real, self.phasor.imag]) / abs(self.phasor)
@@ -112,7 +126,8 @@ class SineFit:
 
     @property
     def signal_to_noise_dB(self) -> float:  # noqa: N802
-        """Power of the tone over power of the residual, in the whole band up to half the rate."""
+        """Power of the tone over power of the residual in the whole band up to half the rate, in
+        dB."""
         if not self.residual_rms:
             return math.inf
         ratio = self.amplitude / (math.sqrt(2) * self.residual_rms)
@@ -120,7 +135,7 @@ class SineFit:
 
     @property
     def harmonic_distortion(self) -> float:
-        """Root sum of squares of the measured harmonics over the tone (noise adds to it)."""
+        """Root sum of squares of the measured harmonics over the tone. Noise adds to it."""
         measured = self.harmonics[np.isfinite(self.harmonics)]
         if not measured.size or not self.amplitude:
             return math.nan
@@ -136,13 +151,21 @@ def fit_sine(
     delay_s: float = 0.0,
     largest_inflation: float = LARGEST_INFLATION,
 ) -> SineFit:
-    """Fit the tone at ``frequency`` (Hz) in evenly spaced ``samples`` (n,) taken at ``rate`` (1/s).
+    """Fits the tone at ``frequency`` (Hz) in evenly spaced ``samples`` (n,) taken at ``rate``
+    (1/s).
 
-    ``interference`` are lines to fit beside it where the record separates them (see
+    ``interference`` lists lines to fit as well, if the record separates them (see
     :func:`mains_lines`). ``delay_s`` is how much later than t = 0 this channel took its first
-    sample (multiplexer skew): the phasor refers to t = 0. ``largest_inflation`` is what fitting
-    lines beside it may cost in variance: a strong signal can pay for a line close by. Raises
-    RecordError for NaN, fewer than 16 samples or one cycle, or a frequency the rate cannot carry.
+    sample (multiplexer skew); the phasor refers to t = 0. ``largest_inflation`` limits the cost in
+    variance of fitting further lines: a strong signal can afford a line close to it.
+
+    Raises RecordError for samples that are not finite, fewer than 16 samples or one cycle, or a
+    frequency that the rate cannot represent.
+
+    >>> t = np.arange(1000) / 1000.0
+    >>> fit = fit_sine(2.0 * np.cos(2 * np.pi * 20.0 * t), rate=1000.0, frequency=20.0)
+    >>> round(fit.amplitude, 9)
+    2.0
     """
     y = np.asarray(samples, dtype=float)
     _check(y, rate, frequency)
@@ -189,15 +212,26 @@ def fit_sine(
 
 
 def mains_lines(fundamental: float = 50.0, count: int = 5) -> tuple[float, ...]:
-    """The mains frequency and its next harmonics in Hz."""
+    """Returns the mains frequency and its next harmonics in Hz.
+
+    >>> mains_lines(50.0, 3)
+    (50.0, 100.0, 150.0)
+    """
     return tuple(fundamental * order for order in range(1, count + 1))
 
 
 def whole_cycles(frequency: float, rate: float, minimum_duration: float) -> int:
-    """Samples in a record of whole cycles, at least ``minimum_duration`` (s) and one cycle long.
+    """Returns the samples of a record of whole cycles, at least ``minimum_duration`` (s) and one
+    cycle long.
 
-    Of the next few per cent of longer records the one is taken whose end is nearest to a sample;
-    it is never more than half a sample off. At least the 16 samples a fit asks for.
+    Among records that are up to a few per cent longer, the one is chosen whose end is nearest to a
+    sample; it is never more than half a sample off. A record has at least the 16 samples that a fit
+    needs.
+
+    Raises RecordError for a frequency that is not between 0 and half the rate.
+
+    >>> whole_cycles(frequency=3.0, rate=1000.0, minimum_duration=0.5)
+    667
     """
     if not 0 < frequency < rate / 2:
         raise RecordError(f"{frequency} Hz is not between 0 and half the rate of {rate} 1/s")
@@ -217,10 +251,11 @@ def record_length(
     interference: Sequence[float] = (),
     maximum_duration: float,
 ) -> int:
-    """Samples in a record of whole cycles that also separates ``interference`` from the tone.
+    """Returns the samples of a record of whole cycles that also separates ``interference`` from the
+    tone.
 
-    Lengthened to one full beat with every line for which that stays within ``maximum_duration``
-    (s); nearer lines remain, and the fit will name them in ``unresolved_Hz``.
+    The record is extended to one full beat with every line for which this stays within
+    ``maximum_duration`` (s). Nearer lines remain, and the fit lists them in ``unresolved_Hz``.
     """
     beats = [FULL_BEAT / abs(frequency - line) for line in interference if line != frequency]
     needed = [beat for beat in beats if beat <= maximum_duration]
@@ -228,14 +263,16 @@ def record_length(
 
 
 def inflation(frequency: float, rate: float, n: int, interference: Sequence[float]) -> float:
-    """Variance of a tone's phasor with all these lines fitted beside it over that without."""
+    """Returns the variance of the phasor of a tone with all these lines fitted, relative to that
+    without."""
     lines = [line for line in interference if 0 < line < rate / 2]
     normal = _normal_equations([frequency, *lines], rate, n)
     return _tone_variance(normal, range(1 + len(lines))) / _tone_variance(normal, [0])
 
 
 class _Lines:
-    """Spectral lines on the grid k / rate, k = 0..n-1; block tables in place of n sines each."""
+    """Spectral lines on the grid k / rate, k = 0..n-1, as tables of blocks in place of n sines
+    each."""
 
     def __init__(self, frequencies: Sequence[float] | Reals, rate: float, n: int):
         self.frequencies = np.asarray(frequencies, dtype=float)
@@ -247,7 +284,7 @@ class _Lines:
         self._table = np.exp(2j * np.pi * self._turns[:, None] * np.arange(_BLOCK))
 
     def moments(self, y: Reals) -> Reals:
-        """Inner products of the same columns with ``y``."""
+        """Returns the inner products of the columns of the fit with ``y``."""
         padded = np.zeros(self._stacks * _STACK * _BLOCK)
         padded[: self.n] = y
         table = np.concatenate([self._table.real, self._table.imag]).T
@@ -257,7 +294,7 @@ class _Lines:
         return np.concatenate([[y.sum()], np.stack([sums.real, -sums.imag], axis=1).ravel()])
 
     def synthesise(self, phasors: Complexes) -> Reals:
-        """Sum of Re(phasor exp(j w k)), shape (n,)."""
+        """Returns the sum of Re(phasor exp(j w k)), (n,)."""
         left = self._starts * phasors
         rows = np.concatenate([left.real, left.imag], axis=1)
         table = np.concatenate([self._table.real, -self._table.imag])
@@ -266,7 +303,8 @@ class _Lines:
         return wave
 
     def block_changes(self, residual: Reals) -> Complexes:
-        """What each part of whole cycles adds to the first line's phasor; (m,), m <= 8, maybe 0."""
+        """Returns the changes of the first line's phasor in each part of whole cycles, (m,), m <=
+        8, maybe 0."""
         cycles = math.floor(self._turns[0] * (self.n + 0.5))
         m = min(N_BLOCKS, cycles)
         edges = np.round(cycles * np.arange(m + 1) / m / self._turns[0]).astype(int)
@@ -278,7 +316,8 @@ class _Lines:
 
 
 def _normal_equations(frequencies: Sequence[float] | Reals, rate: float, n: int) -> Reals:
-    """Inner products of the columns 1, cos w_1 k, -sin w_1 k, cos w_2 k, ...: closed forms."""
+    """Returns the inner products of the columns 1, cos w_1 k, -sin w_1 k, cos w_2 k, ... in closed
+    form."""
     turns = np.concatenate([[0.0], np.asarray(frequencies, dtype=float) / rate])
     total = _geometric(turns[:, None] + turns, n)
     beat = _geometric(turns[:, None] - turns, n)
@@ -292,9 +331,10 @@ def _normal_equations(frequencies: Sequence[float] | Reals, rate: float, n: int)
 
 
 def _geometric(turns: Reals, n: int) -> Complexes:
-    """Sum over k < n of exp(2 pi j turns k)."""
+    """Returns the sum over k < n of exp(2 pi j turns k)."""
     turns = turns - np.round(turns)
     flat = np.abs(turns) < 1e-15
+    # Avoids 0 / 0 where turns is 0; these entries are n.
     safe = np.where(flat, 0.5, turns)
     size = np.where(flat, n, np.sin(np.pi * safe * n) / np.sin(np.pi * safe))
     value: Complexes = size * np.exp(1j * np.pi * turns * (n - 1))
@@ -303,7 +343,8 @@ def _geometric(turns: Reals, n: int) -> Complexes:
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """A linear fit: lines, inverse of the normal matrix, solution (offset, re, im, ...), rest."""
+    """A linear fit: lines, inverse of the normal matrix, solution (offset, re, im, ...) and
+    residual."""
 
     lines: _Lines
     inverse: Reals
@@ -311,11 +352,11 @@ class _Solved:
     residual: Reals
 
     def coefficients(self, y: Reals) -> Reals:
-        """What the same fit finds in ``y``."""
+        """Returns the coefficients that the same fit finds in ``y``."""
         return np.asarray(self.inverse @ self.lines.moments(y), dtype=np.float64)
 
     def rest(self, y: Reals, coefficients: Reals) -> Reals:
-        """What the fit leaves of ``y``."""
+        """Returns the residual of ``y``."""
         phasors = coefficients[1::2] + 1j * coefficients[2::2]
         left: Reals = y - coefficients[0] - self.lines.synthesise(phasors)
         return left
@@ -323,7 +364,8 @@ class _Solved:
 
 @lru_cache(maxsize=32)
 def _lines_on(frequencies: tuple[float, ...], rate: float, n: int) -> tuple[_Lines, Reals]:
-    """The lines and the inverse of their normal matrix: the channels of a record share them."""
+    """Returns the lines and the inverse of their normal matrix, which the channels of a record
+    share."""
     inverse = np.linalg.inv(_normal_equations(frequencies, rate, n))
     return _Lines(frequencies, rate, n), np.asarray(inverse, dtype=np.float64)
 
@@ -336,18 +378,20 @@ def _solve(y: Reals, rate: float, frequencies: Sequence[float] | Reals) -> _Solv
 
 
 def _nearest_line(frequencies: Sequence[float], rate: float, n: int) -> int:
-    """Index of the line within a few beats of the first one; 0 if there is none."""
+    """Returns the index of the line within a few beats of the first one, or 0."""
     beats = [abs(line - frequencies[0]) * _duration(n, rate) for line in frequencies]
     near = min(range(1, len(beats)), key=beats.__getitem__, default=0)
     return near if beats[near] < FEW_BEATS else 0
 
 
 def _follow(y: Reals, rate: float, nominal: _Solved, line: int) -> tuple[_Solved, Reals]:
-    """The fit with one line at its own frequency, and what not knowing that adds to the inverse.
+    """Returns the fit with one line at its own frequency, and what not knowing it adds to the
+    inverse.
 
-    Gauss-Newton: the residual is regressed on the derivative of the line by its frequency, itself
-    cleared of what the other columns can explain. Where the record tells the frequency less well
-    than the mains wanders, or tells something that is no mains, the nominal fit stands.
+    This is Gauss-Newton: the residual is regressed on the derivative of the line with respect to
+    its frequency, without the part that the other columns can explain. The nominal fit is returned
+    if the record determines the frequency less well than the mains wanders, or finds a frequency
+    that is not the mains.
     """
     solved = nominal
     t = (np.arange(y.size) - (y.size - 1) / 2) / rate
@@ -392,7 +436,7 @@ def _check(y: Reals, rate: float, frequency: float) -> None:
         )
     if (rate - 2 * frequency) * _duration(y.size, rate) < FULL_BEAT:
         raise RecordError(
-            f"{y.size} samples cannot tell {frequency:g} Hz from its image at {rate:g} 1/s",
+            f"{y.size} samples cannot separate {frequency:g} Hz from its image at {rate:g} 1/s",
             "sample faster or longer",
         )
     if not np.isfinite(y).all():
@@ -400,12 +444,14 @@ def _check(y: Reals, rate: float, frequency: float) -> None:
 
 
 def _duration(n: int, rate: float) -> float:
-    """Length of a record in s, half a sample in its favour: ends are rounded to samples."""
+    """Returns the length of a record in s, plus half a sample, because ends are rounded to
+    samples."""
     return (n + 0.5) / rate
 
 
 def _beats(frequencies: Sequence[float], rate: float, n: int) -> Reals:
-    """Beats in the record between each two lines or their images; a line's own with its images."""
+    """Returns the beats in the record between each two lines or their images; for a line itself,
+    with its images."""
     f = np.array(frequencies)
     total, apart = f[:, None] + f, np.abs(f[:, None] - f)
     apart[apart == 0] = np.inf
@@ -421,7 +467,8 @@ def _lines_to_fit(
     n: int,
     largest_inflation: float,
 ) -> tuple[list[float], list[int]]:
-    """The interfering lines and the harmonic orders that can be fitted beside the tone."""
+    """Returns the interfering lines and the harmonic orders that can be fitted together with the
+    tone."""
     candidates = [line for line in interference if 0 < line < rate / 2]
     orders = [order for order in HARMONICS if order * frequency < rate / 2]
     frequencies = [frequency, *candidates, *(order * frequency for order in orders)]
@@ -432,8 +479,9 @@ def _lines_to_fit(
     everything = list(range(len(frequencies)))
     beats = _beats(frequencies, rate, n)
     apart = beats[np.triu_indices(len(frequencies), 1)].min(initial=FULL_BEAT) >= FULL_BEAT
+    # The common case: all lines can be fitted at once.
     if apart and _tone_variance(normal, everything) <= limit:
-        return candidates, orders  # the common case: all at once
+        return candidates, orders
     for index in range(1, len(frequencies)):
         if index > len(candidates):  # a harmonic
             if beats[index, [*chosen, index]].min() < FULL_BEAT:
@@ -449,7 +497,8 @@ def _lines_to_fit(
 
 
 def _tone_variance(normal: Reals, chosen: Sequence[int]) -> float:
-    """Variance of the tone (first line), worst phase, for unit noise; infinite if indeterminate."""
+    """Returns the variance of the tone (first line) at its worst phase for unit noise; infinite if
+    undetermined."""
     columns = [0, *(column for k in chosen for column in (2 * k + 1, 2 * k + 2))]
     part = normal.take(columns, 0).take(columns, 1)
     try:
@@ -464,7 +513,7 @@ def _tone_variance(normal: Reals, chosen: Sequence[int]) -> float:
 
 
 def scaled_covariance(covariance: Reals, factor: complex) -> Reals:
-    """Covariance of (re, im) of a complex number after its multiplication by ``factor``."""
+    """Returns the covariance of (re, im) of a complex number after multiplication by ``factor``."""
     matrix = np.array([[factor.real, -factor.imag], [factor.imag, factor.real]])
     scaled: Reals = matrix @ covariance @ matrix.T
     return scaled

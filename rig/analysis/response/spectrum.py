@@ -1,4 +1,4 @@
-"""How a signal's energy is spread over frequency."""
+"""Distribution of the energy of a signal over frequency."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 
 def share_above(signal: NDArray[np.float64], rate_Hz: float, corner_Hz: float) -> float:
-    """Share of the energy of a stretch of signal (n,) above a frequency, its mean included: 0 to 1;
-    0 for a signal of nothing."""
+    """Returns the share of a signal's energy above a frequency, 0 to 1; 0 for a signal of zeros.
+
+    The mean of the signal (n,) counts as energy at 0 Hz.
+    """
     power = np.abs(np.fft.rfft(signal)) ** 2
     power[1 : (signal.size + 1) // 2] *= 2
     above = np.fft.rfftfreq(signal.size, 1 / rate_Hz) > corner_Hz

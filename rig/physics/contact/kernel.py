@@ -1,27 +1,27 @@
 """The compiled contact step: one implicit time step of unilateral contact with Coulomb friction.
 
-Unknowns of a step are the object's approach d, its tangential increment Δx, and for every node in
-contact its pressing force p and tangential force t. The rows of the system are the force balance
-(or the commanded position) of the object, closed gap, and stick (no relative motion) or slip
-(t = ±μ p). Which rows apply is the active set. The inverse of the system is kept from step to
-step and *updated* when a node changes: a replaced row or a bordered slot costs n², a new inverse
-n³. A step whose active set does not settle is reported, never accepted.
+The unknowns of a step are the object's approach d, its tangential increment Δx, and for every node
+in contact its pressing force p and tangential force t. The rows of the system are the force balance
+(or the commanded position) of the object, closed gap, and stick (no relative motion) or slip (t =
+±μ p). Which rows apply is the active set. The inverse of the system is stored from step to step and
+*updated* when a node changes: a replaced row or a bordered slot costs n², a new inverse n³. A step
+whose active set does not settle is reported, never accepted.
 
 The time rule is backward Euler: u' = α W f + β u, with α = 1/(1 + τ/Δt) and β = 1 - α. Friction
-uses each node's coefficient at the start of the step, so that a step is a Coulomb problem with
+uses the coefficient of each node at the start of the step, so that a step is a Coulomb problem with
 constant coefficients.
 
 Most steps end with the active set they began with, or with slipping nodes that stick for a moment.
-`_again` tries that first, with the inverse as it is: a node that sticks bears a tangential force
-beside its friction, and a small system gives the forces that keep such nodes from sliding
-(`_hold_back`). It looks only at the nodes in contact: where these are follows from their rows. The
-displacement is W g, g being the force behind the same rule, so that what an open node has moved
-since it was last looked at is bounded by what g has changed; while that is less than its gap it
-stays open and need not be known.
-Every other step is a whole one (`_step`): all displacements, all rows' residuals.
+`_again` tries this first, with the inverse as it is: a node that sticks bears a tangential force in
+addition to its friction, and a small system gives the forces that keep such nodes from sliding
+(`_hold_back`). It computes only the nodes in contact, whose positions follow from their rows. The
+displacement is W g, where g is the force behind the same rule, so the motion of an open node since
+it was last computed is bounded by the change of g. While this bound is less than its gap the node
+stays open and need not be computed. Every other step is a whole one (`_step`): all displacements,
+all rows' residuals.
 
-All of it is one module because numba's cache looks at the file of the function that is called, not
-at those it calls.
+All of it is one module because numba's cache checks the file of the function that is called, not
+the files of those it calls.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from numba import njit
 
 OPEN, STICK, SLIP_PLUS, SLIP_MINUS = 0, 1, 2, 3
 
-# integers of a state
+# Integers of a state.
 N, VALID, NORMAL_BY_FORCE, TANGENT_BY_FORCE, UPDATES, REBUILDS, RESCUES, AGAIN = range(8)
 INTEGERS = 8
-# scalars of a state
+# Scalars of a state.
 D, X, V, DRIFT = range(4)
 SCALARS = 4
-# what is listed of the present active set
+# Entries of the list of the present active set.
 LISTED, PACKED, TOUCHING, STICKING = range(4)
-# rows of integers by node: in contact, in order; counting; slots of the inverse; whether a slipping
-# one sticks; which do; whose answer to a force is known; the set that is listed
+# Rows of integers by node: in contact, in order; for counting; slots of the inverse; whether a
+# slipping one sticks; which do; whose response to a force is known; the set that is listed.
 NODES, COUNTING, ORDER, MARKED, WHICH, ANSWERED, HELD = range(7)
-# columns of a step's summary
+# Columns of the summary of a step.
 (
     OUT_D,
     OUT_FN,
@@ -55,7 +55,7 @@ NODES, COUNTING, ORDER, MARKED, WHICH, ANSWERED, HELD = range(7)
     OUT_ITERATIONS,
 ) = range(7)
 SUMMARY = 7
-# constants of a stepper
+# Constants of a stepper.
 ALPHA, MU_S, MU_K, D_C, HEAL, MASS_DT2, DT, CURVATURE = range(8)
 CONSTANTS = 8
 
@@ -67,27 +67,29 @@ PATIENCE = 12
 ITERATIONS = 60
 RESCUES_A_STEP = 30
 FRICTION_REFRESH = 0.004
-"""Change of a coefficient after which the inverse takes it up."""
+"""Change of a coefficient from which the inverse is updated for it."""
 FRICTION_SETTLES = 0.1
-"""It does so, too, where what is still to come is less than this share of the change."""
+"""The inverse is also updated when the remaining change is less than this share of the change so
+far."""
 FRICTION_SETTLED = 1e-9
-"""Smaller changes wait until the coefficient stays where it is."""
+"""Smaller changes wait until the coefficient has stopped changing."""
 EAGER = 4.0
-"""See `_outdated`; fewer whole steps for more changes of the inverse (measured)."""
+"""Factor used by `_outdated`. It trades more updates of the inverse for fewer whole steps; chosen
+by measurement."""
 WEAKENED = 40.0
 """Weakening distances after which no digit of the coefficient changes any more."""
 REFRESH_UPDATES = 4000
 FORGOTTEN_N = 1e-18
-"""A force behind the rule of the time step that is none any more."""
+"""Force behind the rule of the time step that is taken as zero."""
 LOOKED_AT_EVERY = 50
-"""Steps with the same active set after which all residuals are looked at again."""
+"""Steps with the same active set after which all residuals are computed again."""
 
 _FAST = {"reassoc", "contract", "nsz"}
 
 
 @njit(cache=True, error_model="numpy")
 def _copy(source: Any, target: Any) -> None:
-    """target = source; written out, because numba compiles array assignments slowly."""
+    """Copies source to target; written out, because numba compiles array assignments slowly."""
     for k in range(source.size):
         target[k] = source[k]
 
@@ -100,7 +102,7 @@ def _fill(target: Any, value: float) -> None:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _multiply(A: Any, b: Any, n: int, out: Any) -> None:
-    """out[:n] = A[:n, :n] b[:n]; of four rows at once each b[c] is fetched once."""
+    """Computes out[:n] = A[:n, :n] b[:n], four rows at once so that each b[c] is fetched once."""
     r = 0
     while r + 4 <= n:
         t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0
@@ -121,7 +123,7 @@ def _multiply(A: Any, b: Any, n: int, out: Any) -> None:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _products(A: Any, rows: Any, count: int, b: Any, n: int, out: Any) -> None:
-    """out[q] = A[rows[q], :n] b[:n] for q < count, as `_multiply`."""
+    """Computes out[q] = A[rows[q], :n] b[:n] for q < count, like `_multiply`."""
     q = 0
     while q + 4 <= count:
         r0, r1, r2, r3 = rows[q], rows[q + 1], rows[q + 2], rows[q + 3]
@@ -143,7 +145,7 @@ def _products(A: Any, rows: Any, count: int, b: Any, n: int, out: Any) -> None:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _multiply_left(b: Any, A: Any, n: int, out: Any) -> None:
-    """out[:n] = b[:n] A[:n, :n]; four rows at once."""
+    """Computes out[:n] = b[:n] A[:n, :n], four rows at once."""
     for c in range(n):
         out[c] = 0.0
     r = 0
@@ -161,7 +163,7 @@ def _multiply_left(b: Any, A: Any, n: int, out: Any) -> None:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _rank_one(A: Any, x: Any, y: Any, scale: float, n: int) -> None:
-    """A[:n, :n] += scale x y"""
+    """Adds scale x y to A[:n, :n]."""
     for r in range(n):
         s = scale * x[r]
         if s != 0.0:
@@ -171,7 +173,7 @@ def _rank_one(A: Any, x: Any, y: Any, scale: float, n: int) -> None:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _displacements(C: Any, force: Any, loaded: Any, count: int, out: Any) -> None:
-    """out = C force, where only `loaded[:count]` entries of the force differ from zero."""
+    """Computes out = C force, where only the entries `loaded[:count]` of the force are not zero."""
     size = out.size
     _fill(out, 0.0)
     k = 0
@@ -201,7 +203,7 @@ def _dot(a: Any, b: Any) -> float:
 def _row(
     i: int, tangent: bool, stick: bool, slope: float, C: Any, inv_alpha: float, slots: Any, row: Any
 ) -> None:
-    """The row of node `i`: closed gap, or stick, or slip, over the slots in use."""
+    """Writes the row of node `i` (closed gap, stick or slip) over the slots in use."""
     m = slots[0].size
     for k in range(row.size):
         row[k] = 0.0
@@ -222,7 +224,7 @@ def _row(
 
 @njit(cache=True, error_model="numpy")
 def _column(i: int, tangent: bool, C: Any, held: Any, slots: Any, ints: Any, column: Any) -> None:
-    """How the unknown p (or t) of node `i` enters the rows in use."""
+    """Writes how the unknown p (or t) of node `i` enters the rows in use."""
     m = held.size
     for k in range(column.size):
         column[k] = 0.0
@@ -240,7 +242,7 @@ def _column(i: int, tangent: bool, C: Any, held: Any, slots: Any, ints: Any, col
 
 @njit(cache=True, error_model="numpy")
 def _border(inverse: Any, n: int, row: Any, column: Any, diagonal: float, work: Any) -> bool:
-    """Add one slot to the inverse; False where that would be singular."""
+    """Adds one slot to the inverse; returns False if that would be singular."""
     x, y = work[0], work[1]
     _multiply(inverse, column, n, x)
     _multiply_left(row, inverse, n, y)
@@ -257,7 +259,8 @@ def _border(inverse: Any, n: int, row: Any, column: Any, diagonal: float, work: 
 
 @njit(cache=True, error_model="numpy")
 def _delete(inverse: Any, n: int, k: int, work: Any) -> bool:
-    """Remove slot `k`, moving the last slot into its place; False where that is singular."""
+    """Removes slot `k` and moves the last slot into its place; returns False if that is
+    singular."""
     pivot = inverse[k, k]
     if abs(pivot) < 1e-13:
         return False
@@ -277,7 +280,8 @@ def _delete(inverse: Any, n: int, k: int, work: Any) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def _replace_row(inverse: Any, n: int, k: int, product: Any, work: Any) -> bool:
-    """Replace row `k`; `product` is the new row times the inverse. False where singular."""
+    """Replaces row `k`; `product` is the new row times the inverse. Returns False if that is
+    singular."""
     pivot = product[k]
     if abs(pivot) < 1e-13:
         return False
@@ -309,15 +313,18 @@ def _release_slot(owner: Any, slots: Any, ints: Any, i: int, kind: int) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _slope(status: int, mu: float) -> float:
-    """t / p of a slipping node."""
+    """Returns t / p of a slipping node."""
     return mu if status == SLIP_PLUS else -mu
 
 
 @njit(cache=True, error_model="numpy")
 def _outdated(status: int, mu: float, slope: float, kinetic: float, eager: float) -> bool:
-    """Whether the slope kept for a slipping node is to be that of its friction again: it has moved
-    far, or is about to stay where it is. Until then every solution has to be corrected for it. One
-    that brings a whole step about takes the others along that are `eager` times as near to it."""
+    """Returns whether the stored slope of a slipping node has to be updated to its friction.
+
+    This is so if the coefficient has changed much, or is about to stop changing. Until then every
+    solution has to be corrected for it. An update that causes a whole step includes all nodes that
+    are `eager` times as near to it.
+    """
     if status < SLIP_PLUS:
         return False
     moved = eager * abs(_slope(status, mu) - slope)
@@ -331,7 +338,7 @@ def _friction_row(
     i: int, C: Any, inv_alpha: float, status: Any, slopes: Any, mu: Any, slots: Any, ints: Any,
     inverse: Any, work: Any,
 ) -> bool:  # fmt: skip
-    """Bring the tangential row of node `i` in line with its status."""
+    """Updates the tangential row of node `i` to its status."""
     n, row, product = ints[N], work[2], work[3]
     k = slots[1][i]
     if status[i] == STICK:
@@ -350,7 +357,7 @@ def _close(
     i: int, C: Any, inv_alpha: float, status: Any, held: Any, slopes: Any, mu: Any, slots: Any,
     owner: Any, ints: Any, inverse: Any, work: Any,
 ) -> bool:  # fmt: skip
-    """Add both slots of node `i`, whose status is already that of contact."""
+    """Adds both slots of node `i`, whose status is already that of contact."""
     row, column = work[2], work[3]
     for kind in range(2):
         tangent = kind == 1
@@ -374,7 +381,7 @@ def _close(
 
 @njit(cache=True, error_model="numpy")
 def _open(i: int, slots: Any, owner: Any, ints: Any, inverse: Any, work: Any) -> bool:
-    """Remove both slots of node `i`."""
+    """Removes both slots of node `i`."""
     for kind in (1, 0):
         if not _delete(inverse, ints[N], slots[kind][i], work):
             return False
@@ -384,7 +391,7 @@ def _open(i: int, slots: Any, owner: Any, ints: Any, inverse: Any, work: Any) ->
 
 @njit(cache=True, error_model="numpy")
 def _pivot(A: Any, k: int, n: int) -> int:
-    """The row from `k` on with the largest entry in column `k`."""
+    """Returns the row from `k` on with the largest entry in column `k`."""
     best = k
     for r in range(k + 1, n):
         if abs(A[r, k]) > abs(A[best, k]):
@@ -394,7 +401,8 @@ def _pivot(A: Any, k: int, n: int) -> int:
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _invert(A: Any, inverse: Any) -> bool:
-    """Gauss-Jordan with row pivots; destroys A; False where it is singular or not finite."""
+    """Inverts A by Gauss-Jordan with row pivots and destroys A; returns False if A is singular or
+    not finite."""
     n = A.shape[0]
     for r in range(n):
         for c in range(n):
@@ -425,7 +433,7 @@ def _rebuild(
     C: Any, constants: Any, status: Any, slopes: Any, mu: Any, slots: Any, owner: Any, ints: Any,
     inverse: Any, work: Any,
 ) -> None:  # fmt: skip
-    """Invert the system of the present statuses from nothing."""
+    """Inverts the system of the present statuses from scratch."""
     m = status.size
     inv_alpha = 1.0 / constants[ALPHA]
     ints[N] = 2
@@ -467,7 +475,7 @@ def _right_side(
     constants: Any, w: Any, u: Any, height: Any, spin: Any, status: Any, slots: Any, ints: Any,
     normal: float, tangent: float, b: Any,
 ) -> None:  # fmt: skip
-    """What the rows must equal in this step."""
+    """Computes the right-hand side of the rows in this step."""
     alpha = constants[ALPHA]
     beta = 1.0 - alpha
     b[0] = normal
@@ -481,7 +489,7 @@ def _right_side(
 
 @njit(cache=True, error_model="numpy")
 def _needed(status: Any, owner: Any, n: int, rows: Any) -> int:
-    """The rows of the inverse that a solution is made of; of a slipping node t follows from p."""
+    """Lists the rows of the inverse that a solution needs; for a slipping node t follows from p."""
     rows[0], rows[1] = 0, 1
     count = 2
     for k in range(2, n):
@@ -496,8 +504,11 @@ def _solve(
     status: Any, slopes: Any, mu: Any, slots: Any, owner: Any, ints: Any, inverse: Any,
     force: Any, b: Any, solution: Any, rows: Any, needed: int,
 ) -> bool:  # fmt: skip
-    """Solve with the kept inverse; coefficients that moved since are corrected by iteration.
-    `solution` holds d, Δx and what the further `rows` give."""
+    """Solves with the stored inverse; coefficients that changed since then are corrected by
+    iteration.
+
+    `solution` receives d, Δx and the results of the further `rows`.
+    """
     n, m = ints[N], status.size
     for _ in range(60):
         worst = 0.0
@@ -523,7 +534,8 @@ def _solve(
 
 @njit(cache=True, error_model="numpy")
 def _closing_status(gap: float, slide: float, c_n: float, c_t: float, mu: float) -> int:
-    """Stick or slip of a node that comes into contact, from the projection of its trial force."""
+    """Returns stick or slip for a node that comes into contact, from the projection of its trial
+    force."""
     press, pull = -gap / c_n, -slide / c_t
     if pull > mu * press:
         return SLIP_PLUS
@@ -534,7 +546,7 @@ def _closing_status(gap: float, slide: float, c_n: float, c_t: float, mu: float)
 
 @njit(cache=True, error_model="numpy")
 def _against(slide: float, held: int, mu: float) -> bool:
-    """Whether a slipping node slides against its friction."""
+    """Returns whether a slipping node slides against its friction."""
     backwards = slide if held == SLIP_PLUS else -slide
     return backwards > SLIP_TOLERANCE_MM and mu > 0.0
 
@@ -543,7 +555,7 @@ def _against(slide: float, held: int, mu: float) -> bool:
 def _wanted(
     i: int, now: int, C: Any, alpha: float, mu: float, gap: float, slide: float, p: float, t: float
 ) -> int:
-    """The status that node `i` should have by its forces and motion."""
+    """Returns the status that node `i` should have by its forces and motion."""
     m = C.shape[0] // 2
     if now == OPEN:
         if gap < -SET_TOLERANCE_MM:
@@ -565,7 +577,8 @@ def _follow(
     C: Any, constants: Any, status: Any, held: Any, slopes: Any, mu: Any, slots: Any, owner: Any,
     ints: Any, inverse: Any, work: Any,
 ) -> None:  # fmt: skip
-    """Make the inverse that of `status`: update where little changed, else build it anew."""
+    """Makes the inverse that of `status`: updated if little changed, otherwise computed from
+    scratch."""
     inv_alpha = 1.0 / constants[ALPHA]
     changed, eager = 0, 1.0
     for i in range(status.size):
@@ -600,10 +613,10 @@ def _rescue(
     C: Any, constants: Any, status: Any, mu: Any, w: Any, u: Any, height: Any, spin: Any,
     ints: Any, normal: float, tangent: float, force: Any, trial: Any, start: Any,
 ) -> None:  # fmt: skip
-    """Non-smooth Gauss-Seidel sweeps over the nodes: a new guess of the active set.
+    """Finds a new guess of the active set by non-smooth Gauss-Seidel sweeps over the nodes.
 
-    Converges slowly and without pivots; used only where the active set runs in a circle. `start`
-    holds d and Δx and is changed with them when they are not commanded.
+    It converges slowly and without pivots, and is used only if the active set runs in a circle.
+    `start` holds d and Δx, which change with the sweeps unless they are commanded.
     """
     m = status.size
     alpha = constants[ALPHA]
@@ -665,7 +678,7 @@ def _look_at_all(
     C: Any, filtered: Any, status: Any, w: Any, u: Any, seen: Any, scalars: Any, ints: Any,
     trial: Any, loaded: Any,
 ) -> None:  # fmt: skip
-    """Make the displacements of open nodes those of now."""
+    """Updates the displacements of open nodes to the present step."""
     scalars[DRIFT] = 0.0
     _fill(seen, 0.0)
     if ints[AGAIN] == 0:
@@ -685,9 +698,11 @@ def _look_at_all(
 
 @njit(cache=True, error_model="numpy")
 def _list(C: Any, held: Any, listed: Any, nodes: Any, was: Any, compact: Any, bound: Any) -> None:
-    """What `_again` needs of the active set of the inverse, close together: the nodes in contact,
-    those that stick first; the compliance by which their forces make the slipping ones slide; and
-    how far a unit of each force moves an open node down at most."""
+    """Lists what `_again` needs of the active set of the inverse, close together in memory.
+
+    These are the nodes in contact, those that stick first; the compliance by which their forces
+    move the slipping ones; and how far a unit of each force moves an open node down at most.
+    """
     m = held.size
     count = 0
     for sticking in (True, False):
@@ -714,7 +729,7 @@ def _list(C: Any, held: Any, listed: Any, nodes: Any, was: Any, compact: Any, bo
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _raise(bound: Any, row: Any) -> None:
-    """bound = max(bound, |row|)"""
+    """Computes bound = max(bound, |row|)."""
     for j in range(bound.size):
         bound[j] = max(bound[j], abs(row[j]))
 
@@ -723,8 +738,8 @@ def _raise(bound: Any, row: Any) -> None:
 def _pack(
     slots: Any, inverse: Any, listed: Any, nodes: Any, packed: Any, order: Any, answered: Any
 ) -> None:
-    """The inverse in the order d, Δx, p of the nodes listed, t of those that stick, t of those that
-    slip, as far as a solution is made of it."""
+    """Copies the inverse in the order d, Δx, p of the listed nodes, t of the sticking, t of the
+    slipping ones, as far as a solution needs it."""
     count = listed[TOUCHING]
     order[0], order[1] = 0, 1
     for j in range(count):
@@ -741,7 +756,7 @@ def _pack(
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _drift(bound: Any, force: Any, filtered: Any, alpha: float) -> float:
-    """How far an open node may move in a step at most."""
+    """Returns how far an open node can move in a step at most."""
     total = 0.0
     for j in range(force.size):
         total += bound[j] * abs(force[j] - filtered[j])
@@ -753,8 +768,8 @@ def _answer(
     k: int, count: int, sticking: int, slopes: Any, nodes: Any, packed: Any, compact: Any,
     answers: Any, slides: Any,
 ) -> None:  # fmt: skip
-    """What a unit of tangential force beside its friction does at slipping node `k`: to all
-    unknowns, in the order of `_pack`, and to the slide of all slipping nodes."""
+    """Computes the effect of a unit of additional tangential force at slipping node `k` on all
+    unknowns, in the order of `_pack`, and on the slide of all slipping nodes."""
     needed, answer = 2 + count + sticking, answers[k]
     for q in range(needed):
         answer[q] = packed[q, needed + k]
@@ -766,7 +781,7 @@ def _answer(
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _eliminate(A: Any, b: Any, n: int) -> bool:
-    """Solve A[:n, :n] x = b[:n] in place, b becoming x; False where A is singular."""
+    """Solves A[:n, :n] x = b[:n] in place, b becoming x; returns False if A is singular."""
     for k in range(n):
         best = _pivot(A, k, n)
         if not abs(A[best, k]) > 1e-300:
@@ -795,10 +810,12 @@ def _hold_back(
     nodes: Any, packed: Any, compact: Any, x: Any, moved: Any, answers: Any, slides: Any,
     small: Any, work: Any,
 ) -> int:  # fmt: skip
-    """Find those of the slipping nodes that stick in this step: each bears a tangential force
-    beside its friction that keeps it from sliding. `x` and `moved` are the solution with all of
-    them slipping and become that with those sticking which nodes[MARKED] marks. The sets tried; 0
-    where this way does not lead to one that holds."""
+    """Finds those of the slipping nodes that stick in this step.
+
+    Each of them bears a tangential force in addition to its friction that keeps it from sliding.
+    `x` and `moved` are the solution with all of them slipping, and become the solution with those
+    sticking that nodes[MARKED] marks. Returns the number of sets tried, or 0 if none is consistent.
+    """
     sliding, n = count - sticking, 2 + 2 * count
     x0, moved0, extra = work[13], work[14], work[15]
     _copy(x[:n], x0)
@@ -861,7 +878,7 @@ def _slides_back(
     alpha: float, spin: Any, u: Any, mu: Any, held: Any, sticking: int, count: int, nodes: Any,
     dx: float, moved: Any,
 ) -> bool:  # fmt: skip
-    """Whether any slipping node does so."""
+    """Returns whether any slipping node slides against its friction."""
     for j in range(sticking, count):
         i = nodes[NODES, j]
         if _against(alpha * (moved[j - sticking] - u[i]) - spin[i] - dx, held[i], mu[i]):
@@ -877,9 +894,11 @@ def _again(
     listed: Any, nodes: Any, packed: Any, compact: Any, bound: Any, answers: Any, slides: Any,
     small: Any,
 ) -> int:  # fmt: skip
-    """Try the step with the inverse as it is; the number of active sets tried, 0 where none of
-    them holds, or where all displacements are due to be looked at: then only `force` has
-    changed."""
+    """Tries the step with the inverse as it is; returns the number of active sets tried.
+
+    Returns 0 if none is consistent, or if all displacements are due to be computed: then only
+    `force` has changed.
+    """
     n, m = ints[N], status.size
     if n == 2 or ints[VALID] == 0 or ints[AGAIN] >= LOOKED_AT_EVERY:
         return 0
@@ -982,7 +1001,8 @@ def _separated(
     constants: Any, height: Any, w: Any, u: Any, status: Any, force: Any, scalars: Any,
     ints: Any, tangent: float,
 ) -> float:  # fmt: skip
-    """A step without normal force: nothing touches, the skin relaxes, the object moves freely."""
+    """Makes a step without normal force: nothing touches, the skin relaxes, the object moves
+    freely."""
     beta = 1.0 - constants[ALPHA]
     nearest = np.inf
     for i in range(status.size):
@@ -1003,7 +1023,7 @@ def _step(
     inverse: Any, work: Any, new_w: Any, new_u: Any, motion: Any, loaded: Any, wanted: Any,
     rows: Any,
 ) -> int:  # fmt: skip
-    """Solve one step; the number of active sets tried, or -1 where none is consistent."""
+    """Solves one step; returns the number of active sets tried, or -1 if none is consistent."""
     m = status.size
     alpha = constants[ALPHA]
     beta = 1.0 - alpha
@@ -1070,7 +1090,7 @@ def _step(
 
 @njit(cache=True, error_model="numpy")
 def _touch_somewhere(height: Any, w: Any, beta: float, status: Any) -> None:
-    """A pressed object touches at least the highest node."""
+    """Makes the highest node touch, because a pressed object touches at least one node."""
     highest = 0
     for i in range(status.size):
         if status[i] != OPEN:
@@ -1090,10 +1110,11 @@ def advance(
     small: Any,
     rows: Any, summary: Any, ridge_forces: Any, statuses: Any, stresses: Any, forces: Any,
 ) -> int:  # fmt: skip
-    """Advance the state by ``normal.size`` steps; the number done (fewer: the next one failed).
+    """Advances the state by ``normal.size`` steps and returns the number done; if fewer, the next
+    one failed.
 
-    `normal` holds F_n or d, `tangent` F_t or the object's position x, `rotation` the increments
-    of its angle in rad, one value a step. A failed step leaves the state as it was before it.
+    `normal` contains F_n or d, `tangent` F_t or the object's position x, `rotation` the increments
+    of its angle in rad, one value per step. A failed step leaves the state as it was before it.
     """
     m = status.size
     new_w, new_u, height, spin = work[7][:m], work[8][:m], work[9][:m], work[10][:m]

@@ -1,4 +1,4 @@
-"""Objects, friction and relaxation as settings; the defaults are the reference case (assumed)."""
+"""Objects, friction and relaxation as settings. The defaults are the reference case (assumed)."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from rig.core.settings import Settings
 class FrictionSettings(Settings):
     """Coulomb friction at every node, with slip weakening and healing.
 
-    μ = μ_k + (μ_s - μ_k) exp(-D/D_c), where D is the distance slipped since the node last stuck;
-    a sticking node heals, D falling with the healing time; a node that lifts off forgets.
+    μ = μ_k + (μ_s - μ_k) exp(-D/D_c), where D is the distance slipped since the node last stuck.
+    While a node sticks D decays with the healing time; when it lifts off D returns to 0.
     """
 
     static_coefficient: float = 0.8
-    """μ_s, no unit."""
+    """Static coefficient μ_s."""
     kinetic_coefficient: float = 0.65
-    """μ_k, no unit; at most μ_s."""
+    """Kinetic coefficient μ_k, at most μ_s."""
     weakening_distance_um: float = Field(5.0, gt=0)
-    """D_c; without it the drop would depend on the mesh."""
+    """Weakening distance D_c. Without it the drop of friction would depend on the mesh."""
     healing_time_ms: float = Field(20.0, gt=0)
     """Time constant of healing while a node sticks."""
 
@@ -43,37 +43,44 @@ class FrictionSettings(Settings):
 
 
 class ContactSettings(Settings):
-    """How the contact of skin and object moves in time."""
+    """Parameters of the motion of skin and object in time."""
 
     friction: FrictionSettings = FrictionSettings()
+    """Friction between skin and object."""
     relaxation_time_ms: float = Field(0.5, ge=0)
-    """τ of the Kelvin-Voigt rubber, K (u + τ du/dt) = f; 0 is purely elastic."""
+    """Relaxation time τ of the Kelvin-Voigt rubber, K (u + τ du/dt) = f; 0 is purely elastic."""
     step_us: float = Field(100.0, gt=0)
-    """Time step; above 250 µs the impulse of a slip is no longer resolved."""
+    """Time step. Above 250 µs the impulse of a slip is no longer resolved."""
     object_mass_kg: float = Field(0.1, gt=0)
-    """Mass of the object (assumed); it counts only where the tangential force is given."""
+    """Mass of the object (assumed). It matters only if the tangential force is given."""
 
 
 class Plate(Settings):
     """A rigid flat plate."""
 
     shape: Literal["plate"] = "plate"
+    """Kind of object."""
 
 
 class Cylinder(Settings):
-    """A rigid cylinder whose axis runs along the width: a roller."""
+    """A rigid cylinder (roller) with its axis along the width of the skin."""
 
     shape: Literal["cylinder"] = "cylinder"
+    """Kind of object."""
     radius_mm: float = Field(30.0, gt=0)
+    """Radius of the cylinder."""
 
 
 class Sphere(Settings):
     """A rigid semi-spherical head, as plane slices across the width (decision 0020)."""
 
     shape: Literal["sphere"] = "sphere"
+    """Kind of object."""
     radius_mm: float = Field(30.0, gt=0)
+    """Radius of the sphere."""
     slices: int = Field(5, ge=1, le=50)
     """Slices over half of the contact's extent along the width; the other half mirrors them."""
 
 
 Object = Annotated[Plate | Cylinder | Sphere, Field(discriminator="shape")]
+"""An object that is pressed on the skin."""

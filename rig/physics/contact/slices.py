@@ -1,10 +1,10 @@
 """The semi-spherical head as plane slices across the width, and the choice of a stepper.
 
 A sphere pressed on the skin touches only part of the width (6.9 of 20 mm for R = 30 mm at 4 N).
-Each slice is a plane contact of a cylinder of the sphere's radius that carries its share of the
-load, q(y) proportional to 1 - (y/a)² as in Hertz's solution, a the Hertz radius at that load. The
-slices do not feel each other. The strips run along the width; they read the mean over its length,
-zero beside the contact.
+Each slice is a plane contact of a cylinder with the radius of the sphere and carries its share of
+the load, q(y) proportional to 1 - (y/a)² as in Hertz's solution, with the Hertz radius a at that
+load. The slices do not influence each other. The strips run along the width and read the mean over
+it, which is zero beside the contact.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LARGEST_FORCE_N = 8.0
 
 
 def hertz_radius(skin: SkinSettings, radius_mm: float, force_N: ArrayLike) -> Floats:
-    """Contact radius of a rigid sphere on a half-space of the skin's rubber, mm."""
+    """Returns the contact radius in mm of a rigid sphere on a half-space of the skin's rubber."""
     stiffness = skin.youngs_modulus_MPa / (1 - skin.poissons_ratio**2)
     force = np.asarray(force_N, float)
     radius: Floats = np.cbrt(3 * force * radius_mm / (4 * stiffness))
@@ -40,7 +40,7 @@ def hertz_radius(skin: SkinSettings, radius_mm: float, force_N: ArrayLike) -> Fl
 
 
 def hertz_force(skin: SkinSettings, radius_mm: float, approach_mm: ArrayLike) -> Floats:
-    """Force of a rigid sphere at an approach on the same half-space, N."""
+    """Returns the force in N of a rigid sphere at an approach on the same half-space."""
     stiffness = skin.youngs_modulus_MPa / (1 - skin.poissons_ratio**2)
     depth = np.clip(np.asarray(approach_mm, float), 0.0, None)
     force: Floats = 4 / 3 * stiffness * np.sqrt(radius_mm) * depth**1.5
@@ -50,10 +50,12 @@ def hertz_force(skin: SkinSettings, radius_mm: float, approach_mm: ArrayLike) ->
 class SlicedStepper:
     """A sphere on the skin: the interface of ``ContactStepper`` over several plane slices.
 
-    `largest_force_N` sets the slices' places: they cover the Hertz contact at that force. The
-    object's position is commanded; a tangential force would have to be shared among slices that
-    do not feel each other, so it is refused. A larger force is refused too, or, with `beyond`,
-    borne by the slices there are: right in size, but not in place.
+    `largest_force_N` determines the slices: they cover the Hertz contact at that force. The
+    position of the object is commanded. A tangential force would have to be shared among slices
+    that do not influence each other, so it is refused. A larger normal force is refused too, or,
+    with `beyond`, carried by the existing slices: with the right size, but not in the right place.
+
+    Raises ValueError if the contact at `largest_force_N` would be wider than the skin.
     """
 
     def __init__(
@@ -95,17 +97,17 @@ class SlicedStepper:
 
     @property
     def step_s(self) -> float:
-        """The time step."""
+        """Time step, in s."""
         return self._slices[0].step_s
 
     @property
     def position_mm(self) -> float:
-        """The object's x."""
+        """Position x of the object, in mm."""
         return self._slices[0].position_mm
 
     @property
     def state(self) -> list[ContactState]:
-        """A copy of the state of every slice, from the middle outwards."""
+        """Copy of the state of every slice, from the middle outwards."""
         return [s.state for s in self._slices]
 
     @state.setter
@@ -114,12 +116,13 @@ class SlicedStepper:
             stepper.state = state
 
     def displacement_mm(self) -> tuple[Floats, Floats]:
-        """Downward and tangential displacement of the nodes of every slice, two arrays."""
+        """Returns downward and tangential displacement of the nodes of all slices, two arrays."""
         downward, sideways = zip(*(s.displacement_mm() for s in self._slices), strict=True)
         return np.concatenate(downward), np.concatenate(sideways)
 
     def shares(self, force_N: ArrayLike) -> Floats:
-        """Each slice's share of the load, (k, slices); two mirrored slices a column, sum 1/2."""
+        """Returns the share of the load of each slice, (k, slices). Each column stands for two
+        mirrored slices; a row sums to 1/2."""
         force = np.atleast_1d(np.asarray(force_N, float))
         radius = hertz_radius(self.skin.settings, self.body.radius_mm, force)[:, None]
         edges = np.arange(self.body.slices + 1) * self.slice_mm
@@ -139,10 +142,10 @@ class SlicedStepper:
         normal_control: Control = "force",
         tangential_control: Control = "position",
     ) -> ContactBlock:
-        """Like ``ContactStepper.advance``; an approach is turned into F_n by Hertz's law.
+        """Advances like ``ContactStepper.advance``. An approach is converted to F_n by Hertz's law.
 
-        The block's statuses are those of the middle slice; forces and dissipation are sums,
-        stresses means over the width. Where one slice finds no solution, all stay where they were
+        The statuses of the result are those of the middle slice; forces and dissipation are sums,
+        stresses means over the width. If one slice finds no solution, all remain as they were
         before the call.
         """
         if tangential_control == "force":
@@ -205,7 +208,7 @@ def make_stepper(
     keep_forces: bool = False,
     largest_force_N: float = LARGEST_FORCE_N,
 ) -> ContactStepper | SlicedStepper:
-    """The stepper of an object; `largest_force_N` matters to a sphere only."""
+    """Returns the stepper for an object. `largest_force_N` matters only for a sphere."""
     if isinstance(body, Sphere):
         return SlicedStepper(
             skin,

@@ -1,9 +1,9 @@
-"""A contact that is advanced in time, step by step or in blocks.
+"""Advances a contact in time, step by step or in blocks.
 
-``ContactStepper`` holds one plane contact (plate or cylinder) and its whole state: the same inputs
-from the same state give the same bytes, whatever the block lengths. It knows nothing of volts,
-clocks or instruments. A step that finds no consistent set of sticking, slipping and open nodes
-raises ``ConvergenceError`` and leaves the state as it was.
+``ContactStepper`` holds one plane contact (plate or cylinder) with its whole state. The same inputs
+from the same state give the same bytes, whatever the block lengths. Volts, clocks and instruments
+are not part of it. A step for which no consistent set of sticking, slipping and open nodes is found
+raises ``ConvergenceError`` and leaves the state unchanged.
 """
 
 from __future__ import annotations
@@ -21,30 +21,33 @@ Floats = NDArray[np.float64]
 Statuses = NDArray[np.int8]
 
 OPEN, STICK, SLIP_PLUS, SLIP_MINUS = 0, 1, 2, 3
-"""Status of a node: apart; no relative motion; friction on the skin towards +x; towards -x."""
+"""Status of a node: not in contact; no relative motion; friction on the skin towards +x; towards
+-x."""
 
 _LINE = 8
-"""Numbers in a line of the processor's cache."""
+"""Numbers in a cache line of the processor."""
 
 Control = Literal["force", "position"]
+"""Quantity that is commanded in a direction."""
 
 
 class ConvergenceError(RuntimeError):
-    """No consistent active set was found for a step; says when, and what was commanded."""
+    """Raised when a step has no consistent active set. The message states the step and what was
+    commanded."""
 
 
 @dataclass(frozen=True)
 class ContactBlock:
-    """What a contact did in k steps; arrays have one row a step."""
+    """Result of k steps of a contact; arrays have one row per step."""
 
     approach_mm: Floats
-    """How far the object is below the height at which it touches the undeformed skin, (k,)."""
+    """Distance of the object below the height at which it touches the undeformed skin, (k,)."""
     normal_force_N: Floats
-    """F_n, (k,)."""
+    """Normal force F_n, (k,)."""
     position_mm: Floats
-    """The object's x, (k,)."""
+    """Position x of the object, (k,)."""
     tangential_force_N: Floats
-    """F_t that the object exerts on the skin, positive towards +x, (k,)."""
+    """Tangential force F_t of the object on the skin, positive towards +x, (k,)."""
     dissipated_mJ: Floats
     """Work of friction in each step, (k,); never negative."""
     contact_area_mm2: Floats
@@ -58,13 +61,13 @@ class ContactBlock:
     status: Statuses
     """Status of each node, (k, m)."""
     stress_MPa: Floats
-    """σ_xx, σ_yy, σ_xy of S1 and S2 in the ridge watched, (k, 2, 3)."""
+    """Stresses σ_xx, σ_yy, σ_xy of S1 and S2 in the watched ridge, (k, 2, 3)."""
     forces_N: Floats
-    """Contact forces, pressing then tangential, (k, 2 m); (0, 2 m) unless asked for."""
+    """Contact forces, pressing then tangential, (k, 2 m); (0, 2 m) unless they were asked for."""
 
 
 def concatenate(blocks: list[ContactBlock]) -> ContactBlock:
-    """Blocks that follow one another as one."""
+    """Joins consecutive blocks into one."""
     parts = {f.name: np.concatenate([getattr(b, f.name) for b in blocks]) for f in _FIELDS}
     return ContactBlock(**parts)
 
@@ -74,11 +77,11 @@ _FIELDS = fields(ContactBlock)
 
 @dataclass
 class ContactState:
-    """Everything a contact remembers between two steps.
+    """Complete state of a contact between two steps.
 
-    Displacements of nodes that are open may be those of an earlier step; those of now are the
-    compliance times ``filtered_N``, the force behind the rule of the time step. ``drift_mm`` is by
-    how much open nodes could have moved when each was last looked at.
+    Displacements of open nodes may be those of an earlier step. The present ones are the compliance
+    times ``filtered_N``, the force behind the rule of the time step. ``drift_mm`` is how far open
+    nodes could have moved when each was last computed.
     """
 
     downward_mm: Floats
@@ -98,15 +101,18 @@ class ContactState:
     inverse: Floats
 
     def copy(self) -> ContactState:
-        """An independent copy."""
+        """Returns an independent copy."""
         return replace(self, **{f.name: getattr(self, f.name).copy() for f in fields(self)})
 
 
 class ContactStepper:
     """One plane contact between a skin and a plate or a cylinder.
 
-    The object starts at `position_mm`, touching nothing, the skin at rest. `watched_ridge` (0 is
-    the leftmost) is the ridge whose strips are read; the paper's is the third, 2.
+    At the start the object is at `position_mm` without contact, and the skin is at rest.
+    `watched_ridge` (0 is the leftmost) is the ridge whose strips are read; in the paper it is the
+    third, 2.
+
+    Raises ValueError for a ridge that the skin does not have.
     """
 
     def __init__(
@@ -147,27 +153,29 @@ class ContactStepper:
 
     @property
     def step_s(self) -> float:
-        """The time step."""
+        """Time step, in s."""
         return self.settings.step_us * 1e-6
 
     @property
     def state(self) -> ContactState:
-        """A copy of the present state; assign one to go back to it."""
+        """Copy of the present state. Assign one to return to it."""
         return self._state.copy()
 
     @state.setter
     def state(self, state: ContactState) -> None:
-        for field in fields(state):  # into the arrays that are there: they are aligned
+        # Copied into the existing arrays, because those are aligned to cache lines.
+        for field in fields(state):
             getattr(self._state, field.name)[...] = getattr(state, field.name)
-        self._listed[:] = 0  # they were another state's
+        # The lists belonged to the previous state.
+        self._listed[:] = 0
 
     @property
     def position_mm(self) -> float:
-        """The object's x."""
+        """Position x of the object, in mm."""
         return float(self._state.scalars[1])
 
     def displacement_mm(self) -> tuple[Floats, Floats]:
-        """Downward and tangential displacement of the contact nodes, two arrays (m,)."""
+        """Returns downward and tangential displacement of the contact nodes, two arrays (m,)."""
         moved = self.skin.compliance_mm_N @ self._state.filtered_N
         return moved[: self.skin.nodes], moved[self.skin.nodes :]
 
@@ -180,13 +188,14 @@ class ContactStepper:
         normal_control: Control = "force",
         tangential_control: Control = "position",
     ) -> ContactBlock:
-        """Advance by as many steps as `normal` and `tangential` have values, shape (k,) or ().
+        """Advances by as many steps as `normal` and `tangential` have values, shape (k,) or ().
 
-        `normal` is F_n in N (at least 0) or the approach in mm; `tangential` is the object's x in
-        mm or F_t in N; `rotation_rad` the rotation during each step, positive where it rolls
-        towards +x (x is then that of the cylinder's axis). Raises ValueError for inputs out of
-        range and ConvergenceError where a step has no consistent solution; the steps before it
-        stay done.
+        `normal` is F_n in N (at least 0) or the approach in mm. `tangential` is x of the object in
+        mm or F_t in N. `rotation_rad` is the rotation during each step, positive if it rolls
+        towards +x (x is then that of the cylinder's axis).
+
+        Raises ValueError for inputs out of range, and ConvergenceError if a step has no consistent
+        solution; the steps before it remain done.
         """
         from rig.physics.contact import kernel
 
@@ -281,8 +290,8 @@ class ContactStepper:
 
 
 def _aligned(rows: int, columns: int) -> Floats:
-    """Zeros whose rows begin where a line of the processor's cache does; wider where it takes
-    that."""
+    """Returns zeros (rows, columns) whose rows start at a cache line of the processor; it may be
+    wider."""
     width = -(-columns // _LINE) * _LINE
     room = np.zeros(rows * width + _LINE)
     first = -(room.ctypes.data // room.itemsize) % _LINE
@@ -290,7 +299,7 @@ def _aligned(rows: int, columns: int) -> Floats:
 
 
 def _paired(normal: ArrayLike, tangential: ArrayLike) -> tuple[Floats, Floats]:
-    """Both inputs as contiguous arrays of the same length, finite."""
+    """Returns both inputs as contiguous, finite arrays of the same length."""
     a, b = np.asarray(normal, float), np.asarray(tangential, float)
     if a.shape != b.shape or not a.ndim:
         a, b = np.broadcast_arrays(np.atleast_1d(a), np.atleast_1d(b))

@@ -1,7 +1,8 @@
-"""Ground truth of a trial: which ridge slipped first, which slipped whole, when all slipped.
+"""Ground truth of a trial: which ridge slipped first, which slipped as a whole, when everything
+slipped.
 
-Works on node statuses alone, block by block, so that a running bench and a finished trial are
-judged by the same code.
+It uses node statuses alone, block by block, so that a running bench and a finished trial are judged
+by the same code.
 """
 
 from __future__ import annotations
@@ -18,34 +19,34 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SlipTruth:
-    """Times in s from the trial's start; NaN where it did not happen."""
+    """Times of slip in s from the start of the trial; NaN where it did not happen."""
 
     first_slip_s: Floats
-    """First slipping node of each ridge, (ridges,)."""
+    """Slip of the first node of each ridge, (ridges,)."""
     whole_slip_s: Floats
-    """First time every node of the ridge that touches slips, (ridges,)."""
+    """First time at which every node of the ridge that is in contact slips, (ridges,)."""
     lift_off_s: Floats
-    """First time a ridge that touched no longer does, (ridges,)."""
+    """First time at which a ridge loses contact, (ridges,)."""
     gross_slip_s: float
-    """First time every node of the skin that touches slips."""
+    """First time at which every node of the skin that is in contact slips."""
 
     def slip_order(self) -> list[int]:
-        """Ridges (1 is the leftmost) that slipped whole, earliest first."""
+        """Returns the ridges (1 is the leftmost) that slipped as a whole, earliest first."""
         order = np.argsort(self.whole_slip_s, kind="stable")
         return [int(r) + 1 for r in order if np.isfinite(self.whole_slip_s[r])]
 
 
 class SlipWatch:
-    """Collects the truth from blocks of statuses; nothing before `since_s` counts.
+    """Collects the truth from blocks of statuses. Slip before `since_s` is ignored.
 
-    While the normal force grows, nodes at the contact's edge slip in any trial; a slide or roll is
-    therefore judged from the start of its motion on.
+    While the normal force rises, nodes at the edge of the contact slip in any trial. A slide or
+    roll is therefore judged from the start of its motion.
     """
 
     def __init__(self, ridge_of_node: NDArray[np.int64], step_s: float, since_s: float = 0.0):
         ridges = int(ridge_of_node.max()) + 1
         self._on_ridge = (ridge_of_node[:, None] == np.arange(ridges)).astype(np.float32)
-        """Of each node and ridge whether it lies on it: 1 or 0."""
+        """1 for each node and ridge if the node lies on the ridge, else 0, (nodes, ridges)."""
         self._step_s = step_s
         self._since_s = since_s
         self._steps = 0
@@ -56,7 +57,7 @@ class SlipWatch:
         self._gross = np.full(1, np.nan)
 
     def add(self, status: Statuses) -> None:
-        """Take the statuses (k, m) of the next k steps."""
+        """Adds the statuses (k, m) of the next k steps."""
         time = np.arange(self._steps + 1.0, self._steps + status.shape[0] + 1.0) * self._step_s
         self._steps += status.shape[0]
         if not time.size:
@@ -73,18 +74,18 @@ class SlipWatch:
         _note(self._gross, time, gross[:, None])
 
     def _by_ridge(self, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Whether it is so anywhere on a ridge: (k, nodes) to (k, ridges)."""
+        """Returns whether any node of a ridge has a property: (k, nodes) to (k, ridges)."""
         anywhere: NDArray[np.bool_] = seen.astype(np.float32) @ self._on_ridge > 0
         return anywhere
 
     def truth(self) -> SlipTruth:
-        """What was seen so far."""
+        """Returns the truth found so far."""
         return SlipTruth(
             self._first.copy(), self._whole.copy(), self._lifted.copy(), float(self._gross[0])
         )
 
 
 def _note(kept: Floats, time: Floats, seen: NDArray[np.bool_]) -> None:
-    """Keep, in (n,), when each of n things was seen first: times (k,), seen (k, n)."""
+    """Stores in `kept` (n,) when each of n things was first seen: times (k,), seen (k, n)."""
     fresh = np.isnan(kept) & seen.any(axis=0)
     kept[fresh] = time[seen.argmax(axis=0)[fresh]]

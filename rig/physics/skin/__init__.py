@@ -1,6 +1,7 @@
-"""The artificial finger skin: geometry and material, its finite elements, its condensed form.
+"""The artificial finger skin: geometry and material, finite elements, condensed form.
 
-``settings`` documents the skin, ``mesh`` and ``elasticity`` make its finite elements, ``condensed``
-keeps what contact needs of them (compliance of the contact nodes, stress rows of the strips).
-Nothing here knows of friction, time or instruments. Importing this package costs nothing.
+``settings`` describes the skin, ``mesh`` and ``elasticity`` compute its finite elements, and
+``condensed`` stores what contact needs of them (compliance of the contact nodes, stress rows of the
+strips). Friction, time and instruments are not part of this package. Importing it is fast, because
+the finite elements are imported on first use.
 """

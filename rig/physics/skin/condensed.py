@@ -1,7 +1,8 @@
-"""The skin as contact sees it: compliance of the contact nodes and stress rows of the strips.
+"""The skin reduced to what contact needs: compliance of the contact nodes and stress rows of the
+strips.
 
-Built once for a settings object and kept in a cache under its hash. A cache entry that does not
-hold what this module stores is rebuilt, never trusted.
+It is computed once per settings object and stored in a cache under its hash. A cache entry that
+does not contain what this module stores is computed again.
 """
 
 from __future__ import annotations
@@ -30,23 +31,24 @@ _ARRAYS = ("contact_x_mm", "ridge", "gap_mm", "compliance_mm_N", "stress_rows_MP
 
 @dataclass(frozen=True)
 class CondensedSkin:
-    """One skin reduced to its m contact nodes, from left to right.
+    """A skin reduced to its m contact nodes, from left to right.
 
-    A contact force vector f of shape (2 m,) holds pressing forces first (positive pushes the skin
-    down), then tangential forces on the skin (positive towards +x), all in N.
+    A vector f of contact forces (2 m,) contains the pressing forces first (positive pushes the skin
+    down), then the tangential forces on the skin (positive towards +x), all in N.
     """
 
     settings: SkinSettings
+    """Geometry and material."""
     contact_x_mm: Floats
-    """Where the nodes are in bench coordinates, shape (m,)."""
+    """Positions of the nodes in bench coordinates, (m,)."""
     ridge: Ints
-    """Each node's ridge, 0 for the leftmost, shape (m,)."""
+    """Ridge of each node, 0 for the leftmost, (m,)."""
     gap_mm: Floats
-    """Distance of each node to a flat plate that touches the highest point, shape (m,)."""
+    """Distance of each node to a flat plate that touches the highest point, (m,)."""
     compliance_mm_N: Floats
-    """W of u = W f, shape (2 m, 2 m): downward, then tangential displacement; symmetric."""
+    """Symmetric matrix W of u = W f, (2 m, 2 m): downward, then tangential displacements."""
     stress_rows_MPa_N: Floats
-    """Mean stress of f, shape (ridges, 2 strips, 3 components xx yy xy, 2 m)."""
+    """Mean stress per unit of f, (ridges, 2 strips, 3 components xx yy xy, 2 m)."""
 
     @property
     def nodes(self) -> int:
@@ -55,15 +57,17 @@ class CondensedSkin:
 
     @property
     def stiffest_N_mm(self) -> float:  # noqa: N802 - the unit keeps its capital
-        """Pressing and dragging stiffness together with every node stuck to the object: the force
-        rises no more steeply while all of that is not in contact."""
+        """Pressing plus dragging stiffness in N/mm with every node stuck to the object.
+
+        It is an upper limit: while fewer nodes are in contact the force rises less steeply.
+        """
         stiffness = np.linalg.inv(self.compliance_mm_N)
         m = self.nodes
         pressing, dragging = stiffness[:m, :m].sum(), stiffness[m:, m:].sum()
         return float(pressing + dragging + 2 * abs(stiffness[:m, m:].sum()))
 
     def tributary_mm(self) -> Floats:
-        """The length of ridge top that each node stands for, shape (m,)."""
+        """Returns the length of ridge top that each node represents, (m,)."""
         length = np.zeros(self.nodes)
         for ridge in range(self.settings.ridges):
             at = np.flatnonzero(self.ridge == ridge)
@@ -74,7 +78,7 @@ class CondensedSkin:
 
 
 def build_skin(settings: SkinSettings, cache: Cache | None = None) -> CondensedSkin:
-    """The condensed skin of `settings`, from the cache when it holds one."""
+    """Returns the condensed skin of `settings`, from the cache if it is there."""
     cache = NoCache() if cache is None else cache
     key = f"skin-{_FORMAT}-{fingerprint(settings)}"
     stored = cache.get(key)
@@ -86,14 +90,14 @@ def build_skin(settings: SkinSettings, cache: Cache | None = None) -> CondensedS
 
 
 def condense(settings: SkinSettings) -> CondensedSkin:
-    """Assemble, factor and condense the skin's own mesh, without any cache."""
+    """Assembles, factors and condenses the skin's own mesh, without a cache."""
     from rig.physics.skin.elasticity import ElasticSkin
 
     return condense_elements(ElasticSkin(settings))
 
 
 def condense_elements(elastic: ElasticSkin) -> CondensedSkin:
-    """Condense given elements."""
+    """Condenses given finite elements."""
     from rig.physics.skin.elasticity import strip_areas
 
     settings = elastic.settings

@@ -1,7 +1,7 @@
-"""The skin's finite elements: stiffness, mass, factorisation and strip-mean stress.
+"""Finite elements of the skin: stiffness, mass, factorisation and mean stress of the strips.
 
 Quadratic (Q2) elements of scikit-fem, plane strain, linear elastic, bottom fixed. Units are N, mm
-and MPa; the out-of-plane width is included, so that forces are those of the whole skin.
+and MPa. The width out of the plane is included, so that forces are those of the whole skin.
 """
 
 from __future__ import annotations
@@ -31,19 +31,23 @@ STRESSES = ("xx", "yy", "xy")
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A rectangle in the skin's section over which stress is averaged, mm."""
+    """A rectangle in the section of the skin over which stress is averaged, in mm."""
 
     left_mm: float
+    """Left edge, x."""
     right_mm: float
+    """Right edge, x."""
     bottom_mm: float
+    """Lower edge, y."""
     top_mm: float
+    """Upper edge, y."""
 
 
 class ElasticSkin:
-    """Finite elements of one skin; what is expensive is computed on first use and kept."""
+    """Finite elements of one skin. Expensive results are computed on first use and stored."""
 
     def __init__(self, settings: SkinSettings, mesh: MeshQuad | None = None):
-        """Elements on the skin's own mesh, or on another of the same outline."""
+        """Uses the skin's own mesh, or another mesh of the same outline."""
         from skfem import Basis, ElementQuad2, ElementVector
 
         self.settings = settings
@@ -53,20 +57,21 @@ class ElasticSkin:
 
     @cached_property
     def lame(self) -> tuple[float, float]:
-        """Lamé's constants λ and μ, MPa."""
+        """Lamé's constants λ and μ, in MPa."""
         E, nu = self.settings.youngs_modulus_MPa, self.settings.poissons_ratio
         return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
 
     @cached_property
     def stiffness(self) -> Any:
-        """Stiffness of all degrees of freedom as a CSC matrix, N/mm."""
+        """Stiffness of all degrees of freedom as a CSC matrix, in N/mm."""
         from skfem.models.elasticity import linear_elasticity
 
         matrix = linear_elasticity(*self.lame).assemble(self.basis)
         return (matrix * self.settings.width_mm).tocsc()
 
     def lumped_mass_t(self) -> Floats:
-        """Diagonal mass of all degrees of freedom in tonnes: Lobatto's rule on the elements."""
+        """Returns the diagonal mass of all degrees of freedom in tonnes, by Lobatto's rule on the
+        elements."""
         corners = self.mesh.p[:, self.mesh.t]
         low, size = corners.min(axis=1), np.ptp(corners, axis=1)
         dofs = self.basis.element_dofs
@@ -84,7 +89,7 @@ class ElasticSkin:
 
     @cached_property
     def contact_dofs(self) -> tuple[Ints, Ints]:
-        """The x and the y degrees of freedom of the ridge tops, each from left to right."""
+        """Degrees of freedom of the ridge tops in x and in y, each from left to right."""
         axes = np.asarray(self.settings.ridge_axes_mm())
 
         def on_ridge_top(p: Any) -> Any:
@@ -110,11 +115,12 @@ class ElasticSkin:
         )
 
     def solve(self, forces_N: Floats) -> Floats:
-        """Displacements (dofs, loads) in mm of nodal forces of the same shape; the bottom stays.
+        """Returns the displacements (dofs, loads) in mm under nodal forces of the same shape,
+        bottom fixed.
 
-        A few loads at a time: with many, the solver's inner products become large enough for
-        threads of the linear algebra library, which cost more than they gain here (eight at a time
-        take more than twice as long at 8 elements a ridge).
+        A few loads are solved at a time. With many, the inner products of the solver become large
+        enough for the threads of the linear algebra library, which cost more than they gain here:
+        eight at a time take more than twice as long at 8 elements per ridge.
         """
         displacement = np.zeros_like(forces_N)
         for start in range(0, forces_N.shape[1], _LOADS_AT_ONCE):
@@ -124,7 +130,8 @@ class ElasticSkin:
         return displacement
 
     def contact_loads(self) -> Any:
-        """Maps (pressing, tangential) contact forces, shape (2 m,), to nodal forces; sparse."""
+        """Returns the sparse matrix that maps contact forces (pressing, tangential), (2 m,), to
+        nodal forces."""
         from scipy.sparse import csc_matrix
 
         x_dofs, y_dofs = self.contact_dofs
@@ -135,11 +142,12 @@ class ElasticSkin:
 
     @cached_property
     def influence(self) -> Floats:
-        """Displacements (dofs, 2 m) in mm/N of unit contact forces, pressing first."""
+        """Displacements (dofs, 2 m) in mm/N under unit contact forces, pressing first."""
         return self.solve(self.contact_loads().toarray())
 
     def mean_stress_rows(self, areas: Sequence[Rectangle]) -> Any:
-        """Sparse map (3 areas, dofs) from displacements to mean σ_xx, σ_yy, σ_xy in MPa."""
+        """Returns the sparse map (3 areas, dofs) from displacements to mean σ_xx, σ_yy, σ_xy in
+        MPa."""
         from scipy.sparse import csr_matrix
 
         cells, local, weights, owner = self._quadrature(areas)
@@ -166,9 +174,10 @@ class ElasticSkin:
         return csr_matrix(entries, shape=(3 * len(areas), self.basis.N))
 
     def _quadrature(self, areas: Sequence[Rectangle]) -> tuple[Ints, Floats, Floats, Ints]:
-        """Gauss points of each part of a cell inside an area: cells, local points, weights, area.
+        """Returns the Gauss points of each part of a cell inside an area: cells, local points,
+        weights, area.
 
-        The mesh need not follow the areas' edges: each cell is cut, so the mean is exact.
+        The mesh need not follow the edges of the areas: each cell is cut, so the mean is exact.
         """
         corners = self.mesh.p[:, self.mesh.t]
         low, high = corners.min(axis=1), corners.max(axis=1)
@@ -200,7 +209,7 @@ class ElasticSkin:
 
 
 def strip_areas(settings: SkinSettings, ridge: int) -> tuple[Rectangle, Rectangle]:
-    """S1 and S2 of ridge number `ridge` (0 is the leftmost)."""
+    """Returns the areas of S1 and S2 in ridge number `ridge` (0 is the leftmost)."""
     axis, strip = settings.ridge_axes_mm()[ridge], settings.strips
     half = strip.width_mm / 2
 

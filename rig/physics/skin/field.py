@@ -1,7 +1,7 @@
-"""The skin's inside at one instant: displaced outline and stress, for figures.
+"""Interior of the skin at one instant: displaced outline and stress, for figures.
 
-The contact only knows the nodes that touch; here the whole section is solved again for given
-contact forces.
+The contact model contains the nodes of the ridge tops only. Here the whole section is solved again
+for given contact forces.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ class DeformedSkin:
     """Quarter elements of a skin, each with its corners and its stress."""
 
     corners_mm: Floats
-    """Corners where they are at rest, (q, 4, 2)."""
+    """Corners at rest, (q, 4, 2)."""
     displacement_mm: Floats
-    """What each corner moved, (q, 4, 2)."""
+    """Displacement of each corner, (q, 4, 2)."""
     stress_MPa: Floats
-    """σ_xx, σ_yy, σ_xy in the middle of each quarter, (q, 3)."""
+    """Stress σ_xx, σ_yy, σ_xy in the middle of each quarter, (q, 3)."""
 
 
 def relaxed_forces(forces_N: Floats, relaxation_ms: float, step_us: float) -> Floats:
-    """Contact forces (k, 2 m) as the rubber's displacement feels them, delayed by its relaxation.
+    """Returns contact forces (k, 2 m) delayed by the relaxation of the rubber.
 
-    The displacement of a Kelvin-Voigt body is the elastic one of these forces.
+    The displacement of a Kelvin-Voigt body is the elastic displacement under these forces.
     """
     alpha = 1.0 / (1.0 + relaxation_ms * 1e3 / step_us)
     felt = np.empty_like(forces_N)
@@ -43,9 +43,10 @@ def relaxed_forces(forces_N: Floats, relaxation_ms: float, step_us: float) -> Fl
 
 
 def deformed(elastic: ElasticSkin, displacement_mm: Floats, stressing_mm: Floats) -> DeformedSkin:
-    """The section under a displacement (dofs,) whose stress is that of another (dofs,).
+    """Returns the section under a displacement (dofs,), with the stress of another displacement
+    (dofs,).
 
-    The two differ where the rubber still relaxes: stress follows the forces at once.
+    The two differ while the rubber relaxes, because the stress follows the forces at once.
     """
     places, x_dof, y_dof = _element_nodes(elastic)
     moved = np.stack([displacement_mm[x_dof], displacement_mm[y_dof]], axis=-1)
@@ -62,7 +63,7 @@ def deformed(elastic: ElasticSkin, displacement_mm: Floats, stressing_mm: Floats
 
 
 def _element_nodes(elastic: ElasticSkin) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
-    """The 3 x 3 nodes of each element: places (3, 3, e, 2), x and y dofs (3, 3, e)."""
+    """Returns the 3 x 3 nodes of each element: places (3, 3, e, 2), x and y dofs (3, 3, e)."""
     corner = elastic.mesh.p[:, elastic.mesh.t]
     low, size = corner.min(axis=1), np.ptp(corner, axis=1)
     dofs = elastic.basis.element_dofs

@@ -1,8 +1,8 @@
-"""The skin's mesh: a tensor grid of rectangles with the grooves cut out.
+"""Mesh of the skin: a tensor grid of rectangles with the grooves removed.
 
-Graded, the elements crowd at the corners of the ridges: at the foot the stress is singular, and
-under shear the last nodes to stick are those of a top corner, so that the impulse of a ridge's
-slip depends on how well these places are resolved (decision 0020).
+In a graded mesh the elements are concentrated at the corners of the ridges. At the foot the stress
+is singular, and under shear the last nodes to stick are those at a top corner. The impulse of a
+slipping ridge therefore depends on the resolution of these places (decision 0020).
 """
 
 from __future__ import annotations
@@ -20,14 +20,19 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 TOP_POWER = 1.25
+"""Exponent of the grading along the top of a ridge: 1 is uniform, 2 makes cells grow linearly from
+the corner."""
 FOOT_POWER = 2.0
+"""Exponent of the grading along the height, in body and ridge."""
 GROOVE_POWER = 3.0
+"""Exponent of the grading across a groove."""
 MARGIN_POWER = 2.0
-"""Exponents of the grading: 1 is uniform, 2 makes cells grow linearly from the corner."""
+"""Exponent of the grading in the margins beside the outer ridges."""
 
 
 def skin_mesh(settings: SkinSettings) -> MeshQuad:
-    """The mesh in mm, body below y = 0 and ridges above it; x in bench coordinates."""
+    """Returns the mesh in mm, with the body below y = 0 and the ridges above it; x is in bench
+    coordinates."""
     from skfem import MeshQuad
 
     mesh = MeshQuad.init_tensor(_along_x(settings), _along_y(settings))
@@ -72,7 +77,7 @@ def _along_y(settings: SkinSettings) -> Floats:
 
 
 def _to_end(start: float, end: float, cells: int, power: float) -> Floats:
-    """Grid from `start` to `end` whose cells shrink towards `end`."""
+    """Returns a grid from `start` to `end` whose cells shrink towards `end`."""
     xi = np.linspace(0.0, 1.0, cells + 1)
     grid: Floats = start + (end - start) * (1.0 - (1.0 - xi) ** power)
     grid[-1] = end
@@ -80,7 +85,8 @@ def _to_end(start: float, end: float, cells: int, power: float) -> Floats:
 
 
 def _to_both(start: float, end: float, cells: int, power: float) -> Floats:
-    """Grid from `start` to `end` whose cells shrink towards both ends, mirror-symmetric."""
+    """Returns a grid from `start` to `end` whose cells shrink towards both ends,
+    mirror-symmetric."""
     xi = np.linspace(-1.0, 1.0, cells + 1)
     shape = np.sign(xi) * (1.0 - (1.0 - np.abs(xi)) ** power)
     grid: Floats = (start + end) / 2 + (end - start) / 2 * shape

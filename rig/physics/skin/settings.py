@@ -1,8 +1,8 @@
-"""Geometry and material of the skin as one settings object; the defaults are the reference case.
+"""Geometry and material of the skin as one settings object. The defaults are the reference case.
 
 The paper (2.2, 4.1) gives nine ridges, 20 mm of width, silicone rubber and a pair of strips in the
-third ridge, but no dimensions: every value marked "assumed" is a choice that a lab replaces by its
-own measurement.
+third ridge, but no dimensions. Every value marked "assumed" is a choice that a laboratory replaces
+by its own measurement.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ from rig.core.settings import Settings
 
 
 class StripSettings(Settings):
-    """Where the two film strips S1 and S2 lie in a ridge (assumed; paper Figure 11)."""
+    """Position of the two film strips S1 and S2 in a ridge (assumed; paper Figure 11)."""
 
     offset_mm: float = Field(0.35, gt=0)
-    """Distance of a strip's middle from the axis of its ridge; S1 at -offset, S2 at +offset."""
+    """Distance of the middle of a strip from the axis of its ridge; S1 at -offset, S2 at
+    +offset."""
     width_mm: float = Field(0.4, gt=0)
     """Extent of a strip along x."""
     bottom_mm: float = 0.0
-    """Lower edge, above the foot of the ridge; negative is inside the body."""
+    """Lower edge above the foot of the ridge; a negative value is inside the body."""
     top_mm: float = 0.35
-    """Upper edge, above the foot of the ridge."""
+    """Upper edge above the foot of the ridge."""
 
     @model_validator(mode="after")
     def _has_height(self) -> Self:
@@ -39,11 +40,11 @@ class StripSettings(Settings):
 
 
 class SkinSettings(Settings):
-    """A ridged skin under plane strain, bottom fixed, ridges pointing up; x = 0 is its middle.
+    """A ridged skin under plane strain, bottom fixed, ridges upwards; x = 0 is its middle.
 
-    ``gap_mm`` of the condensed skin, the distance to a flat plate that just touches, is made of a
-    finger radius over the whole and a crown radius on each ridge. The curvatures enter the gap
-    only; the mesh is flat (they are below 2 % of a ridge's width).
+    ``gap_mm`` of the condensed skin is the distance to a flat plate that just touches. It is
+    composed of a finger radius over the whole skin and a crown radius on each ridge. The curvatures
+    affect the gap only; the mesh is flat (they are below 2 % of the width of a ridge).
     """
 
     ridges: int = Field(9, ge=1, le=99)
@@ -65,15 +66,15 @@ class SkinSettings(Settings):
     finger_radius_mm: float = Field(750.0, gt=0)
     """Radius of the whole skin (assumed; set so that nine ridges touch at 4 N)."""
     axis_x_mm: float = 0.0
-    """Where the middle of the skin lies in the bench's x."""
+    """Position of the middle of the skin on the x axis of the bench."""
     youngs_modulus_MPa: float = Field(1.7, gt=0)
     """Young's modulus of the silicone rubber (assumed)."""
     poissons_ratio: float = 0.48
     """Poisson's ratio (assumed); 0.5 would lock displacement elements."""
     density_kg_m3: float = Field(1100.0, gt=0)
-    """Density (assumed), used by the inertial history only."""
+    """Density (assumed), used only by the loading history with inertia."""
     strips: StripSettings = StripSettings()
-    """The two strips; the same place in every ridge."""
+    """The two strips, at the same place in every ridge."""
     elements_per_ridge: int = Field(8, ge=2, le=40)
     """Quadratic elements along the top of a ridge; use at least 6."""
     refinement: Literal["graded", "uniform"] = "graded"
@@ -107,12 +108,13 @@ class SkinSettings(Settings):
         return self
 
     def ridge_axes_mm(self) -> tuple[float, ...]:
-        """The x of each ridge's axis, from left to right, in bench coordinates."""
+        """Returns the x of the axis of each ridge, from left to right, in bench coordinates."""
         middle = (self.ridges - 1) / 2
         return tuple(self.axis_x_mm + (i - middle) * self.pitch_mm for i in range(self.ridges))
 
     def gap_at(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Distance of ridge-top points to a flat plate that touches the highest of them, mm."""
+        """Returns the distance in mm of points on the ridge tops to a flat plate that touches the
+        highest one."""
         axes = np.asarray(self.ridge_axes_mm())
         to_axis = np.abs(x_mm[:, None] - axes[None, :]).min(axis=1)
         over_all = (x_mm - self.axis_x_mm) ** 2 / (2 * self.finger_radius_mm)
