@@ -368,12 +368,12 @@ def test_a_drive_that_fails_while_the_film_vibrates_is_noticed_within_a_record(r
     ended = rig.sweep(*sweep, "--fault", rig.fault(plan))
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
-    assert error.startswith(f"error: stage_z: {rig.bench.bench.z.fault}")
+    assert error.startswith(f"error: stage_z: {rig.bench.z.fault}")
     assert "the axis did not follow" in error
     assert rig.outputs() == [True, False]
     (fault,) = [e["t_us"] for e in rig.log() if (e["device"], e["what"]) == ("stage_z", "fault")]
     off = [e["t_us"] for e in rig.log() if e["what"] == "ch1.on"][-1]
-    assert 0 <= (off - fault) * 1e-6 < rig.bench.bench.z.asked_every_s + 0.02
+    assert 0 <= (off - fault) * 1e-6 < rig.bench.z.asked_every_s + 0.02
     assert verify(rig.only("*.h5")) == []
 
 

@@ -80,7 +80,7 @@ def test_the_drive_of_a_run_that_hangs_stops_by_itself_before_the_guard_comes(ri
     running = rig.start("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300")
     target_mm = await_way_down(rig)
     running.send(signal.SIGSTOP)
-    rig.await_world("fault", rig.bench.bench.z.silence_fault)
+    rig.await_world("fault", rig.bench.z.silence_fault)
     assert not (rig.results / "guard-simulated.json").exists()
     assert running.process.wait(PATIENCE_S) == -signal.SIGKILL
     report = await_report(rig.results / "guard-simulated.json")

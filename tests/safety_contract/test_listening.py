@@ -36,7 +36,7 @@ def test_every_server_listens_on_127_0_0_1_only(rig, link):
     running.wait_for("in real time")
 
     addresses = listening_addresses(running.process.pid)
-    least = 3 + rig.bench.bench.z.on_tcp
+    least = 3 + rig.bench.z.on_tcp
     assert len(addresses) >= least, "generator, DAQ, the control socket, and the stage perhaps"
     assert set(addresses) == {LOOPBACK}
     running.send(signal.SIGINT)

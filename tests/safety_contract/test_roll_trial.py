@@ -27,7 +27,7 @@ def roller(offset_mm):
 def roll(rig, world, *given):
     """A roll at the usual speed, or at what is the same in targets a degree."""
     speed = (
-        () if "--profile-times" in given else ("--turn-speed", f"{0.12 * rig.bench.bench.both_Hz}")
+        () if "--profile-times" in given else ("--turn-speed", f"{0.12 * rig.bench.both_Hz}")
     )
     return rig.run(
         "roll-trial", "--json", "--no-figures", "--world-log", str(rig.world_log),
@@ -110,7 +110,7 @@ def test_an_offset_that_nothing_takes_back_is_refused(rig):
 
 
 def test_a_head_rolls_along_a_profile_of_its_own(rig):
-    longer = 100 / rig.bench.bench.both_Hz
+    longer = 100 / rig.bench.both_Hz
     times = ",".join(f"{longer * t:g}" for t in np.arange(0, 1.01, 0.1))
     angles = ",".join(f"{a:.6f}" for a in 2 * np.sin(np.pi * np.arange(0, 1.01, 0.1)) ** 2)
     asked = ("--profile-times", times, "--profile-angles", angles, "--alignment", "none")

@@ -96,7 +96,7 @@ def test_calibrated_strips_are_told_as_load_rates_with_their_error(rig, tmp_path
         "strip_2": write_calibration(record("film 8"), tmp_path),
     }
     run = get_context("spawn").Process(
-        target=take_on_a_slaved_bench, args=(tmp_path, rig.bench.bench.stages, rig.world(""), files)
+        target=take_on_a_slaved_bench, args=(tmp_path, rig.bench.stages, rig.world(""), files)
     )
     run.start()
     run.join()

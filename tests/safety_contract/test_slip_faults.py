@@ -74,7 +74,7 @@ X_TROUBLES = {
 def test_a_stage_that_fails_in_the_slide_is_told_and_the_skin_lifted(rig, what):
     kind, words = X_TROUBLES[what]
     ended = take(rig, "", f'[[fault]]\ndevice = "stage_x"\nkind = "{kind}"\n{SLIDING}')
-    assert_told(ended, 3, words or rig.bench.bench.x.held_fast)
+    assert_told(ended, 3, words or rig.bench.x.held_fast)
     assert ended.errors[0].startswith("error: stage_x: ")
     assert_lifted(rig)
     assert_kept_until_sliding(rig)
@@ -92,7 +92,7 @@ def test_a_stage_that_is_held_before_contact_is_told_with_where_it_stands(rig):
 
 def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
     ended = take(rig, "", f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\n{SLIDING}')
-    assert_told(ended, 3, f"stage_z: {rig.bench.bench.z.fault}")
+    assert_told(ended, 3, f"stage_z: {rig.bench.z.fault}")
     assert "the stage stands and the skin may still be pressed: stage_z: " in ended.stderr
     last_of(rig, "stage_x")
     assert last_of(rig, "stage_z") == pytest.approx(12.09, abs=0.01)

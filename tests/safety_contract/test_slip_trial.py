@@ -75,7 +75,7 @@ def test_a_trial_shows_what_the_model_does_and_measures_the_friction(rig, skin8)
     assert reading["clock_offset_error_s"] < 5e-4
     assert compared.slip_order[:4] == [1, 9, 2, 3], "edges first, then the ridge with the strips"
     ratios = compared.ratios()
-    if rig.bench.bench.both_Hz < 40:  # too few looks to show the model what its small pulse meets
+    if rig.bench.both_Hz < 40:  # too few looks to show the model what its small pulse meets
         del ratios["neighbour"]
     assert ratios == pytest.approx(dict.fromkeys(ratios, 1.0), abs=0.2)
     assert -0.036 < compared.measured.impulse < -0.022
@@ -93,7 +93,7 @@ def touch_downs(rig):
 def test_fast_slides_are_rehearsed_and_a_series_begins_near_the_known_contact(rig):
     """As much friction as the stages allow at 6 mm/s: the servo alone misses 5 % by far (decision
     0035)."""
-    static, kinetic = rig.bench.bench.z.friction
+    static, kinetic = rig.bench.z.friction
     friction = f"{{ static_coefficient = {static}, kinetic_coefficient = {kinetic} }}"
     world = rig.world(f"contact.friction = {friction}\n")
     asked = (
@@ -120,12 +120,12 @@ def test_fast_slides_are_rehearsed_and_a_series_begins_near_the_known_contact(ri
 
 def test_a_tangential_force_rises_evenly_until_the_skin_slips(rig):
     """4 N/s at 100 ticks a second; what takes its time is judged in ticks."""
-    tick_s = 1 / rig.bench.bench.both_Hz
+    tick_s = 1 / rig.bench.both_Hz
     ramp_N_s = 0.04 / tick_s
     asked = ("--loading", "ramp", "--ramp", f"{ramp_N_s}N/s", "--speed", "1mm/s", "--rest", "100ms")
     ended = rig.run(*arguments(rig, *asked))
     assert ended.code == 0, ended.stderr
-    rehearsed = rig.bench.bench.both_Hz < 100
+    rehearsed = rig.bench.both_Hz < 100
     assert touch_downs(rig) == 1 + rehearsed, "the speed after gross slip needs one at a slow pace"
     assert_off_the_plate(rig)
     with RunFile.open(rig.only("*.h5")) as run:
@@ -210,7 +210,7 @@ def test_a_drive_that_fails_on_the_last_way_up_fails_the_run(rig):
     ended = rig.run(*arguments(rig, *SHORT, "--fault", plan))
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
-    assert error.startswith(f"error: stage_z: unload: {STANDS}{rig.bench.bench.z.fault}")
+    assert error.startswith(f"error: stage_z: unload: {STANDS}{rig.bench.z.fault}")
     assert "or move it away by hand" in error
     assert "NOT SAFE" not in ended.stderr
     assert ended.object["points_done"] == 1
