@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import ForceFrames
 from rig.run import force_monitor as force
@@ -208,3 +211,33 @@ def test_the_newest_frame_is_as_old_as_frames_are_missing(
         assert monitor.older_s == pytest.approx(older_s + 0.004, abs=1e-5)
     clock.stands = True
     assert monitor.older_s == 0.0
+
+
+def test_the_unit_of_what_the_sensor_sends_stays_with_the_frames(
+    monitor: ForceMonitor, sensor: Sensor
+) -> None:
+    feed(
+        monitor, sensor, replace(frames(0, 10), raw_unit="N"), replace(frames(10, 5), raw_unit="N")
+    )
+    got = monitor.frames_since(3)
+    assert got is not None
+    assert got.raw_unit == "N"
+
+
+class SlowSensor(Sensor):
+    """It has one rate, whatever it is asked for."""
+
+    def start(self, rate_S_s: float) -> float:
+        return 250.0
+
+    def stop(self) -> None:
+        pass
+
+
+def test_the_rate_is_the_one_that_the_sensor_reports() -> None:
+    monitor = ForceMonitor(SlowSensor(), WallClock(), Holds(), lambda: [])  # type: ignore[arg-type]
+    try:
+        assert monitor.start(1000.0) == 250.0
+        assert monitor.rate_S_s == 250.0
+    finally:
+        monitor.stop()

@@ -26,9 +26,7 @@ def roller(offset_mm):
 
 def roll(rig, world, *given):
     """A roll at the usual speed, or at what is the same in targets a degree."""
-    speed = (
-        () if "--profile-times" in given else ("--turn-speed", f"{0.12 * rig.bench.both_Hz}")
-    )
+    speed = () if "--profile-times" in given else ("--turn-speed", f"{0.12 * rig.bench.both_Hz}")
     return rig.run(
         "roll-trial", "--json", "--no-figures", "--world-log", str(rig.world_log),
         "--world", rig.world(world), *SHORT, *speed, *given,
