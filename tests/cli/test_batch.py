@@ -133,6 +133,24 @@ def test_ctrl_c_stops_a_batch_safely_and_resume_goes_on_at_the_point(
     assert rig.run("resume", str(journal), "--no-figures").code == 0, "a run alone, by hand"
     assert rig.run("batch", "resume").code == 0
     same(taken(folder), uninterrupted)
+    assert ask(folder, "SELECT number FROM run WHERE processed IS NULL") == [], "files made, too"
+
+
+def test_files_that_are_missing_are_shown_and_made_by_resume(
+    uninterrupted: dict[int, Taken], rig_of_the_module
+) -> None:
+    """As where a batch was stopped before it came to them."""
+    rig = rig_of_the_module
+    folder = folder_of(rig.results)
+    with closing(sqlite3.connect(folder / "queue.sqlite")) as queue, queue:
+        queue.execute("UPDATE run SET processed = NULL WHERE number = 2")
+    shown = rig.run("batch", "status", str(folder))
+    assert "files of 1 run still to be made" in shown.stdout
+    assert f"continue with: rig batch resume {folder}" in shown.stdout
+    ended = rig.run("batch", "resume", str(folder))
+    assert ended.code == 0, ended.stderr
+    ((made,),) = ask(folder, "SELECT processed FROM run WHERE number = 2")
+    assert json.loads(made)["file"] == "r00002_sweep.h5"
 
 
 def test_ctrl_backslash_stops_a_batch_as_ctrl_c_does(rig) -> None:
