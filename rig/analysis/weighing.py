@@ -152,12 +152,12 @@ def fit_line(forces: ArrayLike, readings: ArrayLike, standard_errors: ArrayLike)
     if not (np.isfinite(design).all() and np.isfinite(values).all() and np.isfinite(errors).all()):
         raise WeighingError("a force or a reading is not a finite number")
     if not (errors > 0).all():
-        raise WeighingError("a reading has no standard error", "look whether the channel is alive")
+        raise WeighingError("a reading has no standard error", "check whether the channel is alive")
     if degrees < 1 or np.linalg.matrix_rank(design) < design.shape[1]:
         raise WeighingError(
             f"{len(design)} readings do not determine zero and {design.shape[1] - 1} "
-            "sensitivities with something left to check them by",
-            "put more different weights on, on every axis",
+            "sensitivities with a degree of freedom left to check them",
+            "use more different weights on every axis",
         )
     coefficients, covariance = _least_squares(design, values, errors)
     residuals = values - design @ coefficients
@@ -317,7 +317,7 @@ def fit_load_cell(
         raise WeighingError(
             f"the output does not follow the load: {sensitivity:.3g} V/N with a standard error of "
             f"{errors[1]:.2g} V/N",
-            "look whether the cell is wired to the channel and carried the weights",
+            "check whether the cell is wired to the channel and carried the weights",
         )
     error = math.hypot(float(errors[1]), _standard(tolerance) * sensitivity)
     return CellFit(
@@ -343,7 +343,7 @@ def refuse_outlier(forces: ArrayLike, residuals: Reals) -> None:
     raise WeighingError(
         f"reading {worst + 1}, with {asked} N put on, lies {off[worst]:.3g} N off the fit of all "
         "readings",
-        "some weight was not the one, or not where, it was asked for; calibrate again",
+        "a wrong weight was used, or it was in a wrong place; calibrate again",
     )
 
 
@@ -402,7 +402,7 @@ def _require_three_directions(response: Reals, lines: Sequence[Line]) -> None:
             raise WeighingError(
                 f"channel {axis} does not follow the weights on its axis: {own:.3g} mV/V per N "
                 f"with a standard error of {error:.2g}",
-                "look whether the bridge is connected and the weights were on",
+                "check whether the bridge is connected and the weights were on",
             )
         if (strongest := "xyz"[int(np.argmax(np.abs(response[k])))]) != axis:
             raise WeighingError(
@@ -412,6 +412,6 @@ def _require_three_directions(response: Reals, lines: Sequence[Line]) -> None:
             )
     if np.linalg.cond(response / np.abs(response).max(axis=1, keepdims=True)) > LARGEST_CONDITION:
         raise WeighingError(
-            "the three channels do not tell three directions apart",
-            "look whether every weight was put on the axis that was asked for",
+            "the three channels do not distinguish three directions",
+            "check whether every weight was put on the axis that was asked for",
         )

@@ -56,7 +56,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "filter": (
         "rig.cli.low_pass",
         "filter_",
-        "Design the low-pass of the predictive signal: its numbers, its curves, Figure 14.",
+        "Design the low-pass filter of the predictive signal and draw its curves (Figure 14).",
     ),
     "simulate": (
         "rig.cli.simulate",
@@ -71,7 +71,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "score": (
         "rig.cli.score",
         "score",
-        "Score detectors on trials whose truth is known: found, false alarms, delays, prediction.",
+        "Score detectors on trials whose truth is known: slips found, false alarms, delays.",
     ),
     "train": (
         "rig.cli.train",
@@ -95,7 +95,7 @@ GROUPS: dict[str, tuple[str, str]] = {
     ),
     "skin": (
         "rig.cli.skin",
-        "Simulate the finger skin: slides, rolls, the paper's 4.2, where strips belong.",
+        "Simulate the finger skin: slides, rolls, the paper's section 4.2, places for the strips.",
     ),
 }
 """Module with its ``app``, and its ``HELP``."""

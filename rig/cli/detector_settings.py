@@ -1,4 +1,4 @@
-"""Which detector and which low-pass somebody wants: a name, and what is to be otherwise."""
+"""Parameters of a detector from its name and a TOML file that overrides some of them."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ if TYPE_CHECKING:
     from rig.detector.settings import DetectorSettings
 
 EITHER = {"lag_deg": "stop_Hz", "stop_Hz": "lag_deg"}
-"""Of a low-pass: each of them decides the other, so that one that is given replaces the other."""
+"""Fields of a low-pass filter that determine each other: a given one replaces the other."""
 
 
 def low_pass_values(named: LowPassSettings, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a low-pass with some of them changed."""
+    """Returns the values of a low-pass filter with some of them changed."""
     replaced = {other: None for given, other in EITHER.items() if given in changes}
     return named.model_dump() | replaced | dict(changes)
 
 
 def detector_settings(name: str, file: Path | None) -> DetectorSettings:
-    """The detector of that name, with the parameters that a TOML file gives otherwise.
+    """Returns the parameters of the named detector, overridden by those in a TOML file.
 
-    ConfigurationError for an unknown name, an unknown parameter, or a value that is none.
+    Raises ConfigurationError for an unknown name, an unknown parameter or an invalid value.
     """
     from pydantic import ValidationError
 

@@ -1,4 +1,4 @@
-"""The record of a film from the run file of a sweep: what is refused, computed, said, doubted."""
+"""Calibration record of a film from the run file of a sweep: checks, record, summary, warnings."""
 
 from __future__ import annotations
 
@@ -19,14 +19,18 @@ if TYPE_CHECKING:
     from rig.instruments.calibration import FilmCalibration, Quantity
 
 FEWEST_FREQUENCIES = 12
-"""Different frequencies that a film's record needs, over a decade at least."""
+"""Fewest different frequencies of a sweep from which a film is calibrated."""
 LEAST_SPAN = 10.0
+"""Least ratio of highest to lowest frequency of such a sweep."""
 POOR_LEVEL_DB = 0.5
-"""A half-width of b's interval beyond which the sweep deserves a warning."""
+"""Half-width of the interval of b above which a warning is given, in dB."""
 
 
 def analysed(run: RunFile) -> SweepAnalysis:
-    """The gain-curve analysis of a complete sweep; refuses any other file."""
+    """Returns the gain-curve analysis of a complete sweep.
+
+    Raises ConfigurationError for any other file and for a sweep with too few frequencies.
+    """
     import numpy as np
 
     from rig.analysis.film.gain_curve import analyse
@@ -41,8 +45,8 @@ def analysed(run: RunFile) -> SweepAnalysis:
     if outcome.status != "complete":
         raise ConfigurationError(
             f"{run.path}: the sweep is not complete: {outcome.status}, {outcome.points_done} of "
-            f"{outcome.points_planned} points kept",
-            "go on with it: rig resume",
+            f"{outcome.points_planned} points recorded",
+            "resume it: rig resume",
         )
     frequency = run.column("frequency")
     different = np.unique(frequency)
@@ -60,8 +64,10 @@ def analysed(run: RunFile) -> SweepAnalysis:
 def film_record(
     run: RunFile, analysis: SweepAnalysis, film: str, fields: dict[str, Any]
 ) -> FilmCalibration:
-    """The record of the run's film; ConfigurationError where nobody knows which film it was, and
-    where the record would have expired already."""
+    """Returns the calibration record of the run's film.
+
+    Raises ConfigurationError if the film is unknown, or if the record would already have expired.
+    """
     from rig.analysis.film.load import coefficients
     from rig.instruments.calibration import FilmCalibration, make_record
 
@@ -69,13 +75,13 @@ def film_record(
     described = _film_of(run)
     sensor = film or str(described.get("name") or header.sample.name)
     if not sensor:
-        raise ConfigurationError(f"{run.path} does not say which film it was", "say it with --film")
+        raise ConfigurationError(f"{run.path} does not state the film", "state it with --film")
     cell_error = _load_cell_error(header.calibrations)
     if fields["valid_until"] <= datetime.now().astimezone():
         raise ConfigurationError(
             f"{run.path} was measured on {fields['date']:%Y-%m-%d}: its calibration would have "
             f"expired on {fields['valid_until']:%Y-%m-%d}",
-            "measure the film again, or state how long it holds with --valid",
+            "measure the film again, or state its validity with --valid",
         )
     preload = _column(run, "preload")
     return make_record(
@@ -100,7 +106,7 @@ def film_record(
 
 
 def _column(run: RunFile, name: str) -> NDArray[Any] | None:
-    """A column that not every sweep has; None where it or one of its values is missing."""
+    """Returns an optional column of a sweep; None if it or one of its values is missing."""
     import numpy as np
 
     if name not in run.columns():
@@ -110,7 +116,7 @@ def _column(run: RunFile, name: str) -> NDArray[Any] | None:
 
 
 def _film_of(run: RunFile) -> dict[str, Any]:
-    """The [film] table of the bench file that the run has kept."""
+    """Returns the [film] table of the bench file that the run recorded."""
     with contextlib.suppress(ConfigurationError):
         table = parse_toml(run.header.bench_toml, str(run.path)).get("film")
         return table if isinstance(table, dict) else {}
@@ -118,7 +124,7 @@ def _film_of(run: RunFile) -> dict[str, Any]:
 
 
 def _load_cell_error(calibrations: Sequence[dict[str, Any]]) -> float | None:
-    """Relative standard error of the load cell as the record that the run has copied states it."""
+    """Returns the relative standard error of the load cell from the run's copy of its record."""
     for record in calibrations:
         if record.get("kind") == "load-cell":
             with contextlib.suppress(KeyError, TypeError, ZeroDivisionError):
@@ -128,38 +134,38 @@ def _load_cell_error(calibrations: Sequence[dict[str, Any]]) -> float | None:
 
 
 def sentences(record: FilmCalibration, analysis: SweepAnalysis) -> Iterator[str]:
-    """What was found, for a person."""
+    """Yields the results as lines of text."""
     mark = "SIMULATED " if record.simulated else ""
     yield (
         f"{mark}film {record.sensor!r}: {record.points} points, "
         f"{record.lowest_frequency_Hz:g} to {record.highest_frequency_Hz:g} Hz"
     )
-    yield f"  b = {told(record.b_dB)} re 1 V/N at 1 Hz"
-    yield f"  corner = {told(record.corner_Hz)}"
+    yield f"  b = {in_words(record.b_dB)} re 1 V/N at 1 Hz"
+    yield f"  corner = {in_words(record.corner_Hz)}"
     for drop in analysis.drops:
-        yield f"  drop at {drop.frequency}, {drop.depth} deep"
+        yield f"  notch at {drop.frequency}, {drop.depth} deep"
     if record.gain_model_error_dB:
         yield f"  scatter about the model beyond noise: {record.gain_model_error_dB:.3f} dB"
 
 
 def doubts(record: FilmCalibration) -> list[str]:
-    """What a person should know before relying on the record."""
+    """Returns warnings to be read before the record is used."""
     warnings = []
     if record.load_cell_error_percent is None:
         warnings.append(
-            "the run had no calibration record of its load cell: the interval of b lacks the "
-            "error of the load"
+            "the run had no calibration record of its load cell: the interval of b does not "
+            "include the error of the load"
         )
     b = record.b_dB
     if b.low is None or b.high is None or b.high - b.low > 2 * POOR_LEVEL_DB:
-        warnings.append(f"b is known no better than {told(b)}: look at the sweep")
+        warnings.append(f"b is poorly determined ({in_words(b)}): check the sweep")
     if record.corner_Hz.value is None or record.corner_Hz.high is None:
-        warnings.append("no corner shows in the measured range; only b is determined")
+        warnings.append("there is no corner in the measured range; only b is determined")
     return warnings
 
 
-def told(quantity: Quantity) -> str:
-    """A quantity in words, to the figures that its interval gives."""
+def in_words(quantity: Quantity) -> str:
+    """Returns a quantity as text, to the figures that its interval justifies."""
     from rig.analysis.estimate import Estimate
 
     value, error, low, high = (

@@ -1,4 +1,4 @@
-"""``rig filter``: a low-pass from its specification: numbers, curves, Figure 14 of the paper."""
+"""``rig filter`` designs a low-pass filter, prints its numbers and draws the paper's Figure 14."""
 
 from __future__ import annotations
 
@@ -25,38 +25,60 @@ OPTIONS = {
     "lag_Hz": "--lag-at",
     "stop_Hz": "--stop-from",
 }
-"""The option of each field of the specification; suffixes alone do not tell them apart."""
+"""Option of each field of the specification. Messages about fields are translated with it."""
 CURVES = ("frequency_Hz", "gain_dB", "phase_deg", "group_delay_ms")
-ANSWERS = ("time_ms", "tap", "step_response")
+"""Columns of the frequency file."""
+RESPONSES = ("time_ms", "tap", "step_response")
+"""Columns of the step file."""
+LABELS = {
+    "rate_Hz": ("sampling rate", "Hz"),
+    "taps": ("taps", ""),
+    "half_power_Hz": ("-3 dB frequency", "Hz"),
+    "lag_Hz": ("frequency of the specified lag", "Hz"),
+    "lag_deg": ("phase lag at that frequency", "deg"),
+    "delay_ms": ("group delay at that frequency", "ms"),
+    "stop_Hz": ("attenuation reached for good from", "Hz"),
+    "largest_lobe_dB": ("largest lobe of the stop band", "dB"),
+    "lobes_from_Hz": ("gain first as low as that lobe at", "Hz"),
+    "step_half_ms": ("step response passes one half after", "ms"),
+    "overshoot_percent": ("overshoot of the step response", "%"),
+    "settled_ms": ("step response within 1 % after", "ms"),
+}
+"""Label and unit of each printed number; --json prints the keys."""
 
 
 def filter_(
-    name: Annotated[str, typer.Argument(help="paper, fast or faster.", metavar="NAME")] = "paper",
+    name: Annotated[
+        str, typer.Argument(help="Filter to start from.", metavar="paper|fast|faster")
+    ] = "paper",
     half_power: Annotated[
-        str | None, typer.Option(help="Where its gain is -3 dB.", metavar="Hz")
+        str | None, typer.Option(help="Frequency at which the gain is -3 dB.", metavar="Hz")
     ] = None,
     attenuation: Annotated[
-        str | None, typer.Option(help="How far down the stop band lies.", metavar="dB")
+        str | None, typer.Option(help="Attenuation of the stop band.", metavar="dB")
     ] = None,
     lag: Annotated[
-        str | None, typer.Option(help="Phase lag, in place of --stop-from.", metavar="deg")
+        str | None, typer.Option(help="Phase lag at --lag-at; replaces --stop-from.", metavar="deg")
     ] = None,
     lag_at: Annotated[
-        str | None, typer.Option(help="Where the lag is stated.", metavar="Hz")
+        str | None,
+        typer.Option(help="Frequency at which the phase lag is specified.", metavar="Hz"),
     ] = None,
     stop_from: Annotated[
         str | None,
-        typer.Option(help="Where the stop band begins, in place of --lag.", metavar="Hz"),
+        typer.Option(help="Frequency at which the stop band begins; replaces --lag.", metavar="Hz"),
     ] = None,
     rate: Annotated[str, typer.Option(help="Sampling rate.", metavar="Hz")] = "1000",
     results: Annotated[
-        Path, typer.Option(help="Folder for figure and data.", file_okay=False)
+        Path, typer.Option(help="Folder for the figure and its data.", file_okay=False)
     ] = Path("results"),
-    figures: Annotated[bool, typer.Option(help="Draw the figure and write the data.")] = True,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    figures: Annotated[
+        bool, typer.Option(help="Draw the figure (PNG and SVG) and write its data (CSV).")
+    ] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
 ) -> None:
-    """Design the low-pass of the predictive signal: its numbers, its curves, Figure 14."""
+    """Design the low-pass filter of the predictive signal and draw its curves (Figure 14)."""
     texts = dict(zip(OPTIONS, (half_power, attenuation, lag, lag_at, stop_from), strict=True))
     with reported(debug, as_json):
         from rig.analysis.low_pass_curves import low_pass_curves, low_pass_summary
@@ -73,7 +95,7 @@ def filter_(
             named = f"{name}, changed" if changed else name
             figure = draw_low_pass(named, low_pass.settings.stop_dB, curves, summary)
             files = _save(results, _stem(name, changed, low_pass), figure, curves)
-        _tell(name, low_pass, asdict(summary), files, as_json)
+        _print_summary(name, low_pass, asdict(summary), files, as_json)
 
 
 def _specification(name: str, texts: dict[str, str | None]) -> LowPassSettings:
@@ -86,7 +108,7 @@ def _specification(name: str, texts: dict[str, str | None]) -> LowPassSettings:
     if name not in NAMED_LOW_PASSES:
         raise ConfigurationError(
             f"low-pass {name}: has to be one of {', '.join(NAMED_LOW_PASSES)}",
-            "options change the one that is named",
+            "options such as --lag change the named filter",
         )
     given = {
         field: _quantity(OPTIONS[field], text, unit_of(field) or "")
@@ -101,7 +123,7 @@ def _specification(name: str, texts: dict[str, str | None]) -> LowPassSettings:
 
 
 def _designed(settings: LowPassSettings, rate_Hz: float) -> LowPass:
-    """ConfigurationError, with the bound, where no filter does what is asked for."""
+    """Designs the filter. Raises ConfigurationError, with the bound, if no filter can do it."""
     from rig.detector.low_pass import design_low_pass
 
     if not 0 < rate_Hz < float("inf"):
@@ -113,7 +135,7 @@ def _designed(settings: LowPassSettings, rate_Hz: float) -> LowPass:
 
 
 def _by_options(message: str) -> str:
-    """A message about the fields in the words of the command line."""
+    """Returns a message with the names of fields replaced by those of options."""
     import re
 
     names = "|".join(sorted(OPTIONS, key=len, reverse=True))
@@ -130,7 +152,7 @@ def _quantity(option: str, text: str, unit: str) -> float:
 
 
 def _stem(name: str, changed: bool, low_pass: LowPass) -> str:
-    """One name a specification and rate, so that the same filter has the same files."""
+    """Returns a file name that is the same for the same specification and rate."""
     from rig.core.settings import fingerprint
 
     shown = fingerprint(low_pass.settings)[:8] if changed else name
@@ -145,17 +167,17 @@ def _save(results: Path, stem: str, figure: Any, curves: LowPassCurves) -> list[
         return [
             *save(figure, results / f"{stem}.png", simulated=False),
             _table(results / f"{stem}-frequency.csv", curves, CURVES),
-            _table(results / f"{stem}-step.csv", curves, ANSWERS),
+            _table(results / f"{stem}-step.csv", curves, RESPONSES),
         ]
     except OSError as error:
         raise ConfigurationError(
             f"figure and data cannot be written to {results}: {error.strerror or error}",
-            "name another --results, or leave them out with --no-figures",
+            "choose another folder with --results, or omit them with --no-figures",
         ) from error
 
 
 def _table(path: Path, curves: LowPassCurves, columns: Sequence[str]) -> Path:
-    """Columns as CSV; numbers read back as they were."""
+    """Writes columns as CSV with all digits of the numbers."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
@@ -165,12 +187,12 @@ def _table(path: Path, curves: LowPassCurves, columns: Sequence[str]) -> Path:
     return path
 
 
-def _tell(
+def _print_summary(
     name: str, low_pass: LowPass, summary: dict[str, Any], files: list[Path], as_json: bool
 ) -> None:
     if as_json:
         specification = low_pass.settings.model_dump()
-        told = {
+        document = {
             "file": str(files[0]) if files else None,
             "outcome": "complete",
             "exit": 0,
@@ -178,9 +200,11 @@ def _tell(
             "summary": {"name": name, "specification": specification, **summary},
             "files": [str(file) for file in files],
         }
-        typer.echo(json.dumps(told))
+        typer.echo(json.dumps(document))
         return
     for key, value in summary.items():
-        typer.echo(f"{key}: {'never' if value is None else f'{value:.6g}'}")
+        label, unit = LABELS[key]
+        shown = "never" if value is None else f"{value:.6g} {unit}".rstrip()
+        typer.echo(f"{label}: {shown}")
     for file in files:
-        typer.echo(f"file: {file}")
+        typer.echo(f"saved {file}")

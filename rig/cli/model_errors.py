@@ -1,4 +1,4 @@
-"""What the skin model and the detectors refuse, as one-line errors of a command."""
+"""Turns errors of the skin model and the detectors into one-line errors of a command."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from rig.core.errors import ConfigurationError, RigError
 
 @contextmanager
 def model_errors(remedy: str | None = None) -> Iterator[None]:
-    """Refused values and steps without a solution as one-line errors; `remedy` for the latter."""
+    """Reports invalid values, and contact steps without a solution, as one-line errors.
+
+    `remedy` is the hint for a step without a solution.
+    """
     from pydantic import ValidationError
 
     from rig.physics.contact.stepper import ConvergenceError

@@ -1,7 +1,7 @@
-"""``rig score``: how good detectors are, on random trials of the skin model or on labelled files.
+"""``rig score`` scores detectors on random trials of the skin model or on labelled run files.
 
-Parses, calls, prints. What is expensive to import is imported inside; stdout carries the tables,
-stderr progress. Nothing is written before everything is computed.
+Modules that are slow to import are imported inside. stdout carries the tables, stderr the progress.
+Nothing is written before everything has been computed.
 """
 
 from __future__ import annotations
@@ -37,68 +37,126 @@ else:
     Model = TypeVar("Model")
 
 BY_TRAIT = ("found", "roll_alarms", "after_ridge_50", "armed")
-"""Quantities whose tables by trait are printed; the files hold all."""
+"""Quantities that are also printed by trait; the files contain all of them."""
 SHOWN_TRAITS = ("noise_mV", "speed_mm_s", "static_coefficient", "friction_ratio", "pattern")
-"""Traits by which they are printed; the files hold more."""
-Seeds = Annotated[str, typer.Option(help="Random trials, END excluded.", metavar="FIRST:END")]
-Tuning = Annotated[bool, typer.Option("--tuning", help="Score tuning seeds; every table says so.")]
-Kinds = Annotated[str, typer.Option(help="Which trials.", metavar="LIST")]
+"""Traits by which they are printed; the files contain more."""
+TRAIT_WORDS = {
+    "noise_mV": ("noise", "mV"),
+    "speed_mm_s": ("speed", "mm/s"),
+    "static_coefficient": ("static friction", ""),
+    "friction_ratio": ("friction ratio μ_k/μ_s", ""),
+    "pattern": ("roll pattern", ""),
+}
+"""Words and unit of the traits in printed tables."""
+LABELS = {
+    "found": "slips found",
+    "early": "slips with an alarm before the first node slipped",
+    "late": "slips with an alarm too late",
+    "found_in_roll": "slips within rolls found",
+    "early_in_roll": "slips within rolls with an alarm before the first node slipped",
+    "roll_alarms": "rolls with a false alarm",
+    "hold_alarms": "holds with a false alarm",
+    "tap_alarms": "taps with a false alarm",
+    "lift_off_alarms_before": "lift-offs with an alarm before the lift-off",
+    "lift_off_alarms": "lift-offs with any alarm",
+    "rolls_recognised": "rolls recognised",
+    "taken_for_rolls": "slips, holds and taps classified as roll",
+    "pressing_alarms": "trials with an alarm while pressing on",
+    "armed": "slips with an early warning",
+    "armings_in_vain": "early warnings without slip",
+    "roll_armed": "rolls with an early warning",
+    "lift_off_armed": "lift-offs with an early warning",
+    "hold_armed": "holds with an early warning",
+    "tap_armed": "taps with an early warning",
+    "after_node": "delay after first node slip",
+    "after_ridge": "delay after slip of the whole ridge",
+    "before_gross": "time from the alarm to gross slip",
+    "arming_lead": "time from early warning to slip of the whole ridge",
+}
+"""Labels of the quantities in printed tables; JSON and CSV contain the keys."""
+ORDINALS = {"5": "5th percentile", "50": "median", "95": "95th percentile"}
+LEGEND = "Rates: share (95 % interval) of the number of cases. Times: value (95 % interval) in ms."
+Seeds = Annotated[
+    str, typer.Option(help="Seeds of the random trials, END excluded.", metavar="FIRST:END")
+]
+Tuning = Annotated[
+    bool, typer.Option("--tuning", help="Use seeds reserved for tuning; the tables are marked.")
+]
+Kinds = Annotated[
+    str,
+    typer.Option(
+        help="Kinds of trials, separated by commas: slide, roll, hold, tap.", metavar="LIST"
+    ),
+]
 Files = Annotated[
     Path | None,
     typer.Option(
-        help="Labelled run files in place of random trials, listed as CSV.", metavar="CSV"
+        help="CSV list of labelled run files, scored in place of random trials.", metavar="CSV"
     ),
 ]
 Detectors = Annotated[
     list[str] | None,
     typer.Option(
         "--detector",
-        help=f"rig, paper-literal or paper-hp; repeatable [{DEFAULT_DETECTOR}].",
-        metavar="NAME",
+        help=f"Detector to score; repeatable. Default: {DEFAULT_DETECTOR}.",
+        metavar="[rig|paper-literal|paper-hp]",
     ),
 ]
 DetectorFile = Annotated[
-    Path | None, typer.Option(help="TOML with parameters that differ from the one --detector's.")
+    Path | None, typer.Option(help="TOML file overriding parameters of the one --detector.")
 ]
 WithBaselines = Annotated[
     bool,
-    typer.Option("--baselines", help="Band power, wavelet, CUSUM and a single channel beside."),
+    typer.Option("--baselines", help="Also score band power, wavelet, CUSUM and a single channel."),
 ]
-BaselineFile = Annotated[Path | None, typer.Option(help="Theirs as JSON, as --tune writes it.")]
+BaselineFile = Annotated[
+    Path | None, typer.Option(help="JSON file with baselines, as --tune writes it.")
+]
 Tune = Annotated[
     Path | None,
     typer.Option(
-        help="With --tuning: choose the baselines' thresholds on these trials, write them.",
+        help="With --tuning: choose the thresholds of the baselines and write them to FILE.",
         metavar="FILE",
     ),
 ]
-Sweep = Annotated[bool, typer.Option(help="Sweep the thresholds.")]
-PopulationFile = Annotated[Path | None, typer.Option(help="Ranges of the trials as JSON.")]
+Sweep = Annotated[
+    bool, typer.Option(help="Also score at thresholds from 1/8 to 8 times the own one.")
+]
+PopulationFile = Annotated[
+    Path | None, typer.Option(help="JSON file with the ranges of the trials.")
+]
 ShowPopulation = Annotated[
-    bool, typer.Option("--show-population", help="Print them as JSON to edit and stop.")
+    bool, typer.Option("--show-population", help="Print the ranges of the trials and exit.")
 ]
 FrontEndFile = Annotated[
-    Path | None, typer.Option(help="Ranges of noise, mains and gains as JSON.")
+    Path | None, typer.Option(help="JSON file with the ranges of noise, mains and gains.")
 ]
 ShowFrontEnd = Annotated[
-    bool, typer.Option("--show-front-end", help="Print them as JSON to edit and stop.")
+    bool,
+    typer.Option("--show-front-end", help="Print the ranges of noise, mains and gains and exit."),
 ]
-SkinFile = Annotated[Path | None, typer.Option(help="The skin's settings as JSON.")]
-Elements = Annotated[int | None, typer.Option(help="Elements along a ridge [6].", min=2, max=40)]
+SkinFile = Annotated[Path | None, typer.Option(help="JSON file with the settings of the skin.")]
+Elements = Annotated[
+    int | None, typer.Option(help="Finite elements along a ridge. Default: 6.", min=2, max=40)
+]
 RidgeRead = Annotated[
-    int | None, typer.Option(help="Ridge that is read, 1 is the leftmost [3].", min=1)
+    int | None,
+    typer.Option(help="Ridge whose strips are read; 1 is the leftmost. Default: 3.", min=1),
 ]
-YoungsModulus = Annotated[str | None, typer.Option(help="Of the skin.", metavar="MPa")]
+YoungsModulus = Annotated[
+    str | None, typer.Option(help="Young's modulus of the skin.", metavar="MPa")
+]
 Speed = Annotated[
-    str | None, typer.Option(help="Of slides and holds, one or LOW:HIGH.", metavar="mm/s")
+    str | None,
+    typer.Option(help="Speed of slides and holds: one value or LOW:HIGH.", metavar="mm/s"),
 ]
 SwappedGains = Annotated[
-    bool, typer.Option("--swapped-gains", help="The channels' amplifiers change places.")
+    bool, typer.Option("--swapped-gains", help="Exchange the amplifiers of the two channels.")
 ]
-Jobs = Annotated[int, typer.Option(help="Processes.", min=1, max=64)]
+Jobs = Annotated[int, typer.Option(help="Number of parallel processes.", min=1, max=64)]
 Out = Annotated[Path, typer.Option(help="New folder for tables and figures.", file_okay=False)]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")]
 
 
 def score(
@@ -127,8 +185,8 @@ def score(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Score detectors on trials whose truth is known: found, false alarms, delays, prediction."""
-    with reported(debug, as_json), model_errors("leave its seed out"):
+    """Score detectors on trials whose truth is known: slips found, false alarms, delays."""
+    with reported(debug, as_json), model_errors("omit its seed"):
         from rig.evaluation.labelled_files import judge_files
         from rig.evaluation.labelled_trials import PopulationSettings, StripFrontEndSettings
         from rig.evaluation.scored_trials import judge_trials
@@ -152,7 +210,9 @@ def score(
         beside = _baselines(baselines or tune is not None, baseline_settings)
         if files is not None:
             if tune is not None or tuning:
-                raise ConfigurationError("--files: files tune nothing", "tune on --seeds")
+                raise ConfigurationError(
+                    "--files cannot be combined with --tune or --tuning", "tune on --seeds"
+                )
             contenders += map(BaselineContender, beside)
             listed = judge_files(files, contenders, sweep=roc, done=_Progress("files"))
             use = f"labelled files of {files}"
@@ -186,7 +246,7 @@ def score(
 
 
 class _Progress:
-    """How far it is, on stderr: a line every tenth."""
+    """Reports progress on stderr, one line per tenth."""
 
     def __init__(self, what: str, total: int | None = None):
         self._what, self._total = what, total
@@ -212,7 +272,7 @@ def _population(
     words = [word.strip() for word in kinds.split(",")]
     if unknown := [word for word in words if word not in known]:
         raise ConfigurationError(
-            f"--kinds {kinds}: {unknown[0]!r} is no kind of trial",
+            f"--kinds {kinds}: {unknown[0]!r} is not a kind of trial",
             f"choose among {','.join(known)}",
         )
     chosen = tuple(kind for kind in known if kind in words)
@@ -229,7 +289,7 @@ def _with_options(
     youngs_modulus: str | None,
     speed: str | None,
 ) -> PopulationSettings:
-    """The ranges with what options say of skin, ridge and speed."""
+    """Returns the ranges with skin, ridge and speed of the options."""
     from rig.core.units import quantity
     from rig.evaluation.labelled_trials import PopulationSettings, Range
     from rig.physics.skin.settings import SkinSettings
@@ -254,16 +314,16 @@ def _with_options(
         ends = [number(part, "mm/s", "--speed") for part in speed.split(":")]
         if len(ends) > 2 or not 0 < ends[0] <= ends[-1]:
             raise ConfigurationError(
-                f"--speed {speed}: must be one speed above 0 mm/s, or LOW:HIGH with LOW the lesser"
+                f"--speed {speed}: must be a speed above 0 mm/s, or LOW:HIGH with LOW below HIGH"
             )
         changed["speed_mm_s"] = Range(low=ends[0], high=ends[-1], logarithmic=True)
-    told = PopulationSettings.model_validate({**ranges.model_dump(), **changed})
-    if told.ridge > told.skin.ridges:
+    changed_ranges = PopulationSettings.model_validate({**ranges.model_dump(), **changed})
+    if changed_ranges.ridge > changed_ranges.skin.ridges:
         raise ConfigurationError(
-            f"ridge {told.ridge} of a skin with {told.skin.ridges} ridges: there is none",
-            f"choose 1 to {told.skin.ridges}",
+            f"ridge {changed_ranges.ridge}: the skin has only {changed_ranges.skin.ridges} ridges",
+            f"choose 1 to {changed_ranges.skin.ridges}",
         )
-    return told
+    return changed_ranges
 
 
 def _detectors(names: Sequence[str], overrides: Path | None) -> list[Contender]:
@@ -276,8 +336,8 @@ def _detectors(names: Sequence[str], overrides: Path | None) -> list[Contender]:
         ]
     if len(names) != 1:
         raise ConfigurationError(
-            f"--settings {overrides}: says nothing of which of {len(names)} detectors it changes",
-            "give one --detector",
+            f"--settings {overrides}: unclear which of the {len(names)} detectors it changes",
+            "give exactly one --detector",
         )
     changed = detector_settings(names[0], overrides)
     return [DetectorContender(f"{names[0]} with {overrides.stem}", changed)]
@@ -294,16 +354,16 @@ def _baselines(wanted: bool, file: Path | None) -> list[BaselineSettings]:
 def _tuned(
     trials: Population, baselines: Sequence[BaselineSettings], file: Path, jobs: int
 ) -> list[BaselineSettings]:
-    """The baselines with thresholds chosen on these trials, written to `file`."""
+    """Chooses the thresholds of the baselines on these trials and writes them to `file`."""
     from rig.evaluation.scored_trials import tune_baselines
     from rig.evaluation.scoring.baselines import Baselines
 
     total = len(trials.trials())
-    found = tune_baselines(trials, baselines, jobs=jobs, done=_Progress("trials tuned on", total))
+    found = tune_baselines(trials, baselines, jobs=jobs, done=_Progress("tuning trials", total))
     for one, share in found:
         say(
-            f"score: {one.statistic}: threshold {one.threshold:.3g} over {one.floor_mV:g} mV "
-            f"finds {share:.2f} of the tuning seeds' slips"
+            f"score: {one.statistic}: threshold {one.threshold:.3g}, noise floor "
+            f"{one.floor_mV:g} mV, finds {share:.0%} of the slips of the tuning seeds"
         )
     chosen = Baselines(baselines=tuple(one for one, _ in found))
     _write(file, chosen.model_dump_json(indent=2) + "\n")
@@ -319,12 +379,12 @@ def _report(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Tables and figures below `out`, the tables on stdout."""
+    """Writes tables and figures to `out` and prints the tables."""
     from rig.core.settings import fingerprint
     from rig.detector.detector import DETECTOR_VERSION
     from rig.evaluation.scoring.results import ROW, results, rows
 
-    told = results(contenders, judged)
+    scored = results(contenders, judged)
     document = {
         "simulated": simulated,
         "use": use,
@@ -339,42 +399,49 @@ def _report(
             }
             for one in contenders
         ],
-        "results": [dict(zip(ROW, map(_plain, row), strict=True)) for row in rows(told, use)],
+        "results": [dict(zip(ROW, map(_plain, row), strict=True)) for row in rows(scored, use)],
     }
     _make(out)
-    drawn = _draw(told, use, simulated, out)
+    drawn = _draw(scored, use, simulated, out)
     _write_csv(out / "trials.csv", _TRIAL, _trials(contenders, judged))
-    _write_csv(out / "score.csv", ROW, rows(told, use))
-    _write(out / "score.json", json.dumps(document, indent=1) + "\n")  # the last: it is complete
+    _write_csv(out / "score.csv", ROW, rows(scored, use))
+    # Written last: its presence shows that the folder is complete.
+    _write(out / "score.json", json.dumps(document, indent=1) + "\n")
     if as_json:
         files = [out / name for name in ("score.json", "score.csv", "trials.csv")]
         typer.echo(json.dumps({**document, "files": [str(file) for file in [*files, *drawn]]}))
         return
     heading = f"{'simulated trials, ' if simulated else ''}{use}, {len(judged)} trials"
-    for line in _tables(told, heading):
+    for line in _tables(scored, heading):
         typer.echo(line)
-    typer.echo(f"in {out}: score.json, score.csv, trials.csv, {len(drawn)} figures")
+    figures = len({file.stem for file in drawn})
+    typer.echo(
+        f"saved in {out}: score.json, score.csv, trials.csv, {figures} figures (PNG and SVG)"
+    )
 
 
-def _tables(told: Sequence[ContenderResult], heading: str) -> Iterator[str]:
-    names = [one.contender.name for one in told]
-    known = dict.fromkeys(quantity for one in told for quantity in one.score)
+def _tables(scored: Sequence[ContenderResult], heading: str) -> Iterator[str]:
+    names = [one.contender.name for one in scored]
+    known = dict.fromkeys(quantity for one in scored for quantity in one.score)
     table = [
-        [_named(quantity), *(_shown(one.score.get(quantity)) for one in told)] for quantity in known
+        [_label(quantity), *(_shown(one.score.get(quantity)) for one in scored)]
+        for quantity in known
     ]
     yield from _aligned(f"All trials: {heading}", ["", *names], table)
+    yield LEGEND
+    yield ""
     for quantity in BY_TRAIT:
         groups = [
             {(group.trait, group.bin): group.score.get(quantity) for group in one.groups}
-            for one in told
+            for one in scored
         ]
         table = [
-            [f"{trait} {name}", *(_shown(each.get((trait, name))) for each in groups)]
+            [_condition(trait, name), *(_shown(each.get((trait, name))) for each in groups)]
             for trait, name in groups[0]
             if trait in SHOWN_TRAITS and any(each.get((trait, name)) for each in groups)
         ]
         if table:
-            yield from _aligned(f"{_named(quantity)} by trait: {heading}", ["", *names], table)
+            yield from _aligned(f"{_label(quantity)}, by condition: {heading}", ["", *names], table)
 
 
 def _aligned(title: str, head: list[str], table: list[list[str]]) -> Iterator[str]:
@@ -387,19 +454,35 @@ def _aligned(title: str, head: list[str], table: list[list[str]]) -> Iterator[st
     yield ""
 
 
-def _named(quantity: str) -> str:
-    """A quantity's name in a printed table: percentiles say that they are."""
+def _label(quantity: str) -> str:
+    """Returns the label of a quantity in a printed table.
+
+    >>> _label("after_node_5")
+    'delay after first node slip, 5th percentile (ms)'
+    """
     stem, _, percent = quantity.rpartition("_")
-    return f"{stem}, {percent} % (ms)" if percent.isdigit() else quantity
+    if percent in ORDINALS:
+        return f"{LABELS[stem]}, {ORDINALS[percent]} (ms)"
+    return LABELS[quantity]
+
+
+def _condition(trait: str, bin_: str) -> str:
+    """Returns a bin of a trait as text.
+
+    >>> _condition("noise_mV", "0.2 to 0.5")
+    'noise 0.2 to 0.5 mV'
+    """
+    word, unit = TRAIT_WORDS[trait]
+    return f"{word} {bin_} {unit}".rstrip()
 
 
 def _shown(number: ScoredNumber | None) -> str:
-    """A number with its 95 % interval, a rate with the number of its cases."""
+    """Returns a number with its 95 % interval; a rate also with the number of its cases."""
     if number is None or not number.of:
         return "-"
     if number.unit == "1":
-        return f"{number.value:.3f} ({number.low:.3f}..{number.high:.3f}) {number.of}"
-    interval = f" ({number.low:.1f}..{number.high:.1f})" if math.isfinite(number.low) else ""
+        return f"{number.value:.3f} ({number.low:.3f} to {number.high:.3f}) of {number.of}"
+    interval = f" ({number.low:.1f} to {number.high:.1f})" if math.isfinite(number.low) else ""
     return f"{number.value:.1f}{interval}"
 
 
@@ -419,17 +502,17 @@ def _trials(
             yield tuple(values.get(name, "") for name in _TRIAL)
 
 
-def _draw(told: Sequence[ContenderResult], use: str, simulated: bool, out: Path) -> list[Path]:
+def _draw(scored: Sequence[ContenderResult], use: str, simulated: bool, out: Path) -> list[Path]:
     from rig.figures import score as figures
     from rig.figures.style import save
 
     title = f"{use}{', simulated' if simulated else ''}"
     drawn = {
-        "score-found": figures.draw_found(told, title),
-        "score-delays": figures.draw_delays(told, title),
+        "score-found": figures.draw_found(scored, title),
+        "score-delays": figures.draw_delays(scored, title),
     }
-    if any(one.rocs for one in told):
-        drawn["score-roc"] = figures.draw_roc(told, title)
+    if any(one.rocs for one in scored):
+        drawn["score-roc"] = figures.draw_roc(scored, title)
     return [
         file
         for name, figure in drawn.items()
@@ -438,7 +521,7 @@ def _draw(told: Sequence[ContenderResult], use: str, simulated: bool, out: Path)
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON can hold it."""
+    """Returns a value for JSON; numbers that are not finite become None."""
     if isinstance(value, float):
         return float(f"{value:.6g}") if math.isfinite(value) else None
     return value
@@ -453,7 +536,7 @@ def _write_csv(file: Path, head: Sequence[str], rows: Iterator[tuple[Any, ...]])
 
 
 def _cell(value: Any) -> Any:
-    """Missing numbers are empty, flags 0 and 1."""
+    """Returns a value for CSV: missing numbers are empty, flags 0 and 1."""
     if isinstance(value, bool):
         return int(value)
     plain = _plain(value)
@@ -476,15 +559,16 @@ def _writing(file: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise ConfigurationError(
-            f"{file} cannot be written: {error.strerror}", "name another place"
+            f"{file} cannot be written: {error.strerror}", "choose another place"
         ) from error
 
 
 def _check_new(out: Path) -> None:
-    """Refuses a folder that holds a score before anything is computed."""
+    """Raises ConfigurationError for a folder that contains a score, before anything is computed."""
     if (out / "score.json").exists():
         raise ConfigurationError(
-            f"--out {out}: holds a score already", "name a new folder; scores are not overwritten"
+            f"--out {out}: contains a score already",
+            "choose a new folder; scores are not overwritten",
         )
 
 

@@ -1,7 +1,7 @@
-"""``rig skin``: run the skin model and draw it. Parses, calls, prints; no physics of its own.
+"""``rig skin`` runs the skin model and draws the results. It contains no physics of its own.
 
-What is expensive to import is imported inside the commands. stdout carries the summary, stderr
-nothing but errors; every figure and every summary says that it is simulated.
+Modules that are slow to import are imported inside the commands. stdout carries the summary,
+stderr only errors. Every figure and every summary states that it is simulated.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 else:
     Model = TypeVar("Model")
 
-HELP = "Simulate the finger skin: slides, rolls, the paper's 4.2, where strips belong."
+HELP = "Simulate the finger skin: slides, rolls, the paper's section 4.2, places for the strips."
 
 app = typer.Typer(
     name="skin",
@@ -48,36 +48,54 @@ app = typer.Typer(
 Results = Annotated[Path, typer.Option(help="Folder for the figures.", file_okay=False)]
 SkinFile = Annotated[
     Path | None,
-    typer.Option("--skin", help="The skin's settings as JSON, in place of --elements."),
+    typer.Option("--skin", help="JSON file with the settings of the skin; replaces --elements."),
 ]
 ShowSkin = Annotated[
-    bool, typer.Option("--show-skin", help="Print the skin's settings as JSON and stop.")
+    bool, typer.Option("--show-skin", help="Print the settings of the skin as JSON and exit.")
 ]
 SettingsFile = Annotated[
     Path | None,
-    typer.Option("--settings", help="Settings as JSON; --show-settings prints them to edit."),
+    typer.Option("--settings", help="JSON file with settings, as --show-settings prints them."),
 ]
 ShowSettings = Annotated[
-    bool, typer.Option("--show-settings", help="Print the settings as JSON and stop.")
+    bool, typer.Option("--show-settings", help="Print the settings as JSON and exit.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")]
 Elements = Annotated[
     int,
     typer.Option(
-        "--elements", help="Elements along a ridge; fewer than 6 are quick and coarse.",
+        "--elements", help="Finite elements along a ridge; fewer than 6 are fast but coarse.",
         min=2, max=40,
     ),
 ]  # fmt: skip
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
-NormalForce = Annotated[str, typer.Option("--normal-force", help="F_n.", metavar="N")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")]
+NormalForce = Annotated[str, typer.Option("--normal-force", help="Normal force F_n.", metavar="N")]
 At = Annotated[
     list[str] | None,
-    typer.Option("--at", help="Instant of the deformed skin; repeatable.", metavar="s"),
+    typer.Option("--at", help="Time at which the deformed skin is drawn; repeatable.", metavar="s"),
 ]
 AtStep = Annotated[
     list[float] | None,
-    typer.Option("--at", help="Step of the deformed skin; repeatable.", metavar="STEP"),
+    typer.Option(
+        "--at", help="Step at which the deformed skin is drawn; repeatable.", metavar="STEP"
+    ),
 ]
+LABELS = {
+    "slip_order": "ridges that slipped as a whole, in order (1 is the leftmost)",
+    "ridge_first_slip_s": "slip of the first node of each ridge (s)",
+    "ridge_whole_slip_s": "slip of each whole ridge (s)",
+    "gross_slip_s": "gross slip (s)",
+    "v_d_min_mV": "lowest v_d during the motion (mV)",
+    "v_d_max_mV": "highest v_d during the motion (mV)",
+    "stable_step_us": "largest stable step (µs)",
+    "ridge_whole_slip_step": "slip of each whole ridge (step)",
+    "gross_slip_step": "gross slip (step)",
+    "bottoms_mm": "rows: lower edges of the strips above the foot of the ridge (mm)",
+    "offsets_mm": "columns: distances of the strips from the axis of the ridge (mm)",
+    "hump_mV": "v_d before the ridge slips (mV)",
+    "hf_peak_mV": "largest v_d above 100 Hz when the ridge slips (mV)",
+}
+"""Labels of the printed summary; the keys of --json are not translated."""
 RELIEF_TITLES = {
     "normal_raised": "relief by a raised $F_n$",
     "tangential_lowered": "relief by a lowered $F_t$",
@@ -95,10 +113,10 @@ def slide(
     show_skin: ShowSkin = False,
     elements: Elements = 8,
     normal_force: NormalForce = "4N",
-    speed: Annotated[str, typer.Option(help="Of the plate.", metavar="mm/s")] = "0.5mm/s",
+    speed: Annotated[str, typer.Option(help="Speed of the plate.", metavar="mm/s")] = "0.5mm/s",
     at: At = None,
 ) -> None:
-    """Press a plate on and slide it: v_d, forces, stick-slip map, deformed skin."""
+    """Press a plate on and slide it; draw v_d, forces, stick-slip map and the deformed skin."""
     from rig.physics.skin.settings import SkinSettings
     from rig.physics.trials import PressSettings, SlideSettings
     from rig.physics.trials import slide as run
@@ -111,7 +129,8 @@ def slide(
         chosen = _settings(SlideSettings, settings, default)
         if chosen.speed_mm_s == 0:
             raise ConfigurationError(
-                "speed 0 mm/s: nothing slides", "choose a speed above 0, for example 0.5mm/s"
+                "speed 0 mm/s: the plate does not slide",
+                "choose a speed above 0, for example 0.5mm/s",
             )
         instants = _times(at)
         shape_of_skin = _settings(
@@ -138,12 +157,14 @@ def roll(
     elements: Elements = 8,
     normal_force: NormalForce = "4N",
     start: Annotated[
-        str, typer.Option(help="x of the contact before the roll.", metavar="mm")
+        str, typer.Option(help="Position x of the contact before the roll.", metavar="mm")
     ] = "-5mm",
-    shape: Annotated[str, typer.Option(help="cylinder or sphere.")] = "cylinder",
+    shape: Annotated[
+        str, typer.Option(help="Shape of the object.", metavar="[cylinder|sphere]")
+    ] = "cylinder",
     at: At = None,
 ) -> None:
-    """Press a cylinder or a sphere on and roll it: v_d, forces, stick-slip map, deformed skin."""
+    """Press a cylinder or sphere on and roll it; draw v_d, forces, sticking, the deformed skin."""
     from rig.physics.skin.settings import SkinSettings
     from rig.physics.trials import RollSettings
     from rig.physics.trials import roll as run
@@ -179,11 +200,14 @@ def history(
     as_json: AsJson = False,
     debug: Debug = False,
     relief: Annotated[
-        str, typer.Option(help="How step 300 relieves: normal_raised or tangential_lowered.")
+        str,
+        typer.Option(
+            help="Relief of the contact at step 300.", metavar="[normal_raised|tangential_lowered]"
+        ),
     ] = "normal_raised",
     at: AtStep = None,
 ) -> None:
-    """The paper's simulation 4.2: stress difference and its rate, stick-slip map, deformed skin."""
+    """Run the paper's simulation 4.2; draw stress difference, rate and deformed skin."""
     from rig.physics.loading_history import RELIEFS, HistorySettings, run_history
     from rig.physics.skin.elasticity import STRESSES, ElasticSkin
     from rig.physics.skin.field import deformed
@@ -233,7 +257,7 @@ def map_(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Where strips belong: hump and HF peak over ridge, place and stress component."""
+    """Map v_d of a slide over ridge, place of the strips and stress component."""
     from rig.physics.design_map import MapSettings, design_map
 
     with reported(debug, as_json), model_errors():
@@ -268,11 +292,12 @@ def _report(
     title: str,
     as_json: bool,
 ) -> None:
-    """Draw a trial and print what happened."""
+    """Draws a trial and prints its summary."""
     from rig.figures import skin as figures
 
     drawn = {stem: figures.draw_trial(trial, skin.ridge, settings.ridge, title)}
-    if settings.body.shape != "sphere":  # its slices have no common section to draw
+    # The slices of a sphere have no common section that could be drawn.
+    if settings.body.shape != "sphere":
         instants = _instants(trial, settings, elastic, at)
         drawn[f"{stem}-deformed"] = figures.draw_deformed(instants, skin.settings, 1, title)
     files = _save(drawn, results)
@@ -292,7 +317,7 @@ def _report(
 def _instants(
     trial: SkinTrial, settings: Any, elastic: ElasticSkin, at: list[float] | None
 ) -> list[tuple[str, Any]]:
-    """The section at the instants asked for, or at rest, at the ridge's slip and at the end."""
+    """Returns the section at the requested times, or at rest, at slip and at the end."""
     import numpy as np
 
     from rig.physics.skin.field import deformed, relaxed_forces
@@ -314,7 +339,7 @@ def _instants(
 
 
 def _steps(at: list[float] | None, last: int) -> list[int]:
-    """The steps of the deformed skin: those asked for, or one of each part of the history."""
+    """Returns the requested steps, or one of each part of the history."""
     if at:
         _within(at, 1, last, "(a step)")
         return sorted({round(step) for step in at})
@@ -326,12 +351,12 @@ def _within(at: list[float], first: float, last: float, unit: str) -> None:
         if not first <= value <= last:
             raise ConfigurationError(
                 f"--at {value:g} {unit} must lie between {first:g} and {last:g}: "
-                "there is nothing to draw outside the run"
+                "outside it there is nothing to draw"
             )
 
 
 def _save(drawn: dict[str, Figure], results: Path) -> list[Path]:
-    """Each figure as PNG and SVG below `results`, with a number where there are others already."""
+    """Saves each figure as PNG and SVG in `results`, with a number if the names are taken."""
     from rig.figures.style import save
 
     try:
@@ -344,12 +369,13 @@ def _save(drawn: dict[str, Figure], results: Path) -> list[Path]:
         ]
     except OSError as error:
         raise ConfigurationError(
-            f"figures cannot be written to {results}: {error.strerror}", "name another --results"
+            f"figures cannot be written to {results}: {error.strerror}",
+            "choose another folder with --results",
         ) from error
 
 
 def _free_number(results: Path, stems: list[str]) -> str:
-    """What is added to these names so that none of them is taken: nothing, -2, -3 and so on."""
+    """Returns an ending for these names with which none of them is taken: "", "-2", "-3", ..."""
     endings = itertools.chain([""], (f"-{number}" for number in itertools.count(2)))
     return next(
         added
@@ -363,7 +389,7 @@ def _times(at: list[str] | None) -> list[float] | None:
 
 
 def _number(text: str, unit: str, option: str) -> float:
-    """A number from an option's text, with or without its unit."""
+    """Returns the number in an option's text, with or without its unit."""
     from rig.core.units import quantity
 
     try:
@@ -397,7 +423,7 @@ def _show(settings: Any) -> None:
 
 
 def _plain(values: float | NDArray[np.float64]) -> Any:
-    """Numbers as JSON can hold them: rounded, None for what did not happen."""
+    """Returns rounded numbers for JSON; None for events that did not happen."""
     import numpy as np
 
     if np.ndim(values) > 0:
@@ -413,12 +439,12 @@ def _print_summary(summary: dict[str, Any], files: list[Path], as_json: bool) ->
     typer.echo("simulated (model)")
     for key, value in full.items():
         if key != "simulated":
-            for line in _lines(key, value):
+            for line in _lines(LABELS.get(key, key), value):
                 typer.echo(line)
 
 
 def _lines(name: str, value: Any) -> Iterator[str]:
-    """A value for a person: a list on one line, a table one row a line, below its name."""
+    """Returns a value as text: a list in one line, a table with one line per row below its name."""
     if isinstance(value, dict):
         yield f"{name}:"
         for key, part in value.items():
@@ -433,7 +459,7 @@ def _lines(name: str, value: Any) -> Iterator[str]:
 
 
 def _word(value: Any) -> str:
-    """None is what did not happen."""
+    """Returns a value as text. Events that did not happen are None."""
     if value is None:
-        return "none"
+        return "never"
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,7 +1,7 @@
-"""``rig train``: learn the detector's network again from simulated trials.
+"""``rig train`` trains the network of the detector ``rig`` on simulated trials.
 
-Parses, calls, prints. The file that it writes is the one that the program brings along; it holds
-the seeds it was learned from, and scoring refuses those.
+It writes a file in the format of the network that the program contains. The file states the seeds
+of the trials, and scoring refuses these seeds.
 """
 
 from __future__ import annotations
@@ -22,15 +22,19 @@ if TYPE_CHECKING:
 
 
 def train(
-    out: Annotated[Path, typer.Option(help="File to write.", dir_okay=False)],
+    out: Annotated[Path, typer.Option(help="Network file to write (JSON).", dir_okay=False)],
     seeds: Annotated[
-        str, typer.Option(help="Random trials, END excluded.", metavar="FIRST:END")
+        str, typer.Option(help="Seeds of the random trials, END excluded.", metavar="FIRST:END")
     ] = "0:1500",
-    units: Annotated[int, typer.Option(help="Of the hidden layer.", min=1, max=256)] = 16,
-    epochs: Annotated[int, typer.Option(help="Passes over all rows.", min=1, max=1000)] = 30,
-    seed: Annotated[int, typer.Option(help="Of first weights and order.", min=0)] = 0,
-    jobs: Annotated[int, typer.Option(help="Processes.", min=1, max=64)] = 1,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    units: Annotated[int, typer.Option(help="Units of the hidden layer.", min=1, max=256)] = 16,
+    epochs: Annotated[
+        int, typer.Option(help="Number of passes over all rows.", min=1, max=1000)
+    ] = 30,
+    seed: Annotated[
+        int, typer.Option(help="Seed of the initial weights and of the order of the rows.", min=0)
+    ] = 0,
+    jobs: Annotated[int, typer.Option(help="Number of parallel processes.", min=1, max=64)] = 1,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
 ) -> None:
     """Train the network of the detector `rig` on simulated trials whose truth is known."""
     with reported(debug):
@@ -39,20 +43,22 @@ def train(
         drawn = seed_range(seeds)
         if not drawn.tunes:
             raise ConfigurationError(
-                f"--seeds {seeds}: seeds from {FIRST_REPORTING_SEED} on are for reporting, and "
-                "nothing is learned from them",
+                f"--seeds {seeds}: seeds from {FIRST_REPORTING_SEED} on are reserved for "
+                "reporting; no detector is trained on them",
                 f"choose seeds below {FIRST_REPORTING_SEED}",
             )
         if out.exists():
             raise ConfigurationError(f"{out}: exists already", "choose another file")
         if not out.parent.is_dir():
             raise ConfigurationError(
-                f"{out.parent}: no such folder", "create it, or choose another"
+                f"{out.parent}: no such folder", "create it, or choose another folder"
             )
         network = _trained(drawn.first, drawn.end, units, epochs, seed, jobs)
         text = json.dumps(network.model_dump(mode="json"), indent=1) + "\n"
         write_text(out, text)
-        typer.echo(f"{out}: network of {units} units from simulated trials {drawn}")
+        typer.echo(
+            f"saved {out}: network of {units} units, trained on simulated trials, seeds {drawn}"
+        )
 
 
 def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int) -> Network:
@@ -89,14 +95,15 @@ def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int
         output=((0.0, -50.0),) * len(OUTPUTS), first_seed=0, last_seed=0, trained_by="nothing",
     )  # fmt: skip
     parameters = named_detectors()["rig"].model_copy(update={"network": silent})
-    IncipientSlipDetector(parameters, NETWORK_RATE_Hz)  # compiled once, before there are workers
+    # Designs and caches the filters here, so that the forked workers do not each do it.
+    IncipientSlipDetector(parameters, NETWORK_RATE_Hz)
 
     def taught(trial: LabelledTrial, volts: Floats, _: Traits) -> TrainingRows:
-        looks = IncipientSlipDetector(parameters, trial.rate_Hz).network_inputs(volts)
+        shown = IncipientSlipDetector(parameters, trial.rate_Hz).network_inputs(volts)
         return rows_of(
             TrainingTrial(
-                inputs=looks.inputs,
-                time_s=looks.rows / trial.rate_Hz,
+                inputs=shown.inputs,
+                time_s=shown.rows / trial.rate_Hz,
                 rolls=trial.kind == "roll",
                 motion_s=trial.motion_s,
                 ridge_slip_s=trial.ridge_slip_s,
@@ -138,5 +145,5 @@ def _trained(first: int, end: int, units: int, epochs: int, seed: int, jobs: int
 
 
 def _rounded(weights: Floats) -> tuple[tuple[float, ...], ...]:
-    """Six digits: what a person can read, and more than the learning decides."""
+    """Rounds weights to six digits: readable, and more than the training determines."""
     return tuple(tuple(float(f"{one:.6g}") for one in row) for row in weights)

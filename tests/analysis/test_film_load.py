@@ -113,8 +113,8 @@ def test_the_load_cells_error_widens_b_and_the_load(record):
     [
         (1.0, 1e-3, "outside the calibrated 2 to"),
         (30e3, 1e-3, "outside the calibrated"),
-        (100.0, 0.0, "no load in it"),
-        (100.0, math.nan, "no load in it"),
+        (100.0, 0.0, "it contains no load"),
+        (100.0, math.nan, "it contains no load"),
     ],
 )
 def test_what_cannot_be_told_is_refused(record, frequency, voltage, told):

@@ -238,7 +238,7 @@ def test_points_that_follow_no_circuit_are_refused():
     gains = 10 ** (random.uniform(-40, 20, SCAN.size) / 20)
     responses = gains * np.exp(2j * np.pi * random.random(SCAN.size))
     covariances = (0.01 * gains)[:, None, None] ** 2 * np.eye(2)
-    with pytest.raises(CurveError, match="no first-order circuit with drops comes near"):
+    with pytest.raises(CurveError, match="no first-order circuit with notches fits"):
         analyse(SCAN, responses, covariances)
 
 

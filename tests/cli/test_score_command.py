@@ -77,14 +77,17 @@ def population(tmp_path: Path) -> Path:
         ),
         (["--seeds", "10"], "--seeds 10: not a range of seeds"),
         (["--tune", "x.json"], "--tune x.json: thresholds are chosen on tuning seeds only"),
-        (["--kinds", "slide,fall"], "'fall' is no kind of trial; choose among slide,roll"),
+        (["--kinds", "slide,fall"], "'fall' is not a kind of trial; choose among slide,roll"),
         (["--detector", "ouija"], "--detector ouija: has to be one of rig, paper-literal"),
         (["--speed", "0"], "--speed 0: must be one speed above 0 mm/s"),
         (["--speed", "3N"], "--speed 3N: 'N' does not convert to mm/s"),
         (["--youngs-modulus", "-1MPa"], "youngs_modulus_MPa = -1.0 MPa: has to be above 0 MPa"),
-        (["--ridge", "12"], "ridge 12 of a skin with 9 ridges: there is none"),
+        (["--ridge", "12"], "ridge 12: the skin has only 9 ridges"),
         (["--files", "nowhere.csv"], "nowhere.csv: No such file"),
-        (["--files", "list.csv", "--tune", "x.json"], "files tune nothing"),
+        (
+            ["--files", "list.csv", "--tune", "x.json"],
+            "--files cannot be combined with --tune or --tuning",
+        ),
     ],
 )
 def test_what_cannot_be_scored_is_refused_in_one_line(arguments, words, tmp_path):
@@ -111,12 +114,12 @@ def test_parameters_that_differ_are_those_of_one_detector_and_named_in_the_table
     assert [one["name"] for one in told["detectors"]] == ["paper-hp with deaf"]
     assert values(told)["found"] == 0.0
     line = refused(*given, "--detector", "paper-hp", "--detector", "rig", "--out", tmp_path / "no")
-    assert "says nothing of which of 2 detectors it changes" in line
+    assert "unclear which of the 2 detectors it changes" in line
 
 
 def test_an_earlier_score_is_never_overwritten(tmp_path):
     (tmp_path / "score.json").write_text("{}")
-    assert "holds a score already" in refused("--out", tmp_path)
+    assert "contains a score already" in refused("--out", tmp_path)
 
 
 def test_options_change_the_population_as_a_file_does(population):
@@ -139,6 +142,9 @@ def test_trials_are_scored_the_same_by_one_process_and_by_two(tmp_path, populati
              "--detector", "paper-hp")  # fmt: skip
     said = run(*given, "--out", tmp_path / "one")
     assert "All trials: simulated trials, reporting seeds 1000000:1000003, 12 trials" in said
+    assert "delay after first node slip, 5th percentile (ms)" in said
+    assert "early warnings without slip" in said
+    assert said.rstrip().endswith("score.json, score.csv, trials.csv, 3 figures (PNG and SVG)")
     run(*given, "--out", tmp_path / "two", "--jobs", "2")
     for name in ("score.json", "score.csv", "trials.csv"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()

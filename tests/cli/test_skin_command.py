@@ -147,7 +147,7 @@ def test_every_figure_says_that_it_is_simulated(tmp_path: Path, monkeypatch):
             "normal_force_N = -1.0 N: has to be above 0 N",
         ),
         (["slide", "--normal-force", "4s"], "--normal-force 4s: 's' does not convert to N"),
-        (["slide", "--speed", "0"], "speed 0 mm/s: nothing slides"),
+        (["slide", "--speed", "0"], "speed 0 mm/s: the plate does not slide"),
         (["slide", "--at", "soon"], "--at soon"),
         (["roll", "--shape", "cone"], "cone"),
         (["history", "--relief", "none"], "--relief none: must be one of normal_raised"),

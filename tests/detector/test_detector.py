@@ -258,7 +258,7 @@ def test_a_network_of_other_inputs_is_refused():
     network = named_detectors()["rig"].network
     assert network is not None
     other = network.model_copy(update={"inputs": tuple(reversed(network.inputs)), "name": "old"})
-    with pytest.raises(ValueError, match="network 'old' wants other inputs"):
+    with pytest.raises(ValueError, match="network 'old' needs other inputs"):
         IncipientSlipDetector(DetectorSettings(network=other), RATE_Hz)
 
 
@@ -277,7 +277,7 @@ def test_a_network_whose_rows_do_not_fit_is_refused(values: dict[str, object]):
 
 
 def test_logic_and_network_belong_together():
-    with pytest.raises(ValueError, match="the logic 'rig' wants a trained network"):
+    with pytest.raises(ValueError, match="the logic 'rig' needs a trained network"):
         DetectorSettings()
     with pytest.raises(ValueError, match="the published ones have none"):
         DetectorSettings(logic="paper-hp", network=named_detectors()["rig"].network)

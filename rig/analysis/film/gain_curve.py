@@ -246,9 +246,9 @@ def analyse(
     )
     if fit.gain_error > LARGEST_MODEL_ERROR and found.stress_jerk.verdict != "supported":
         raise CurveError(
-            "no first-order circuit with drops comes near these points: they scatter about the "
+            "no first-order circuit with notches fits these points: they scatter about the "
             f"best one by {fit.gain_error:.0%}",
-            "look at the measured gain and phase before anything else",
+            "check the measured gain and phase first",
         )
     return found
 

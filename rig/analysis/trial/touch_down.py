@@ -57,8 +57,8 @@ class TouchRecord:
     first_s: float = 0.0
     """Time of the first sample on its clock, in s."""
     delay_s: float = 0.0
-    """How late a sample shows what happened, in s: half a frame for a mean, `delay_s` for a
-    filter."""
+    """Delay between an event and the sample that shows it, in s: half a frame for a mean, `delay_s`
+    for a filter."""
 
 
 def _gaussian(values: Reals, rate_Hz: float, order: int) -> Reals:

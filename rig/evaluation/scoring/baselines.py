@@ -73,7 +73,8 @@ class BaselineSettings(Settings):
     arm_sigmas: float = Field(5.0, gt=0)
     """... and above this many standard deviations of its own noise."""
     armed_s: float = Field(0.15, gt=0)
-    """How long it stays armed after the predictive signal was last above half its threshold."""
+    """Time for which it stays armed after the predictive signal was last above half its
+    threshold."""
     silence_s: float = Field(0.15, gt=0)
     """Time after an alarm in which there is no other alarm."""
     quiet_s: float = Field(0.25, gt=0)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 FOUND_WITHIN_S = 0.030
-"""How long after the slip of the whole ridge an alarm still finds the slip, in s."""
+"""Time after the slip of the whole ridge within which an alarm still finds the slip, in s."""
 SLIPPED = ("slip", "slip in a roll")
 """Labels of trials in which the ridge slips as a whole."""
 

@@ -980,7 +980,7 @@ def _again(
         force[i], force[m + i] = p, t
     drift = scalars[DRIFT] + _drift(bound, force, filtered, alpha)
     if not np.isfinite(drift):
-        return 0  # a whole step refuses what is no number
+        return 0  # a whole step refuses values that are not finite
     for i in range(m):
         if status[i] != OPEN or height[i] + w[i] - motion[0] > drift - seen[i]:
             continue

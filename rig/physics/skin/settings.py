@@ -78,8 +78,8 @@ class SkinSettings(Settings):
     elements_per_ridge: int = Field(8, ge=2, le=40)
     """Quadratic elements along the top of a ridge; use at least 6."""
     refinement: Literal["graded", "uniform"] = "graded"
-    """``graded`` crowds elements at the corners, where stress is singular; ``uniform`` keeps them
-    alike, which explicit dynamics wants."""
+    """``graded`` concentrates elements at the corners, where stress is singular; ``uniform`` makes
+    them alike, which explicit dynamics needs."""
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
