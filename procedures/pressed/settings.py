@@ -144,8 +144,8 @@ def trial_points(
     it ready, `first_s` of the first trial besides. The ways in z are a matter of the fixture:
     `pressed_overhead_s`."""
     held = (
-        Move("force_sensor.force", settings.largest_force_N),
-        Move("stage_z.update_rate", settings.updates_Hz),
+        Move("force_sensor.force", settings.largest_force_N, ("largest_force_N",)),
+        Move("stage_z.update_rate", settings.updates_Hz, ("tick_Hz",)),
     )
     trial_s = pressing_s(settings) + motion_s + AFTER_S
     return tuple(
@@ -235,16 +235,19 @@ def import_what_a_trial_needs() -> None:
     import scipy.special  # noqa: F401
 
 
-def arm_pressed(run: Run, what: str, stop: Callable[[], None], at_once: Callable[[], None]) -> None:
-    """Watch the force; have the end of everything known before it begins; park.
+def arm_pressed(
+    run: Run, what: str, stop: Callable[[], None], emergency: Callable[[], None], done: str
+) -> None:
+    """Watch the force; register the end of everything before it begins; park.
 
-    `what` moves under the held force; it is ended by `stop`, or `at_once` where a watcher acts.
+    `what` moves under the held force; it is ended by `stop`, or by `emergency` where a watcher
+    acts; `done` is what a person reads when it has ended.
     """
     bench, settings = run.bench, run.settings
     run.stream_force(FORCE_RATE_S_S)
     run.force.watch(settings.largest_force_N)
     run.arm("acquisition", bench.daq.stop)  # last: a DAQ that hangs keeps no skin pressed
-    run.arm(what, stop, at_once=at_once)
+    run.arm(what, stop, emergency=emergency, done=done)
     stop()
     park(run, "normal force", lambda came_from_mm: _lift(run, what, stop, came_from_mm))
     if not bench.stage_x.homed():  # only now: the skin is clear of everything

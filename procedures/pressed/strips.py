@@ -97,7 +97,7 @@ class StripRecord:
     def _keep_blocks(self) -> None:
         while self._blocks:
             block = self._blocks.popleft()
-            self._run.emit("strips", block)
+            self._run.record_raw("strips", block)
             self._taken.rows += len(block.counts)
             volts = np.stack([block.volts(name) for name in STRIPS], axis=1)
             self._keep_signals(self._decimator.add(volts))
@@ -106,6 +106,6 @@ class StripRecord:
         if not len(volts):
             return
         rows = np.column_stack([volts[:, 0] - volts[:, 1], volts])
-        self._run.put("signals", self._taken.signal_rows, rows, DECIMATED_Hz, units="V")
+        self._run.record_rows("signals", self._taken.signal_rows, rows, DECIMATED_Hz, units="V")
         self._taken.signal_rows += len(rows)
         self._taken.volts.append(volts)

@@ -424,8 +424,8 @@ class PressedTrial:
         first, rows = self._recorded_rows, np.array(self.taken.position[self._recorded_rows :])
         if len(rows):
             self._recorded_rows += len(rows)
-            self.run.put("ticks", first, rows[:, :1], None, units="s")
-            self.run.put("position", first, rows[:, 1:], None, units="mm")
+            self.run.record_rows("ticks", first, rows[:, :1], None, units="s")
+            self.run.record_rows("position", first, rows[:, 1:], None, units="mm")
 
     def _collect_frames(self, least: int = 1) -> None:
         """What the force sensor had sent when the tick began, where that is `least` frames."""
@@ -436,10 +436,10 @@ class PressedTrial:
         frames = run.force.frames_since(self._first_frame + taken.frames)
         assert frames is not None, "they have been seen"
         first, taken.frames = taken.frames, taken.frames + fresh
-        run.put("bridges", first, frames.raw[:fresh], FORCE_RATE_S_S, units="mV/V")
+        run.record_rows("bridges", first, frames.raw[:fresh], FORCE_RATE_S_S, units="mV/V")
         # The sensor's z points up out of the object: what presses on it is F_n.
         newton = np.ascontiguousarray(frames.force_N[:fresh, [2, 0, 1]])
-        run.put("force", first, newton, FORCE_RATE_S_S, units="N")
+        run.record_rows("force", first, newton, FORCE_RATE_S_S, units="N")
         taken.force.append(newton)
 
     def _count_frames(self) -> None:
@@ -495,5 +495,5 @@ class PressedTrial:
         taken, scales = self.taken, self.series.scales
         if scales:
             rates = taken.load_rates(scales)
-            self.run.put("load_rate", 0, rates, DECIMATED_Hz, units="N/s")
+            self.run.record_rows("load_rate", 0, rates, DECIMATED_Hz, units="N/s")
         return taken.load_scales(scales)

@@ -217,7 +217,7 @@ class Trial(_OnHead):
         first, rows = self._recorded_rows, np.array(self.taken.rotation[self._recorded_rows :])
         super()._record_places()
         if len(rows):
-            self.run.put("rotation", first, rows[:, 1:], None, units="deg")
+            self.run.record_rows("rotation", first, rows[:, 1:], None, units="deg")
 
     def reading(self) -> Reading:
         """Figures of the trial, and why it does not count if it does not."""

@@ -32,20 +32,14 @@ from procedures.pressed.settings import (
     why_invalid,
 )
 from procedures.slip_trial import layout as slip_layout
-from rig.bench.bench import Fixture, FixtureSettings
+from rig.bench.bench import FixtureSettings
 from rig.run.points import Move, Point, Reading
+from rig.run.procedure import Procedure
 
 if TYPE_CHECKING:
+    from procedures.slip_trial.trial import Series
     from rig.bench.bench import Bench
     from rig.run.context import Run
-
-NAME = "slip-trial"
-FIXTURES: tuple[Fixture, ...] = ("plate",)
-FIGURE = "slip_trial"
-LAYOUT = slip_layout.LAYOUT
-STREAMS = pressed_layout.STREAMS
-invalid = why_invalid
-DRIFT = TOUCH_DRIFT
 
 UNREHEARSED_mm = 0.0175
 """Travel within delay and tick up to which the servo holds the force through a slide that it has
@@ -126,87 +120,111 @@ class Settings(PressedSettings):
         return self.start_mm + self.along * self.distance_mm
 
 
-# --- what will be done ------------------------------------------------------------------------
+SlipTrialSettings = Settings
 
 
-def points(settings: Settings) -> tuple[Point, ...]:
-    """One point a trial."""
-    motion_s = settings.slide_s
-    rehearsal_s = pressing_s(settings) + motion_s + AFTER_S
-    first_s = rehearsal_s if settings.rehearsed(settings.tick_s) else 0.0
-    moves = (
-        Move("stage_x.position", settings.start_mm),
-        Move("stage_x.position", settings.end_mm),
-        Move("stage_x.speed", settings.speed_mm_s),
-    )
-    return trial_points(settings, moves, motion_s, first_s)
+class SlipTrial(Procedure):
+    """Slide of the artificial skin on a plate at constant normal force: paper 4.1."""
 
+    name = "slip-trial"
+    fixtures = ("plate",)
+    Settings = SlipTrialSettings
+    layout = slip_layout.LAYOUT
+    streams = pressed_layout.STREAMS
+    drift = TOUCH_DRIFT
+    point_name = ("trial", "trials")
 
-def overhead_s(settings: Settings, fixture: FixtureSettings, homed: bool) -> float:
-    """Bench time that the ways in z, homing and parking are expected to take."""
-    presses = settings.trials + settings.rehearsed(settings.tick_s)
-    return pressed_overhead_s(
-        settings, fixture, homed, presses, settings.start_mm, settings.distance_mm
-    )
+    settings: SlipTrialSettings
 
+    def __init__(self, settings: SlipTrialSettings):
+        super().__init__(settings)
+        self._series: Series | None = None
+        """What the trials have taught the ones that follow; None before the first arming."""
 
-def check(settings: Settings, bench: Bench) -> None:
-    """Refuse a fixture that does not say where contact has to be felt."""
-    contact_range_mm(bench)
+    # --- what will be done ----------------------------------------------------------------------
 
+    def import_ahead(self) -> None:
+        """Import what a trial needs: never while something is switched on."""
+        import_what_a_trial_needs()
+        import procedures.slip_trial.trial  # noqa: F401
 
-def summarise(settings: Settings, readings: Sequence[Reading]) -> Mapping[str, Any]:
-    """Friction and servo, means of the trials that count and their standard deviations, how many
-    count, and why trials have no friction coefficients."""
-    names = (
-        "static_friction",
-        "kinetic_friction",
-        "force_error_rms_percent",
-        "force_error_peak_percent",
-        "overshoot_percent",
-    )
-    found = summary_of(readings, names)
-    reasons = [str(why) for r in readings if (why := r.get("no_friction"))]
-    if reasons:
-        found["no_friction"] = [
-            f"{len(reasons)} of {len(readings)} trials give no friction coefficients: {reasons[0]}"
-        ]
-    return found
+    def points(self) -> tuple[Point, ...]:
+        """One point a trial."""
+        settings = self.settings
+        motion_s = settings.slide_s
+        rehearsal_s = pressing_s(settings) + motion_s + AFTER_S
+        first_s = rehearsal_s if settings.rehearsed(settings.tick_s) else 0.0
+        moves = (
+            Move("stage_x.position", settings.start_mm, ("start_mm",)),
+            Move("stage_x.position", settings.end_mm, ("start_mm", "distance_mm", "direction")),
+            Move("stage_x.speed", settings.speed_mm_s, ("speed_mm_s",)),
+        )
+        return trial_points(settings, moves, motion_s, first_s)
 
+    def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
+        """Bench time that the ways in z, homing and parking are expected to take, in s."""
+        settings = self.settings
+        presses = settings.trials + settings.rehearsed(settings.tick_s)
+        return pressed_overhead_s(
+            settings, fixture, homed, presses, settings.start_mm, settings.distance_mm
+        )
 
-# --- doing it ---------------------------------------------------------------------------------
+    def check(self, bench: Bench) -> None:
+        """Refuse a fixture that does not say where contact has to be felt."""
+        contact_range_mm(bench)
 
+    def why_invalid(self, reading: Reading) -> str:
+        """Why a trial is invalid; "" for a valid one."""
+        return why_invalid(self.settings, reading)
 
-def import_ahead() -> None:
-    """See `rig.run.procedure`."""
-    import_what_a_trial_needs()
-    import procedures.slip_trial.trial  # noqa: F401
+    # --- doing it -------------------------------------------------------------------------------
 
+    def arm(self, run: Run) -> None:
+        """Watch the force; register the end of everything before it begins; park."""
+        from procedures.pressed.rates import pace_on
+        from procedures.pressed.trial import scales_on
+        from procedures.slip_trial.trial import Series
 
-def arm(run: Run) -> None:
-    """Watch the force; have the end of everything known before it begins; park."""
-    from procedures.pressed.rates import pace_on
-    from procedures.pressed.trial import scales_on
-    from procedures.slip_trial.trial import Series
+        if self._series is None:
+            self._series = Series(pace_on(run), scales_on(run))
+        x = run.bench.stage_x
+        arm_pressed(run, "slide", x.stop, x.make_safe, "x stage stopped")
 
-    run.state = run.state or Series(pace_on(run), scales_on(run))
-    x = run.bench.stage_x
-    arm_pressed(run, "slide", x.stop, x.make_safe)
+    def take(self, run: Run, point: Point) -> Reading:
+        """One trial: down, hold, rest, slide, up; then its results."""
+        from procedures.slip_trial.trial import Trial
 
+        series, settings = self._series, self.settings
+        assert series is not None, "arm() comes first"
+        pace = series.pace
+        if settings.rehearsed(pace.tick_s, pace.delay_s) and series.shift is None:
+            Trial(run, int(point.condition), series).rehearse()
+        trial = Trial(run, int(point.condition), series)
+        trial.make_ready(settings.start_mm)
+        trial.record()
+        trial.press()
+        trial.slide()
+        trial.end_record()
+        trial.lift()
+        return trial.reading()
 
-def take(run: Run, point: Point) -> Reading:
-    """One trial: down, hold, rest, slide, up; then what it shows."""
-    from procedures.slip_trial.trial import Series, Trial
+    # --- what came of it ------------------------------------------------------------------------
 
-    series: Series = run.state
-    pace = series.pace
-    if run.settings.rehearsed(pace.tick_s, pace.delay_s) and series.shift is None:
-        Trial(run, int(point.condition), series).rehearse()
-    trial = Trial(run, int(point.condition), series)
-    trial.make_ready(run.settings.start_mm)
-    trial.record()
-    trial.press()
-    trial.slide()
-    trial.end_record()
-    trial.lift()
-    return trial.reading()
+    def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
+        """Friction and servo: means and standard deviations of the valid trials, how many are
+        valid, and why trials have no friction coefficients."""
+        names = (
+            "static_friction",
+            "kinetic_friction",
+            "force_error_rms_percent",
+            "force_error_peak_percent",
+            "overshoot_percent",
+        )
+        found = summary_of(readings, names)
+        reasons = [str(why) for r in readings if (why := r.get("no_friction"))]
+        if reasons:
+            found["no_friction"] = [
+                f"{len(reasons)} of {len(readings)} trials give no friction coefficients: "
+                f"{reasons[0]}"
+            ]
+        return found

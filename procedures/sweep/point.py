@@ -72,13 +72,12 @@ STATIC_S = 0.05
 class Taking:
     """One point under way: the drive, the records that count, and what is asked of them."""
 
-    def __init__(self, run: Run, condition: Condition):
-        self.run, self.condition = run, condition
-        self.memory: Memory = run.state
+    def __init__(self, run: Run, condition: Condition, memory: Memory):
+        self.run, self.condition, self.memory = run, condition, memory
         self.settings: Settings = run.settings
         self.kept: list[Sampled] = []
         """Records in a row at the present drive."""
-        self._sampling = Sampling(run, condition)
+        self._sampling = Sampling(run, condition, memory)
         self._begun_s = run.clock.now()
         self._driven_s = 0.0
         """When the drive was changed."""
@@ -140,7 +139,7 @@ class Taking:
         """Record what counts, and what it shows."""
         run, condition, kept, sampling = self.run, self.condition, self.kept, self._sampling
         for sampled in kept:
-            run.emit("waveform", sampled.record)
+            run.record_raw("waveform", sampled.record)
         last = kept[-1]
         refuse_silence(last.voltage)
         warn_of_mains(run, last.voltage, sampling.strong_mains("film"))

@@ -60,9 +60,8 @@ class Sampled:
         return self.load.n / self.load.rate_Hz
 
 
-def listen(run: Run) -> None:
-    """Before anything vibrates: the noise of both channels, and the mains in them."""
-    memory: Memory = run.state
+def listen(run: Run, memory: Memory) -> None:
+    """Before anything vibrates: learn the noise of both channels, and the mains in them."""
     settings, daq = run.settings, run.bench.daq
     rate = settings.slowest_rate_S_s if settings.rate_S_s is None else settings.rate_S_s
     ranges = daq.ranges_V()
@@ -92,9 +91,8 @@ def volts_per_unit(run: Run, channel: str) -> float:
 class Sampling:
     """The records of one point, one after the other."""
 
-    def __init__(self, run: Run, condition: Condition):
-        self.run, self.condition = run, condition
-        self.memory: Memory = run.state
+    def __init__(self, run: Run, condition: Condition, memory: Memory):
+        self.run, self.condition, self.memory = run, condition, memory
         self.settings: Settings = run.settings
         self.physics_s = 0.0
         """Time that went into waiting and sampling, and not into commands and computing."""

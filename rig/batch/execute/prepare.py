@@ -26,7 +26,7 @@ from rig.bench import bench as benches
 from rig.bench.bench import Bench, BenchPlan, Fixture, read_bench
 from rig.core.errors import ConfigurationError
 from rig.instruments.calibration import require_valid
-from rig.run.bench_selector import BenchRequest, Choosing, Stages, bench_file
+from rig.run.bench_selector import BenchRequest, BenchSelector, Stages, bench_file
 
 STAGES: dict[tuple[str, str], Stages] = {
     ("oriental-az", "oriental-az"): "az",
@@ -97,7 +97,7 @@ def rehearsed(request: BenchRequest, say: Callable[[str], None]) -> Connected:
     @contextlib.contextmanager
     def connected(fixture: Fixture) -> Iterator[Bench]:
         with ExitStack() as at_the_end:
-            chosen = Choosing(say).bench_for(request, at_the_end, fixture)
+            chosen = BenchSelector(say).select(request, at_the_end, fixture)
             assert chosen.started is not None, "a rehearsal starts its bench"
             at_the_end.callback(chosen.started.wait)
             try:

@@ -17,6 +17,7 @@ from rig.batch.plan.findings import Finding, Where
 from rig.batch.plan.procedures import installed
 from rig.bench.bench import Bench, BenchPlan, Fixture, FixtureSettings
 from rig.core.errors import RigError
+from rig.run.checked_procedure import CheckedProcedure
 from rig.run.points import refusals, require_roles
 
 Connected = Callable[[Fixture], AbstractContextManager[Bench]]
@@ -60,7 +61,7 @@ def procedures_of(plan: Plan) -> tuple[str, ...]:
 def fixture_for(procedure: str, real: BenchPlan | None) -> Fixture | None:
     """The fixture a procedure works on: the first of those mounted that it accepts, None where
     none is. A bench that is simulated for a run has the one that the procedure names first."""
-    accepted = installed(procedure).FIXTURES
+    accepted = installed(procedure).fixtures
     if real is None:
         return accepted[0]
     return next((mounted for mounted in real.mounted if mounted in accepted), None)
@@ -76,7 +77,7 @@ def _unmounted(
         procedure = next(iter(own.values())).procedure
         if fixtures[procedure] is not None:
             continue
-        needed = installed(procedure).FIXTURES
+        needed = installed(procedure).fixtures
         numbers = [run.number for run in plan.runs if run.condition in own]
         yield Finding(
             ("experiment", experiment, "procedure"),
@@ -95,10 +96,10 @@ def _runs(numbers: list[int]) -> str:
 
 def _refusals(condition: Condition, bench: Bench, real: BenchPlan | None) -> Iterator[RigError]:
     """Why a condition cannot be run on a bench, every reason for itself."""
-    procedure = installed(condition.procedure)
-    settings = procedure.Settings.model_validate(condition.settings)
+    own = installed(condition.procedure)
+    procedure = CheckedProcedure(own(own.Settings.model_validate(condition.settings)))
     try:
-        points = procedure.points(settings)
+        points = procedure.points()
         if real is not None:  # the simulated bench may have more than the real one
             require_roles(points, real)
         require_roles(points, bench.plan)
@@ -107,7 +108,7 @@ def _refusals(condition: Condition, bench: Bench, real: BenchPlan | None) -> Ite
         return
     yield from refusals(points, bench)
     try:
-        getattr(procedure, "check", lambda *_: None)(settings, bench)
+        procedure.check(bench)
     except RigError as error:
         yield error
 
