@@ -115,12 +115,18 @@ def park(run: Run, name: str, way_back: Callable[[float], None]) -> None:
     be stopped, and has pressed nothing yet. It is given the position in mm that z leaves here.
     """
     stage = run.bench.stage_z
-    run.arm(name, stage.stop, at_once=stage.make_safe)
+    run.arm(name, stage.stop, emergency=stage.make_safe, done="z stage stopped")
     stage.stop()
     if not stage.homed():
         stage.home()
     came_from_mm = stage.position_mm()
-    run.arm(name, lambda: way_back(came_from_mm), UNLOAD_DEADLINE_S, at_once=stage.make_safe)
+    run.arm(
+        name,
+        lambda: way_back(came_from_mm),
+        UNLOAD_DEADLINE_S,
+        emergency=stage.make_safe,
+        done=f"{name} released",
+    )
     stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
 
 

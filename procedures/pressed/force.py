@@ -99,8 +99,8 @@ class TrialForce:
         assert frames is not None, "they have been seen"
         first, record.frames = record.frames, record.frames + fresh
         rate_S_s = self.timing.rate_S_s
-        run.put("bridges", first, frames.raw[:fresh], rate_S_s, units=frames.raw_unit)
+        run.record_rows("bridges", first, frames.raw[:fresh], rate_S_s, units=frames.raw_unit)
         # The sensor's z points up out of the object: what presses on it is F_n.
         newton = np.ascontiguousarray(frames.force_N[:fresh, [2, 0, 1]])
-        run.put("force", first, newton, rate_S_s, units="N")
+        run.record_rows("force", first, newton, rate_S_s, units="N")
         record.force.append(newton)

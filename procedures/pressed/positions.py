@@ -64,11 +64,11 @@ class PositionRecorder:
         if not len(rows):
             return
         self._recorded_rows += len(rows)
-        self._run.put("ticks", first, rows[:, :1], None, units="s")
-        self._run.put("position", first, rows[:, 1:], None, units="mm")
+        self._run.record_rows("ticks", first, rows[:, :1], None, units="s")
+        self._run.record_rows("position", first, rows[:, 1:], None, units="mm")
         for further in self._further:
             values = np.array(further.rows[first:])[:, 1:]
-            self._run.put(further.stream, first, values, None, units=further.units)
+            self._run.record_rows(further.stream, first, values, None, units=further.units)
 
     def _axes(self) -> list[PolledAxis]:
         return [further.axis for further in self._further]

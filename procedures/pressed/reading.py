@@ -99,10 +99,10 @@ class TrialRecord:
         """The scales for the table of trials."""
         reading: Reading = {}
         for number, strip in enumerate(STRIPS, 1):
-            if strip in scales:
-                factor = scales[strip].N_s_per_V
-                reading[f"load_scale_{number}_N_s_V"] = factor.value
-                reading[f"load_scale_{number}_error_N_s_V"] = factor.standard_error
+            factor = scales[strip].N_s_per_V if strip in scales else None
+            error = None if factor is None else factor.standard_error
+            reading[f"load_scale_{number}_N_s_V"] = None if factor is None else factor.value
+            reading[f"load_scale_{number}_error_N_s_V"] = error
         flat = [scale.flat_to_Hz for scale in scales.values() if np.isfinite(scale.flat_to_Hz)]
         reading["load_rate_flat_to_Hz"] = min(flat, default=None)
         return reading

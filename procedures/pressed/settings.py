@@ -147,8 +147,8 @@ def trial_points(
     it ready, `first_s` of the first trial besides. The ways in z are a matter of the fixture:
     `pressed_overhead_s`."""
     held = (
-        Move("force_sensor.force", settings.largest_force_N),
-        Move("stage_z.update_rate", settings.updates_Hz),
+        Move("force_sensor.force", settings.largest_force_N, ("largest_force_N",)),
+        Move("stage_z.update_rate", settings.updates_Hz, ("tick_Hz",)),
     )
     trial_s = pressing_s(settings) + motion_s + AFTER_S
     return tuple(
@@ -240,20 +240,26 @@ def import_what_a_trial_needs() -> None:
 
 
 def arm_pressed(
-    run: Run, what: str, stop: Callable[[], None], at_once: Callable[[], None], tick_Hz: float
+    run: Run,
+    what: str,
+    stop: Callable[[], None],
+    emergency: Callable[[], None],
+    done: str,
+    tick_Hz: float,
 ) -> None:
-    """Watch the force; register how everything is ended before it begins; park.
+    """Watch the force; register the end of everything before it begins; park.
 
-    `what` moves under the held force; it is ended by `stop`, or `at_once` where a watcher acts.
-    LimitError before any motion for a force sensor with less than `MIN_FORCE_RATE_S_S`, or less
-    than a frame for each of `tick_Hz` ticks a second.
+    `what` moves under the held force; it is ended by `stop`, or by `emergency` where a watcher
+    acts; `done` is what a person reads when it has ended. LimitError before any motion for a force
+    sensor with less than `MIN_FORCE_RATE_S_S`, or less than a frame for each of `tick_Hz` ticks a
+    second.
     """
     bench, settings = run.bench, run.settings
     least_S_s = max(MIN_FORCE_RATE_S_S, tick_Hz)
     stream_force(run, least_S_s, f"a trial whose servo acts at {tick_Hz:g} Hz")
     run.force.watch(settings.largest_force_N)
     run.arm("acquisition", bench.daq.stop)  # last: a DAQ that hangs keeps no skin pressed
-    run.arm(what, stop, at_once=at_once)
+    run.arm(what, stop, emergency=emergency, done=done)
     stop()
     park(run, "normal force", lambda came_from_mm: _lift(run, what, stop, came_from_mm))
     if not bench.stage_x.homed():  # only now: the skin is clear of everything

@@ -98,7 +98,7 @@ class StripRecorder:
     def _record_blocks(self) -> None:
         while self._blocks:
             block = self._blocks.popleft()
-            self._run.emit("strips", block)
+            self._run.record_raw("strips", block)
             self._record.rows += len(block.counts)
             volts = np.stack([block.volts(name) for name in STRIPS], axis=1)
             self._record_signals(self._decimator.add(volts))
@@ -107,6 +107,6 @@ class StripRecorder:
         if not len(volts):
             return
         rows = np.column_stack([volts[:, 0] - volts[:, 1], volts])
-        self._run.put("signals", self._record.signal_rows, rows, DECIMATED_Hz, units="V")
+        self._run.record_rows("signals", self._record.signal_rows, rows, DECIMATED_Hz, units="V")
         self._record.signal_rows += len(rows)
         self._record.volts.append(volts)

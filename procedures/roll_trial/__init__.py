@@ -34,118 +34,175 @@ from procedures.roll_trial.settings import (
     SETTLED_S,
     RollTrialSettings,
 )
-from rig.bench.bench import Fixture, FixtureSettings, require
-from rig.core.errors import ConfigurationError
-from rig.run.points import Move, Point, Reading
+from rig.bench.bench import FixtureSettings
+from rig.core.errors import ConfigurationError, LimitError
+from rig.run.points import Move, Point, Reading, as_option, remedy
+from rig.run.procedure import Procedure
 
 if TYPE_CHECKING:
+    from procedures.roll_trial.trial import RollSeries
     from rig.bench.bench import Bench
     from rig.run.context import Run
 
-NAME = "roll-trial"
-FIXTURES: tuple[Fixture, ...] = ("semi-spherical-object",)
-FIGURE = "roll_trial"
-LAYOUT = roll_layout.LAYOUT
-STREAMS = roll_layout.STREAMS
-invalid = why_invalid
-DRIFT = TOUCH_DRIFT
 
-Settings = RollTrialSettings
+class RollTrial(Procedure):
+    """Roll of an object with a head over the artificial skin at constant normal force: paper 5."""
 
+    name = "roll-trial"
+    fixtures = ("semi-spherical-object",)
+    Settings = RollTrialSettings
+    layout = roll_layout.LAYOUT
+    streams = roll_layout.STREAMS
+    drift = TOUCH_DRIFT
+    point_name = ("trial", "trials")
 
-# --- what will be done ------------------------------------------------------------------------
+    settings: RollTrialSettings
 
+    def __init__(self, settings: RollTrialSettings):
+        super().__init__(settings)
+        self._series: RollSeries | None = None
+        """What the trials have taught the ones that follow; None before the first arming."""
 
-def points(settings: RollTrialSettings) -> tuple[Point, ...]:
-    """One point a trial."""
-    motion_s = settings.profile.duration_s + SETTLED_S
-    aligned = settings.alignment != "none"
-    first_s = pressing_s(settings) + 2 * len(NUDGES) * NUDGED_S if aligned else 0.0
-    moves = (
-        Move("rotary.speed", settings.turn_speed_deg_s),
-        Move("rotary.acceleration", settings.turn_acceleration_deg_s2),
-    )
-    return trial_points(settings, moves, motion_s, first_s)
+    # --- what will be done ----------------------------------------------------------------------
 
+    def import_ahead(self) -> None:
+        """Import what a trial needs: never while something is switched on."""
+        import_what_a_trial_needs()
+        import procedures.roll_trial.trial  # noqa: F401 - with numpy: not for `rig --help`
 
-def overhead_s(settings: RollTrialSettings, fixture: FixtureSettings, homed: bool) -> float:
-    """Bench time that the ways in z, homing and parking are expected to take."""
-    presses = settings.trials + (settings.alignment != "none")
-    x_mm = (fixture.centre_mm or 0.0) + settings.start_mm
-    rotary_s = 0.0 if homed else HOMING_ROTARY_S
-    return rotary_s + pressed_overhead_s(settings, fixture, homed, presses, x_mm)
-
-
-def summarise(settings: RollTrialSettings, readings: Sequence[Reading]) -> Mapping[str, Any]:
-    """Patterns, forces and angle, means of the trials that count, and how many count."""
-    names = (
-        "peak_1_mV",
-        "peak_2_mV",
-        "above_100_Hz_percent",
-        "largest_tangential_N",
-        "angle_error_deg",
-        "force_error_rms_percent",
-        "force_error_peak_percent",
-    )
-    found = summary_of(readings, names)
-    if readings:
-        found["axis_offset_mm"] = readings[-1]["axis_offset_mm"]
-        found["axis_offset_error_mm"] = readings[-1]["axis_offset_error_mm"]
-    lifted = [r["ridge_lifted"] for r in readings if r.get("ridge_lifted") is not None]
-    if lifted:
-        found["simulated_ridge_lifted"] = int(sum(float(v or 0) for v in lifted))
-    return found
-
-
-def check(settings: RollTrialSettings, bench: Bench) -> None:
-    """Refuse a fixture that does not say where the object is, or a roll beyond a stage's limits."""
-    contact_range_mm(bench)
-    fixture = bench.settings.fixture
-    if fixture.centre_mm is None or fixture.upright_deg is None:
-        raise ConfigurationError(
-            f"{bench.plan.source}: [fixture] does not say where the object stands",
-            "add centre_mm, position of x at which the middle of the skin is above it, and "
-            "upright_deg, angle of the rotary stage at which it stands upright",
+    def points(self) -> tuple[Point, ...]:
+        """One point a trial."""
+        settings = self.settings
+        motion_s = settings.profile.duration_s + SETTLED_S
+        aligned = settings.alignment != "none"
+        first_s = pressing_s(settings) + 2 * len(NUDGES) * NUDGED_S if aligned else 0.0
+        moves = (
+            Move("rotary.speed", settings.turn_speed_deg_s, ("turn_speed_deg_s",)),
+            Move(
+                "rotary.acceleration",
+                settings.turn_acceleration_deg_s2,
+                ("turn_acceleration_deg_s2",),
+            ),
         )
-    reach = bench.rotary.reach()
-    for angle_deg in settings.angles_deg:
-        require("angle of the roll", fixture.upright_deg + angle_deg, reach["angle"])
-    start_mm = fixture.centre_mm + settings.start_mm
-    require("start of the roll", start_mm, bench.stage_x.reach()["position"])
-    if settings.profile_times_s:
-        turns = settings.profile.turns(settings.tick_s)
-        fastest = max((turn.speed_deg_s for turn in turns), default=0.0)
-        require("speed of the profile", fastest, reach["speed"])
+        return trial_points(settings, moves, motion_s, first_s)
 
+    def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
+        """Bench time that the ways in z, homing and parking are expected to take, in s."""
+        settings = self.settings
+        presses = settings.trials + (settings.alignment != "none")
+        x_mm = (fixture.centre_mm or 0.0) + settings.start_mm
+        rotary_s = 0.0 if homed else HOMING_ROTARY_S
+        return rotary_s + pressed_overhead_s(settings, fixture, homed, presses, x_mm)
 
-# --- doing it ---------------------------------------------------------------------------------
+    def check(self, bench: Bench) -> None:
+        """Refuse a fixture that does not say where the object is, or a roll beyond a stage's
+        limits."""
+        contact_range_mm(bench)
+        fixture, settings = bench.settings.fixture, self.settings
+        if fixture.centre_mm is None or fixture.upright_deg is None:
+            raise ConfigurationError(
+                f"{bench.plan.source}: [fixture] does not say where the object stands",
+                "add centre_mm, position of x at which the middle of the skin is above it, and "
+                "upright_deg, angle of the rotary stage at which it stands upright",
+            )
+        curve = bool(settings.profile_times_s)
+        angle = "profile_angles_deg" if curve else "angle_deg"
+        for angle_deg in settings.angles_deg:
+            self._require(
+                bench,
+                "rotary.angle",
+                fixture.upright_deg + angle_deg,
+                f"{as_option(settings, angle)} from upright ({fixture.upright_deg:g} deg)",
+            )
+        self._require(
+            bench,
+            "stage_x.position",
+            fixture.centre_mm + settings.start_mm,
+            f"{as_option(settings, 'start_mm')} from the middle ({fixture.centre_mm:g} mm)",
+        )
+        if curve:
+            turns = settings.profile.turns(settings.tick_s)
+            fastest = max((turn.speed_deg_s for turn in turns), default=0.0)
+            named = f"{as_option(settings, 'profile_times_s')} with {as_option(settings, angle)}"
+            self._require(bench, "rotary.speed", fastest, named)
 
+    def _require(self, bench: Bench, quantity: str, value: float, given: str) -> None:
+        """LimitError that names what was `given` unless the bench can reach a value."""
+        from rig.bench.bench import require
 
-def import_ahead() -> None:
-    """See `rig.run.procedure`."""
-    import_what_a_trial_needs()
-    import procedures.roll_trial.trial  # noqa: F401 - with numpy: not for `rig --help`
+        try:
+            require(quantity.replace(".", " "), value, bench.reach()[quantity])
+        except LimitError as error:
+            message = f"{error.message} (from {given})"
+            raise LimitError(message, remedy(error, bench)) from None
 
+    def why_invalid(self, reading: Reading) -> str:
+        """Why a trial is invalid; "" for a valid one."""
+        return why_invalid(self.settings, reading)
 
-def arm(run: Run) -> None:
-    """Watch the force; have the end of everything known before it begins; park, then find the
-    object's reference, the skin being clear of it."""
-    # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
-    from procedures.pressed.series import load_scales_for
-    from procedures.roll_trial.trial import RollSeries
+    # --- doing it -------------------------------------------------------------------------------
 
-    if run.state is None:
-        rates = rates_for(run.bench, run.settings)
-        warn_of_slow_links(run, rates)
-        run.state = RollSeries(rates, load_scales_for(run))
-    if run.settings.alignment == "none":
-        run.event("warning", "alignment", "how far the rotary axis is off is not known")
-    rotary, x = run.bench.rotary, run.bench.stage_x
-    run.arm("x", x.stop, at_once=x.make_safe)
-    tick_Hz = run.state.rates.tick_Hz
-    arm_pressed(run, "roll", lambda: _stand(run), rotary.make_safe, tick_Hz)
-    if not rotary.homed():  # the skin is clear of the object
-        rotary.home()
+    def arm(self, run: Run) -> None:
+        """Watch the force; register the end of everything before it begins; park, then find the
+        object's reference, the skin being clear of it."""
+        # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
+        from procedures.pressed.series import load_scales_for
+        from procedures.roll_trial.trial import RollSeries
+
+        if self._series is None:
+            rates = rates_for(run.bench, self.settings)
+            warn_of_slow_links(run, rates)
+            self._series = RollSeries(rates, load_scales_for(run))
+        if self.settings.alignment == "none":
+            run.event("warning", "alignment", "how far the rotary axis is off is not known")
+        rotary, x, tick_Hz = run.bench.rotary, run.bench.stage_x, self._series.rates.tick_Hz
+        run.arm("x", x.stop, emergency=x.make_safe, done="x stage stopped")
+        stopped = "rotary stage stopped"
+        arm_pressed(run, "roll", lambda: _stand(run), rotary.make_safe, stopped, tick_Hz)
+        if not rotary.homed():  # the skin is clear of the object
+            rotary.home()
+
+    def take(self, run: Run, point: Point) -> Reading:
+        """One trial: down, hold, rest, roll there and back, up; then its results. Before the first
+        the axis is measured."""
+        # As in arm().
+        from procedures.roll_trial.trial import AlignmentTrial, RollTrialRun
+
+        series = self._series
+        assert series is not None, "arm() comes first"
+        if self.settings.alignment != "none" and series.offset is None:
+            series.offset = AlignmentTrial(run, series).measure()
+        trial = RollTrialRun(run, int(point.condition), series)
+        trial.bring_upright()
+        trial.make_ready(trial.start_mm)
+        trial.start_recording()
+        trial.press()
+        trial.roll()
+        trial.stop_recording()
+        trial.lift()
+        return trial.reading()
+
+    # --- what came of it ------------------------------------------------------------------------
+
+    def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
+        """Patterns, forces and angle: means of the valid trials, and how many are valid."""
+        names = (
+            "peak_1_mV",
+            "peak_2_mV",
+            "above_100_Hz_percent",
+            "largest_tangential_N",
+            "angle_error_deg",
+            "force_error_rms_percent",
+            "force_error_peak_percent",
+        )
+        found = summary_of(readings, names)
+        if readings:
+            found["axis_offset_mm"] = readings[-1]["axis_offset_mm"]
+            found["axis_offset_error_mm"] = readings[-1]["axis_offset_error_mm"]
+        lifted = [r["ridge_lifted"] for r in readings if r.get("ridge_lifted") is not None]
+        if lifted:
+            found["simulated_ridge_lifted"] = int(sum(float(v or 0) for v in lifted))
+        return found
 
 
 def _stand(run: Run) -> None:
@@ -154,23 +211,3 @@ def _stand(run: Run) -> None:
         run.bench.rotary.stop()
     finally:
         run.bench.stage_x.stop()
-
-
-def take(run: Run, point: Point) -> Reading:
-    """One trial: down, hold, rest, roll there and back, up; then what it shows. Before the first
-    the axis is measured."""
-    # As in arm().
-    from procedures.roll_trial.trial import AlignmentTrial, RollSeries, RollTrialRun
-
-    series: RollSeries = run.state
-    if run.settings.alignment != "none" and series.offset is None:
-        series.offset = AlignmentTrial(run, series).measure()
-    trial = RollTrialRun(run, int(point.condition), series)
-    trial.bring_upright()
-    trial.make_ready(trial.start_mm)
-    trial.start_recording()
-    trial.press()
-    trial.roll()
-    trial.stop_recording()
-    trial.lift()
-    return trial.reading()

@@ -30,108 +30,121 @@ from procedures.pressed.settings import (
 )
 from procedures.slip_trial import layout as slip_layout
 from procedures.slip_trial.settings import SlipTrialSettings
-from rig.bench.bench import Fixture, FixtureSettings
+from rig.bench.bench import FixtureSettings
 from rig.run.points import Move, Point, Reading
+from rig.run.procedure import Procedure
 
 if TYPE_CHECKING:
+    from procedures.slip_trial.trial import SlipSeries
     from rig.bench.bench import Bench
     from rig.run.context import Run
 
-NAME = "slip-trial"
-FIXTURES: tuple[Fixture, ...] = ("plate",)
-FIGURE = "slip_trial"
-LAYOUT = slip_layout.LAYOUT
-STREAMS = pressed_layout.STREAMS
-invalid = why_invalid
-DRIFT = TOUCH_DRIFT
 
-Settings = SlipTrialSettings
+class SlipTrial(Procedure):
+    """Slide of the artificial skin on a plate at constant normal force: paper 4.1."""
 
+    name = "slip-trial"
+    fixtures = ("plate",)
+    Settings = SlipTrialSettings
+    layout = slip_layout.LAYOUT
+    streams = pressed_layout.STREAMS
+    drift = TOUCH_DRIFT
+    point_name = ("trial", "trials")
 
-# --- what will be done ------------------------------------------------------------------------
+    settings: SlipTrialSettings
 
+    def __init__(self, settings: SlipTrialSettings):
+        super().__init__(settings)
+        self._series: SlipSeries | None = None
+        """What the trials have taught the ones that follow; None before the first arming."""
 
-def points(settings: SlipTrialSettings) -> tuple[Point, ...]:
-    """One point a trial."""
-    motion_s = settings.slide_s
-    rehearsal_s = pressing_s(settings) + motion_s + AFTER_S
-    first_s = rehearsal_s if settings.rehearsed(settings.tick_s) else 0.0
-    moves = (
-        Move("stage_x.position", settings.start_mm),
-        Move("stage_x.position", settings.end_mm),
-        Move("stage_x.speed", settings.speed_mm_s),
-    )
-    return trial_points(settings, moves, motion_s, first_s)
+    # --- what will be done ----------------------------------------------------------------------
 
+    def import_ahead(self) -> None:
+        """Import what a trial needs: never while something is switched on."""
+        import_what_a_trial_needs()
+        import procedures.slip_trial.trial  # noqa: F401 - with numpy: not for `rig --help`
 
-def overhead_s(settings: SlipTrialSettings, fixture: FixtureSettings, homed: bool) -> float:
-    """Bench time that the ways in z, homing and parking are expected to take."""
-    presses = settings.trials + settings.rehearsed(settings.tick_s)
-    return pressed_overhead_s(
-        settings, fixture, homed, presses, settings.start_mm, settings.distance_mm
-    )
+    def points(self) -> tuple[Point, ...]:
+        """One point a trial."""
+        settings = self.settings
+        motion_s = settings.slide_s
+        rehearsal_s = pressing_s(settings) + motion_s + AFTER_S
+        first_s = rehearsal_s if settings.rehearsed(settings.tick_s) else 0.0
+        moves = (
+            Move("stage_x.position", settings.start_mm, ("start_mm",)),
+            Move("stage_x.position", settings.end_mm, ("start_mm", "distance_mm", "direction")),
+            Move("stage_x.speed", settings.speed_mm_s, ("speed_mm_s",)),
+        )
+        return trial_points(settings, moves, motion_s, first_s)
 
+    def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
+        """Bench time that the ways in z, homing and parking are expected to take, in s."""
+        settings = self.settings
+        presses = settings.trials + settings.rehearsed(settings.tick_s)
+        return pressed_overhead_s(
+            settings, fixture, homed, presses, settings.start_mm, settings.distance_mm
+        )
 
-def check(settings: SlipTrialSettings, bench: Bench) -> None:
-    """Refuse a fixture that does not say where contact has to be felt."""
-    contact_range_mm(bench)
+    def check(self, bench: Bench) -> None:
+        """Refuse a fixture that does not say where contact has to be felt."""
+        contact_range_mm(bench)
 
+    def why_invalid(self, reading: Reading) -> str:
+        """Why a trial is invalid; "" for a valid one."""
+        return why_invalid(self.settings, reading)
 
-def summarise(settings: SlipTrialSettings, readings: Sequence[Reading]) -> Mapping[str, Any]:
-    """Friction and servo, means of the trials that count and their standard deviations, how many
-    count, and why trials have no friction coefficients."""
-    names = (
-        "static_friction",
-        "kinetic_friction",
-        "force_error_rms_percent",
-        "force_error_peak_percent",
-        "overshoot_percent",
-    )
-    found = summary_of(readings, names)
-    reasons = [str(why) for r in readings if (why := r.get("no_friction"))]
-    if reasons:
-        found["no_friction"] = [
-            f"{len(reasons)} of {len(readings)} trials give no friction coefficients: {reasons[0]}"
-        ]
-    return found
+    # --- doing it -------------------------------------------------------------------------------
 
+    def arm(self, run: Run) -> None:
+        """Watch the force; register the end of everything before it begins; park."""
+        # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
+        from procedures.pressed.series import load_scales_for
+        from procedures.slip_trial.trial import SlipSeries
 
-# --- doing it ---------------------------------------------------------------------------------
+        if self._series is None:
+            rates = rates_for(run.bench, self.settings)
+            warn_of_slow_links(run, rates)
+            self._series = SlipSeries(rates, load_scales_for(run))
+        x, tick_Hz = run.bench.stage_x, self._series.rates.tick_Hz
+        arm_pressed(run, "slide", x.stop, x.make_safe, "x stage stopped", tick_Hz)
 
+    def take(self, run: Run, point: Point) -> Reading:
+        """One trial: down, hold, rest, slide, up; then its results."""
+        # As in arm().
+        from procedures.slip_trial.trial import SlipTrialRun
 
-def import_ahead() -> None:
-    """See `rig.run.procedure`."""
-    import_what_a_trial_needs()
-    import procedures.slip_trial.trial  # noqa: F401 - with numpy: not for `rig --help`
+        series = self._series
+        assert series is not None, "arm() comes first"
+        trial = SlipTrialRun(run, int(point.condition), series)
+        if trial.needs_rehearsal:
+            trial.rehearse()
+            trial = SlipTrialRun(run, int(point.condition), series)
+        trial.make_ready(self.settings.start_mm)
+        trial.start_recording()
+        trial.press()
+        trial.slide()
+        trial.stop_recording()
+        trial.lift()
+        return trial.reading()
 
+    # --- what came of it ------------------------------------------------------------------------
 
-def arm(run: Run) -> None:
-    """Watch the force; have the end of everything known before it begins; park."""
-    # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
-    from procedures.pressed.series import load_scales_for
-    from procedures.slip_trial.trial import SlipSeries
-
-    if run.state is None:
-        rates = rates_for(run.bench, run.settings)
-        warn_of_slow_links(run, rates)
-        run.state = SlipSeries(rates, load_scales_for(run))
-    x = run.bench.stage_x
-    arm_pressed(run, "slide", x.stop, x.make_safe, run.state.rates.tick_Hz)
-
-
-def take(run: Run, point: Point) -> Reading:
-    """One trial: down, hold, rest, slide, up; then what it shows."""
-    # As in arm().
-    from procedures.slip_trial.trial import SlipTrialRun
-
-    trial = SlipTrialRun(run, int(point.condition), run.state)
-    if trial.needs_rehearsal:
-        trial.rehearse()
-        trial = SlipTrialRun(run, int(point.condition), run.state)
-    trial.make_ready(run.settings.start_mm)
-    trial.start_recording()
-    trial.press()
-    trial.slide()
-    trial.stop_recording()
-    trial.lift()
-    return trial.reading()
+    def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
+        """Friction and servo: means and standard deviations of the valid trials, how many are
+        valid, and why trials have no friction coefficients."""
+        names = (
+            "static_friction",
+            "kinetic_friction",
+            "force_error_rms_percent",
+            "force_error_peak_percent",
+            "overshoot_percent",
+        )
+        found = summary_of(readings, names)
+        reasons = [str(why) for r in readings if (why := r.get("no_friction"))]
+        if reasons:
+            found["no_friction"] = [
+                f"{len(reasons)} of {len(readings)} trials give no friction coefficients: "
+                f"{reasons[0]}"
+            ]
+        return found

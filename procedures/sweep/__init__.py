@@ -29,24 +29,16 @@ from procedures.sweep.settings import (
     SweepCondition,
     SweepSettings,
 )
-from rig.bench.bench import Fixture, FixtureSettings
+from rig.bench.bench import FixtureSettings
 from rig.instruments.roles import Acquisition, InputChannel
 from rig.run.points import Move, Point, Reading
-from rig.run.procedure import DriftFigure, StreamPlan
+from rig.run.procedure import DriftFigure, Procedure, StreamPlan
 
 if TYPE_CHECKING:
     from procedures.sweep.memory import SweepMemory
     from rig.analysis.film.frequency_plan import FrequencyPlanSettings
     from rig.bench.bench import Bench
     from rig.run.context import Run
-
-NAME = "sweep"
-FIXTURES: tuple[Fixture, ...] = ("film-clamp",)
-FIGURE = "sweep"
-Settings = SweepSettings
-LAYOUT = sweep_layout.LAYOUT
-DRIFT = {"gain_near_200_Hz_dB": DriftFigure("gain near 200 Hz", "film", 0.5)}
-STREAMS = (StreamPlan("waveform", "daq", CHANNELS, "Load cell and film, raw counts"),)
 
 # --- what a point is expected to take, measured on the simulated film ---
 QUIET_S_Hz2 = 9.0
@@ -61,50 +53,133 @@ LEVELLING_RECORDS, LEVELLING_S = 2.5, 0.03
 """What finding it takes then."""
 
 
-# --- what will be done ------------------------------------------------------------------------
+class Sweep(Procedure):
+    """Frequency response of a PVDF film in its clamp, volts per newton, 2 to 20000 Hz."""
+
+    name = "sweep"
+    fixtures = ("film-clamp",)
+    Settings = SweepSettings
+    layout = sweep_layout.LAYOUT
+    streams = (StreamPlan("waveform", "daq", CHANNELS, "Load cell and film, raw counts"),)
+    drift = {"gain_near_200_Hz_dB": DriftFigure("gain near 200 Hz", "film", 0.5)}  # noqa: RUF012
+
+    settings: SweepSettings
+
+    def __init__(self, settings: SweepSettings):
+        super().__init__(settings)
+        self._memory: SweepMemory | None = None
+        """What the sweep has learned so far; None before it is armed for the first time."""
+
+    # --- what will be done ----------------------------------------------------------------------
+
+    def import_ahead(self) -> None:
+        """Import scipy and the analysis: never while something is switched on."""
+        import scipy.special  # noqa: F401
+
+        import rig.analysis.film.gain_curve  # noqa: F401
+
+    def points(self) -> tuple[Point, ...]:
+        """The first plan: the grid, or the frequencies asked for, each at every load."""
+        settings = self.settings
+        preload.refuse_impossible(
+            settings.preload_N, max(settings.levels_N), LARGEST_SHARE_OF_PRELOAD
+        )
+        frequencies = settings.frequencies_Hz
+        if not frequencies:
+            from rig.analysis.film.frequency_plan import scan_frequencies_Hz
+
+            frequencies = scan_frequencies_Hz(_grid(settings))
+        return _points_at(settings, frequencies)
+
+    def refine(self, readings: Sequence[Reading]) -> tuple[Point, ...]:
+        """The second plan: further frequencies in the notches that the grid has shown."""
+        settings = self.settings
+        if settings.frequencies_Hz or not settings.points_per_half_width:
+            return ()
+        from procedures.sweep.summary import curve_of
+        from rig.analysis.film.frequency_plan import refine_Hz
+        from rig.analysis.response.curve import CurveError
+
+        grid = {point.id for point in self.points()}
+        scanned = [reading for reading in readings if _id_of(reading) in grid]
+        try:
+            return _points_at(settings, refine_Hz(_grid(settings), curve_of(scanned)))
+        except CurveError:  # too short or too narrow a grid shows no notch
+            return ()
+
+    def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
+        """Bench time that preloading, listening and parking are expected to take, in s."""
+        return preload.duration_s(fixture, self.settings.preload_N, homed) + LISTENED * LISTEN_S
+
+    def check(self, bench: Bench) -> None:
+        """Refuse a fixture that does not say where contact has to be felt."""
+        contact_range_mm(bench)
+
+    # --- doing it -------------------------------------------------------------------------------
+
+    def arm(self, run: Run) -> None:
+        """Preload the film and listen; then start the vibrator, barely moving."""
+        from procedures.sweep.memory import SweepMemory
+        from procedures.sweep.sampling import listen
+
+        generator, settings = run.bench.generator, self.settings
+        pressed = preload.press(run, settings.preload_N)
+        run.event(
+            "info",
+            "preload",
+            f"{pressed.reached_N:.2f} N from contact at {pressed.contact_mm:.3f} mm, "
+            f"{pressed.stiffness_N_mm:.3g} N/mm, overshoot {100 * pressed.overshoot:.1f} %, held "
+            f"{pressed.settling_s:.2f} s after contact",
+        )
+        switch_off = generator.make_safe
+        run.arm("generator output", switch_off, emergency=switch_off, done="generator off")
+        switch_off()
+        if self._memory is None:
+            self._memory = SweepMemory(pressed)
+            for reading in run.readings.values():
+                self._memory.recall(reading)
+        memory = self._memory
+        memory.preload = pressed
+        listen(run, memory)
+        memory.hold_preload(run)
+        first_Hz = self.points()[0].condition.frequency_Hz
+        memory.begin_vibration(first_Hz, settings.first_amplitude_V, run.clock.now())
+        generator.sine(first_Hz, settings.first_amplitude_V)
+        generator.output(True)
+
+    def take(self, run: Run, point: Point) -> Reading:
+        """Hold the load at this frequency and measure until the gain is known well enough."""
+        from procedures.sweep.point import SweepPointRun
+
+        assert self._memory is not None, "arm() comes first"
+        measurement = SweepPointRun(run, point.condition, self._memory)
+        measurement.follow_preload()
+        measurement.drive_as_foretold()
+        measurement.sample()
+        while not measurement.is_over():
+            measurement.sample()
+        return measurement.reading()
+
+    # --- what came of it ------------------------------------------------------------------------
+
+    def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
+        """Range, typical gain, how well it is known, and the film's model where there is enough."""
+        from procedures.sweep.summary import figures, model
+
+        if not readings:
+            return {"points": 0}
+        several = len(self.settings.levels_N) > 1
+        return {
+            **figures(readings),
+            **contact.force_zero_of(readings),
+            **model(readings, several_loads=several),
+        }
 
 
-def points(settings: SweepSettings) -> tuple[Point, ...]:
-    """The first plan: the grid, or the frequencies asked for, each at every load."""
-    preload.refuse_impossible(settings.preload_N, max(settings.levels_N), LARGEST_SHARE_OF_PRELOAD)
-    frequencies = settings.frequencies_Hz
-    if not frequencies:
-        # Here and not at the top: numpy would slow `rig --help`.
-        from rig.analysis.film.frequency_plan import scan_frequencies_Hz
-
-        frequencies = scan_frequencies_Hz(_grid(settings))
-    return _points_at(settings, frequencies)
-
-
-def refine(settings: SweepSettings, readings: Sequence[Reading]) -> tuple[Point, ...]:
-    """The second plan: further frequencies in the drops that the grid has shown."""
-    if settings.frequencies_Hz or not settings.points_per_half_width:
-        return ()
-    # Here and not at the top: numpy would slow `rig --help`.
-    from procedures.sweep.summary import curve_of
-    from rig.analysis.film.frequency_plan import refine_Hz
-    from rig.analysis.response.curve import CurveError
-
-    grid = {point.id for point in points(settings)}
-    scanned = [reading for reading in readings if _id_of(reading) in grid]
-    try:
-        return _points_at(settings, refine_Hz(_grid(settings), curve_of(scanned)))
-    except CurveError:  # too short or too narrow a grid shows no drop
-        return ()
-
-
-def overhead_s(settings: SweepSettings, fixture: FixtureSettings, homed: bool) -> float:
-    """Bench time that preloading, listening and parking are expected to take."""
-    return preload.duration_s(fixture, settings.preload_N, homed) + LISTENED * LISTEN_S
-
-
-def check(settings: SweepSettings, bench: Bench) -> None:
-    """Refuse a fixture that does not say where contact has to be felt."""
-    contact_range_mm(bench)
+# --- the plan ---------------------------------------------------------------------------------
 
 
 def _grid(settings: SweepSettings) -> FrequencyPlanSettings:
-    # Here and not at the top: numpy would slow `rig --help`.
     from rig.analysis.film.frequency_plan import FrequencyPlanSettings
 
     return FrequencyPlanSettings(
@@ -142,21 +217,22 @@ def _points_at(settings: SweepSettings, frequencies: Sequence[float]) -> tuple[P
 def _point(
     settings: SweepSettings, condition: SweepCondition, last: SweepCondition | None
 ) -> Point:
-    # Here and not at the top: numpy would slow `rig --help`.
     from rig.analysis.response.sine_fit import whole_cycles
 
     frequency = condition.frequency_Hz
     rate = settings.rate_at(frequency)
     samples = whole_cycles(frequency, rate, settings.shortest_at(frequency))
     channels = tuple(InputChannel(name, 1.25) for name in CHANNELS)
+    load = "loads_N" if settings.loads_N else "load_N"
+    frequencies = ("frequencies_Hz",) if settings.frequencies_Hz else ("lowest_Hz", "highest_Hz")
     return Point(
         id=_name(condition),
         condition=condition,
         moves=(
-            Move("generator.frequency", frequency),
-            Move("generator.amplitude", settings.first_amplitude_V),
-            Move("load_cell.load", condition.load_N),
-            Move("force_sensor.force", settings.preload_N + condition.load_N),
+            Move("generator.frequency", frequency, frequencies),
+            Move("generator.amplitude", settings.first_amplitude_V, ("first_amplitude_V",)),
+            Move("load_cell.load", condition.load_N, (load,)),
+            Move("force_sensor.force", settings.preload_N + condition.load_N, ("preload_N", load)),
         ),
         acquisitions=(Acquisition(channels, rate, samples),),
         duration_s=settings.settling_s + _expected_s(settings, condition, last, samples / rate),
@@ -186,77 +262,3 @@ def _name(condition: SweepCondition) -> str:
 def _id_of(reading: Reading) -> str:
     frequency, load = float(reading["frequency_Hz"] or 0), float(reading["load_set_N"] or 0)
     return _name(SweepCondition(frequency, load, int(reading["repeat"] or 1)))
-
-
-# --- doing it ---------------------------------------------------------------------------------
-
-
-def import_ahead() -> None:
-    """What a sweep needs and takes long to import: never while something is switched on."""
-    import scipy.special  # noqa: F401
-
-    import rig.analysis.film.gain_curve  # noqa: F401
-
-
-def arm(run: Run) -> None:
-    """Preload the film and listen; then the vibrator, barely moving. Each off is known before its
-    on."""
-    # Here and not at the top: numpy would slow `rig --help`.
-    from procedures.sweep.memory import SweepMemory
-    from procedures.sweep.sampling import listen
-
-    generator, settings = run.bench.generator, run.settings
-    pressed = preload.press(run, settings.preload_N)
-    run.event(
-        "info",
-        "preload",
-        f"{pressed.reached_N:.2f} N from contact at {pressed.contact_mm:.3f} mm, "
-        f"{pressed.stiffness_N_mm:.3g} N/mm, overshoot {100 * pressed.overshoot:.1f} %, held "
-        f"{pressed.settling_s:.2f} s after contact",
-    )
-    run.arm("generator output", generator.make_safe, at_once=generator.make_safe)
-    generator.make_safe()
-    if run.state is None:
-        run.state = SweepMemory(pressed)
-        for reading in run.readings.values():
-            run.state.recall(reading)
-    memory: SweepMemory = run.state
-    memory.preload = pressed
-    listen(run)
-    memory.hold_preload(run)
-    first_Hz = points(settings)[0].condition.frequency_Hz
-    memory.begin_vibration(first_Hz, settings.first_amplitude_V, run.clock.now())
-    generator.sine(first_Hz, settings.first_amplitude_V)
-    generator.output(True)
-
-
-def take(run: Run, point: Point) -> Reading:
-    """Hold the load at this frequency and measure until the gain is known well enough."""
-    # Here and not at the top: numpy would slow `rig --help`.
-    from procedures.sweep.point import SweepPointRun
-
-    measurement = SweepPointRun(run, point.condition)
-    measurement.follow_preload()
-    measurement.drive_as_foretold()
-    measurement.sample()
-    while not measurement.is_over():
-        measurement.sample()
-    return measurement.reading()
-
-
-# --- what came of it --------------------------------------------------------------------------
-
-
-def summarise(settings: SweepSettings, readings: Sequence[Reading]) -> Mapping[str, Any]:
-    """Range, typical gain, how well it is known, and the film's model where there is enough."""
-    # Here and not at the top: numpy would slow `rig --help`.
-    from procedures.sweep.summary import figures, model
-
-    if not readings:
-        return {"points": 0}
-    several = len(settings.levels_N) > 1
-    return {
-        **figures(readings),
-        **contact.force_zero_of(readings),
-        **model(readings, several_loads=several),
-    }

@@ -38,7 +38,6 @@ def phasor_columns(name: str, unit: str, tone: SineFit) -> Reading:
     """A fitted tone as columns of the reading."""
     return {
         f"{name}_amplitude_{unit}": tone.amplitude,
-        f"{name}_standard_error_{unit}": tone.standard_error,
         f"{name}_phase_deg": math.degrees(math.atan2(tone.phasor.imag, tone.phasor.real)),
         f"{name}_distortion": tone.harmonic_distortion,
         f"{name}_residual_rms_{unit}": tone.residual_rms,

@@ -72,13 +72,13 @@ STATIC_S = 0.05
 class SweepPointRun:
     """The measurement of one point: the drive, the valid records, and what is asked of them."""
 
-    def __init__(self, run: Run, condition: SweepCondition):
+    def __init__(self, run: Run, condition: SweepCondition, memory: SweepMemory):
         self.run, self.condition = run, condition
-        self.memory: SweepMemory = run.state
+        self.memory = memory
         self.settings: SweepSettings = run.settings
         self.kept: list[FittedRecord] = []
         """Records in a row at the present drive."""
-        self._sampler = RecordSampler(run, condition)
+        self._sampler = RecordSampler(run, condition, memory)
         self._begun_s = run.clock.now()
         self._driven_s = 0.0
         """When the drive was changed."""
@@ -140,7 +140,7 @@ class SweepPointRun:
         """Record what counts, and what it shows."""
         run, condition, kept, sampler = self.run, self.condition, self.kept, self._sampler
         for sampled in kept:
-            run.emit("waveform", sampled.record)
+            run.record_raw("waveform", sampled.record)
         last = kept[-1]
         refuse_silence(last.voltage)
         warn_of_mains(run, last.voltage, sampler.strong_mains("film"))

@@ -60,9 +60,8 @@ class FittedRecord:
         return self.load.n / self.load.rate_Hz
 
 
-def listen(run: Run) -> None:
+def listen(run: Run, memory: SweepMemory) -> None:
     """Before anything vibrates: the noise of both channels, and the mains in them."""
-    memory: SweepMemory = run.state
     settings, daq = run.settings, run.bench.daq
     rate = settings.slowest_rate_S_s if settings.rate_S_s is None else settings.rate_S_s
     ranges = daq.ranges_V()
@@ -92,9 +91,9 @@ def volts_per_unit(run: Run, channel: str) -> float:
 class RecordSampler:
     """The records of one point, one after the other."""
 
-    def __init__(self, run: Run, condition: SweepCondition):
+    def __init__(self, run: Run, condition: SweepCondition, memory: SweepMemory):
         self.run, self.condition = run, condition
-        self.memory: SweepMemory = run.state
+        self.memory = memory
         self.settings: SweepSettings = run.settings
         self.physics_s = 0.0
         """Time that went into waiting and sampling, and not into commands and computing."""

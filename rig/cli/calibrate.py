@@ -318,7 +318,7 @@ def _at_the_bench(
     from rig.cli.streams import say_at_once
     from rig.cli.weigh import Person
     from rig.instruments.calibration import require_folder
-    from rig.run.bench_selector import BenchRequest, Choosing, bench_file
+    from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file
     from rig.run.stopping import StopFlag
 
     request = BenchRequest(
@@ -330,7 +330,7 @@ def _at_the_bench(
     )
     with StopFlag(say_at_once) as stop, contextlib.ExitStack() as at_the_end:
         with stop.nothing_connected():
-            bench = Choosing(say).bench_for(request, at_the_end)
+            bench = BenchSelector(say).select(request, at_the_end)
         plan, clock, started = bench.plan, bench.clock, bench.started
         if started is not None:
             at_the_end.callback(started.wait)

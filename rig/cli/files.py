@@ -42,14 +42,14 @@ def resume(
         from pydantic import ValidationError
 
         from rig.cli.procedures import Request, perform
-        from rig.core.entry_points import PROCEDURES, load
         from rig.files.naming import results_of
         from rig.files.runfile.recover import interrupted
+        from rig.run.load_procedure import load_procedure
 
         contents = interrupted(file)
         header = contents.header
         try:
-            procedure = load(PROCEDURES, header.procedure)
+            procedure = load_procedure(header.procedure)
         except ConfigurationError as error:
             raise ConfigurationError(f"{file}: {error.message}", error.hint) from error
         try:
@@ -69,7 +69,7 @@ def resume(
                 world_log=world_log,
                 debug=debug,
             )
-            perform(procedure, settings, request, resume=contents)
+            perform(procedure(settings), request, resume=contents)
 
 
 def show(
@@ -153,19 +153,27 @@ def _results(header: RunHeader, readings: Sequence[Reading]) -> dict[str, Any]:
     that is broken costs a line, not the command."""
     from pydantic import ValidationError
 
-    from rig.core.entry_points import PROCEDURES, load, names
+    from rig.core.entry_points import PROCEDURES, names
+    from rig.core.errors import RigError
+    from rig.run.checked_procedure import CheckedProcedure
+    from rig.run.load_procedure import load_procedure
 
     if header.procedure not in names(PROCEDURES) or not readings:
         return {}
     try:
-        procedure = load(PROCEDURES, header.procedure)
+        procedure = load_procedure(header.procedure)
     except ConfigurationError as error:
         say(f"warning: no summary: {error.one_line()}")
         return {}
     try:
         settings = procedure.Settings.model_validate_json(json.dumps(header.settings))
-        return dict(procedure.summarise(settings, readings))
-    except (ValidationError, KeyError):  # written by another version of the procedure
+    except ValidationError:  # written by another version of the procedure
+        return {}
+    try:
+        return dict(CheckedProcedure(procedure(settings)).summarise(readings))
+    except RigError as error:
+        if not isinstance(error.__cause__, KeyError):  # then another version has written the file
+            say(f"warning: no summary: {error.one_line()}")
         return {}
 
 

@@ -110,7 +110,7 @@ def _perform(
     """Choose the bench, jog it, tell how it ended, and end with the exit code."""
     from rig.cli.streams import say_at_once
     from rig.cli.terminal import Terminal
-    from rig.run.bench_selector import Choosing
+    from rig.run.bench_selector import BenchSelector
     from rig.run.stopping import StopFlag
 
     terminal = Terminal()
@@ -119,7 +119,7 @@ def _perform(
         start_log(request.results)
         log.setLevel(logging.INFO)
         with stop.nothing_connected():
-            chosen = Choosing(say, paced=True).bench_for(request, stack, fixture or "film-clamp")
+            chosen = BenchSelector(say, paced=True).select(request, stack, fixture or "film-clamp")
         if chosen.started is not None:
             stack.callback(chosen.started.wait)
         elif fixture is not None:

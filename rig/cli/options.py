@@ -15,8 +15,8 @@ import typer
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
-from rig.core.errors import ConfigurationError
-from rig.core.settings import Settings, descriptions, name_without_unit, unit_of
+from rig.core.errors import ConfigurationError, finding
+from rig.core.settings import Settings, descriptions, option_name, unit_of
 from rig.core.units import parse
 from rig.run.bench_selector import require_variant, simulated_variants
 
@@ -50,11 +50,6 @@ SimulatedStages = Annotated[
 """The option ``--stages`` of the commands that can start a simulated bench."""
 
 
-def option_name(field: str) -> str:
-    """The option of a settings field: ``settling_s`` is ``--settling``."""
-    return "--" + name_without_unit(field).replace("_", "-")
-
-
 def parameters(model: type[Settings]) -> list[inspect.Parameter]:
     """Command parameters for a settings class: all optional text, validated by the class."""
     said = descriptions(model)
@@ -80,7 +75,7 @@ def parameters(model: type[Settings]) -> list[inspect.Parameter]:
 
 
 def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Settings:
-    """Validated settings from option texts; ConfigurationError tells all that is wrong."""
+    """Validated settings from option texts; ConfigurationError reports everything that is wrong."""
     values: dict[str, Any] = {}
     findings: list[str] = []
     for field, text in given.items():
@@ -95,14 +90,21 @@ def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Set
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        wrong = ConfigurationError.from_validation(error, "settings")
-        names = {field: option_name(field) for field in model.model_fields}
-        message = re.sub(
-            r"\b(" + "|".join(sorted(names, key=len, reverse=True)) + r")\b",
-            lambda match: names[match[1]],
-            wrong.message,
-        )
-        raise ConfigurationError(message, "see --help for the settings") from error
+        findings = [_refused(model, given, item) for item in error.errors()]
+        raise ConfigurationError("; ".join(findings), "see --help for the settings") from error
+
+
+def _refused(model: type[Settings], given: Mapping[str, str | None], item: Any) -> str:
+    """One of pydantic's findings as a person gave it: ``--trials 0: must be at least 1``."""
+    names = {field: option_name(field) for field in model.model_fields}
+    field = str(item["loc"][0]) if item["loc"] else ""
+    message = finding(item)
+    if field in names:
+        message = message.rpartition(": ")[2] if ": " in message else message
+        message = f"{names[field]} {given.get(field) or ''}".rstrip() + f": {message}"
+    words = r"(?<![\w-])(" + "|".join(sorted(names, key=len, reverse=True)) + r")\b"
+    message = re.sub(words, lambda match: names[match[1]], message)
+    return message.replace("has to be", "must be")
 
 
 def _short(info: FieldInfo) -> tuple[str, ...]:

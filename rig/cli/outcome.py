@@ -47,7 +47,7 @@ def reported(debug: bool = False, as_json: bool = False) -> Iterator[None]:
     except RigError as error:
         raise typer.Exit(report(error, debug, as_json)) from None
     except KeyboardInterrupt:
-        say("stopped by SIGINT; nothing was left running")
+        say("stopped by Ctrl-C; nothing was left running")
         raise typer.Exit(int(ExitCode.SIGINT)) from None
 
 

@@ -14,12 +14,10 @@ import typer
 
 from rig.cli.options import SimulatedStages, parameters, settings_from
 from rig.cli.outcome import reported, say, start_log
-from rig.core.entry_points import PROCEDURES, load
-from rig.run.bench_selector import BenchRequest, Choosing, bench_file
+from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file
 
 if TYPE_CHECKING:
     from rig.bench.bench import RunningBench
-    from rig.core.settings import Settings
     from rig.files.journal.reader import JournalContents
     from rig.run.procedure import Procedure
 
@@ -73,13 +71,16 @@ def _common(
 def command(name: str, begun: RunningBench | None = None) -> Callable[..., None]:
     """The command function of a procedure, with an option for each of its settings; `begun` is its
     simulated bench, if it needs one. ConfigurationError where the procedure cannot be used."""
-    procedure: Procedure = load(PROCEDURES, name)
+    from rig.run.load_procedure import load_procedure
+
+    procedure = load_procedure(name)
 
     def run(**given: Any) -> None:
         options = {name: given.pop(name) for name in Request.__dataclass_fields__}
         request = Request(**options | {"bench": bench_file(options["bench"])})
         with reported(request.debug, request.as_json):
-            perform(procedure, settings_from(procedure.Settings, given), request, begun=begun)
+            settings = settings_from(procedure.Settings, given)
+            perform(procedure(settings), request, begun=begun)
 
     common = list(inspect.signature(_common, eval_str=True).parameters.values())
     own = parameters(procedure.Settings)
@@ -91,14 +92,15 @@ def command(name: str, begun: RunningBench | None = None) -> Callable[..., None]
 
 def perform(
     procedure: Procedure,
-    settings: Settings,
     request: Request,
     resume: JournalContents | None = None,
     begun: RunningBench | None = None,
 ) -> None:
-    """Run a procedure on the bench that was asked for and end the process with its exit code."""
-    from rig.cli.report import ConsoleReporter, finish, finish_dry_run
+    """Run a procedure, made with its settings, on the bench that was asked for, and end the process
+    with the run's exit code."""
+    from rig.cli.report import ConsoleObserver, finish, finish_dry_run
     from rig.cli.streams import say_at_once
+    from rig.run.checked_procedure import CheckedProcedure
     from rig.run.stopping import StopFlag
 
     with ExitStack() as stack:
@@ -109,16 +111,15 @@ def perform(
             results = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rig-dry-run-")))
         else:
             start_log(results)
-        import_ahead = getattr(procedure, "import_ahead", _nothing)
+        import_ahead = CheckedProcedure(procedure).import_ahead
         with stop.nothing_connected():
-            choosing = Choosing(say, import_ahead, begun=begun)
-            bench = choosing.bench_for(request, stack, procedure.FIXTURES[0])
+            selector = BenchSelector(say, import_ahead, begun=begun)
+            bench = selector.select(request, stack, procedure.fixtures[0])
         from rig.run.execute import execute
-        from rig.run.job import Job
+        from rig.run.job import RunJob
 
-        job = Job(
+        job = RunJob(
             procedure=procedure,
-            settings=settings,
             seed=request.seed,
             results=results,
             user=request.user,
@@ -131,18 +132,20 @@ def perform(
             recorded_toml=bench.recorded_toml,
             lock=bench.lock,
         )
-        drawn = procedure.FIGURE if request.figures and not request.dry_run else None
         own = bench.started is not None
-        reporter = stack.enter_context(ConsoleReporter(procedure.NAME, drawn, draws_ahead=own))
-        outcome = execute(job, bench.plan, bench.clock, stop, reporter)
+        console = stack.enter_context(
+            ConsoleObserver(
+                type(procedure),
+                draws=request.figures and not request.dry_run,
+                draws_ahead=own,
+                simulated=bench.plan.settings.simulation is not None,
+            )
+        )
+        outcome = execute(job, bench.plan, bench.clock, stop, console)
         if bench.started is not None:
             bench.started.wait()
         if request.dry_run:
-            finish_dry_run(outcome, request.as_json)
+            finish_dry_run(type(procedure), outcome, request.as_json)
         else:
-            finish(procedure, outcome, request.as_json, reporter, request.debug)
+            finish(type(procedure), outcome, request.as_json, console, request.debug)
     raise typer.Exit(int(outcome.code))
-
-
-def _nothing() -> None:
-    """What a procedure imports ahead that does not say."""

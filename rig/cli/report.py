@@ -3,44 +3,58 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Set
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
+from rich.text import Text
 
 from rig.cli.outcome import say, tell_failure
 from rig.core.errors import RigError
-from rig.core.units import duration
+from rig.core.units import count, duration
+from rig.run.observers import HOLD, PAUSED, RUNNING, RunObserver
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from rig.figures.beside import Drawing
-    from rig.run.outcome import Outcome
+    from rig.run.outcome import RunOutcome
     from rig.run.points import Point, Reading
     from rig.run.procedure import Procedure
 
 
-class ConsoleReporter:
-    """Progress with time left on a terminal, one plain line a point where it is none."""
+class _Eta(ProgressColumn):
+    """The time that is left, as far as it can be estimated."""
 
-    def __init__(self, name: str, figure: str | None = None, draws_ahead: bool = False):
-        self._figure = figure
+    def render(self, task: Task) -> Text:
+        """One cell of the progress bar."""
+        left_s = task.time_remaining
+        return Text("ETA estimating…" if left_s is None else f"ETA {duration(left_s)}")
+
+
+class ConsoleObserver(RunObserver):
+    """Progress with the time left on a terminal; one plain line a point where there is none."""
+
+    def __init__(
+        self,
+        procedure: type[Procedure],
+        draws: bool = False,
+        draws_ahead: bool = False,
+        simulated: bool = False,
+    ):
+        self._procedure = procedure
+        self._draws = draws
         self._draws_ahead = draws_ahead
-        """Whether drawing may be made ready while points are taken: where no clock runs on."""
+        """Whether drawing may be prepared while points are measured: where time is virtual."""
         self._drawing: Drawing | None = None
         self._console = Console(stderr=True)
-        self._name = name
+        self._bench_time = " of bench time" if simulated else ""
         self._progress: Progress | None = None
         self._task = TaskID(0)
         self._weights: Mapping[str, float] = {}
+        self._interrupted = False
+        """Whether the run is paused or on hold."""
 
     def __enter__(self) -> Self:
         return self
@@ -51,18 +65,29 @@ class ConsoleReporter:
         if self._drawing is not None:
             self._drawing.abandon()
 
-    def planned(self, points: tuple[Point, ...], kept: set[str], overhead_s: float) -> None:
-        """The run has these points, of which some were kept by an earlier attempt; bench time
-        that goes into making ready and parking."""
+    @property
+    def observer_name(self) -> str:
+        """What a warning calls this observer."""
+        return "the progress display"
+
+    def planned(self, points: Sequence[Point], recorded: Set[str], overhead_s: float) -> None:
+        """See `RunObserver`."""
+        first_plan = not self._weights
         self._weights = {point.id: max(point.duration_s, 1e-3) for point in points}
-        left = sum(w for name, w in self._weights.items() if name not in kept)
+        left_s = sum(w for name, w in self._weights.items() if name not in recorded)
         if self._draws_ahead:
             self._make_drawing_ready()
-        self._say(
-            f"{self._name}: {len(points) - len(kept)} points to take"
-            + (f", {len(kept)} kept before" if kept else "")
-            + f", about {duration(left + overhead_s)} of bench time"
-        )
+        one, several = self._procedure.point_name
+        to_do = len(points) - len(recorded)
+        if not recorded:
+            what = count(to_do, one, several)
+        elif first_plan:
+            all_of_them = count(len(points), one, several)
+            what = f"resuming, {len(recorded)} of {all_of_them} done, {to_do} to go"
+        else:
+            what = f"{count(to_do, 'further ' + one, 'further ' + several)} ({len(recorded)} done)"
+        about = duration(left_s + overhead_s)
+        self._say(f"{self._procedure.name}: {what}, about {about}{self._bench_time}")
         if self._progress is not None:  # a plan before this one is done
             self._progress.stop()
         if self._console.is_terminal:
@@ -70,16 +95,15 @@ class ConsoleReporter:
                 TextColumn("{task.description}"),
                 BarColumn(),
                 TextColumn("{task.fields[done]}"),
-                TextColumn("left"),
-                TimeRemainingColumn(),
+                _Eta(),
                 console=self._console,
                 transient=True,
             )
-            self._task = self._progress.add_task(self._name, total=left, done="")
+            self._task = self._progress.add_task(self._procedure.name, total=left_s, done="")
             self._progress.start()
 
-    def point_kept(self, number: int, total: int, point: Point, reading: Reading) -> None:
-        """Point `number` of `total` is in the journal."""
+    def point_recorded(self, number: int, total: int, point: Point, reading: Reading) -> None:
+        """See `RunObserver`."""
         if self._progress is not None:
             self._progress.update(
                 self._task, advance=self._weights[point.id], done=f"{number}/{total} {point.id}"
@@ -88,34 +112,46 @@ class ConsoleReporter:
             self._say(f"{number}/{total} {point.id}")
 
     def event(self, level: str, message: str) -> None:
-        """Something a person should see now."""
+        """See `RunObserver`."""
         self._say(f"{level}: {message}")
 
     def state(self, name: str) -> None:
-        """See `rig.run.execute.Reporter`; a person reads it in the events."""
+        """See `RunObserver`. What a stop does is said where the signal is noticed."""
+        if name == PAUSED:
+            self._say("PAUSED (bench is safe). Ctrl-Z continues, Ctrl-C ends the run.")
+        elif name == RUNNING and self._interrupted:
+            self._say("Resumed.")
+        if name in (PAUSED, HOLD, RUNNING):
+            self._interrupted = name != RUNNING
 
-    def storing(self) -> None:
-        """The bench is safe; the data are being brought into their file."""
+    def saving(self) -> None:
+        """See `RunObserver`."""
         if self._progress is not None:
             self._progress.stop()
         self._make_drawing_ready()
 
-    def stored(self, run_file: Path) -> None:
-        """They are there."""
+    def saved(self, run_file: Path) -> None:
+        """See `RunObserver`."""
         if self._drawing is not None:
             self._drawing.begin(run_file)
 
     def _make_drawing_ready(self) -> None:
-        if self._figure is not None and self._drawing is None:
+        from rig.figures import FIGURES
+
+        figure = self._procedure.name.replace("-", "_")
+        if self._draws and self._drawing is None and figure in FIGURES:
             from rig.figures.beside import Drawing
 
-            self._drawing = Drawing(self._figure)
+            self._drawing = Drawing(figure)
 
-    def drawn(self, debug: bool) -> list[str]:
-        """The figures of the run; one that fails costs a line, not the run."""
-        if self._drawing is None:
-            return []
+    def drawn(self, outcome: RunOutcome, debug: bool) -> list[str]:
+        """The paths of the run's figures; one that fails costs a line, not the run."""
         drawing, self._drawing = self._drawing, None
+        if drawing is None:
+            return []
+        if outcome.file is None or not outcome.points_done:
+            drawing.abandon()  # there is nothing to draw
+            return []
         try:
             return [str(path) for path in drawing.paths()]
         except RigError as error:
@@ -127,9 +163,13 @@ class ConsoleReporter:
 
 
 def finish(
-    procedure: Procedure, outcome: Outcome, as_json: bool, reporter: ConsoleReporter, debug: bool
+    procedure: type[Procedure],
+    outcome: RunOutcome,
+    as_json: bool,
+    console: ConsoleObserver,
+    debug: bool,
 ) -> None:
-    """Failures, figures, what was done to the bench, where the data are and, last, how to go on."""
+    """Report failures and warnings, the summary and, last, how the run ended and how to go on."""
     for failure in outcome.failures:
         if outcome.status != "stopped":
             tell_failure(failure, debug)
@@ -139,17 +179,16 @@ def finish(
         say(outcome.taken_over.told)
     for warning in outcome.warnings:
         say(f"warning: {warning}")
-    drawn = reporter.drawn(debug) if outcome.file is not None else []
-    for figure in drawn:
-        say(f"figure: {figure}")
+    drawn = console.drawn(outcome, debug)
     if as_json:
         print(json.dumps(as_object(outcome, drawn)))  # noqa: T201 - stdout carries data
     else:
         _tell_summary(outcome)
-    say(closing_line(procedure.NAME, outcome))
+    for line in closing_lines(procedure, outcome, drawn):
+        say(line)
 
 
-def _tell_summary(outcome: Outcome) -> None:
+def _tell_summary(outcome: RunOutcome) -> None:
     for name, value in outcome.summary.items():
         if isinstance(value, list) and all(isinstance(item, str) for item in value):
             for sentence in value:
@@ -162,43 +201,63 @@ def _tell_summary(outcome: Outcome) -> None:
         print(outcome.file, flush=True)  # noqa: T201 - stdout carries data
 
 
-def finish_dry_run(outcome: Outcome, as_json: bool) -> None:
-    """What a rehearsal found: whether it works, and how long it takes."""
+def finish_dry_run(procedure: type[Procedure], outcome: RunOutcome, as_json: bool) -> None:
+    """Report what a dry run found: whether it works, and how long it takes."""
     for failure in outcome.failures:
         tell_failure(failure)
+    for warning in outcome.warnings:
+        say(f"warning: {warning}")
     say(
-        f"dry run: {outcome.points_done} of {outcome.points_planned} points in "
-        f"{duration(outcome.duration_s)} of bench time on the simulated bench; "
-        "nothing was recorded"
+        f"Dry run {_ending(outcome)}: {_done(procedure, outcome)} in "
+        f"{duration(outcome.duration_s)} of bench time on the simulated bench; nothing was saved."
     )
     if as_json:
         shown = as_object(outcome, []) | {"file": None, "journal": None, "dry_run": True}
         print(json.dumps(shown))  # noqa: T201 - stdout carries data
 
 
-def closing_line(name: str, outcome: Outcome) -> str:
-    """One line: how it ended, what was switched off, what is kept, how to go on."""
-    marker = "SIMULATED " if outcome.simulated else ""
-    ended = {"complete": "complete", "stopped": "stopped", "failed": "failed"}[outcome.status]
-    if outcome.status == "stopped" and outcome.failures:
-        ended = outcome.failures[0].message
-    parts = [f"{marker}{name}: {ended}"]
-    if outcome.switched_off:
-        parts.append(f"switched off: {', '.join(outcome.switched_off)}")
-    parts.append(
-        f"{outcome.points_done} of {outcome.points_planned} points kept"
-        + (f" in {outcome.file}" if outcome.file else "")
-    )
+def closing_lines(
+    procedure: type[Procedure], outcome: RunOutcome, drawn: Sequence[str]
+) -> list[str]:
+    """How the run ended, where its data are, what state the bench is in, and how to go on."""
+    ended = _ending(outcome)
+    lines = [f"{ended[0].upper()}{ended[1:]}: {_done(procedure, outcome)}"]
     if outcome.duration_s:
-        parts.append(f"{duration(outcome.duration_s)} of bench time")
+        lines[0] += f" in {duration(outcome.duration_s)}"
+        lines[0] += " of bench time" if outcome.simulated else ""
+    lines[0] += " (simulated)." if outcome.simulated else "."
+    if outcome.file is not None:
+        figures = f" and {count(len(drawn), 'figure', 'figures')}" if drawn else ""
+        lines.append(f"Saved: {outcome.file}{figures}")
+    if outcome.made_safe:
+        lines.append(f"{_bench_state(outcome)}: {', '.join(outcome.made_safe)}.")
     if outcome.journal is not None and outcome.file is None:
-        parts.append(f"recover with: rig recover {outcome.journal}")
+        lines.append(f"Recover the run file with: rig recover {outcome.journal}")
     elif outcome.journal is not None and outcome.points_done < outcome.points_planned:
-        parts.append(f"resume with: rig resume {outcome.journal}")
-    return "; ".join(parts)
+        lines.append(f"Resume with: rig resume {outcome.journal}")
+    return lines
 
 
-def as_object(outcome: Outcome, figures: list[str]) -> dict[str, Any]:
+def _ending(outcome: RunOutcome) -> str:
+    if outcome.status == "stopped" and outcome.failures:
+        return outcome.failures[0].message
+    return {"complete": "finished", "stopped": "stopped", "failed": "failed"}[outcome.status]
+
+
+def _done(procedure: type[Procedure], outcome: RunOutcome) -> str:
+    planned = count(outcome.points_planned, *procedure.point_name)
+    return f"{outcome.points_done} of {planned}"
+
+
+def _bench_state(outcome: RunOutcome) -> str:
+    if outcome.off_failures:
+        return "Bench is NOT safe (see above); done"
+    if not outcome.safe:
+        return "Bench is stopped, but check it (see above)"
+    return "Bench is safe"
+
+
+def as_object(outcome: RunOutcome, figures: list[str]) -> dict[str, Any]:
     """The object that ``--json`` prints."""
     return {
         "file": None if outcome.file is None else str(outcome.file),

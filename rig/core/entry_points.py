@@ -1,11 +1,12 @@
 """What installed packages register with this one: procedures, drivers and simulated benches.
 
-A package names its modules in the entry-point groups below. `load` is the one place where such a
-module is imported: it checks that the module has everything that its group demands, and names the
-package where it does not. So a broken package disables what it registers and nothing else.
+A package names modules, and for a procedure a class (``module:Class``), in the entry-point groups
+below. `load` is the one place where they are imported: it checks that what is registered has
+everything that its group demands, and names the package where it does not. So a broken package
+disables what it registers and nothing else.
 
-Only what is asked for is imported. `summary` reads the first line of a module's docstring from its
-source, for a list of commands that has to appear at once.
+Only what is asked for is imported. `summary` reads the first line of a docstring from the source,
+for a list of commands that has to appear at once.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import importlib
 import importlib.metadata
 import sys
 import traceback
+from collections.abc import Callable
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -27,18 +29,14 @@ BENCHES = "rig.benches"
 
 KINDS = {PROCEDURES: "procedure", DRIVERS: "driver", BENCHES: "simulated bench"}
 """What an entry point of each group is called in a message."""
-DATA = {
-    PROCEDURES: ("NAME", "FIXTURES", "Settings", "LAYOUT", "STREAMS", "FIGURE"),
-    DRIVERS: ("ROLES", "Settings"),
-    BENCHES: (),
-}
+DATA: dict[str, tuple[str, ...]] = {DRIVERS: ("ROLES", "Settings")}
 """Members, not functions, that a module of each group must have."""
-FUNCTIONS = {
-    PROCEDURES: ("points", "arm", "take", "summarise"),
+FUNCTIONS: dict[str, tuple[str, ...]] = {
     DRIVERS: ("connect", "make_safe"),
     BENCHES: ("begin", "start", "serve"),
 }
-"""Functions that a module of each group must have."""
+"""Functions that a module of each group must have. What a procedure's class must have is checked by
+`rig.run.load_procedure`."""
 
 OWN_PACKAGE = "tactile-rig"
 """Another package that registers one of this package's names does not replace it."""
@@ -81,12 +79,13 @@ def find(group: str, name: str) -> EntryPoint | None:
     return found[0] if found else None
 
 
-def load(group: str, name: str) -> Any:
-    """Import the module registered under `name` and check that it has what its group demands.
+def load(group: str, name: str, find_fault: Callable[[Any], str | None] | None = None) -> Any:
+    """Import what is registered under `name` and check that it has what its group demands.
 
-    ConfigurationError where nothing is registered under the name, BrokenPackageError where the
-    import fails or a member is missing. Whatever a foreign module raises is caught: making a bench
-    safe must not depend on it.
+    `find_fault` is a further check: given the module or class, it returns what is wrong with it, as
+    the end of a sentence that begins with its name, or None. ConfigurationError where nothing is
+    registered under the name, BrokenPackageError where the import or a check fails. Whatever a
+    foreign module raises is caught: making a bench safe must not depend on it.
     """
     entry = find(group, name)
     if entry is None:
@@ -96,7 +95,7 @@ def load(group: str, name: str) -> Any:
     if entry.pattern.match(entry.value) is None:
         raise BrokenPackageError(entry, "does not name a module")
     try:
-        module = entry.load()
+        loaded = entry.load()
     except SystemExit as error:
         if error.code in (ExitCode.SIGHUP, ExitCode.SIGTERM):  # a signal, not the module
             raise
@@ -105,14 +104,17 @@ def load(group: str, name: str) -> Any:
         raise BrokenPackageError(
             entry, f"cannot be imported: {_cause(error)}", _remedy(entry, error)
         ) from error
-    if (fault := _fault(entry, module)) is not None:
+    fault = _fault(entry, loaded)
+    if fault is None and find_fault is not None:
+        fault = find_fault(loaded)
+    if fault is not None:
         raise BrokenPackageError(entry, fault)
-    return module
+    return loaded
 
 
 def summary(group: str, name: str) -> str:
-    """The first line of the docstring of a registered module, read from its source; "" where there
-    is no source to read.
+    """The first line of the docstring of a registered class or module, read from its source; ""
+    where there is no source to read, or the class is defined in another module.
 
     Neither the module nor a package around it is imported. BrokenPackageError where there is no
     such module, or where its source or that of a package around it does not parse.
@@ -123,7 +125,7 @@ def summary(group: str, name: str) -> str:
     if entry.pattern.match(entry.value) is None:
         raise BrokenPackageError(entry, "does not name a module")
     try:
-        docstring = _docstring(entry.module)
+        docstring = _docstring(entry.module, entry.attr)
     except (SyntaxError, ModuleNotFoundError) as error:
         raise BrokenPackageError(entry, f"cannot be imported: {_cause(error)}") from error
     except Exception:  # noqa: BLE001 - a finder of another package; `load` tells what is wrong
@@ -146,31 +148,25 @@ def _registered(group: str) -> tuple[EntryPoint, ...]:
 
 def _fault(entry: EntryPoint, module: Any) -> str | None:
     """What a module does not have that its group demands; None where nothing is missing."""
-    missing = [name for name in DATA[entry.group] if not hasattr(module, name)]
-    missing += [
-        name for name in FUNCTIONS[entry.group] if not callable(getattr(module, name, None))
-    ]
+    data, functions = DATA.get(entry.group, ()), FUNCTIONS.get(entry.group, ())
+    missing = [name for name in data if not hasattr(module, name)]
+    missing += [name for name in functions if not callable(getattr(module, name, None))]
     if missing:
         return f"lacks {', '.join(missing)}"
-    if "Settings" in DATA[entry.group]:
+    if "Settings" in data:
         from rig.core.settings import Settings  # after the module, which has imported it already
 
         if not (isinstance(module.Settings, type) and issubclass(module.Settings, Settings)):
             return "has Settings that are not a subclass of rig.core.settings.Settings"
-    for name in ("ROLES", "FIXTURES", "STREAMS"):
-        if name in DATA[entry.group] and not isinstance(getattr(module, name), tuple):
-            return f"has {name} that are not a tuple"
-    if entry.group == PROCEDURES:
-        if entry.name != module.NAME:
-            return f"has the NAME {module.NAME!r}, which has to be that of the entry point"
-        if not module.FIXTURES:
-            return "has no FIXTURES"
+    if "ROLES" in data and not isinstance(module.ROLES, tuple):
+        return "has ROLES that are not a tuple"
     return None
 
 
-def _docstring(module: str) -> str:
-    """The docstring of a module, found as an import would find it, but without one."""
-    docstring, name, folders = "", "", None
+def _docstring(module: str, class_name: str) -> str:
+    """The docstring of a module, or of a class in it where one is named; found as an import would
+    find the module, but without one."""
+    tree, name, folders = ast.parse(""), "", None
     for part in module.split("."):
         name = f"{name}.{part}" if name else part
         found = (finder.find_spec(name, folders) for finder in sys.meta_path)
@@ -178,9 +174,12 @@ def _docstring(module: str) -> str:
         if spec is None:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
         get_source = getattr(spec.loader, "get_source", lambda _: None)
-        docstring = ast.get_docstring(ast.parse(get_source(name) or "", spec.origin or name)) or ""
+        tree = ast.parse(get_source(name) or "", spec.origin or name)
         folders = list(spec.submodule_search_locations or ())
-    return docstring
+    if not class_name:
+        return ast.get_docstring(tree) or ""
+    classes = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
+    return (ast.get_docstring(classes[class_name]) or "") if class_name in classes else ""
 
 
 def _cause(error: BaseException) -> str:

@@ -138,6 +138,11 @@ def name_without_unit(field_name: str) -> str:
     return field_name
 
 
+def option_name(field_name: str) -> str:
+    """The command-line option of a settings field: ``settling_s`` gives ``--settling``."""
+    return "--" + name_without_unit(field_name).replace("_", "-")
+
+
 def leaves(settings: Settings, prefix: str = "") -> Iterator[tuple[str, Any, str | None]]:
     """Every plain value of a settings tree as (dotted name, value, unit)."""
     for name in type(settings).model_fields:

@@ -10,6 +10,16 @@ from typing import Any
 _QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 _UNIT = re.compile(r"^[A-Za-zµμΩ°%][A-Za-zµμΩ°%0-9/*^ ]*$")
 
+_COMMON_SYMBOLS = frozenset(
+    {
+        *("%", "percent", "count", "bit", "dB", "decade", "deg", "rad", "sqrt", "K", "degC"),
+        *("us", "ms", "s", "min", "h", "um", "mm", "m", "mN", "N", "kN", "Pa", "kPa", "MPa"),
+        *("uV", "mV", "V", "uA", "mA", "A", "W", "Hz", "kHz", "pF", "nF", "uF", "F", "pC", "C"),
+        *("ohm", "kohm", "Ω", "g", "kg"),
+    }
+)
+_UNIT_EXPRESSION = re.compile(r"(1|[^\s/*^]+(\^-?\d+)?)?([ */·]+[^\s/*^]+(\^-?\d+)?)*$")
+
 
 def duration(seconds: float) -> str:
     """A stretch of time as a person reads it: ``12.3 s``, ``0:02:05``."""
@@ -35,6 +45,11 @@ def plural(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def count(number: int, one: str, several: str) -> str:
+    """A number of things in words: ``1 trial``, ``3 trials``."""
+    return f"{number} {one if number == 1 else several}"
+
+
 def parse(text: str, annotation: Any, unit: str | None) -> Any:
     """A text as a value for a field of this type; ValueError says what is wrong."""
     arguments = typing.get_args(annotation)
@@ -52,6 +67,21 @@ def parse(text: str, annotation: Any, unit: str | None) -> Any:
     if annotation is float:
         return quantity(text, unit)
     return text
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit as files and figures carry it: ``V s/N``, ``mm/s^2``, ``%``, or ""
+    for a number without one."""
+    symbols = re.findall(r"[^\s0-9/*^()·-]+", text)
+    if _UNIT_EXPRESSION.match(text) and all(symbol in _COMMON_SYMBOLS for symbol in symbols):
+        return True
+    import pint  # slow to import: only where something unusual needs it
+
+    try:
+        pint.Unit(text)
+    except (pint.PintError, TypeError, ValueError, AttributeError, ArithmeticError):
+        return False
+    return True
 
 
 def quantity(text: str, unit: str | None) -> float:

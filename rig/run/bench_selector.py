@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rig.run.lock import BenchLock
 
 BENCH_FILE = Path("bench.toml")
+NOT_MEASURED = "These are not measurements."
 FIRST_TIME = "the first time on a computer it takes up to two minutes"
 STARTING: dict[Fixture, str] = {
     "film-clamp": "film in its clamp",
@@ -72,19 +73,19 @@ def bench_file(given: Path | None) -> Path | None:
 
 
 @dataclass(frozen=True)
-class Choosing:
-    """How a bench is got ready for a command."""
+class BenchSelector:
+    """Selects the bench that a command works on, and prepares it."""
 
     say: Callable[[str], None]
-    """Gets lines for a person."""
+    """Shows a line to a person."""
     meanwhile: Callable[[], None] = lambda: None
     """Called before anything is connected, while a simulated bench boots."""
     paced: bool = False
-    """Whether a simulated bench's time goes at a person's pace."""
+    """Whether a simulated bench's time passes at a person's pace."""
     begun: RunningBench | None = None
     """What `begin_simulated` has begun for the command, of which nothing was known yet."""
 
-    def bench_for(
+    def select(
         self,
         request: BenchRequest,
         at_the_end: ExitStack,
@@ -123,7 +124,7 @@ class Choosing:
         self._tell_killed(report_path(request.results, plan.settings.name))
         refuse_unsafe(request.results, plan.settings.name)
         if plan.settings.simulation is not None:
-            self.say(f"SIMULATED bench ({path}): nothing here is measured")
+            self.say(f"SIMULATED bench ({path}). {NOT_MEASURED}")
         roles = ", ".join(part.role for part in plan.instruments)
         self.say(f"getting ready to connect to {roles} ...")
         self._import_ahead()
@@ -139,8 +140,8 @@ class Choosing:
         self._tell_killed(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
         self._import_ahead()
         ready = started.ready()
-        why = "a rehearsal" if request.dry_run else "no bench.toml"
-        self.say(f"SIMULATED bench ({why}, seed {request.seed}): nothing here is measured")
+        why = "dry run" if request.dry_run else f"no {BENCH_FILE} found in {Path.cwd()}"
+        self.say(f"SIMULATED bench ({why}; seed {request.seed}). {NOT_MEASURED}")
         plan = parse_bench(ready["bench_toml"], "the simulated bench")
         if real is not None:
             plan = rehearsal(real, plan)

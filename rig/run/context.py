@@ -36,14 +36,16 @@ class Run:
         self.bench = bench
         self.clock: Clock = bench.clock
         self.readings: Mapping[str, Reading] = {} if readings is None else readings
-        """What has been kept so far, by point id; a resumed run begins with what was kept."""
-        self.state: Any = None
-        """The procedure's own memory between points; None until it sets one."""
+        """What has been recorded so far, by point id; a resumed run begins with what an earlier
+        attempt recorded."""
         self.holds = Holds()
         self._force: ForceMonitor | None = None
         self.warnings: list[str] = []
         self.failures: list[RigError] = []
-        """What `fail` was told."""
+        """What was reported to `fail`."""
+        self.made_safe: list[str] = []
+        """What the shutdown actions have done since the bench was last made safe, in their order,
+        as parts of a sentence: "generator off". An action that failed in part is not among them."""
         self._arming = Arming()
         self._waits_s = WAITS_PER_CALL * max(
             (getattr(part.settings, "timeout_s", 0.0) for part in bench.plan.instruments),
@@ -76,19 +78,34 @@ class Run:
         name: str,
         off: Callable[[], None],
         deadline_s: float = OFF_DEADLINE_S,
-        at_once: Callable[[], None] | None = None,
+        emergency: Callable[[], None] | None = None,
+        done: str = "",
     ) -> None:
-        """Register how `name` is switched off; call it before switching it on. `deadline_s` is
-        wall time, the waits of a broken link besides.
+        """Register how `name` is switched off; call it before you switch it on. Registering a name
+        again replaces its shutdown action.
 
-        `at_once` is what a watcher does in an emergency, from its own thread: it may talk to the
-        instrument once and may not wait on the bench clock.
+        `off`, the shutdown action, has `deadline_s` of wall time, not counting what a broken link
+        makes it wait. `emergency` is the emergency action: what a watcher does first, from its own
+        thread; it may talk to the instrument once and may not wait on the bench clock. `done` is
+        what a person reads when `off` has worked: "generator off"; without it, "`name` off".
         """
-        self._arming.register(name, off, deadline_s + self._waits_s, at_once)
+        shutdown = self._noting(off, done or f"{name} off")
+        self._arming.register(name, shutdown, deadline_s + self._waits_s, emergency)
+
+    def _noting(self, off: Callable[[], None], done: str) -> Callable[[], None]:
+        """The shutdown action, which adds what it has done to `made_safe` where nothing failed."""
+
+        def shutdown() -> None:
+            failed_before = len(self.failures)
+            off()
+            if len(self.failures) == failed_before:
+                self.made_safe.append(done)
+
+        return shutdown
 
     def stream_force(self, rate_S_s: float) -> ForceMonitor:
-        """Begin to read and to watch the force sensor, anew where it is read already; its end is
-        armed."""
+        """Begin to read and to watch the force sensor, anew where it is read already. Its shutdown
+        action is registered."""
         if self._force is not None:
             self._force.stop()
         monitor = ForceMonitor(
@@ -101,7 +118,8 @@ class Run:
             monitor.stop()
 
         deadline_s = OFF_DEADLINE_S + self._waits_s
-        self._arming.register("force stream", off, deadline_s, watches=True)
+        shutdown = self._noting(off, "force stream stopped")
+        self._arming.register("force stream", shutdown, deadline_s, watches=True)
         monitor.start(rate_S_s)
         self._force = monitor
         return monitor
@@ -153,8 +171,12 @@ class Run:
         if self._force is not None:
             self._force.check_stream()
 
-    def emit(self, stream: str, record: Record) -> None:
-        """Record raw samples of a stream; a changed scaling goes ahead of them."""
+    def record_raw(self, stream: str, record: Record) -> None:
+        """Record raw samples of a converter, as the DAQ returned them: counts with their scaling.
+
+        `stream` is the name of one of the procedure's streams. A scaling that has changed since the
+        last record is recorded first. The data are on the disk within 0.25 s.
+        """
         index = self._streams[stream]
         scaling = record.scaling
         if self._scalings.get(stream) != scaling:
@@ -172,7 +194,7 @@ class Run:
             self._scalings[stream] = scaling
         self._recorder.put_block(index, record.first_index, self.elapsed_s(), record.counts)
 
-    def put(
+    def record_rows(
         self,
         stream: str,
         first_index: int,
@@ -181,10 +203,11 @@ class Run:
         scale: Sequence[float] | None = None,
         units: str = "",
     ) -> None:
-        """Record rows (n, channels) of a stream that is no converter's: values = scale times rows.
+        """Record rows of numbers that are not a converter's raw samples: forces, positions.
 
-        ``first_index`` counts the stream's rows; the rows' type is the stream's. ``rate_Hz`` is
-        None where they are not equally spaced.
+        `rows` is an array (n, channels) of the stream's dtype; values = `scale` times `rows`, in
+        `units`. `first_index` is the number of the stream's rows before these in the same point.
+        `rate_Hz` is None where the rows are not equally spaced in time.
         """
         index = self._streams[stream]
         channels = rows.shape[1]
@@ -214,8 +237,8 @@ class Run:
         )
 
     def fail(self, error: RigError) -> None:
-        """The run has failed, and what is under way goes on: a clean-up that could only be done in
-        part. It is told at the end, after what failed before."""
+        """Report a failure without raising it: for a shutdown action that could be done only in
+        part. The run has failed; the error is reported at the end, after what failed before."""
         self.failures.append(error)
         self.event("error", type(error).__name__, error.one_line())
 

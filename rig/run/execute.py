@@ -1,86 +1,62 @@
-"""The execution of a job: the loop around the procedure, and what follows at every exit.
+"""The execution of a job, from connecting to the run file.
 
-States: connecting -> checked -> recording -> armed, taking points -> safe -> compiled -> reported.
-Whatever ends it, the order at the exit is the same: safe first, data second, report third. The
-procedure runs in the main thread, so that a signal's flag is seen at its next wait; the recorder
-and the stream readers have threads of their own, whose failures surface at the same place.
+    execute      connect, check the bench and the plan, open the journal
+    PointLoop    arm the bench and record the points (`rig.run.point_loop`)
+    _Execution   what is around the loop: at every exit safe first, data second, report third
+
+The procedure is called from the thread that calls `execute`. Three kinds of threads work beside it:
+the recorder writes the journal, a reader takes in each stream, and a shutdown action runs in a
+thread of its own so that one that hangs holds up no other. Their failures, stop requests, trips and
+holds surface in the procedure's next wait; `rig.run.phases` says which of them in which phase.
+A procedure may run its control ticks in further threads while its own waits for them.
 """
 
 from __future__ import annotations
 
 import contextlib
 import time
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import datetime
-from functools import partial
-from pathlib import Path
-from typing import Protocol, TypeVar
 
 from rig.bench import bench as benches
 from rig.bench.bench import Bench, BenchPlan
 from rig.core.clock import Clock
-from rig.core.errors import ExitCode, LimitError, RigError
+from rig.core.errors import ExitCode, RigError
 from rig.files.journal.reader import read_journal
 from rig.files.journal.recorder import Recorder
 from rig.files.runfile.compile import compile_run
 from rig.run.arming import BEAT_EVERY_S, OffFailure
+from rig.run.checked_procedure import CheckedProcedure, internal
 from rig.run.context import Run
 from rig.run.guard import GuardLink
-from rig.run.holds import PAUSE, HoldError, PauseSwitch
-from rig.run.job import Job, Journal
-from rig.run.outcome import Outcome
-from rig.run.points import Point, Reading, check_points, require_roles
+from rig.run.holds import PauseSwitch
+from rig.run.job import Journal, RunJob
+from rig.run.observers import Observers, RunObserver
+from rig.run.outcome import RunOutcome
+from rig.run.phases import Phases, RunPhase
+from rig.run.point_loop import PointLoop
+from rig.run.points import Point, check_points, require_roles
 from rig.run.stopping import StopFlag, StopRequestedError
-from rig.run.trip import TripError
-
-HOLD_LOOK_S = 0.1
-"""How often a run on hold looks whether it may go on."""
-
-T = TypeVar("T")
 
 
-class Reporter(Protocol):
-    """Where a run's progress goes: the command line, or nowhere."""
+def execute(
+    job: RunJob, plan: BenchPlan, clock: Clock, stop: StopFlag, *observers: RunObserver
+) -> RunOutcome:
+    """Run a job on a bench, from connecting to the compiled file; how it ended.
 
-    def planned(self, points: tuple[Point, ...], kept: set[str], overhead_s: float) -> None:
-        """The run has these points, of which some were kept by an earlier attempt; bench time
-        that goes into making ready and parking."""
-        ...
-
-    def point_kept(self, number: int, total: int, point: Point, reading: Reading) -> None:
-        """Point `number` of `total` is in the journal."""
-        ...
-
-    def event(self, level: str, message: str) -> None:
-        """Something a person should see now."""
-        ...
-
-    def state(self, name: str) -> None:
-        """The run is "paused" (by the operator) or "held" (by a condition that passes), both with
-        the bench safe; or it is "running" again."""
-        ...
-
-    def storing(self) -> None:
-        """The bench is safe; the data are being brought into their file."""
-        ...
-
-    def stored(self, run_file: Path) -> None:
-        """They are there."""
-        ...
-
-
-def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: Reporter) -> Outcome:
-    """Run a job on a bench from connecting to the compiled file. Never raises a RigError: what
-    went wrong is in the outcome."""
-    outcome = Outcome("failed", ExitCode.INTERNAL)
+    Raises nothing that a job, a bench or an observer can cause: what went wrong is in the outcome,
+    first cause first. The clock is closed at the end.
+    """
+    outcome = RunOutcome("failed", ExitCode.INTERNAL)
     outcome.simulated = plan.settings.simulation is not None
-    getattr(job.procedure, "import_ahead", lambda: None)()
+    procedure = CheckedProcedure(job.procedure)
     try:
-        plan = plan.require_fixture(*job.procedure.FIXTURES)
-        points = job.procedure.points(job.settings)
-        outcome.points_done = len(job.kept)
-        outcome.points_planned = len({point.id for point in points} | job.kept.keys())
+        procedure.import_ahead()
+        plan = plan.require_fixture(*job.procedure.fixtures)
+        points = procedure.points()
+        recorded = job.recorded
+        outcome.points_done = len(recorded)
+        outcome.points_planned = len({point.id for point in points} | recorded.keys())
         require_roles(points, plan)
         bench = benches.connect(plan, clock, stop.check)
     except RigError as error:
@@ -91,45 +67,42 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
         try:
             now = datetime.now().astimezone()
             job.calibrations, warnings = benches.apply_calibrations(bench, now, job.allow_expired)
-            check_points(points, bench)
-            getattr(job.procedure, "check", lambda *_: None)(job.settings, bench)
+            check_points(points, bench, settings=job.settings)
+            procedure.check(bench)
             stop.check()
             journal = job.open_journal(bench, points)
         except RigError as error:
             return _failed(outcome, error)
-        loop = _Loop(job, bench, points, journal, stop, reporter, outcome)
+        execution = _Execution(job, procedure, bench, journal, stop, observers, outcome)
         for warning in warnings:
-            loop.run.event("warning", "calibration", warning)
-        loop.go()
+            execution.run.event("warning", "calibration", warning)
+        execution.go(points)
     return outcome
 
 
-class _InvalidError(RigError):
-    """A reading does not count."""
-
-
-class _Loop:
-    """The part of a run that has a journal."""
+class _Execution:
+    """A run that has a journal: the loop over its points, and what follows at every exit."""
 
     def __init__(
         self,
-        job: Job,
+        job: RunJob,
+        procedure: CheckedProcedure,
         bench: Bench,
-        points: tuple[Point, ...],
         journal: Journal,
         stop: StopFlag,
-        reporter: Reporter,
-        outcome: Outcome,
+        observers: tuple[RunObserver, ...],
+        outcome: RunOutcome,
     ):
-        self.job, self.bench, self.points, self.journal = job, bench, points, journal
-        self.stop, self.reporter, self.outcome = stop, reporter, outcome
+        self.job, self.procedure, self.bench, self.journal = job, procedure, bench, journal
+        self.stop, self.outcome = stop, outcome
+        self.observers = Observers(observers, self._warn_of_observer)
         self.recorder = Recorder(journal.writer)
         held = job.held
         if job.lock is not None:
             job.lock.tell_run(journal.path)
             held += job.lock.files
         self.guard = GuardLink(bench.plan, journal.path, job.guard_report(bench, journal), held)
-        self.readings = dict(journal.kept)
+        self.readings = dict(journal.recorded)
         self.run = Run(
             job.settings,
             bench,
@@ -138,212 +111,100 @@ class _Loop:
             journal.elapsed_s,
             self.readings,
         )
-        self._taking = False
-        self._making_safe = False
-        self._tripped: set[str] = set()
-        """Points that a trip has disturbed: each is retaken once."""
-        self._spare = False
-        """Whether a reading that does not count is discarded: its point is taken again."""
+        self.phases = Phases()
+        self.loop = PointLoop(
+            job,
+            procedure,
+            self.run,
+            self.recorder,
+            self.readings,
+            self.phases,
+            self._switch_off,
+            stop,
+            self.observers,
+            outcome,
+        )
         self._last_beat = 0.0
         self._guard_missed = False
+        """Whether the guard's death has been reported."""
         self._begun_s = bench.clock.now()
 
-    def go(self) -> None:
-        """Take the points, then safe, data, report."""
+    def go(self, points: tuple[Point, ...]) -> None:
+        """Record the points, then safe, data, report."""
         unregister = self.bench.clock.each_slice(self._each_slice)
         self.bench.clock.while_computing(self.guard.beat)
         try:
             with PauseSwitch(self.run.holds):
-                self._take_all()
-            self.outcome.status, self.outcome.code = "complete", self._judged()
+                self.loop.record_all(points)
+            self.outcome.status, self.outcome.code = "complete", self._judge()
         except StopRequestedError as stopped:
             self.outcome.status, self.outcome.code = "stopped", stopped.code
             self.outcome.failures.append(stopped)
         except RigError as error:
             _failed(self.outcome, error)
         except Exception as error:  # noqa: BLE001 - a bug ends a run as safely as anything else
-            _failed(self.outcome, _internal(error))
+            _failed(self.outcome, internal(error))
         finally:
             unregister()
             self._make_safe()
-        self._finish_data()
+        self._save()
+        self._summarise()
         if self.outcome.off_failures:
             self.outcome.taken_over = self.guard.take_over()
         else:
             self.guard.done()
 
-    def _judged(self) -> ExitCode:
-        """Whether every reading that was kept counts; those that do not are told."""
-        doubtful = {name: why for name, r in self.readings.items() if (why := self._invalid(r))}
-        for name, why in doubtful.items():
-            self.run.event("warning", "invalid", f"{name} does not count: {why}")
-        return ExitCode.FINISHED_WITH_FAILURES if doubtful else ExitCode.DONE
+    def _judge(self) -> ExitCode:
+        """Report every invalid reading; the exit code of a run that has all its points."""
+        invalid = {
+            name: why for name, r in self.readings.items() if (why := self.procedure.why_invalid(r))
+        }
+        for name, why in invalid.items():
+            self.run.event("warning", "invalid", f"{name} is invalid: {why}")
+        return ExitCode.FINISHED_WITH_FAILURES if invalid else ExitCode.DONE
+
+    # --- during every wait ------------------------------------------------------------------------
 
     def _each_slice(self) -> None:
-        """What every wait looks at, before every slice of at most 20 ms; while the bench is made
-        safe nothing ends a wait."""
+        """Called before every slice of at most 20 ms of a wait: raises what ends the wait."""
         now = time.monotonic()
         due = now - self._last_beat >= BEAT_EVERY_S
         if due:
             self._last_beat = now
             self.guard.beat()
-        if self._making_safe:
+        if self.phases.now is RunPhase.MAKING_SAFE:
             return
         if due:
             self._miss_guard()
         self.recorder.check()
         self.stop.check()
-        if self._taking:
+        if self.phases.now is RunPhase.MEASURING:
             self.run.check_watchers()
 
     def _miss_guard(self) -> None:
-        """A run goes on without its guard rather than fail, and says so, once."""
+        """Report once that the guard has died. The run continues: to end it would gain nothing."""
         if self.guard.lost and not self._guard_missed:
             self._guard_missed = True
-            text = "the guard has died: if this run dies as well, nobody makes the bench safe"
+            text = "the guard has died: if this run dies as well, nothing makes the bench safe"
             self.run.event("warning", "guard", text)
-            self.reporter.event("warning", text)
+            self.observers.event("warning", text)
 
-    def _take_all(self) -> None:
-        self.outcome.points_done = len(self.readings)
-        self._take_plan(self.points)
-        refine = getattr(self.job.procedure, "refine", None)
-        if refine is None:
-            return
-        further = tuple(refine(self.job.settings, self._in_order()))
-        if further:
-            check_points(further, self.bench, (point.id for point in self.points))
-            self.points += further
-            self.outcome.points_planned = len(self.points)
-            self.run.event("info", "refined", f"{len(further)} further points where it matters")
-            self._take_plan(self.points)
+    # --- first: safe ------------------------------------------------------------------------------
 
-    def _take_plan(self, points: tuple[Point, ...]) -> None:
-        remaining = [point for point in points if point.id not in self.readings]
-        if not remaining:
-            return
-        armed = bool(self.run.arming.names)
-        self.reporter.planned(points, set(self.readings), 0.0 if armed else self._overhead_s())
-        if not armed:
-            self._disturbable(self._arm)
-        for point in remaining:
-            self.run.check_stop()
-            self.stop.check_between_points()
-            reading = self._disturbable(partial(self._take_valid, point))
-            self.readings[point.id] = reading
-            self.outcome.points_done += 1
-            self.reporter.point_kept(self.outcome.points_done, len(points), point, reading)
-
-    def _overhead_s(self) -> float:
-        told = getattr(self.job.procedure, "overhead_s", None)
-        fixture = self.bench.settings.fixture
-        return float(told(self.job.settings, fixture, False)) if told else 0.0
-
-    def _arm(self) -> None:
-        with self.run.first_cause():
-            self.job.procedure.arm(self.run)
-
-    def _disturbable(self, act: Callable[[], T]) -> T:
-        """Do it; after a hold, when the bench is armed again, do it anew."""
-        again = False
-        while True:
-            self.run.holds.acknowledge()
-            self._taking = True
-            try:
-                if again and act != self._arm:
-                    self._arm()
-                return act()
-            except HoldError as hold:
-                self._taking = False
-                self._wait_out(hold)
-                again = True
-            finally:
-                self._taking = False
-
-    def _wait_out(self, hold: HoldError) -> None:
-        """Safe first; then wait until no hold is in force. The force is read on meanwhile: that
-        is how the end of its silence is seen."""
-        self.run.event("warning", "hold", hold.message)
-        failures = self._switch_off(watch_on=True)
-        if failures:
-            reasons = "; ".join(f"{f.name}: {f.reason}" for f in failures)
-            raise RigError(reasons, None, ExitCode.INSTRUMENT) from hold
-        self.reporter.event("warning", f"hold: {hold.message}; the bench is safe")
-        self.reporter.state("paused" if hold.message == PAUSE else "held")
-        self.run.check_stop()
-        while self.run.holds.active:
-            self.bench.clock.sleep(HOLD_LOOK_S)
-            self.run.check_force_stream()
-        self.reporter.event("info", "going on")
-        self.reporter.state("running")
-
-    def _switch_off(self, watch_on: bool = False) -> list[OffFailure]:
-        """Run the offs, undisturbed by stop requests, drives and threads that fail meanwhile."""
-        self._making_safe = True
-        try:
-            with self.bench.keep_alives.while_making_safe(self.bench.clock):
-                return self.run.arming.make_safe(self.guard.beat, watch_on)
-        finally:
-            self._making_safe = False
-
-    def _take_valid(self, point: Point) -> Reading:
-        """Take it, and again where it does not count, as often as the settings say."""
-        for again in range(getattr(self.job.settings, "retry_invalid", 0), -1, -1):
-            self._spare = again > 0
-            try:
-                return self._take_or_retake(point)
-            except _InvalidError as invalid:
-                self.run.event("warning", "invalid", f"{point.id}: {invalid.message}")
-                self.reporter.event("warning", f"{point.id}: {invalid.message}; taken again")
-        raise AssertionError("the last attempt is kept, valid or not")
-
-    def _invalid(self, reading: Reading) -> str:
-        """Why a reading does not count; empty where it does."""
-        judge = getattr(self.job.procedure, "invalid", None)
-        return "" if judge is None else str(judge(self.job.settings, reading))
-
-    def _take_or_retake(self, point: Point) -> Reading:
-        try:
-            return self._take(point)
-        except TripError as trip:
-            if point.id in self._tripped:
-                raise
-            self._tripped.add(point.id)
-            self.run.event("error", "trip", trip.one_line())
-            self.reporter.event("warning", f"{trip.one_line()}; retaking point {point.id} once")
-            self._taking = False  # watchers are not looked at: the bench is being made safe
-            if self._switch_off() or self.run.failures:  # what may still be pressed is left alone
-                raise
-            self.run.check_stop()
-        self._taking = True
-        self._arm()
-        return self._take(point)
-
-    def _in_order(self) -> list[Reading]:
-        return [self.readings[p.id] for p in self.points if p.id in self.readings]
-
-    def _take(self, point: Point) -> Reading:
-        self.bench.clock.announce(self.job.run_number, zlib.crc32(point.id.encode()))
-        self.recorder.put_point_begin(point.id, {"time": self.run.elapsed_s()})
-        try:
-            with self.run.first_cause(), _naming(point):
-                reading = self.job.procedure.take(self.run, point)
-                self.run.check_watchers()  # also what came and went within its last blocking call
-            if self._spare and (reason := self._invalid(reading)):
-                raise _InvalidError(reason)
-        except BaseException as error:
-            with contextlib.suppress(RigError):  # the first cause is on its way
-                self.recorder.put_point_discard(point.id, str(error))
-            raise
-        self.recorder.put_point_keep(point.id, reading)
-        return reading
+    def _switch_off(self, keep_watching: bool) -> list[OffFailure]:
+        """Run the shutdown actions, undisturbed by stop requests, drives and threads that fail
+        meanwhile; those that failed."""
+        self.phases.enter(RunPhase.MAKING_SAFE)
+        self.run.made_safe.clear()
+        with self.bench.keep_alives.while_making_safe(self.bench.clock):
+            return self.run.arming.make_safe(self.guard.beat, keep_watching)
 
     def _make_safe(self) -> None:
-        armed = self.run.arming.names
-        failures = self._switch_off()
+        """Switch everything off; tell the guard where that has worked."""
+        self.observers.making_safe()
+        failures = self._switch_off(False)
         self.outcome.duration_s = self.bench.clock.now() - self._begun_s
-        failed = {failure.name for failure in failures}
-        self.outcome.switched_off = tuple(name for name in armed if name not in failed)
+        self.outcome.made_safe = tuple(self.run.made_safe)
         self.outcome.off_failures = [failure for failure in failures if not failure.watches]
         for failure in failures:
             if failure.watches:
@@ -352,53 +213,66 @@ class _Loop:
         for error in self.run.failures:
             if not self.outcome.failures:
                 self._failed_late(error)
-            else:  # the cause is told already: this is what came of it
+            else:  # the cause is reported already: this followed from it
                 self.outcome.warnings.append(error.one_line())
         if self.outcome.off_failures:
             self.outcome.code = ExitCode.UNSAFE
             self.outcome.status = "failed"
         else:
+            self.outcome.safe = not self.run.failures
             self.guard.safe()
-        with contextlib.suppress(RigError):  # a failed recorder is reported by _finish_data
+        with contextlib.suppress(RigError):  # a failed recorder is reported by _save
             for failure in self.outcome.off_failures:
                 self.run.event("error", "off-failed", f"{failure.name}: {failure.reason}")
 
-    def _finish_data(self) -> None:
+    # --- second: data -----------------------------------------------------------------------------
+
+    def _save(self) -> None:
+        """Close the journal and compile it; every step is tried, whatever the one before it did."""
+        self.phases.enter(RunPhase.SAVING)
         outcome = self.outcome
         compiled = self.job.compiled or outcome.status != "complete"
         if outcome.points_done and compiled:
-            self.reporter.storing()
+            self.observers.saving()
         outcome.warnings = self.run.warnings + outcome.warnings
-        with self._storing():
+        with self._saving():
             for failure in outcome.failures:
                 if failure in self.run.failures:
                     continue  # it is in the journal
                 self.run.event("error", type(failure).__name__, failure.one_line())
             self.recorder.put_end(self.journal.end(outcome, self.run.elapsed_s()))
-        with self._storing():
+        with self._saving():
             self.recorder.close()
         if outcome.status == "failed":
-            self._count_what_is_kept()
+            self._forget_what_is_not_in_the_journal()
         if compiled:
-            with self._storing():
+            with self._saving():
                 outcome.file = compile_run(self.journal.path, retire=True)
                 if outcome.points_done:
-                    self.reporter.stored(outcome.file)
+                    self.observers.saved(outcome.file)
         if self.journal.path.exists():
             outcome.journal = self.journal.path
-        outcome.summary = self.job.procedure.summarise(self.job.settings, self._in_order())
 
-    def _count_what_is_kept(self) -> None:
-        """Where the disk failed, only the points that the journal holds have been kept."""
+    def _summarise(self) -> None:
+        """Ask the procedure for its summary; one that fails costs the summary and nothing else."""
+        try:
+            self.outcome.summary = self.procedure.summarise(self.loop.readings())
+        except RigError as error:
+            self.outcome.failures.append(error)
+            if self.outcome.code == ExitCode.DONE:
+                self.outcome.code = error.code
+
+    def _forget_what_is_not_in_the_journal(self) -> None:
+        """Where the disk failed, only the points that the journal holds are recorded."""
         with contextlib.suppress(RigError, OSError):
-            kept = {point.id for point in read_journal(self.journal.path).kept()}
-            for lost in self.readings.keys() - kept:
+            recorded = {point.id for point in read_journal(self.journal.path).kept()}
+            for lost in self.readings.keys() - recorded:
                 del self.readings[lost]
             self.outcome.points_done = len(self.readings)
 
     @contextlib.contextmanager
-    def _storing(self) -> Iterator[None]:
-        """One step of keeping the data; its failure is told and does not stop the next step."""
+    def _saving(self) -> Iterator[None]:
+        """One step of saving the data; its failure is reported and does not stop the next step."""
         try:
             yield
         except RigError as error:
@@ -408,36 +282,24 @@ class _Loop:
             self._failed_late(RigError(f"cannot write the run file: {error}", hint))
 
     def _failed_late(self, error: RigError) -> None:
-        """The first cause keeps its place; what fails after it follows, unless it is the cause."""
+        """Add a failure behind the first cause, unless it is the first cause again."""
         if all(error.message != known.message for known in self.outcome.failures):
             self.outcome.failures.append(error)
         if self.outcome.code == ExitCode.DONE:
             self.outcome.code = error.code
         self.outcome.status = "failed"
 
+    def _warn_of_observer(self, text: str) -> None:
+        """Record that an observer failed; the outcome has it even where the journal is closed."""
+        if self.phases.now is RunPhase.SAVING:
+            self.outcome.warnings.append(text)
+            return
+        with contextlib.suppress(RigError):  # a failed recorder ends the run by itself
+            self.run.event("warning", "observer", text)
 
-def _failed(outcome: Outcome, error: RigError) -> Outcome:
+
+def _failed(outcome: RunOutcome, error: RigError) -> RunOutcome:
     outcome.status = "stopped" if isinstance(error, StopRequestedError) else "failed"
     outcome.code = error.code
     outcome.failures.extend(error.parts())
     return outcome
-
-
-@contextlib.contextmanager
-def _naming(point: Point) -> Iterator[None]:
-    """A value that a point has computed and that a limit refuses is told with the point's id."""
-    try:
-        yield
-    except TripError:
-        raise
-    except LimitError as refused:
-        raise LimitError(f"point {point.id}: {refused.message}", refused.hint) from refused
-
-
-def _internal(error: Exception) -> RigError:
-    wrapped = RigError(
-        f"internal error: {type(error).__name__}: {error}",
-        "this is a defect of the program: run again with --debug and report the traceback",
-    )
-    wrapped.__cause__ = error
-    return wrapped

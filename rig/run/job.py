@@ -21,7 +21,7 @@ from rig.files.journal.reader import JournalContents
 from rig.files.journal.writer import JournalWriter, begin_journal, begin_journal_at
 from rig.run.guard import GUARD_SUFFIX, report_path
 from rig.run.lock import BenchLock
-from rig.run.outcome import Outcome
+from rig.run.outcome import RunOutcome
 from rig.run.points import Point, Reading
 from rig.run.procedure import Procedure
 from rig.run.source_state import source_state
@@ -36,8 +36,8 @@ class Journal:
     path: Path
     writer: JournalWriter
     attempt: int
-    kept: Mapping[str, Reading]
-    """Readings of the points that an earlier attempt kept, by point id."""
+    recorded: Mapping[str, Reading]
+    """Readings of the points that an earlier attempt recorded, by point id."""
     elapsed_s: float = 0.0
     """Seconds from the run's start to the start of this attempt."""
 
@@ -46,7 +46,7 @@ class Journal:
         """Stream numbers by name."""
         return {stream.name: k for k, stream in enumerate(self.writer.header.streams)}
 
-    def end(self, outcome: Outcome, duration_s: float) -> dict[str, Any]:
+    def end(self, outcome: RunOutcome, duration_s: float) -> dict[str, Any]:
         """The record that closes this attempt."""
         reasons = [failure.one_line() for failure in outcome.failures]
         reasons += [f"not switched off: {f.name}: {f.reason}" for f in outcome.off_failures]
@@ -64,11 +64,11 @@ class Journal:
 
 
 @dataclass
-class Job:
+class RunJob:
     """What one run is asked to do."""
 
     procedure: Procedure
-    settings: Settings
+    """Made for this run, with its settings."""
     seed: int
     results: Path
     user: str = ""
@@ -82,10 +82,10 @@ class Job:
     journal: Path | None = None
     """Where a fresh journal goes; None for the next name of the day."""
     compiled: bool = True
-    """Whether a complete run's journal is compiled when the bench is safe, or by somebody else
-    later."""
+    """Whether a complete run's journal is compiled as soon as the bench is safe; if not, whoever
+    made the job compiles it later."""
     held: tuple[int, ...] = ()
-    """Files that the guard keeps open as long as it lives, besides the lock's."""
+    """File descriptors that the guard keeps open as long as it lives, and those of the lock."""
     allow_expired: bool = False
     """Whether calibration records that have expired may be used."""
     calibrations: list[dict[str, Any]] = field(default_factory=list)
@@ -93,15 +93,21 @@ class Job:
     recorded_toml: str | None = None
     """The bench file as it is recorded, where the connected one holds a process's port numbers."""
     lock: BenchLock | None = None
-    """On the bench's instruments; none where they are this command's own."""
+    """On the bench's instruments; None where they belong to this command alone."""
+
+    @property
+    def settings(self) -> Settings:
+        """The settings of the run."""
+        settings: Settings = self.procedure.settings
+        return settings
 
     def fingerprint(self, bench_toml: str) -> str:
         """What has to be equal for a run to be resumed."""
-        return fingerprint(self.procedure.NAME, self.settings, self.seed, bench_toml)
+        return fingerprint(self.procedure.name, self.settings, self.seed, bench_toml)
 
     @property
-    def kept(self) -> dict[str, Reading]:
-        """Readings of the points that an earlier attempt kept, by point id."""
+    def recorded(self) -> dict[str, Reading]:
+        """Readings of the points that an earlier attempt recorded, by point id."""
         return {} if self.resume is None else {p.id: p.reading for p in self.resume.kept()}
 
     def guard_report(self, bench: Bench, journal: Journal) -> Path:
@@ -132,14 +138,14 @@ class Job:
             self.resume.path,
             JournalWriter.reopen(self.resume.path),
             len(self.resume.ends) + 1,
-            self.kept,
+            self.recorded,
             self._elapsed_s(),
         )
 
     def _begin(self, header: dict[str, Any]) -> JournalWriter:
         if self.journal is not None:
             return begin_journal_at(self.journal, header)
-        return begin_journal(self.results, self.procedure.NAME, header)
+        return begin_journal(self.results, self.procedure.name, header)
 
     def _elapsed_s(self) -> float:
         """A bench that ended with its run stood still in between; time went on for any other."""
@@ -156,9 +162,9 @@ class Job:
         simulated = bench.simulated
         marker = "SIMULATED " if simulated else ""
         return {
-            "procedure": self.procedure.NAME,
-            "layout": self.procedure.LAYOUT.to_json(),
-            "title": f"{marker}{self.procedure.NAME} on bench {bench.settings.name}",
+            "procedure": self.procedure.name,
+            "layout": self.procedure.layout.to_json(),
+            "title": f"{marker}{self.procedure.name} on bench {bench.settings.name}",
             "run_uuid": str(uuid.uuid4()),
             "collection": self.collection,
             "run_number": self.run_number,
@@ -203,7 +209,7 @@ class Job:
                     "units": stream.units,
                     "long_name": stream.long_name,
                 }
-                for stream in self.procedure.STREAMS
+                for stream in self.procedure.streams
             ],
         }
 

@@ -13,7 +13,7 @@ from rig.run.guard import TakenOver
 
 
 @dataclass
-class Outcome:
+class RunOutcome:
     """How a run ended."""
 
     status: str
@@ -32,6 +32,9 @@ class Outcome:
     """What went wrong, first cause first."""
     off_failures: list[OffFailure] = field(default_factory=list)
     taken_over: TakenOver | None = None
-    """What the guard made of a bench that the run could not make safe."""
-    switched_off: tuple[str, ...] = ()
+    """What the guard did with a bench that the run could not make safe."""
+    made_safe: tuple[str, ...] = ()
+    """What the shutdown actions did at the end, as parts of a sentence: "generator off"."""
+    safe: bool = False
+    """Whether the bench is known to be safe: every shutdown action worked, and whole."""
     warnings: list[str] = field(default_factory=list)

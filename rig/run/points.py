@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from rig.bench.bench import Bench, BenchPlan, require
 from rig.core.errors import ConfigurationError, LimitError, RigError
+from rig.core.settings import Settings, option_name, unit_of
 from rig.instruments.roles import Acquisition
 
 Reading = dict[str, float | int | bool | str | None]
-"""What a point gave: plain numbers by name, as they go into the run file."""
+"""The results of a point: plain numbers and texts by name, as they go into the run file."""
+
+_BENCH_FILE_HINT = ", or correct the bench file if the limit is wrong"
+"""End of the hint of a LimitError, for a bench that has a bench file."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +24,10 @@ class Move:
     """A value that a point will ask of the bench: ``generator.frequency`` = 200."""
 
     quantity: str
+    """Role and quantity, as `Bench.reach` names them."""
     value: float
+    given: tuple[str, ...] = ()
+    """The settings that the value is computed from, for the message that refuses it."""
 
 
 @dataclass(frozen=True)
@@ -55,19 +63,28 @@ def require_roles(points: Sequence[Point], plan: BenchPlan) -> None:
         )
 
 
-def check_points(points: Sequence[Point], bench: Bench, taken: Iterable[str] = ()) -> None:
+def check_points(
+    points: Sequence[Point],
+    bench: Bench,
+    taken: Iterable[str] = (),
+    settings: Settings | None = None,
+) -> None:
     """Refuse, before anything moves, every value outside a limit; ids must be unique, also among
-    those of an earlier plan that are `taken`."""
-    for error in refusals(points, bench, taken):
+    those of an earlier plan that are `taken`. With the run's `settings` the message names the
+    options that a refused value comes from."""
+    for error in refusals(points, bench, taken, settings):
         raise error
 
 
 def refusals(
-    points: Sequence[Point], bench: Bench, taken: Iterable[str] = ()
+    points: Sequence[Point],
+    bench: Bench,
+    taken: Iterable[str] = (),
+    settings: Settings | None = None,
 ) -> Iterator[RigError]:
-    """All that `check_points` refuses."""
+    """Every error that `check_points` would raise, one after the other."""
     if not points:
-        yield ConfigurationError("there is no point to take", "ask for at least one")
+        yield ConfigurationError("there is no point to measure", "ask for at least one")
     seen: set[str] = set(taken)
     reach = bench.reach()
     for point in points:
@@ -88,9 +105,34 @@ def refusals(
             try:
                 require(name, move.value, reach[move.quantity], f"point {point.id}")
             except LimitError as error:
-                yield error
+                origin = _origin(move, settings) if settings is not None else ""
+                yield LimitError(error.message + origin, remedy(error, bench))
         for acquisition in point.acquisitions:
             try:
                 bench.daq.check(acquisition)
             except LimitError as error:
-                yield LimitError(f"point {point.id}: {error.message}", error.hint)
+                yield LimitError(f"point {point.id}: {error.message}", remedy(error, bench))
+
+
+def remedy(error: LimitError, bench: Bench) -> str | None:
+    """The hint of a refused value; a bench without a bench file has none to correct."""
+    if error.hint is None or Path(bench.plan.source).exists():
+        return error.hint
+    return error.hint.removesuffix(_BENCH_FILE_HINT)
+
+
+def as_option(settings: Settings, field: str) -> str:
+    """A setting as it is given on the command line: ``--distance 100 mm``."""
+    value, unit = getattr(settings, field), unit_of(field)
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        return option_name(field)
+    shown = f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{option_name(field)} {shown}" + (f" {unit}" if unit else "")
+
+
+def _origin(move: Move, settings: Settings) -> str:
+    """The settings that a move is computed from, as the end of a message."""
+    options = [as_option(settings, field) for field in move.given]
+    if len(options) > 1:
+        options[-1] = f"and {options[-1]}"
+    return f" (from {(', ' if len(options) > 2 else ' ').join(options)})" if options else ""

@@ -1,36 +1,45 @@
-"""What a procedure is: data plus one act.
+"""The base class of a procedure: a kind of experiment, as a plan and one act.
 
-    points(settings) -> tuple[Point, ...]     # pure: what will be done, with every move
-    arm(run)                                  # make ready; everything switched on registers its off
-    take(run, point) -> Reading               # act: one point
-    refine(settings, readings) -> tuple[Point, ...]   # optional and pure: further points
-    invalid(settings, reading) -> str         # optional and pure: why a reading does not count
-    check(settings, bench)                    # optional: refuses what the bench does not allow and
-                                              # no move says, before anything is armed
-    import_ahead()                            # optional: what takes long to import, while nothing
-                                              # is switched on yet
-    overhead_s(settings, fixture, homed) -> float   # optional and pure: bench time that the
-                                              # points' own leaves out: arming, making safe; homed:
-                                              # the stages know where they are and are parked
-    DRIFT: Mapping[str, DriftFigure]          # optional: figures of the summary by which its run
-                                              # as a batch's reference shows wear
+A package registers its class under the entry-point group ``rig.procedures``:
 
-A reading that does not count is kept all the same and says so; with settings of a number
-``retry_invalid``, the point is discarded and taken again up to so many times before.
+    [project.entry-points."rig.procedures"]
+    creep = "lab.creep:Creep"
 
-The runner owns the loop between them. From this split come the check of all points before the
-first motion, progress, dry runs, discarding and retaking a point, and resuming at the point where
-a run was interrupted.
+The command ``rig creep`` makes one instance for each run, with the settings of that run. Whatever
+the procedure wants to remember from one point to the next is an attribute of that instance.
+
+Hooks are called in this order:
+
+    import_ahead()                    before anything is connected
+    points()                          the plan, checked against every limit of the bench
+    check(bench)                      connected, nothing armed yet
+    overhead_s(fixture, homed)        for the estimate of the time that is left
+    arm(run)                          before the first point, and again after every hold and trip
+    take(run, point)                  each point in turn
+    why_invalid(reading)              after each point
+    refine(readings)                  after the last point of the first plan: further points
+    summarise(readings)               when the bench is safe and the data are saved
+
+The planning hooks (all but `check`, `arm` and `take`) must not touch an instrument: they are called
+without one, for instance when a batch is planned. The runner owns the loop between the hooks. From
+this split follow progress, dry runs, discarding and retaking a point, and resuming a run at the
+point where it was interrupted.
+
+What a hook raises: a `RigError` is reported as it is. Any other exception is a fault of the package
+that the procedure belongs to and is reported so, with file and line. Either way the run ends in
+order: bench safe, data saved, failure reported.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from rig.bench.bench import Fixture
-from rig.core.settings import Settings
+from rig.bench.bench import Bench, Fixture, FixtureSettings
+from rig.core.settings import Settings as BaseSettings
 from rig.files.journal.layout import Layout
 from rig.run.points import Point, Reading
 
@@ -40,7 +49,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StreamPlan:
-    """One stream that a procedure emits: raw counts of a converter, or numbers of another kind."""
+    """One stream that a procedure records: raw counts of a converter, or other numbers."""
 
     name: str
     device: str
@@ -55,41 +64,120 @@ class StreamPlan:
 
 @dataclass(frozen=True)
 class DriftFigure:
-    """What a figure of the summary says of the bench, where the same run is made again."""
+    """A number of the summary that shows wear of the bench when the same run is repeated."""
 
     what: str
     """In words, such as ``gain near 200 Hz``."""
     part: str
-    """Of the bench, that it speaks of: ``film``, ``strip_1``, ``strip_2``."""
+    """The part of the bench that it depends on: ``film``, ``strip_1``, ``strip_2``."""
     tolerance: float
-    """How far it may move from the first run's, in the figure's own unit."""
+    """How far it may move from the first run's, in its own unit."""
 
 
-class Procedure(Protocol):
-    """What an entry point of group ``rig.procedures`` names: a module with these members."""
+class Procedure(ABC):
+    """A kind of experiment. The first line of a subclass's docstring is its command's help text."""
 
-    NAME: str
-    FIXTURES: tuple[Fixture, ...]
-    """Fixtures it can work with."""
-    Settings: type[Settings]
-    LAYOUT: Layout
-    """How readings become the run file's plots."""
-    STREAMS: tuple[StreamPlan, ...]
-    FIGURE: str
-    """Which figure shows a run: a function of ``rig.figures``."""
+    name: ClassVar[str]
+    """Name of the command and of the run files; equal to the name of the entry point."""
+    fixtures: ClassVar[tuple[Fixture, ...]]
+    """Fixtures it can work with. A simulated bench gets the first one."""
+    Settings: ClassVar[type[BaseSettings]]
+    """Its settings class. Each field becomes an option of the command."""
+    layout: ClassVar[Layout]
+    """The columns of its readings, and how the run file plots them and its streams."""
+    streams: ClassVar[tuple[StreamPlan, ...]] = ()
+    """Every stream that `take` records."""
+    drift: ClassVar[Mapping[str, DriftFigure]] = MappingProxyType({})
+    """Numbers of the summary by which a batch's reference run shows wear, by their key."""
+    point_name: ClassVar[tuple[str, str]] = ("point", "points")
+    """What a person calls one of its points, and several."""
 
-    def points(self, settings: Any) -> tuple[Point, ...]:
-        """All points of a run, from the settings alone."""
-        ...
+    settings: Any
+    """Settings of this run. A subclass may declare its own type: ``settings: CreepSettings``."""
 
+    def __init__(self, settings: Any):
+        self.settings = settings
+
+    # --- planning: no instrument is touched -----------------------------------------------------
+
+    def import_ahead(self) -> None:  # noqa: B027 - a hook that need not do anything
+        """Import what takes long, before anything is connected or switched on.
+
+        Called once, first of all hooks, while a simulated bench boots.
+        """
+
+    @abstractmethod
+    def points(self) -> tuple[Point, ...]:
+        """Return all points of the run, from the settings alone.
+
+        Called several times, before anything is connected and while a batch is planned: equal
+        settings must give equal points with equal ids. Each point lists the values that it will ask
+        of the instruments; the run is refused before any motion if one is outside a limit. Raise
+        ConfigurationError or LimitError for settings that cannot be run.
+        """
+
+    def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
+        """Return the bench time in s that `arm` and making safe take in all.
+
+        The durations of the points leave it out. `homed`: the stages know where they are and are
+        parked already. Only estimates of time depend on it.
+        """
+        return 0.0
+
+    def check(self, bench: Bench) -> None:  # noqa: B027 - a hook that need not do anything
+        """Raise ConfigurationError or LimitError for a bench that the run cannot work on.
+
+        Called once, after the points were checked and before anything is armed. It may read
+        settings and limits of the connected instruments; it must not move or switch anything.
+        """
+
+    def refine(self, readings: Sequence[Reading]) -> tuple[Point, ...]:
+        """Return further points where the readings of the first plan call for them.
+
+        Called once, after the last point of `points`, with the bench still armed; `readings` are
+        in the order of the plan. The new points are checked like the first ones.
+        """
+        return ()
+
+    def why_invalid(self, reading: Reading) -> str:
+        """Return why a reading is invalid, in words; "" for a valid one.
+
+        Called after each point. An invalid reading is recorded all the same, reported at the end
+        of the run, and makes its exit code 5. Where the settings have a number ``retry_invalid``,
+        the point is discarded and retaken up to that many times before.
+        """
+        return ""
+
+    # --- acting: instruments may be used --------------------------------------------------------
+
+    @abstractmethod
     def arm(self, run: Run) -> None:
-        """Switch on what the points need; each thing switched on registers its off."""
-        ...
+        """Switch on what the points need and bring the bench to where the first one can begin.
 
+        Called before the first point, and again after each hold and trip, when everything has been
+        switched off: what has to last from one arming to the next must not be made anew. Register
+        how a thing is switched off (`run.arm`) before you switch it on. An exception ends the run:
+        what was registered is switched off, in reverse order.
+        """
+
+    @abstractmethod
     def take(self, run: Run, point: Point) -> Reading:
-        """Take one point."""
-        ...
+        """Measure one point and return its reading, with a value for every column of the layout.
 
-    def summarise(self, settings: Any, readings: Sequence[Reading]) -> Mapping[str, Any]:
-        """Figures of the whole run for the closing summary and ``--json``."""
-        ...
+        Called once for each point in the order of the plan, and again for a point that a hold, a
+        trip or an invalid reading has disturbed. Use ``run.clock.sleep`` for every wait, and
+        ``run.check_stop()`` at least every 0.2 s while computing: stop requests and trips are
+        raised there; let them pass. Use None for a column without a value. An exception discards
+        the point and ends the run.
+        """
+
+    # --- afterwards -----------------------------------------------------------------------------
+
+    def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
+        """Return the results of the whole run for the closing lines and ``--json``.
+
+        Called when the bench is safe and the data are saved, also for a run that was stopped:
+        `readings` may be empty. It is called for old run files too (``rig show``). An exception
+        costs the summary and makes the exit code 1; the data stay saved.
+        """
+        return {}

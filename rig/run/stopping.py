@@ -22,15 +22,22 @@ STOP_SIGNALS = {
 }
 
 
-NOTICE = "stopping: making the bench safe, then keeping the data ..."
-NOTICE_AGAIN = "stopping already: the bench is made safe and the data are kept first ..."
+WORDS = {
+    signal.SIGINT: "Ctrl-C",
+    signal.SIGQUIT: "Ctrl-\\",
+    signal.SIGTERM: "SIGTERM",
+    signal.SIGHUP: "SIGHUP (its terminal was closed)",
+}
+"""What a person calls each signal, most of which come from a key."""
+NOTICE = "stopping: making the bench safe, then saving the data ..."
+NOTICE_AGAIN = "already stopping: first the bench is made safe and the data are saved ..."
 
 
 class StopRequestedError(RigError):
-    """Somebody asked the run to end; its code names the signal."""
+    """The run was asked to end; the exit code names the signal."""
 
     def __init__(self, signal_number: signal.Signals, when: str = ""):
-        text = f"stopped by {signal_number.name}{when}"
+        text = f"stopped by {WORDS[signal_number]}{when}"
         super().__init__(text, None, STOP_SIGNALS[signal_number])
 
 

@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 from calibrated import write_record
 
-from procedures import roll_trial, slip_trial, sweep
+from procedures.roll_trial import RollTrial
+from procedures.slip_trial import SlipTrial
+from procedures.sweep import Sweep
 from rig.batch.plan.conditions import BatchPlan
 from rig.batch.plan.estimate import ExpectedRun, expect, forecast, homing_s
 from rig.batch.plan.expand import expand
@@ -112,14 +114,11 @@ def test_a_run_file_is_about_as_large_as_it_becomes() -> None:
 
 
 def test_every_procedure_expects_to_take_time() -> None:
-    for procedure in (slip_trial, roll_trial, sweep):
-        points = procedure.points(procedure.Settings())  # type: ignore[attr-defined]
-        assert all(point.duration_s > 0 for point in points)
-        place = PLACES[procedure.NAME]
-        unhomed_s, homed_s = (
-            procedure.overhead_s(procedure.Settings(), place, homed)  # type: ignore[attr-defined]
-            for homed in (False, True)
-        )
+    for kind in (SlipTrial, RollTrial, Sweep):
+        procedure = kind(kind.Settings())
+        assert all(point.duration_s > 0 for point in procedure.points())
+        place = PLACES[procedure.name]
+        unhomed_s, homed_s = (procedure.overhead_s(place, homed) for homed in (False, True))
         assert 0 < homed_s < unhomed_s
 
 

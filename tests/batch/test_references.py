@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from procedures import roll_trial, slip_trial, sweep
+from procedures.roll_trial import RollTrial
+from procedures.slip_trial import SlipTrial
+from procedures.sweep import Sweep
 from rig.batch.execute.drift import (
     HoldReason,
     ReferenceRun,
@@ -30,12 +32,12 @@ SKIN = {"strip_1": "strip 1 of skin 'B'", "strip_2": "strip 2 of skin 'B'"}
 def swept(*gains: float | None) -> list[HoldReason]:
     """What the last of some reference sweeps shows; every tenth run is one."""
     runs = [ReferenceRun(1 + 10 * k, {GAIN: gain}) for k, gain in enumerate(gains)]
-    return judge(runs[:-1], runs[-1], sweep.DRIFT, CLAMP)
+    return judge(runs[:-1], runs[-1], Sweep.drift, CLAMP)
 
 
 def tried(first: tuple[float, float], now: dict[str, float]) -> list[HoldReason]:
     before = ReferenceRun(1, {S1: first[0], S2: first[1]})
-    return judge([before], ReferenceRun(11, now), slip_trial.DRIFT, SKIN)
+    return judge([before], ReferenceRun(11, now), SlipTrial.drift, SKIN)
 
 
 def test_a_gain_that_fell_is_told_with_its_film_values_tolerance_and_first_run() -> None:
@@ -119,11 +121,11 @@ def test_a_figure_that_is_no_level_is_judged_in_its_own_unit() -> None:
 
 
 def test_a_tolerance_of_the_batch_file_leaves_a_figure_its_part() -> None:
-    watched = watched_figures(slip_trial.DRIFT, {S2: 2.0})
+    watched = watched_figures(SlipTrial.drift, {S2: 2.0})
     assert list(watched) == [S2]
     assert watched[S2].part == "strip_2"
     assert watched[S2].tolerance == 2.0
-    assert watched_figures(roll_trial.DRIFT, {}) == roll_trial.DRIFT
+    assert watched_figures(RollTrial.drift, {}) == RollTrial.drift
 
 
 def test_parts_have_the_labels_of_the_bench_file() -> None:

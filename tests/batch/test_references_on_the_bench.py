@@ -6,12 +6,14 @@ from typing import Any
 
 import pytest
 
-from procedures import roll_trial, slip_trial, sweep
+from procedures.roll_trial import RollTrial
+from procedures.slip_trial import SlipTrial
+from procedures.sweep import Sweep
 from rig.batch.execute.drift import ReferenceRun, judge, part_names, zero_drift
 from rig.bench.bench import BenchSettings
 
 PARTS = part_names(BenchSettings(name="b", fixture={"mounted": "plate"}, film={"name": "F12"}))
-PROCEDURES = {module.NAME: module for module in (sweep, slip_trial, roll_trial)}
+PROCEDURES = {one.name: one for one in (Sweep, SlipTrial, RollTrial)}
 
 
 def taken(rig: Any, procedure: str, number: int, world: str, *settings: str) -> ReferenceRun:
@@ -29,8 +31,8 @@ def test_a_film_that_gives_half_is_named_and_a_zero_that_moved_is_told(rig: Any)
     again = taken(rig, "sweep", 11, "", *frequencies)
     world = "film_gain = 0.5\nforce_sensor_zero_mV_V = [0.012, -0.007, 0.041]\n"
     torn = taken(rig, "sweep", 21, world, *frequencies)
-    assert judge([first], again, sweep.DRIFT, PARTS) == []
-    (found,) = judge([first, again], torn, sweep.DRIFT, PARTS)
+    assert judge([first], again, Sweep.drift, PARTS) == []
+    (found,) = judge([first, again], torn, Sweep.drift, PARTS)
     assert "film 'F12' in the clamp: gain near 200 Hz moved by -6.0" in found.text
     assert found.text.endswith("since run 1: worn or torn")
     zeros = [run.summary["force_zero_N"] for run in (first, again, torn)]
@@ -43,7 +45,7 @@ def test_a_film_that_gives_half_is_named_and_a_zero_that_moved_is_told(rig: Any)
 def test_strips_that_both_give_half_speak_of_their_amplifiers(rig: Any, procedure: str) -> None:
     first = taken(rig, procedure, 1, "")
     less = taken(rig, procedure, 11, "[transducer.circuit]\ngain = 500.0\n")
-    watched = PROCEDURES[procedure].DRIFT
+    watched = PROCEDURES[procedure].drift
     assert first.summary.keys() >= watched.keys()
     (found,) = judge([first], less, watched, PARTS)
     assert found.text.count("moved by -6.0") == 2

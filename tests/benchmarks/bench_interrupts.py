@@ -83,7 +83,7 @@ class Instants:
             time.sleep(delay_s)
             return f"{delay_s:.3f} s after the last point"
         point = self._draw.randrange(len(GRID))
-        running.wait_for(rf"^{point}/" if point else "points to take")
+        running.wait_for(rf"^{point}/" if point else "points, about")
         time.sleep(share * POINT_S)
         return f"{share * POINT_S:.3f} s after point {point}"
 
@@ -95,7 +95,7 @@ def uninterrupted(rig, seed):
         here = fresh(rig, f"whole-{k}")
         start = time.perf_counter()
         running = here.start_sweep(*SWEEP)
-        running.wait_for("points to take")
+        running.wait_for("points, about")
         begun = time.perf_counter()
         running.wait_for(rf"^{len(GRID)}/")
         last = time.perf_counter()

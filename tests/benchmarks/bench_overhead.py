@@ -25,7 +25,7 @@ from drivers.shared.visa_link import VisaLink
 from drivers.simulated.bench import start as simulated
 from drivers.simulated.instruments.keysight_u2300a import codes_of_volts
 from drivers.simulated.world.world import World, WorldSettings
-from procedures import sweep
+from procedures.sweep import Sweep
 from rig.analysis.response import complex_response as response
 from rig.analysis.response import sine_fit
 from rig.bench.bench import parse_bench, read_bench
@@ -38,8 +38,10 @@ from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 from rig.run.context import Run
 from rig.run.execute import execute
-from rig.run.job import Job
+from rig.run.job import RunJob
+from rig.run.observers import RunObserver
 from rig.run.points import Point
+from rig.run.procedure import Procedure
 from rig.run.stopping import StopFlag
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "foreign"))
@@ -55,29 +57,20 @@ SHORT = {
 """200 points of about 20 ms each, every one at a rate of its own."""
 
 
-class Silent:
-    """A reporter that only remembers when."""
+class Silent(RunObserver):
+    """An observer that only remembers when."""
 
     def __init__(self):
         self.planned_at = math.nan
         self.kept_at = []
         self.on_kept = lambda: None
 
-    def planned(self, points, kept, overhead_s):
+    def planned(self, points, recorded, overhead_s):
         self.planned_at = time.perf_counter()
 
-    def point_kept(self, number, total, point, reading):
+    def point_recorded(self, number, total, point, reading):
         self.kept_at.append(time.perf_counter())
         self.on_kept()
-
-    def event(self, level, message):
-        pass
-
-    def storing(self):
-        pass
-
-    def stored(self, run_file):
-        pass
 
 
 @pytest.fixture
@@ -92,8 +85,8 @@ def real_time_bench(rig):
 
 
 def test_over_sockets_in_real_time(rig, real_time_bench):
-    settings = sweep.Settings(**SHORT)
-    planned = {point.id: point.duration_s for point in sweep.points(settings)}
+    settings = Sweep.Settings(**SHORT)
+    planned = {point.id: point.duration_s for point in Sweep(settings).points()}
     frequencies = ",".join(f"{f:g}" for f in settings.frequencies_Hz)
     given = ["--frequencies", frequencies, "--settling", "0.01", "--shortest-record", "0.01"]
     heading(f"rig sweep --bench served.toml, {len(planned)} points, settling and record 10 ms each")
@@ -157,12 +150,12 @@ def test_where_the_overhead_goes(rig, real_time_bench, monkeypatch):
     ledger.wrap(monkeypatch, Recorder, "_put_records", lambda *_: "recorder: put")
     ledger.wrap(monkeypatch, WallClock, "sleep", lambda *_: "clock")
     heading("the same in this process, by what the wall time went to (each without the others)")
-    settings = sweep.Settings(**SHORT)
-    job = Job(sweep, settings, 0, rig.results)
+    settings = Sweep.Settings(**SHORT)
+    job = RunJob(Sweep(settings), 0, rig.results)
     outcome = execute(job, read_bench(real_time_bench), WallClock(), StopFlag(), reporter)
     assert outcome.code == ExitCode.DONE, outcome.failures
 
-    points = sweep.points(settings)
+    points = Sweep(settings).points()
     walls = np.diff(reporter.kept_at)
     with RunFile.open(outcome.file) as run:
         physics = run.column("physics")[1:]
@@ -195,15 +188,13 @@ BLUESKY_COUNT = 2_000
 QUANTITIES = tuple(f"quantity_{k}" for k in range(20))
 
 
-class NoOp:
+class NoOp(Procedure):
     """A procedure whose points do nothing and read twenty numbers."""
 
-    NAME = "no-op"
-    FIXTURES = ("film-clamp",)
-    FIGURE = "sweep"
-    STREAMS = ()
+    name = "no-op"
+    fixtures = ("film-clamp",)
     Settings = Settings
-    LAYOUT = Layout(
+    layout = Layout(
         definition="NXrig_noop",
         version="1",
         columns=tuple(Column(name, "V", key=name, long_name=name) for name in QUANTITIES),
@@ -211,9 +202,10 @@ class NoOp:
     )
 
     def __init__(self, count):
+        super().__init__(Settings())
         self.count = count
 
-    def points(self, settings):
+    def points(self):
         return tuple(Point(f"p{k}", k, ()) for k in range(self.count))
 
     def arm(self, run):
@@ -221,9 +213,6 @@ class NoOp:
 
     def take(self, run, point):
         return {name: point.condition + 1 / (k + 3) for k, name in enumerate(QUANTITIES)}
-
-    def summarise(self, settings, readings):
-        return {}
 
 
 def points_per_second(plan, clock, results, count, monkeypatch):
@@ -243,9 +232,7 @@ def points_per_second(plan, clock, results, count, monkeypatch):
 
         patch.setattr(Recorder, "close", noting_close)
         patch.setattr(os, "fdatasync", noting_sync)
-        outcome = execute(
-            Job(NoOp(count), Settings(), 0, results), plan, clock, StopFlag(), reporter
-        )
+        outcome = execute(RunJob(NoOp(count), 0, results), plan, clock, StopFlag(), reporter)
     assert outcome.code == ExitCode.DONE, outcome.failures
     assert outcome.points_done == count
     assert verify(outcome.file) == []
@@ -340,7 +327,7 @@ def test_where_a_point_that_does_nothing_goes(rig, real_time_bench, monkeypatch)
     reporter.on_kept = ledger.close_point
     ledger.wrap(monkeypatch, Recorder, "_put_records", lambda *_: "recorder: two puts")
     ledger.wrap(monkeypatch, Run, "check_stop", lambda *_: "check_stop")
-    job = Job(NoOp(BLUESKY_COUNT), Settings(), 0, rig.results)
+    job = RunJob(NoOp(BLUESKY_COUNT), 0, rig.results)
     outcome = execute(job, read_bench(real_time_bench), WallClock(), StopFlag(), reporter)
     assert outcome.code == ExitCode.DONE, outcome.failures
     walls = np.diff(reporter.kept_at)

@@ -27,8 +27,9 @@ from rig.instruments.roles import ForceFrames, Reach
 from rig.run.execute import execute
 from rig.run.force_monitor import ForceMonitor
 from rig.run.holds import Holds
-from rig.run.job import Job
+from rig.run.job import RunJob
 from rig.run.points import Point
+from rig.run.procedure import Procedure
 from rig.run.stopping import StopFlag
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(900)]
@@ -57,12 +58,12 @@ def cost_of_ticks(run, clock):
     return (wall - (clock.waited_s - waited)) / done.ticks
 
 
-class Ticking:
+class Ticking(Procedure):
     """A procedure that ticks and does nothing."""
 
-    NAME, FIXTURES, FIGURE, STREAMS = "ticking", ("film-clamp",), "sweep", ()
+    name, fixtures = "ticking", ("film-clamp",)
     Settings = Settings
-    LAYOUT = Layout(
+    layout = Layout(
         definition="NXrig_noop",
         version="1",
         columns=(
@@ -73,9 +74,10 @@ class Ticking:
     )
 
     def __init__(self):
+        super().__init__(Settings())
         self.costs, self.reader = [], []
 
-    def points(self, settings):
+    def points(self):
         return tuple(Point(f"p{k}", k, ()) for k in range(REPEATS))
 
     def arm(self, run):
@@ -89,9 +91,6 @@ class Ticking:
         self.reader.append((time.clock_gettime(thread) - begun) / (SECONDS * RATE_Hz))
         return {"x": 0.0, "y": 0.0}
 
-    def summarise(self, settings, readings):
-        return {}
-
 
 def test_what_safety_costs_a_tick(rig):
     heading(f"tick loop at {RATE_Hz:g} Hz for {SECONDS:g} s, bench in real time")
@@ -99,13 +98,7 @@ def test_what_safety_costs_a_tick(rig):
     serving = rig.start("simulate", "--write", str(path))
     serving.wait_for("in real time")
     procedure, clock = Ticking(), TimedClock()
-    outcome = execute(
-        Job(procedure, Settings(), 0, rig.results), read_bench(path), clock, StopFlag(),
-        SimpleNamespace(
-            planned=lambda *_: None, point_kept=lambda *_: None, event=lambda *_: None,
-            storing=lambda: None, stored=lambda _: None,
-        ),
-    )  # fmt: skip
+    outcome = execute(RunJob(procedure, 0, rig.results), read_bench(path), clock, StopFlag())
     serving.send(signal.SIGINT)
     serving.finish()
     assert outcome.code is ExitCode.DONE, outcome.failures

@@ -17,14 +17,14 @@ import numpy as np
 import pytest
 from measured import heading, row, target
 
-from procedures import slip_trial
 from procedures.pressed import trial as pressed_trial
+from procedures.slip_trial import SlipTrial
 from rig.bench.bench import read_bench
 from rig.control import tick_loop as loop
 from rig.core.clock import WallClock
 from rig.files.runfile.reader import RunFile
 from rig.run.execute import execute
-from rig.run.job import Job
+from rig.run.job import RunJob
 from rig.run.stopping import StopFlag
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "contract"))
@@ -197,9 +197,9 @@ def run_timed(folder, bench_file):
         return done
 
     pressed_trial.tick_loop = timed
-    settings = slip_trial.Settings(tick_Hz=RATE_Hz, distance_mm=2.0, trials=2)
-    job = Job(procedure=slip_trial, settings=settings, seed=0, results=folder)
-    outcome = execute(job, read_bench(bench_file), WallClock(), StopFlag(), Silent())
+    settings = SlipTrial.Settings(tick_Hz=RATE_Hz, distance_mm=2.0, trials=2)
+    job = RunJob(procedure=SlipTrial(settings), seed=0, results=folder)
+    outcome = execute(job, read_bench(bench_file), WallClock(), StopFlag())
     print(f"outcome: {outcome.status}", *(f.one_line() for f in outcome.failures))
     np.save(folder / "work.npy", work_s)
     np.save(folder / "loops.npy", loops)
@@ -243,10 +243,3 @@ def test_ticks_in_real_time(rig):
     ticks, late_ticks = loops[:, 2:].sum(axis=0)
     print(f"servo: {ticks:.0f} ticks, {100 * late_ticks / ticks:.2f} % late or left out")
     target("share of late ticks", late_ticks / ticks, late.mean(), "")
-
-
-class Silent:
-    """A run nobody watches."""
-
-    def __getattr__(self, name):
-        return lambda *_: None

@@ -13,14 +13,24 @@ from typing import Any
 import pytest
 from packages import install, on_path
 
-REGISTERED = "[rig.procedures]\ncreep = lab.creep\n"
-COMPLETE = '''"""Hold a force and watch the skin creep."""
-from procedures.sweep import *
-from procedures.sweep import FIXTURES, LAYOUT, STREAMS, Settings, arm, points, summarise, take
-NAME = "creep"
-FIGURE = "sweep"
+REGISTERED = "[rig.procedures]\ncreep = lab.creep:Creep\n"
+COMPLETE = '''"""The creep of the skin."""
+from procedures.sweep import Sweep
+
+class Creep(Sweep):
+    """Hold a force and watch the skin creep."""
+    name = "creep"
 '''
-WITHOUT_TAKE = COMPLETE + "del take, LAYOUT\n"
+WITHOUT_TAKE = '''
+from rig.core.settings import Settings
+from rig.run.procedure import Procedure
+
+class Creep(Procedure):
+    """Hold a force and watch the skin creep."""
+    name, fixtures, Settings = "creep", ("plate",), Settings
+    def points(self): return ()
+    def arm(self, run): pass
+'''
 BROKEN: dict[str, tuple[str, dict[str, str], str]] = {
     "syntax error": (
         REGISTERED,
@@ -35,13 +45,13 @@ BROKEN: dict[str, tuple[str, dict[str, str], str]] = {
     "import error": (
         REGISTERED,
         {"lab/__init__.py": "", "lab/creep.py": f"{COMPLETE}import acme_sdk\n"},
-        r"lab/creep\.py line 6: ModuleNotFoundError: No module named 'acme_sdk'.*; "
+        r"lab/creep\.py line 7: ModuleNotFoundError: No module named 'acme_sdk'.*; "
         r"install acme_sdk, which the package lab-creep needs",
     ),
     "raises when imported": (
         REGISTERED,
         {"lab/__init__.py": "", "lab/creep.py": COMPLETE + "1 / 0\n"},
-        r"lab/creep\.py line 6: ZeroDivisionError: ",
+        r"lab/creep\.py line 7: ZeroDivisionError: ",
     ),
     "ends the program when imported": (
         REGISTERED,
@@ -58,22 +68,23 @@ BROKEN: dict[str, tuple[str, dict[str, str], str]] = {
     "missing members": (
         REGISTERED,
         {"lab/__init__.py": "", "lab/creep.py": WITHOUT_TAKE},
-        "lacks LAYOUT, take; ",
+        "lacks layout, take; ",
     ),
-    "a member that is no function": (
-        REGISTERED,
-        {"lab/__init__.py": "", "lab/creep.py": COMPLETE + "arm = 1\n"},
-        "lacks arm; ",
+    "a module in place of a class": (
+        "[rig.procedures]\ncreep = lab.creep\n",
+        {"lab/__init__.py": "", "lab/creep.py": COMPLETE},
+        "names a module; it has to name the procedure's class, a subclass of "
+        r"rig\.run\.procedure\.Procedure: creep = lab\.creep:ClassName",
     ),
-    "Settings of another kind": (
-        REGISTERED,
-        {"lab/__init__.py": "", "lab/creep.py": COMPLETE + "class Settings: pass\n"},
-        "has Settings that are not a subclass of rig.core.settings.Settings",
+    "a class that is not there": (
+        "[rig.procedures]\ncreep = lab.creep:Crep\n",
+        {"lab/__init__.py": "", "lab/creep.py": COMPLETE},
+        r"cannot be imported: .*has no attribute 'Crep'",
     ),
-    "another NAME": (
+    "another name": (
         REGISTERED,
-        {"lab/__init__.py": "", "lab/creep.py": COMPLETE + 'NAME = "slow-creep"\n'},
-        "has the NAME 'slow-creep', which has to be that of the entry point",
+        {"lab/__init__.py": "", "lab/creep.py": COMPLETE + '    name = "slow-creep"\n'},
+        "has the name 'slow-creep', which has to be that of the entry point",
     ),
 }
 """Entry points, modules, and what `rig creep` says of them."""
@@ -348,3 +359,57 @@ def test_the_guard_makes_safe_what_it_can_and_names_the_broken_driver(rig: Any, 
     assert refused.code == 7
     assert "lab-daq" in refused.errors[0]
     assert rig.run("make-safe", "--bench", "sim.toml").code == 0
+
+
+FAULTY = (
+    COMPLETE
+    + """
+    def take(self, run, point):
+        reading = super().take(run, point)
+        if point.condition.frequency_Hz > 250:
+            {fault}
+        return reading
+"""
+)
+FAULTS = {
+    "reading['creep_um'] = 1 / 0": (
+        "a fault in the package lab-creep: lab/creep.py line 11: ZeroDivisionError: division by "
+        "zero; the traceback is in rig.log"
+    ),
+    "del reading['gain_dB']": (
+        "procedure creep of package lab-creep: take() returned no 'gain_dB', which its layout "
+        "declares"
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_in_a_run_is_reported_as_the_packages_and_the_data_are_saved(
+    rig: Any, tmp_path: Path, fault: str
+) -> None:
+    modules = {"lab/__init__.py": "", "lab/creep.py": FAULTY.format(fault=fault)}
+    on_path(rig, install(tmp_path / "site", "lab-creep", REGISTERED, modules))
+    log = ("--world-log", str(rig.world_log))
+    ended = rig.run("creep", "--frequencies", "200,300", "--json", *log)
+    assert ended.code == 1, ended.stderr
+    (error,) = ended.errors
+    assert error.startswith(f"error: {FAULTS[fault]}")
+    assert rig.outputs() == [True, False]
+    assert ended.object["points_done"] == 1
+    assert "Bench is safe: generator off, " in ended.stderr
+    assert rig.run("verify", ended.object["file"]).code == 0
+    assert "Traceback" in (rig.results / "rig.log").read_text() or "del" in fault
+
+
+def test_a_procedure_whose_settings_share_an_option_is_refused(rig: Any, tmp_path: Path) -> None:
+    source = COMPLETE.replace(
+        "class Creep",
+        "class Own(Sweep.Settings):\n    load_mm: float = 1.0\n\nclass Creep",
+    )
+    modules = {"lab/__init__.py": "", "lab/creep.py": source + "    Settings = Own\n"}
+    on_path(rig, install(tmp_path / "site", "lab-creep", REGISTERED, modules))
+    refused = rig.run("creep", "--load", "1N")
+    assert refused.code == 2
+    (error,) = refused.errors
+    assert "of the package lab-creep" in error
+    assert "'load_N' and 'load_mm', which would both be the option --load" in error

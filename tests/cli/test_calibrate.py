@@ -145,7 +145,7 @@ def test_a_second_record_of_a_day_stands_beside_the_first(rig: Any, good: Path) 
     assert record.valid_until - record.date == timedelta(days=30)
 
 
-STOPPED = {"status": "stopped", "reason": "stopped by SIGINT", "exit": 130}
+STOPPED = {"status": "stopped", "reason": "stopped by Ctrl-C", "exit": 130}
 
 
 @pytest.mark.parametrize(
@@ -413,8 +413,8 @@ def test_a_person_goes_on_with_enter_and_repeats_with_r(rig: Any, terminal: Any)
     ("how", "code", "told"),
     [
         ("q", 130, "stopped with q"),
-        (signal.SIGINT, 130, "stopped by SIGINT"),
-        (signal.SIGQUIT, 131, "stopped by SIGQUIT"),
+        (signal.SIGINT, 130, "stopped by Ctrl-C"),
+        (signal.SIGQUIT, 131, "stopped by Ctrl-\\"),
         (signal.SIGTERM, 143, "stopped by SIGTERM"),
         (signal.SIGHUP, 129, "stopped by SIGHUP"),
     ],
@@ -451,7 +451,7 @@ def test_ctrl_c_within_a_reading_ends_the_stream_and_writes_nothing(
     at.process.send_signal(signal.SIGINT)
     code, stdout = at.finish()
     assert (code, stdout) == (130, ""), at.told
-    assert at.told.splitlines()[-1].startswith("stopped by SIGINT; nothing was written")
+    assert at.told.splitlines()[-1].startswith("stopped by Ctrl-C; nothing was written")
     said = [
         (e["device"], e["what"], e["value"])
         for e in map(json.loads, log.read_text().split("\n")[:-1])

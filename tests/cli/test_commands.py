@@ -174,13 +174,13 @@ def test_a_dry_run_writes_nothing_and_tells_the_true_duration(rig: Any) -> None:
     assert told["dry_run"] is True
     assert told["file"] is None
     assert told["points_done"] == 2
-    assert "nothing was recorded" in rehearsed.stderr
+    assert "nothing was saved" in rehearsed.stderr
 
     taken = rig.run("sweep", *SHORT)
     assert taken.object["duration_s"] == told["duration_s"]
     assert told["duration_s"] > 5, "it homes, approaches and presses the film first"
     for ended in (rehearsed, taken):
-        (foretold,) = re.findall(r"points to take, about ([\d.]+) s of bench time", ended.stderr)
+        (foretold,) = re.findall(r"2 points, about ([\d.]+) s of bench time", ended.stderr)
         assert float(foretold) == pytest.approx(told["duration_s"], rel=0.25)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from rig.core.cache import DiskCache
 from rig.physics.skin.condensed import CondensedSkin
-from rig.run.bench_selector import BenchRequest, Choosing
+from rig.run.bench_selector import BenchRequest, BenchSelector
 
 SMALL = "[skin]\nelements_per_ridge = 6\n"
 
@@ -45,7 +45,7 @@ def test_a_procedure_gets_the_bench_with_its_fixture(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "world.toml").write_text(SMALL)
     with ExitStack() as at_the_end:
-        bench = Choosing(print).bench_for(
+        bench = BenchSelector(print).select(
             BenchRequest(world=Path("world.toml")), at_the_end, "plate"
         )
     assert bench.plan.settings.fixture.mounted == "plate"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from importlib.metadata import EntryPoint, entry_points
 
 import pytest
 from pydantic import Field
@@ -132,10 +131,10 @@ def test_given_texts_become_settings() -> None:
     [
         ({"normal_force_N": "4V"}, ["--normal-force 4V: 'V' does not convert to N"]),
         ({"speeds_mm_s": "1,two"}, ["--speeds 1,two"]),
-        ({"normal_force_N": "0"}, ["--normal-force = 0.0 N", "above 0 N"]),
+        ({"normal_force_N": "0"}, ["--normal-force 0: must be above 0 N"]),
         ({"normal_force_N": "nan"}, ["--normal-force", "finite"]),
-        ({"cycles": "4.5"}, ["--cycles = '4.5'"]),
-        ({"cycles": "0"}, ["--cycles"]),
+        ({"cycles": "4.5"}, ["--cycles 4.5: must be a whole number"]),
+        ({"cycles": "0"}, ["--cycles 0: must be at least 1"]),
         ({"ratio": "3 N"}, ["--ratio 3 N: takes a bare number"]),
         (
             {"normal_force_N": "4V", "settling_s": "long"},
@@ -164,10 +163,3 @@ def test_every_field_becomes_one_option_with_unit_and_default_in_its_help() -> N
     assert found["speeds_mm_s"].help == "Speeds. [2 values, 1 to 5 mm/s]"
     assert found["cycles"].metavar == "VALUE"
     assert found["rate_S_s"].help == "Rate, if not the usual one."
-
-
-@pytest.mark.parametrize("procedure", entry_points(group="rig.procedures"), ids=lambda e: e.name)
-def test_no_two_options_of_a_procedure_have_one_name(procedure: EntryPoint) -> None:
-    fields = procedure.load().Settings.model_fields
-    names = [option_name(field) for field in fields]
-    assert len(set(names)) == len(names)

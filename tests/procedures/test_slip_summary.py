@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from procedures.slip_trial import summarise
-from procedures.slip_trial.settings import SlipTrialSettings
+from procedures.slip_trial import SlipTrial
 
 
 def reading(static: float | None, **changes: object) -> dict[str, object]:
@@ -22,7 +21,7 @@ def reading(static: float | None, **changes: object) -> dict[str, object]:
 
 def test_a_series_has_means_and_standard_deviations_of_the_trials_that_count() -> None:
     trials = [reading(0.6), reading(0.8), reading(9.0, invalid="late ticks")]
-    found = summarise(SlipTrialSettings(), trials)
+    found = SlipTrial(SlipTrial.Settings()).summarise(trials)
     assert found["valid_trials"] == 2
     assert found["mean_static_friction"] == pytest.approx(0.7)
     assert found["standard_deviation_static_friction"] == pytest.approx(0.1 * 2**0.5)
@@ -30,12 +29,14 @@ def test_a_series_has_means_and_standard_deviations_of_the_trials_that_count() -
 
 
 def test_a_single_trial_has_no_standard_deviation() -> None:
-    assert not any("deviation" in name for name in summarise(SlipTrialSettings(), [reading(0.6)]))
+    assert not any(
+        "deviation" in name for name in SlipTrial(SlipTrial.Settings()).summarise([reading(0.6)])
+    )
 
 
 def test_why_a_trial_has_no_friction_coefficients_is_said() -> None:
     trials = [reading(0.6), reading(None, no_friction="the slide is too short; slide further")]
-    (told,) = summarise(SlipTrialSettings(), trials)["no_friction"]
+    (told,) = SlipTrial(SlipTrial.Settings()).summarise(trials)["no_friction"]
     assert told.startswith("1 of 2 trials give no friction coefficients: the slide is too short")
 
 
@@ -46,7 +47,7 @@ def test_strips_gains_and_the_last_zero_of_the_force_are_told() -> None:
         return reading(0.6, **zero, **gains, **changes)
 
     trials = [touched(-2e-4, 0.1), touched(-4e-4, 0.2, invalid="late ticks")]
-    found = summarise(SlipTrialSettings(), trials)
+    found = SlipTrial(SlipTrial.Settings()).summarise(trials)
     assert found["mean_touch_gain_1_dB"] == pytest.approx(-70.458, abs=1e-3)
     assert "mean_touch_gain_2_dB" not in found
     assert found["force_zero_N"] == [0.0, -0.1, 0.2]

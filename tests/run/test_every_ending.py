@@ -41,9 +41,11 @@ from rig.run import execute as execution
 from rig.run.context import Run
 from rig.run.execute import execute
 from rig.run.holds import PAUSE
-from rig.run.job import Job
-from rig.run.outcome import Outcome
+from rig.run.job import RunJob
+from rig.run.observers import RunObserver
+from rig.run.outcome import RunOutcome
 from rig.run.points import Point, Reading
+from rig.run.procedure import Procedure
 from rig.run.stopping import STOP_SIGNALS, StopFlag
 
 PATIENCE_S = 60.0
@@ -213,20 +215,21 @@ class Guard:
         return "the guard then made the bench safe"
 
 
-class Puppet:
+class Puppet(Procedure):
     """A procedure that waits for orders, and obeys one after each slice of bench time."""
 
-    NAME, FIXTURES, FIGURE, STREAMS = "puppet", ("film-clamp",), "sweep", ()
-    Settings, LAYOUT = Settings, LAYOUT
+    name, fixtures = "puppet", ("film-clamp",)
+    Settings, layout = Settings, LAYOUT
 
     def __init__(self, story: Story) -> None:
+        super().__init__(Settings())
         self.phase = "elsewhere"
         self.order: Callable[[Run], object] | None = None
         self.arm_kit: Callable[[Run], object] = lambda run: None
         self.run: Run | None = None
         self._story = story
 
-    def points(self, settings: Settings) -> tuple[Point, ...]:
+    def points(self) -> tuple[Point, ...]:
         return tuple(Point(name, name, ()) for name in POINTS)
 
     def arm(self, run: Run) -> None:
@@ -243,9 +246,6 @@ class Puppet:
         self._story.append(("begin", point.id))
         self._obey(run, "taking")
         return {"x": 1.0, "y": 2.0}
-
-    def summarise(self, settings: Settings, readings: object) -> Mapping[str, Any]:
-        return {}
 
     def _obey(self, run: Run, phase: str) -> None:
         """Whatever it is told, slice by slice; arming is over after one."""
@@ -273,29 +273,14 @@ class Puppet:
         run.arming.make_safe = written_down  # type: ignore[method-assign]
 
 
-class Reporter:
-    """Writes down which points are kept."""
+class Observer(RunObserver):
+    """Writes down which points are recorded."""
 
     def __init__(self, story: Story) -> None:
         self._story = story
 
-    def planned(self, points: object, kept: object, overhead_s: float) -> None:
-        pass
-
-    def point_kept(self, number: int, total: int, point: Point, reading: Reading) -> None:
+    def point_recorded(self, number: int, total: int, point: Point, reading: Reading) -> None:
         self._story.append(("kept", point.id))
-
-    def event(self, level: str, message: str) -> None:
-        pass
-
-    def state(self, name: str) -> None:
-        pass
-
-    def storing(self) -> None:
-        pass
-
-    def stored(self, run_file: Path) -> None:
-        pass
 
 
 class Ending(RuleBasedStateMachine):
@@ -312,7 +297,7 @@ class Ending(RuleBasedStateMachine):
         self.ending = ""
         self.cause: tuple[ExitCode, str] | None = None
         """How it has to end if all offs work: code, and words of the first cause."""
-        self.outcome: Outcome | None = None
+        self.outcome: RunOutcome | None = None
         self.folder = tempfile.TemporaryDirectory(prefix="every-ending-")
         self.patch = pytest.MonkeyPatch()
         self.patch.setattr(execution, "GuardLink", lambda *_: Guard(self.story))
@@ -338,9 +323,9 @@ class Ending(RuleBasedStateMachine):
         parts = plan_of("stage_z", self.stage), plan_of("force_sensor", self.sensor)
         own = BenchSettings.model_validate({"name": "b", "fixture": {"mounted": "film-clamp"}})
         plan = BenchPlan(own, parts, "", "bench.toml")
-        job = Job(self.puppet, Settings(), 0, Path(self.folder.name))  # type: ignore[arg-type]
+        job = RunJob(self.puppet, 0, Path(self.folder.name))
         try:
-            self.outcome = execute(job, plan, self.clock, self.stop, Reporter(self.story))
+            self.outcome = execute(job, plan, self.clock, self.stop, Observer(self.story))
         finally:
             self.clock.end()
 
@@ -368,7 +353,7 @@ class Ending(RuleBasedStateMachine):
                 "name": name,
                 "off": self.off(name, off, meanwhile),
                 "deadline_s": STUCK_S if off == "hangs" else PATIENCE_S,
-                "at_once": self.at_once(name, off),
+                "emergency": self.at_once(name, off),
             }
             for name, (off, meanwhile) in things.items()
         ]
@@ -456,7 +441,7 @@ class Ending(RuleBasedStateMachine):
         else:
             for number in (signal.SIGINT, signal.SIGTERM):  # the first one counts
                 self.stop._remember(number, None)
-            self.cause = ExitCode.SIGINT, "stopped by SIGINT"
+            self.cause = ExitCode.SIGINT, "stopped by Ctrl-C"
         self.disturb()
         for _ in range(SLICES_OF_A_LOOK if how == "silence" else 1):
             if not self.clock.over:
@@ -645,7 +630,7 @@ class Ending(RuleBasedStateMachine):
                 armed = [name for name in armed if name in who or name in spared]
                 begun = None
 
-    def judge_points(self, outcome: Outcome) -> None:
+    def judge_points(self, outcome: RunOutcome) -> None:
         """A point is kept once, and only from an attempt that nothing has disturbed."""
         kept: list[str] = []
         disturbed = True
@@ -668,7 +653,7 @@ class Ending(RuleBasedStateMachine):
         assert attempts.count("kept") == len(kept)
         assert len(attempts) == len(self.story_of("begin"))
 
-    def judge_end(self, outcome: Outcome) -> None:
+    def judge_end(self, outcome: RunOutcome) -> None:
         """Safe first: nothing is on any more, or it is told and the guard takes over."""
         assert self.cause is not None
         code, words = self.cause

@@ -83,7 +83,7 @@ def test_what_the_bench_is_made_safe_over_is_told_and_not_the_move_that_it_refus
         raise InstrumentError("stage_z", "make safe", "did not take the stop")
 
     run.stream_force(1000.0).watch(LIMIT_N)
-    run.arm("stage", lambda: None, at_once=stop)
+    run.arm("stage", lambda: None, emergency=stop)
     sensor.coming.append(frames)
     assert acting.wait(PATIENCE_S)
     threading.Timer(0.05, stopped.set).start()

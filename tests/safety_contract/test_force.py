@@ -168,7 +168,7 @@ def test_a_hold_makes_safe_and_the_point_is_retaken_when_it_is_over(rig):
     )  # fmt: skip
     rig.await_world("ch1.on", True)
     sweep.send(signal.SIGTSTP)
-    sweep.wait_for("hold: paused by the operator; the bench is safe")
+    sweep.wait_for(r"^PAUSED \(bench is safe\)")
     safe = rig.outputs()
     assert safe[-1] is False
     sweep.send(signal.SIGTSTP)
@@ -221,7 +221,7 @@ def test_a_force_sensor_that_is_silent_for_a_while_is_a_hold(rig, case):
 
     assert ended.code == 0, ended.stderr
     assert "hold: the force sensor is silent; the bench is safe" in ended.stderr
-    assert "info: going on" in ended.stderr
+    assert "Resumed." in ended.stderr
     assert "the film may still be pressed" not in ended.stderr
     assert rig.outputs() == outputs
     assert [round(mm) for mm in moves(rig)].count(5) == 4, "parked, on hold, to start anew, at last"
@@ -317,7 +317,7 @@ def test_a_hold_that_came_and_went_while_a_call_timed_out_has_the_point_retaken(
     serving.finish()
 
     assert ended.code == 0, ended.stderr
-    assert "hold: paused by the operator; the bench is safe" in ended.stderr
+    assert "PAUSED (bench is safe)" in ended.stderr
     assert ended.errors == []
     assert_switched_off_between(rig)
     with RunFile.open(rig.only("*.h5")) as run:

@@ -54,8 +54,8 @@ GRID = ("--lowest", "200", "--fine-per-decade", "20", "--highest", "12000", *SET
 
 def test_a_sweep_interrupted_in_its_second_plan_goes_on_there(rig):
     running = rig.start_sweep(*GRID)
-    second = running.wait_for(r"^sweep: \d+ points to take, \d+ kept before")
-    to_take, grid = map(int, re.findall(r"(\d+) points to take, (\d+) kept", second)[0])
+    second = running.wait_for(r"^sweep: \d+ further points \(\d+ done\), about ")
+    to_take, grid = map(int, re.findall(r"(\d+) further points \((\d+) done", second)[0])
     running.wait_for(rf"^{grid + 3}/{grid + to_take} ")
     running.send(signal.SIGINT)
     stopped = running.finish()
@@ -131,6 +131,6 @@ def test_a_run_whose_bench_is_gone_has_lost_nothing(rig):
     again = rig.run("resume", stopped.object["journal"], "--no-figures", "--json")
 
     assert again.code == 3, again.stderr
-    assert f"failed; {kept} of 3 points kept" in again.stderr
+    assert f"Failed: {kept} of 3 points" in again.stderr
     assert again.object["points_done"] == kept
     assert verify(rig.folder / stopped.object["journal"]) == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import time
@@ -19,6 +20,12 @@ SIXTY_POINTS = (
 """They take seconds: what is done to a run in the middle finds it there on a busy machine too."""
 PATIENCE_S = 120.0
 STOPS = {signal.SIGINT: 130, signal.SIGQUIT: 131, signal.SIGTERM: 143, signal.SIGHUP: 129}
+CALLED = {
+    signal.SIGINT: "Ctrl-C",
+    signal.SIGQUIT: "Ctrl-\\",
+    signal.SIGTERM: "SIGTERM",
+    signal.SIGHUP: "SIGHUP (its terminal was closed)",
+}
 
 
 @pytest.mark.parametrize("number", STOPS, ids=lambda number: number.name)
@@ -33,10 +40,13 @@ def test_a_signal_in_the_middle_ends_the_run_in_order(rig, number):
     told = ended.object
     assert told["outcome"] == "stopped"
     assert 5 <= told["points_done"] < 60
-    (line,) = [line for line in ended.stderr.splitlines() if number.name in line]
-    assert "switched off: force stream, preload, generator output" in line
-    assert f"resume with: rig resume {told['journal']}" in line
     file = rig.only("*.h5")
+    *_, ending, saved, safe, resume = ended.stderr.splitlines()
+    done = rf"Stopped by {re.escape(CALLED[number])}: {told['points_done']} of 60 points"
+    assert re.fullmatch(rf"{done} in [\d.]+ s of bench time \(simulated\)\.", ending), ending
+    assert saved == f"Saved: {file.relative_to(rig.folder)}"
+    assert safe == "Bench is safe: generator off, preload released, force stream stopped."
+    assert resume == f"Resume with: rig resume {told['journal']}"
     assert verify(file) == []
     with RunFile.open(file) as run:
         assert run.outcome.status == "stopped"
@@ -100,7 +110,7 @@ def test_a_stop_while_waiting_is_seen_within_the_wait(rig):
     assert verify(rig.only("*.h5")) == []
 
 
-PAUSED = "hold: paused by the operator; the bench is safe"
+PAUSED = r"^PAUSED \(bench is safe\)\. Ctrl-Z continues, Ctrl-C ends the run\.$"
 
 
 def assert_stopped_in_order(rig, ended, number):
@@ -184,8 +194,8 @@ def test_a_stop_is_acknowledged_and_the_last_line_says_how_to_resume(rig):
     running.send(signal.SIGINT)
     ended = running.finish()
     lines = ended.stderr.splitlines()
-    assert "stopping: making the bench safe, then keeping the data ..." in lines
-    assert f"resume with: rig resume {ended.object['journal']}" in lines[-1]
+    assert "stopping: making the bench safe, then saving the data ..." in lines
+    assert f"Resume with: rig resume {ended.object['journal']}" in lines[-1]
 
 
 def test_a_usage_error_gives_an_object_too(rig):

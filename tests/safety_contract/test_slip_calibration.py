@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from drivers.simulated.bench.start import start
-from procedures import slip_trial
+from procedures.slip_trial import SlipTrial
 from rig.bench.bench import parse_bench
 from rig.core.clock import ControlLink, SlavedClock
 from rig.files.runfile.reader import RunFile
@@ -21,7 +21,7 @@ from rig.instruments.calibration import FilmCalibration, make_record, write_cali
 from rig.physics.pvdf import level_at_one_hertz
 from rig.physics.transducer import TransducerSettings
 from rig.run.execute import execute
-from rig.run.job import Job
+from rig.run.job import RunJob
 from rig.run.stopping import StopFlag
 
 SHORT = ("--distance", "0.4mm", "--speed", "1mm/s", "--rest", "100ms", "--rehearsal", "never")
@@ -62,29 +62,21 @@ def naming(text, records):
     return text.replace("[skin]\n", f"[skin]\n{films}") + f"\n[calibrations]\n{named}\n"
 
 
-class Silent:
-    """A run nobody watches."""
-
-    def __getattr__(self, name):
-        return lambda *_: None
-
-
 def take_on_a_slaved_bench(folder, stages, world, records):
     """A short trial on the simulated bench in slaved time, whose bench file names the records; in a
     process of its own, which the run's guard may kill. Leaves ``outcome.json``."""
     process = start({"fixture": "plate", "stages": stages, "world": world})
     said = process.ready()
     text = naming(said["bench_toml"], records)
-    job = Job(
-        procedure=slip_trial,
-        settings=slip_trial.Settings(distance_mm=0.4, speed_mm_s=1.0, rest_s=0.1),
+    job = RunJob(
+        procedure=SlipTrial(SlipTrial.Settings(distance_mm=0.4, speed_mm_s=1.0, rest_s=0.1)),
         seed=0,
         results=folder / "results",
         recorded_toml=naming(said["recorded_toml"], records),
     )
     plan = parse_bench(text, str(folder / "bench.toml"))
     clock = SlavedClock(ControlLink(said["control_port"]))
-    outcome = execute(job, plan, clock, StopFlag(), Silent())
+    outcome = execute(job, plan, clock, StopFlag())
     process.wait()
     told = {"errors": [f.one_line() for f in outcome.failures], "warnings": outcome.warnings}
     (folder / "outcome.json").write_text(json.dumps(told))

@@ -172,7 +172,7 @@ def test_a_key_that_ends_it_in_a_slide_lifts_off_and_keeps_what_was_recorded(rig
     ended = running.finish()
     assert ended.code == code, ended.stderr
     assert ended.object["outcome"] == "stopped"
-    assert "resume with: rig resume" in ended.stderr
+    assert "Resume with: rig resume" in ended.stderr
     assert_off_the_plate(rig)
     assert [e["what"] for e in rig.log() if e["what"] in ("touch-down", "lift-off")][
         -1
@@ -232,7 +232,8 @@ def test_a_drive_that_fails_in_a_slide_leaves_the_skin_pressed_and_says_so(rig):
     assert error.startswith("error: stage_z: ")
     assert STANDS not in error
     assert STANDS in "\n".join(ended.object["warnings"])
-    assert "switched off: force stream, acquisition, slide, normal force" in ended.stderr
+    stopped = "x stage stopped, acquisition off, force stream stopped."
+    assert f"Bench is stopped, but check it (see above): {stopped}" in ended.stderr
     for stage in ("stage_z", "stage_x"):
         motion = [e["what"] for e in moves(rig, stage) if e["what"] in ("move", "at-rest")]
         assert motion[-1] == "at-rest", stage
@@ -254,7 +255,7 @@ def test_trials_that_do_not_count_are_made_again_kept_and_told(rig):
     hard += ("--retry-invalid", "1")
     ended = rig.run(*arguments(rig, *SHORT, *hard))
     assert ended.code == 5, ended.stderr
-    assert "taken again" in ended.stderr
+    assert "retaking it" in ended.stderr
     assert "force error rms" in ended.stderr
     with RunFile.open(rig.only("*.h5")) as run:
         attempts = [status.decode() for status in run.entry["attempts/status"][()]]

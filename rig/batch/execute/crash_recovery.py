@@ -99,5 +99,5 @@ def _ended(
         bench_s=bench_s,
         points_done=len(readings),
         points_planned=max(len(readings), len(header.points)),
-        summary=procedure.summarise(settings, readings),
+        summary=procedure(settings).summarise(readings),
     )

@@ -71,7 +71,7 @@ class DriftWatch:
         condition = claim.condition
         if not condition.reference or ended.summary is None:
             return []
-        usual = getattr(installed(condition.procedure), "DRIFT", {})
+        usual = installed(condition.procedure).drift
         watched = watched_figures(usual, self._file.experiment[condition.experiment].drift)
         since = int(self._queue.meta(ACCEPTED + condition.id, "1"))
         earlier = [

@@ -26,7 +26,7 @@ from rig.bench import bench as benches
 from rig.bench.bench import Bench, BenchPlan, Fixture, read_bench
 from rig.core.errors import ConfigurationError
 from rig.instruments.calibration import require_valid
-from rig.run.bench_selector import BenchRequest, Choosing, bench_file, simulated_variant_for
+from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file, simulated_variant_for
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def rehearsed(request: BenchRequest, say: Callable[[str], None]) -> BenchConnect
     @contextlib.contextmanager
     def connected(fixture: Fixture) -> Iterator[Bench]:
         with ExitStack() as at_the_end:
-            chosen = Choosing(say).bench_for(request, at_the_end, fixture)
+            chosen = BenchSelector(say).select(request, at_the_end, fixture)
             assert chosen.started is not None, "a rehearsal starts its bench"
             at_the_end.callback(chosen.started.wait)
             try:

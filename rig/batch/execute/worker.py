@@ -19,7 +19,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -37,13 +37,15 @@ from rig.batch.plan.settings import BatchFile
 from rig.batch.queue import AttemptResult, Claim, Queue
 from rig.core.errors import ExitCode, RigError
 from rig.core.units import plural
-from rig.run.bench_selector import BenchRequest, Choosing, ChosenBench, start_simulated
+from rig.run.bench_selector import BenchRequest, BenchSelector, ChosenBench, start_simulated
+from rig.run.checked_procedure import CheckedProcedure
+from rig.run.observers import PAUSED, RunObserver
 from rig.run.stopping import StopFlag, StopRequestedError
 
 if TYPE_CHECKING:
     from rig.batch.execute.drift import HoldReason
     from rig.bench.bench import BenchSettings, Fixture, RunningBench
-    from rig.run.outcome import Outcome
+    from rig.run.outcome import RunOutcome
     from rig.run.points import Point, Reading
     from rig.run.procedure import Procedure
 
@@ -131,34 +133,28 @@ class _CommandListener:
                 os.kill(os.getpid(), signal.SIGCONT)
 
 
-class _Reporter:
-    """Sends a run's progress to the supervisor."""
+class _Reporter(RunObserver):
+    """A run's progress, for the supervisor."""
 
     def __init__(self, send: SendEvent):
         self._send = send
 
-    def planned(self, points: tuple[Point, ...], kept: set[str], overhead_s: float) -> None:
-        """See `rig.run.execute.Reporter`."""
-        self._send("planned", points=len(points), kept=len(kept))
+    def planned(self, points: Sequence[Point], recorded: Set[str], overhead_s: float) -> None:
+        """See `rig.run.observers.RunObserver`."""
+        self._send("planned", points=len(points), kept=len(recorded))
 
-    def point_kept(self, number: int, total: int, point: Point, reading: Reading) -> None:
-        """See `rig.run.execute.Reporter`."""
+    def point_recorded(self, number: int, total: int, point: Point, reading: Reading) -> None:
+        """See `rig.run.observers.RunObserver`."""
         self._send("point", done=number, of=total, point=point.id)
 
     def event(self, level: str, message: str) -> None:
-        """See `rig.run.execute.Reporter`."""
+        """See `rig.run.observers.RunObserver`."""
         self._send("note", level=level, text=message)
 
     def state(self, name: str) -> None:
-        """See `rig.run.execute.Reporter`. That it runs again is said when the command arrives."""
-        if name == "paused":
+        """See `rig.run.observers.RunObserver`. That it runs again is said when it is asked for."""
+        if name == PAUSED:
             self._send("state", state="paused", text="the bench is safe")
-
-    def storing(self) -> None:
-        """See `rig.run.execute.Reporter`."""
-
-    def stored(self, run_file: Path) -> None:
-        """See `rig.run.execute.Reporter`."""
 
 
 @dataclass(frozen=True)
@@ -390,21 +386,21 @@ class Worker:
             points=f"{ended.points_done}/{ended.points_planned}",
         )
 
-    def _perform(self, claim: Claim, at_the_end: ExitStack) -> Outcome:
-        """One attempt at a run, from choosing the bench to the closed journal."""
+    def _perform(self, claim: Claim, at_the_end: ExitStack) -> RunOutcome:
+        """One attempt at a run, from choosing the bench to a journal that is closed."""
         from rig.run.execute import execute
-        from rig.run.job import Job
+        from rig.run.job import RunJob
 
         condition = claim.condition
-        procedure = installed(condition.procedure)
-        settings = procedure.Settings.model_validate_json(json.dumps(dict(condition.settings)))
+        own = installed(condition.procedure)
+        given = json.dumps(dict(condition.settings))
+        procedure = own(own.Settings.model_validate_json(given))
         path = self._folder.journal(claim.number, condition.procedure)
         resume = journal_to_resume(path)
         bench = self._bench_for(claim, procedure, at_the_end)
         self._mounted = bench.plan.settings
-        job = Job(
+        job = RunJob(
             procedure=procedure,
-            settings=settings,
             seed=self._seed,
             results=self._terms.results,
             user=self._batch.user,
@@ -438,18 +434,18 @@ class Worker:
 
     def _bench_for(self, claim: Claim, procedure: Procedure, at_the_end: ExitStack) -> ChosenBench:
         """The bench file's bench, locked once for all runs; or a simulated one for this run."""
-        fixture = procedure.FIXTURES[0]
-        choosing = Choosing(
+        fixture = procedure.fixtures[0]
+        selector = BenchSelector(
             lambda text: self._send("note", level="info", text=text),
-            getattr(procedure, "import_ahead", lambda: None),
+            CheckedProcedure(procedure).import_ahead,
         )
         if self._terms.bench is None:
             request = self._simulated(claim)
             with self._stop.nothing_connected(), ExitStack() as nothing:
-                return choosing.bench_for(request, nothing, fixture, self._booted(request, fixture))
+                return selector.select(request, nothing, fixture, self._booted(request, fixture))
         if self._bench is None:
             request = BenchRequest(bench=self._terms.bench, results=self._terms.results)
-            self._bench = choosing.bench_for(request, at_the_end, fixture)
+            self._bench = selector.select(request, at_the_end, fixture)
         from rig.core.clock import WallClock
 
         return replace(self._bench, clock=WallClock())
@@ -468,7 +464,7 @@ class Worker:
         if self._terms.bench is not None or (upcoming := self._queue.upcoming()) is None:
             return
         request = self._simulated(upcoming)
-        fixture = installed(upcoming.condition.procedure).FIXTURES[0]
+        fixture = installed(upcoming.condition.procedure).fixtures[0]
         if request.fault is None:
             self._ahead = _Ahead(request, fixture, start_simulated(request, fixture))
 
@@ -516,8 +512,8 @@ def _text_of(findings: Sequence[HoldReason]) -> str:
     return "; ".join(f"{found.text}: {found.hint}" for found in findings)
 
 
-def _ended(outcome: Outcome) -> AttemptResult:
-    """The outcome of an execution as the queue records it."""
+def _ended(outcome: RunOutcome) -> AttemptResult:
+    """An execution's outcome as the queue keeps it."""
     failed = outcome.status == "failed"
     reasons = [failure.one_line() for failure in outcome.failures]
     reasons += [f"{off.name} not switched off: {off.reason}" for off in outcome.off_failures]

@@ -28,6 +28,7 @@ from rig.instruments.calibration import (
     Record,
     read_calibration,
 )
+from rig.run.checked_procedure import CheckedProcedure
 from rig.run.points import Point
 
 CONNECTING_S = 0.6
@@ -188,8 +189,7 @@ def records_of(bench: BenchPlan | None) -> Iterable[tuple[Path, Record]]:
 
 
 def _expected(condition: BatchCondition, fixture: FixtureSettings, real: bool) -> ExpectedRun:
-    procedure = installed(condition.procedure)
-    points = procedure.points(procedure.Settings.model_validate(condition.settings))
+    points = _planned(condition).points()
     taking_s = math.fsum(point.duration_s for point in points)
     duration_s = taking_s + _overhead_s(condition, fixture, real) + (CONNECTING_S if real else 0.0)
     earliest, latest = (_overhead_s(condition, place, real) for place in _ends_of_contact(fixture))
@@ -198,11 +198,13 @@ def _expected(condition: BatchCondition, fixture: FixtureSettings, real: bool) -
 
 
 def _overhead_s(condition: BatchCondition, fixture: FixtureSettings, homed: bool) -> float:
+    return _planned(condition).overhead_s(fixture, homed)
+
+
+def _planned(condition: BatchCondition) -> CheckedProcedure:
+    """The procedure of a condition, with its settings."""
     procedure = installed(condition.procedure)
-    overhead_s = getattr(procedure, "overhead_s", None)
-    if overhead_s is None:
-        return 0.0
-    return float(overhead_s(procedure.Settings.model_validate(condition.settings), fixture, homed))
+    return CheckedProcedure(procedure(procedure.Settings.model_validate(condition.settings)))
 
 
 def _ends_of_contact(fixture: FixtureSettings) -> tuple[FixtureSettings, FixtureSettings]:
@@ -218,8 +220,8 @@ def _ends_of_contact(fixture: FixtureSettings) -> tuple[FixtureSettings, Fixture
 
 
 def _size_B(condition: BatchCondition, points: Iterable[Point]) -> int:  # noqa: N802 - bytes
-    """Bytes of a run file: every stream lasts as long as its points take."""
-    streams = installed(condition.procedure).STREAMS
+    """Bytes of a run file: every stream goes on for as long as its points take."""
+    streams = installed(condition.procedure).streams
     size = float(RUN_B)
     for point in points:
         rate_S_s = max((a.rate_S_s for a in point.acquisitions), default=0.0)

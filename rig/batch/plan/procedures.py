@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from functools import cache
 
-from rig.core.entry_points import PROCEDURES, load, names
+from rig.core.entry_points import PROCEDURES, names
 from rig.core.errors import ConfigurationError, shortened
+from rig.run.load_procedure import load_procedure
 from rig.run.procedure import Procedure
 
 
@@ -16,11 +17,11 @@ def known() -> tuple[str, ...]:
 
 
 @cache
-def installed(name: str) -> Procedure:
-    """The procedure of this name; ConfigurationError where there is none, or none that loads."""
+def installed(name: str) -> type[Procedure]:
+    """The class of the procedure of this name; ConfigurationError where there is none, or where it
+    cannot be loaded."""
     if name not in known():
         raise ConfigurationError(
             f"procedure = {shortened(name)!r} is unknown", f"known are {', '.join(known())}"
         )
-    procedure: Procedure = load(PROCEDURES, name)
-    return procedure
+    return load_procedure(name)

@@ -17,6 +17,7 @@ from rig.batch.plan.findings import KeyPath, PlanFinding
 from rig.batch.plan.procedures import installed
 from rig.bench.bench import Bench, BenchPlan, Fixture, FixtureSettings
 from rig.core.errors import RigError
+from rig.run.checked_procedure import CheckedProcedure
 from rig.run.points import refusals, require_roles
 
 BenchConnector = Callable[[Fixture], AbstractContextManager[Bench]]
@@ -62,7 +63,7 @@ def procedures_of(plan: BatchPlan) -> tuple[str, ...]:
 def fixture_for(procedure: str, real: BenchPlan | None) -> Fixture | None:
     """The fixture a procedure works on: the first of those mounted that it accepts, None where
     none is. A bench that is simulated for a run has the one that the procedure names first."""
-    accepted = installed(procedure).FIXTURES
+    accepted = installed(procedure).fixtures
     if real is None:
         return accepted[0]
     return next((mounted for mounted in real.mounted if mounted in accepted), None)
@@ -78,7 +79,7 @@ def _unmounted(
         procedure = next(iter(own.values())).procedure
         if fixtures[procedure] is not None:
             continue
-        needed = installed(procedure).FIXTURES
+        needed = installed(procedure).fixtures
         numbers = [run.number for run in plan.runs if run.condition in own]
         yield PlanFinding(
             ("experiment", experiment, "procedure"),
@@ -99,10 +100,10 @@ def _refusals(
     condition: BatchCondition, bench: Bench, real: BenchPlan | None
 ) -> Iterator[RigError]:
     """Why a condition cannot be run on a bench, every reason for itself."""
-    procedure = installed(condition.procedure)
-    settings = procedure.Settings.model_validate(condition.settings)
+    own = installed(condition.procedure)
+    procedure = CheckedProcedure(own(own.Settings.model_validate(condition.settings)))
     try:
-        points = procedure.points(settings)
+        points = procedure.points()
         if real is not None:  # the simulated bench may have more than the real one
             require_roles(points, real)
         require_roles(points, bench.plan)
@@ -111,7 +112,7 @@ def _refusals(
         return
     yield from refusals(points, bench)
     try:
-        getattr(procedure, "check", lambda *_: None)(settings, bench)
+        procedure.check(bench)
     except RigError as error:
         yield error
 

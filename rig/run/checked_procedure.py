@@ -1,0 +1,200 @@
+"""The hooks of a procedure as the runner calls them: what they raise and return is checked.
+
+A procedure may belong to a package of a laboratory. A fault in it is reported as that package's,
+with file and line; one in a procedure of this program, as a defect of the program.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import sys
+import traceback
+from collections.abc import Iterator, Mapping, Sequence
+from numbers import Real
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.core.entry_points import OWN_PACKAGE, PROCEDURES, find, package
+from rig.core.errors import LONGEST_REASON, ConfigurationError, ExitCode, RigError, shortened
+from rig.run.points import Point, Reading
+
+if TYPE_CHECKING:
+    from rig.bench.bench import Bench, FixtureSettings
+    from rig.files.journal.layout import Column, Layout
+    from rig.run.context import Run
+    from rig.run.procedure import Procedure
+
+TRUTH = "simulated_truth"
+"""A key that every reading may have: what the simulated bench knows of the point."""
+
+
+class ProcedureFaultError(RigError):
+    """A procedure raised what it should not, or returned what its layout does not declare."""
+
+    code = ExitCode.INTERNAL
+
+
+class CheckedProcedure:
+    """Calls the hooks of a procedure, which are described at `rig.run.procedure.Procedure`.
+
+    Every method raises what the hook raised if that is a RigError, and ProcedureFaultError for
+    anything else that the hook raised, or returned and should not.
+    """
+
+    def __init__(self, procedure: Procedure):
+        self._procedure = procedure
+
+    def import_ahead(self) -> None:
+        """Import what takes long."""
+        with self._blamed():
+            self._procedure.import_ahead()
+
+    def points(self) -> tuple[Point, ...]:
+        """All points of the run."""
+        with self._blamed():
+            return self._points("points", self._procedure.points())
+
+    def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
+        """Bench time that arming and making safe take, in s."""
+        with self._blamed():
+            return float(self._procedure.overhead_s(fixture, homed))
+
+    def check(self, bench: Bench) -> None:
+        """Refuse a bench that the run cannot work on."""
+        with self._blamed():
+            self._procedure.check(bench)
+
+    def refine(self, readings: Sequence[Reading]) -> tuple[Point, ...]:
+        """Further points where the readings of the first plan call for them."""
+        with self._blamed():
+            return self._points("refine", self._procedure.refine(readings))
+
+    def why_invalid(self, reading: Reading) -> str:
+        """Why a reading is invalid; "" for a valid one."""
+        with self._blamed():
+            return str(self._procedure.why_invalid(reading) or "")
+
+    def arm(self, run: Run) -> None:
+        """Switch on what the points need."""
+        with self._blamed():
+            self._procedure.arm(run)
+
+    def take(self, run: Run, point: Point) -> Reading:
+        """Measure one point; a reading that is as the layout declares it."""
+        with self._blamed():
+            reading: Any = self._procedure.take(run, point)
+        fault = reading_fault(self._procedure.layout, reading)
+        if fault is not None:
+            raise self._fault(f"take() returned {fault}")
+        return dict(reading)
+
+    def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
+        """Results of the whole run."""
+        with self._blamed():
+            found: Any = self._procedure.summarise(readings)
+        if not isinstance(found, Mapping):
+            raise self._fault(f"summarise() returned {_kind(found)}, not a mapping")
+        return found
+
+    def _points(self, hook: str, found: Any) -> tuple[Point, ...]:
+        points = tuple(found) if isinstance(found, (tuple, list)) else (found,)
+        for point in points:
+            if not isinstance(point, Point):
+                raise self._fault(f"{hook}() returned {_kind(point)} in place of points")
+        return points
+
+    @contextlib.contextmanager
+    def _blamed(self) -> Iterator[None]:
+        try:
+            yield
+        except RigError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise _blame(type(self._procedure), error) from error
+
+    def _fault(self, what: str) -> ProcedureFaultError:
+        cls = type(self._procedure)
+        return ProcedureFaultError(f"procedure {cls.name} of package {package_of(cls)}: {what}")
+
+
+def package_of(procedure: type[Procedure]) -> str:
+    """The name of the package that a procedure belongs to."""
+    top = procedure.__module__.split(".")[0]
+    with contextlib.suppress(ConfigurationError):
+        entry = find(PROCEDURES, procedure.name)
+        if entry is not None and entry.module.split(".")[0] == top:
+            return package(entry)
+    return top
+
+
+def internal(error: BaseException) -> RigError:
+    """An unexpected exception as a defect of this program."""
+    wrapped = RigError(
+        f"internal error: {type(error).__name__}: {error}",
+        "this is a defect of the program: run again with --debug and report the traceback",
+    )
+    wrapped.__cause__ = error
+    return wrapped
+
+
+def reading_fault(layout: Layout, reading: Any) -> str | None:
+    """What is wrong with a reading, as the end of a sentence; None where it has a value or None for
+    every column of the layout, of the column's kind, and nothing else."""
+    if not isinstance(reading, Mapping):
+        return f"{_kind(reading)}, not a reading (a dict)"
+    columns = {column.key: column for column in layout.columns}
+    for key in reading:
+        if key not in columns and key != TRUTH:
+            near = difflib.get_close_matches(str(key), columns.keys() - reading.keys(), 1)
+            meant = f"; did you mean {near[0]!r}?" if near else ""
+            return f"{key!r}, which its layout does not declare{meant}"
+    for key, column in columns.items():
+        if key not in reading:
+            return f"no {key!r}, which its layout declares (use None for no value)"
+        if not _fits(column, reading[key]):
+            kind = "a number" if column.kind == "number" else "text"
+            value = shortened(repr(reading[key]))
+            return f"{key!r} = {value} ({_kind(reading[key])}), which its layout declares as {kind}"
+    return None
+
+
+def _fits(column: Column, value: Any) -> bool:
+    if value is None:
+        return True
+    if column.kind == "text":
+        return isinstance(value, str)
+    return isinstance(value, Real) or type(value).__name__ in ("bool_", "bool")
+
+
+def _kind(value: Any) -> str:
+    return "None" if value is None else f"a {type(value).__name__}"
+
+
+def _blame(procedure: type[Procedure], error: BaseException) -> RigError:
+    """The report of an exception: a foreign package's fault where its code took part."""
+    name = package_of(procedure)
+    if name == OWN_PACKAGE:
+        return internal(error)
+    top = procedure.__module__.split(".")[0]
+    own = [
+        (frame.f_code.co_filename, line)
+        for frame, line in traceback.walk_tb(error.__traceback__)
+        if str(frame.f_globals.get("__name__")).split(".")[0] == top
+    ]
+    place = f"{_shown(own[-1][0], top)} line {own[-1][1]}: " if own else ""
+    message = " ".join(str(error).split())
+    text = shortened(f"{place}{type(error).__name__}: {message}", LONGEST_REASON)
+    return ProcedureFaultError(
+        f"a fault in the package {name}: {text}",
+        "the traceback is in rig.log; report it to whoever maintains the package",
+    )
+
+
+def _shown(file: str, top: str) -> str:
+    """A file of a package as seen from the folder that the package is installed in."""
+    folder = getattr(sys.modules.get(top), "__file__", None)
+    base = Path(folder).parent if folder else Path(file).parent
+    base = base.parent if folder and Path(folder).name == "__init__.py" else base
+    path = Path(file)
+    return str(path.relative_to(base)) if path.is_relative_to(base) else path.name

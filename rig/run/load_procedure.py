@@ -1,0 +1,212 @@
+"""Loading an installed procedure: everything about its class is checked before it is used.
+
+A fault is reported when the class is loaded, as one line that names the package, and not in the
+middle of a run.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from types import FunctionType
+from typing import Any, get_args
+
+from rig.bench.bench import Fixture
+from rig.core.entry_points import PROCEDURES, load
+from rig.core.settings import Settings, option_name
+from rig.core.units import is_unit
+from rig.files.journal.layout import Column, Layout
+from rig.files.journal.values import Stream
+from rig.run.procedure import Procedure, StreamPlan
+
+BASE = f"{Procedure.__module__}.{Procedure.__qualname__}"
+HOOKS = {
+    name: tuple(inspect.signature(member).parameters)[1:]
+    for name, member in vars(Procedure).items()
+    if isinstance(member, FunctionType) and not name.startswith("_")
+}
+"""The hooks of a procedure, and the names of their arguments."""
+ATTRIBUTES = tuple(name for name in Procedure.__annotations__ if name != "settings")
+COMMON_OPTIONS = frozenset(
+    {
+        *("--bench", "--results", "--seed", "--dry-run", "--json", "--user", "--sample", "--notes"),
+        *("--figures", "--no-figures", "--allow-expired", "--stages", "--world", "--fault"),
+        *("--world-log", "--debug", "--help"),
+    }
+)
+"""Options that the command of every procedure has."""
+
+
+def load_procedure(name: str) -> type[Procedure]:
+    """Import and check the procedure registered under `name`; its class.
+
+    ConfigurationError where no procedure is registered under the name; BrokenPackageError, which
+    names the package, where its class cannot be used.
+    """
+
+    def find_fault(found: Any) -> str | None:
+        return fault_of(found, name)
+
+    procedure: type[Procedure] = load(PROCEDURES, name, find_fault)
+    return procedure
+
+
+def fault_of(procedure: Any, entry_point: str) -> str | None:
+    """What keeps a class from being the procedure of an entry point, as the end of a sentence that
+    begins with the procedure's name; None where nothing does."""
+    return next(_faults(procedure, entry_point), None)
+
+
+def _faults(procedure: Any, entry_point: str) -> Iterator[str]:
+    if inspect.ismodule(procedure):
+        yield (
+            f"names a module; it has to name the procedure's class, a subclass of {BASE}: "
+            f"{entry_point} = {procedure.__name__}:ClassName"
+        )
+        return
+    if not (isinstance(procedure, type) and issubclass(procedure, Procedure)):
+        yield f"is not a subclass of {BASE}"
+        return
+    yield from _misspelt(procedure)
+    missing = [name for name in ATTRIBUTES if not hasattr(procedure, name)]
+    if missing := [*missing, *sorted(procedure.__abstractmethods__)]:
+        yield f"lacks {', '.join(missing)}"
+        return
+    for hook, arguments in HOOKS.items():
+        yield from _wrong_signature(procedure, hook, arguments)
+    try:
+        inspect.signature(procedure).bind(None)
+    except TypeError:
+        yield "has an __init__() that does not take the settings as its only argument"
+    if procedure.name != entry_point:
+        yield f"has the name {procedure.name!r}, which has to be that of the entry point"
+    yield from _wrong_attributes(procedure)
+    yield from _wrong_layout(procedure.layout, procedure.streams)
+    yield from _ambiguous_options(procedure.Settings)
+
+
+def _misspelt(procedure: type[Procedure]) -> Iterator[str]:
+    """Public names that differ from a hook or attribute of the base class by one letter."""
+    known = (*HOOKS, *ATTRIBUTES, "settings")
+    own = (cls for cls in procedure.__mro__ if issubclass(cls, Procedure) and cls is not Procedure)
+    for name in dict.fromkeys(name for cls in own for name in vars(cls)):
+        if name.startswith("_") or name in known:
+            continue
+        meant = next((one for one in known if _one_edit_apart(name, one)), None)
+        if meant is not None:
+            yield (
+                f"has {name!r}, which is not a hook; did you mean {meant!r}? (A name of your own "
+                "that is so similar has to begin with an underscore.)"
+            )
+
+
+def _one_edit_apart(one: str, other: str) -> bool:
+    """Whether one insertion, deletion, replacement or swap of neighbours makes `one` the other."""
+    if abs(len(one) - len(other)) > 1 or one == other:
+        return False
+    same = next(
+        (k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b),
+        min(len(one), len(other)),
+    )
+    one, other = one[same:], other[same:]
+    swapped = one[1::-1] + one[2:]
+    return one[1:] == other or one == other[1:] or one[1:] == other[1:] or swapped == other
+
+
+def _wrong_signature(
+    procedure: type[Procedure], hook: str, arguments: tuple[str, ...]
+) -> Iterator[str]:
+    member = inspect.getattr_static(procedure, hook)
+    expected = f"{hook}({', '.join(('self', *arguments))})"
+    if not isinstance(member, FunctionType) or inspect.iscoroutinefunction(member):
+        yield f"has {hook!r} that is not a plain method {expected}"
+        return
+    signature = inspect.signature(member)
+    try:
+        signature.bind(None, *arguments)
+    except TypeError:
+        yield f"has {hook}{signature}, which has to be {expected}"
+
+
+def _wrong_attributes(procedure: type[Procedure]) -> Iterator[str]:
+    if not (isinstance(procedure.Settings, type) and issubclass(procedure.Settings, Settings)):
+        yield "has Settings that are not a subclass of rig.core.settings.Settings"
+    known = get_args(Fixture)
+    if not isinstance(procedure.fixtures, tuple) or not procedure.fixtures:
+        yield f"has fixtures that are not a tuple with at least one of {', '.join(known)}"
+    elif strangers := [name for name in procedure.fixtures if name not in known]:
+        yield f"has the fixture {strangers[0]!r}; known are {', '.join(known)}"
+    if not isinstance(procedure.layout, Layout):
+        yield "has a layout that is not a rig.files.journal.layout.Layout"
+    streams = procedure.streams
+    if not (isinstance(streams, tuple) and all(isinstance(one, StreamPlan) for one in streams)):
+        yield "has streams that are not a tuple of rig.run.procedure.StreamPlan"
+    if not isinstance(procedure.drift, Mapping):
+        yield "has a drift that is not a mapping of names to rig.run.procedure.DriftFigure"
+    words = procedure.point_name
+    if not (isinstance(words, tuple) and list(map(type, words)) == [str, str]):
+        yield 'has a point_name that is not a pair of words such as ("trial", "trials")'
+
+
+def _wrong_layout(layout: Layout, streams: tuple[StreamPlan, ...]) -> Iterator[str]:
+    columns: tuple[Column, ...] = layout.columns
+    for key, count in Counter(column.key for column in columns).items():
+        if count > 1:
+            names = " and ".join(repr(one.name) for one in columns if one.key == key)
+            yield f"has a layout whose columns {names} show the same key {key!r} of a reading"
+    for column in columns:
+        if not is_unit(column.units):
+            yield f"has a layout whose column {column.name!r} has the unknown unit {column.units!r}"
+    for name, count in Counter(stream.name for stream in streams).items():
+        if count > 1:
+            yield f"has two streams of the name {name!r}"
+    for stream in streams:
+        try:
+            Stream(
+                name=stream.name,
+                device=stream.device,
+                channels=stream.channels,
+                dtype=stream.dtype,
+                row_shape=(len(stream.channels),),
+                units=stream.units,
+                long_name=stream.long_name,
+            )
+        except ValueError as error:
+            yield f"has a stream {stream.name!r} that cannot be recorded: {error}"
+    channels = {stream.name: stream.channels for stream in streams}
+    for trace in layout.traces:
+        if trace.stream not in channels:
+            yield (
+                f"has a layout whose trace {trace.group!r} shows the stream {trace.stream!r}, "
+                "which is not one of its streams"
+            )
+        elif unknown := [one for one in trace.channels() if one not in channels[trace.stream]]:
+            yield (
+                f"has a layout whose trace {trace.group!r} shows the channel {unknown[0]!r}, "
+                f"which the stream {trace.stream!r} has not"
+            )
+
+
+def _ambiguous_options(model: type[Settings]) -> Iterator[str]:
+    """Settings that would make an option that is there already."""
+    by_option: dict[str, str] = {}
+    letters: dict[str, str] = {}
+    for field, info in model.model_fields.items():
+        option = option_name(field)
+        if option in COMMON_OPTIONS:
+            yield (
+                f"has the setting {field!r}, whose option {option} every procedure has already; "
+                "rename the setting"
+            )
+        if option in by_option:
+            yield (
+                f"has the settings {by_option[option]!r} and {field!r}, which would both be the "
+                f"option {option}; rename one of them"
+            )
+        by_option[option] = field
+        extra = info.json_schema_extra
+        letter = str(extra.get("short", "")) if isinstance(extra, dict) else ""
+        if letter and letter in letters:
+            yield f"has the settings {letters[letter]!r} and {field!r} with one letter {letter}"
+        letters[letter] = field

@@ -1,0 +1,133 @@
+"""Observers of a run: whatever shows or passes on its progress, and must never disturb it.
+
+An observer derives from `RunObserver` and overrides what it wants to know. `Observers` calls all of
+them; an exception in one is reported once as a warning and the run continues: bench safe, data
+saved, whatever an observer does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+from collections.abc import Callable, Sequence, Set
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.core.errors import LONGEST_REASON, shortened
+
+if TYPE_CHECKING:
+    from rig.run.points import Point, Reading
+
+RUNNING, PAUSED, HOLD, MAKING_SAFE = "running", "paused", "hold", "making safe"
+"""States that `RunObserver.state` reports."""
+
+
+class RunObserver:
+    """Watches a run. Every method does nothing here; override what you need.
+
+    The methods are called one at a time, most of them from the run's own thread between two waits,
+    while the bench may be armed: return within a few milliseconds, and never wait for a person or a
+    network. An observer that blocks for longer than the guard's patience makes the guard end the
+    run. No observer is waited for between the reason to make the bench safe and its being safe.
+    """
+
+    @property
+    def observer_name(self) -> str:
+        """What a warning calls this observer."""
+        return type(self).__name__.lstrip("_")
+
+    def planned(self, points: Sequence[Point], recorded: Set[str], overhead_s: float) -> None:
+        """The run has these points, in this order. Called before the first point is measured, and
+        again when the procedure has added further points.
+
+        `recorded` are the ids of points that are in the journal already; `overhead_s` is the bench
+        time that arming and making safe will take.
+        """
+
+    def point_recorded(self, number: int, total: int, point: Point, reading: Reading) -> None:
+        """A point is in the journal: `number` of `total` are now."""
+
+    def event(self, level: str, message: str) -> None:
+        """Something that a person should see now; `level` is info, warning or error."""
+
+    def state(self, name: str) -> None:
+        """The run is now ``running``, ``paused`` (by the operator) or on ``hold`` (for another
+        reason), each with the bench safe but for ``running``; or it is ``making safe``."""
+
+    def saving(self) -> None:
+        """The bench is safe; the run file is about to be written. Not called for a run without a
+        point, nor where the journal is compiled later."""
+
+    def saved(self, run_file: Path) -> None:
+        """The run file is complete."""
+
+
+class Observers(RunObserver):
+    """Passes everything on to several observers, each isolated from what another one raises."""
+
+    def __init__(self, observers: Sequence[RunObserver], warn: Callable[[str], None]):
+        self._observers = tuple(observers)
+        self._warn = warn
+        """Records a warning; called once for each observer that fails."""
+        self._failed: set[int] = set()
+        self._announcing: threading.Thread | None = None
+        """Reports to the observers that the bench is being made safe."""
+
+    def planned(self, points: Sequence[Point], recorded: Set[str], overhead_s: float) -> None:
+        """See `RunObserver`."""
+        self._each(lambda one: one.planned(points, recorded, overhead_s))
+
+    def point_recorded(self, number: int, total: int, point: Point, reading: Reading) -> None:
+        """See `RunObserver`."""
+        self._each(lambda one: one.point_recorded(number, total, point, reading))
+
+    def event(self, level: str, message: str) -> None:
+        """See `RunObserver`."""
+        self._each(lambda one: one.event(level, message))
+
+    def state(self, name: str) -> None:
+        """See `RunObserver`."""
+        self._each(lambda one: one.state(name))
+
+    def making_safe(self) -> None:
+        """Report the state ``making safe`` without waiting for the observers: one that blocks must
+        not delay the shutdown actions. The next call of another method waits for it."""
+        self._announcing = threading.Thread(
+            target=self._call_each, args=(lambda one: one.state(MAKING_SAFE),), daemon=True
+        )
+        self._announcing.start()
+
+    def saving(self) -> None:
+        """See `RunObserver`."""
+        self._each(lambda one: one.saving())
+
+    def saved(self, run_file: Path) -> None:
+        """See `RunObserver`."""
+        self._each(lambda one: one.saved(run_file))
+
+    def _each(self, call: Callable[[RunObserver], None]) -> None:
+        if self._announcing is not None:
+            self._announcing.join()
+            self._announcing = None
+        self._call_each(call)
+
+    def _call_each(self, call: Callable[[RunObserver], None]) -> None:
+        for observer in self._observers:
+            try:
+                call(observer)
+            except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever it raises
+                self._report(observer, error)
+
+    def _report(self, observer: RunObserver, error: BaseException) -> None:
+        if id(observer) in self._failed:
+            return
+        self._failed.add(id(observer))
+        name = type(observer).__name__
+        with contextlib.suppress(Exception):
+            name = observer.observer_name
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        text = f"{name} failed: {shortened(what, LONGEST_REASON)}; the run continues without it"
+        logging.getLogger("rig").warning("%s", text, exc_info=error)
+        self._warn(text)
+        self._call_each(lambda one: one.event("warning", text))

@@ -1,0 +1,208 @@
+"""The loop over the points of a run: what happens to a point that is disturbed.
+
+a hold (pause, silent sensor)   the bench is made safe, the run waits until the condition has
+                                passed, arms again and retakes the point
+a trip (a limit was exceeded)   the bench is made safe, the run arms again and retakes the point
+                                once; a second trip of the same point ends the run
+an invalid reading              the point is retaken without arming, as often as the setting
+                                ``retry_invalid`` allows; then it is recorded as invalid
+anything else                   the point is discarded and the run ends
+"""
+
+from __future__ import annotations
+
+import contextlib
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from rig.core.errors import ExitCode, LimitError, RigError
+from rig.files.journal.recorder import Recorder
+from rig.run.arming import OffFailure
+from rig.run.checked_procedure import CheckedProcedure
+from rig.run.context import Run
+from rig.run.holds import PAUSE, HoldError
+from rig.run.observers import HOLD, PAUSED, RUNNING, Observers
+from rig.run.outcome import RunOutcome
+from rig.run.phases import Phases, RunPhase
+from rig.run.points import Point, Reading, check_points, remedy
+from rig.run.trip import TripError
+
+if TYPE_CHECKING:
+    from rig.run.job import RunJob
+    from rig.run.stopping import StopFlag
+
+HOLD_POLL_S = 0.1
+"""How often a run on hold checks whether it may continue."""
+
+SwitchOff = Callable[[bool], list[OffFailure]]
+"""Runs the shutdown actions; with True what only watches stays on. Returns those that failed."""
+
+
+class InvalidReadingError(RigError):
+    """A reading is invalid, and its point will be retaken."""
+
+
+class PointLoop:
+    """Measures the points of a run, one after the other, and those that the procedure adds."""
+
+    def __init__(
+        self,
+        job: RunJob,
+        procedure: CheckedProcedure,
+        run: Run,
+        recorder: Recorder,
+        readings: dict[str, Reading],
+        phases: Phases,
+        switch_off: SwitchOff,
+        stop: StopFlag,
+        observers: Observers,
+        outcome: RunOutcome,
+    ):
+        self._job, self._procedure, self._run, self._recorder = job, procedure, run, recorder
+        self._readings = readings
+        """Of the points that are in the journal, by id; added to as points are recorded."""
+        self._phases, self._switch_off, self._stop = phases, switch_off, stop
+        self._observers, self._outcome = observers, outcome
+        self._points: tuple[Point, ...] = ()
+        self._tripped: set[str] = set()
+        """Points that a trip has disturbed once."""
+
+    def record_all(self, points: Sequence[Point]) -> None:
+        """Measure the points that are not in the journal yet, then those that the procedure adds.
+
+        Returns when all of them are recorded. Whatever ends the run is raised; the bench may be
+        armed then.
+        """
+        self._points = tuple(points)
+        self._outcome.points_done = len(self._readings)
+        self._record_plan()
+        further = self._procedure.refine(self.readings())
+        if further:
+            check_points(further, self._run.bench, [p.id for p in self._points], self._job.settings)
+            self._points += further
+            self._outcome.points_planned = len(self._points)
+            self._run.event("info", "refined", f"{len(further)} further points where it matters")
+            self._record_plan()
+
+    def readings(self) -> list[Reading]:
+        """The readings so far, in the order of the plan."""
+        return [self._readings[p.id] for p in self._points if p.id in self._readings]
+
+    def _record_plan(self) -> None:
+        remaining = [point for point in self._points if point.id not in self._readings]
+        if not remaining:
+            return
+        armed = bool(self._run.arming.names)
+        overhead_s = 0.0
+        if not armed:
+            overhead_s = self._procedure.overhead_s(self._run.bench.settings.fixture, False)
+        self._observers.planned(self._points, set(self._readings), overhead_s)
+        if not armed:
+            self._observers.state(RUNNING)
+            self._arm()
+        for point in remaining:
+            self._run.check_stop()
+            self._stop.check_between_points()
+            reading = self._record(point)
+            self._readings[point.id] = reading
+            self._outcome.points_done += 1
+            self._observers.point_recorded(
+                self._outcome.points_done, len(self._points), point, reading
+            )
+
+    # --- one point, and what disturbs it ----------------------------------------------------------
+
+    def _arm(self) -> None:
+        """Arm the bench; after a hold, wait and arm it anew. A trip meanwhile ends the run."""
+        while True:
+            self._run.holds.acknowledge()  # what has happened up to now is dealt with by arming
+            try:
+                with self._phases.measuring(), self._run.first_cause():
+                    self._procedure.arm(self._run)
+                return
+            except HoldError as hold:
+                self._wait_out(hold)
+
+    def _record(self, point: Point) -> Reading:
+        """Measure a point until it is recorded; see the module's table."""
+        retries = int(getattr(self._job.settings, "retry_invalid", 0))
+        while True:
+            try:
+                with self._phases.measuring():
+                    return self._take(point, discard_invalid=retries > 0)
+            except HoldError as hold:
+                self._wait_out(hold)
+                self._arm()
+            except TripError as trip:
+                if point.id in self._tripped:
+                    raise
+                self._tripped.add(point.id)
+                self._make_safe_after(trip, point)
+                self._arm()
+            except InvalidReadingError as invalid:
+                retries -= 1
+                self._run.event("warning", "invalid", f"{point.id}: {invalid.message}")
+                self._observers.event("warning", f"{point.id}: {invalid.message}; retaking it")
+
+    def _take(self, point: Point, discard_invalid: bool) -> Reading:
+        """One attempt at a point, from its first record in the journal to its last."""
+        self._run.clock.announce(self._job.run_number, zlib.crc32(point.id.encode()))
+        self._recorder.put_point_begin(point.id, {"time": self._run.elapsed_s()})
+        try:
+            with self._run.first_cause(), self._naming(point):
+                reading = self._procedure.take(self._run, point)
+                self._run.check_watchers()  # also what came and went within its last blocking call
+            if discard_invalid and (reason := self._procedure.why_invalid(reading)):
+                raise InvalidReadingError(reason)
+        except BaseException as error:
+            with contextlib.suppress(RigError):  # the first cause is on its way
+                self._recorder.put_point_discard(point.id, str(error))
+            raise
+        self._recorder.put_point_keep(point.id, reading)
+        return reading
+
+    def _wait_out(self, hold: HoldError) -> None:
+        """Make the bench safe, then wait until no hold is in force. The force is still read: that
+        is how the end of its silence is seen."""
+        self._run.event("warning", "hold", hold.message)
+        self._observers.making_safe()
+        failures = self._switch_off(True)
+        if failures:
+            reasons = "; ".join(f"{f.name}: {f.reason}" for f in failures)
+            raise RigError(reasons, None, ExitCode.INSTRUMENT) from hold
+        self._phases.enter(RunPhase.ON_HOLD)
+        if hold.message != PAUSE:
+            self._observers.event(
+                "warning", f"on hold: {hold.message}; the bench is safe and the run waits"
+            )
+        self._observers.state(PAUSED if hold.message == PAUSE else HOLD)
+        self._run.check_stop()
+        while self._run.holds.active:
+            self._run.clock.sleep(HOLD_POLL_S)
+            self._run.check_force_stream()
+        self._phases.enter(RunPhase.READY)
+        self._observers.state(RUNNING)
+
+    def _make_safe_after(self, trip: TripError, point: Point) -> None:
+        """Make the bench safe; raise the trip where that failed: what may still be pressed is not
+        pressed again."""
+        self._run.event("error", "trip", trip.one_line())
+        self._observers.making_safe()
+        if self._switch_off(False) or self._run.failures:
+            raise trip
+        self._phases.enter(RunPhase.READY)
+        self._observers.event("warning", f"{trip.one_line()}; retaking point {point.id} once")
+        self._run.check_stop()
+        self._observers.state(RUNNING)
+
+    @contextlib.contextmanager
+    def _naming(self, point: Point) -> Iterator[None]:
+        """Add the point's id to the refusal of a value that the point has computed."""
+        try:
+            yield
+        except TripError:
+            raise
+        except LimitError as refused:
+            hint = remedy(refused, self._run.bench)
+            raise LimitError(f"point {point.id}: {refused.message}", hint) from refused

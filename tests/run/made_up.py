@@ -1,0 +1,107 @@
+"""A procedure, a bench and a run of both, put together for tests of the runner."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rig.bench.bench import BenchPlan, BenchSettings, InstrumentPlan
+from rig.core.clock import WallClock
+from rig.core.settings import Settings
+from rig.files.journal.layout import Column, Layout, Plot
+from rig.instruments.roles import Identity
+from rig.run import execute as execution
+from rig.run.context import Run
+from rig.run.execute import execute
+from rig.run.job import RunJob
+from rig.run.observers import RunObserver
+from rig.run.outcome import RunOutcome
+from rig.run.points import Point, Reading
+from rig.run.procedure import Procedure
+from rig.run.stopping import StopFlag
+
+LAYOUT = Layout(
+    definition="NXrig_noop",
+    version="1",
+    columns=(
+        Column("x", "x_V", "V", "x (V)"),
+        Column("y", "y_mm_s", "mm/s", "y (mm/s)"),
+        Column("note", "note", "", "Note", "text"),
+    ),
+    plots=(Plot("data", "y", ("x",)),),
+)
+
+
+class Instrument:
+    """An instrument that does nothing."""
+
+    identity = Identity("made up", "made up", "SIM1", "0")
+
+    def reach(self) -> Mapping[str, Any]:
+        return {}
+
+    def close(self) -> None:
+        pass
+
+
+class Example(Procedure):
+    """The smallest procedure: two points, one thing that is switched on and off."""
+
+    name, fixtures = "example", ("film-clamp",)
+    Settings, layout = Settings, LAYOUT
+
+    def __init__(self, settings: Settings):
+        super().__init__(settings)
+        self.log: list[str] = []
+
+    def points(self) -> tuple[Point, ...]:
+        return Point("first", 1, ()), Point("second", 2, ())
+
+    def arm(self, run: Run) -> None:
+        run.arm("lamp", lambda: self.log.append("off"), done="lamp off")
+        self.log.append("on")
+
+    def take(self, run: Run, point: Point) -> Reading:
+        run.clock.sleep(0.01)
+        self.log.append(point.id)
+        return {"x_V": float(point.condition), "y_mm_s": None, "note": ""}
+
+    def summarise(self, readings: Any) -> Mapping[str, Any]:
+        return {"points": len(readings)}
+
+
+class Guard:
+    """What the run reports to its guard."""
+
+    lost = False
+
+    def __init__(self, log: list[str]) -> None:
+        self._log = log
+
+    def beat(self) -> None:
+        pass
+
+    def safe(self) -> None:
+        self._log.append("guard: safe")
+
+    def done(self) -> None:
+        self._log.append("guard: done")
+
+
+def run_of(
+    procedure: Example, folder: Path, patch: pytest.MonkeyPatch, *observers: RunObserver
+) -> RunOutcome:
+    """Execute a procedure on a bench with one instrument; nothing else is replaced but the guard,
+    which is a process of its own."""
+    patch.setattr(execution, "GuardLink", lambda *_: Guard(procedure.log))
+    patch.setattr(execution, "PauseSwitch", lambda _: contextlib.nullcontext())
+    driver: Any = SimpleNamespace(connect=lambda settings, clock: Instrument())
+    part = InstrumentPlan("generator", "made-up", driver, Settings())
+    own = BenchSettings.model_validate({"name": "b", "fixture": {"mounted": "film-clamp"}})
+    plan = BenchPlan(own, (part,), "", "bench.toml")
+    return execute(RunJob(procedure, 0, folder), plan, WallClock(), StopFlag(), *observers)

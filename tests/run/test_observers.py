@@ -1,0 +1,139 @@
+"""Whatever an observer of a run raises: the bench is made safe, the data are saved, and the person
+is warned once."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+import pytest
+from made_up import Example, run_of
+
+from rig.core.errors import ExitCode
+from rig.core.settings import Settings
+from rig.files.runfile.reader import RunFile
+from rig.run.observers import RunObserver
+
+METHODS = [
+    name
+    for name, member in vars(RunObserver).items()
+    if inspect.isfunction(member) and not name.startswith("_")
+]
+LIFE = ["on", "first", "second", "off", "guard: safe", "guard: done"]
+
+
+class Noting(RunObserver):
+    """Notes what is reported."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, Any]] = []
+
+    def __getattribute__(self, name: str) -> Any:
+        if name in METHODS:
+            return lambda *values: self.told.append((name, values))
+        return super().__getattribute__(name)
+
+
+class Raising(Noting):
+    """Raises something in one of its methods."""
+
+    def __init__(self, method: str, error: BaseException):
+        super().__init__()
+        self._method, self._error = method, error
+
+    def __getattribute__(self, name: str) -> Any:
+        if name in METHODS and name == super().__getattribute__("_method"):
+            return self._raise
+        return super().__getattribute__(name)
+
+    def _raise(self, *_: object) -> None:
+        raise self._error
+
+
+def test_an_observer_sees_a_run_from_its_plan_to_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = Noting()
+    outcome = run_of(Example(Settings()), tmp_path, monkeypatch, seen)
+    assert outcome.code is ExitCode.DONE, outcome.failures
+    assert [name for name, _ in seen.told] == [
+        "planned",
+        "state",
+        "point_recorded",
+        "point_recorded",
+        "state",
+        "saving",
+        "saved",
+    ]
+    assert [values for name, values in seen.told if name == "state"] == [
+        ("running",),
+        ("making safe",),
+    ]
+    assert outcome.made_safe == ("lamp off",)
+    assert outcome.safe
+
+
+@pytest.mark.parametrize(
+    "error", [KeyError("my_figure"), SystemExit(3), RuntimeError("line 1\nline 2")], ids=repr
+)
+@pytest.mark.parametrize("method", [name for name in METHODS if name != "event"])
+def test_an_observer_that_raises_disturbs_neither_safety_nor_data_nor_other_observers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str, error: BaseException
+) -> None:
+    procedure, seen = Example(Settings()), Noting()
+    raising = Raising(method, error)
+    outcome = run_of(procedure, tmp_path, monkeypatch, raising, seen)
+
+    assert outcome.code is ExitCode.DONE, outcome.failures
+    assert procedure.log == LIFE
+    assert outcome.points_done == 2
+    assert outcome.summary == {"points": 2}
+    (warning,) = outcome.warnings
+    assert warning.startswith(f"Raising failed: {type(error).__name__}: ")
+    assert "\n" not in warning
+    assert ("event", ("warning", warning)) in seen.told
+    assert len([name for name, _ in seen.told if name == "event"]) == 1, "once"
+    assert [name for name, _ in seen.told if name == "saved"] == ["saved"]
+    assert outcome.file is not None
+    with RunFile.open(outcome.file) as run:
+        assert run.point_ids() == ["first", "second"]
+
+
+def test_an_observer_whose_event_raises_as_well_is_harmless(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    procedure = Example(Settings())
+    outcome = run_of(
+        procedure,
+        tmp_path,
+        monkeypatch,
+        Raising("planned", KeyError("first")),
+        Raising("event", KeyError("second")),
+    )
+    assert outcome.code is ExitCode.DONE, outcome.failures
+    assert procedure.log == LIFE
+    assert len(outcome.warnings) == 2
+
+
+def test_the_bench_is_safe_before_an_observer_that_hangs_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    procedure = Example(Settings())
+    log_when_it_went_on: list[str] = []
+
+    class Hanging(RunObserver):
+        """Waits, when the bench is being made safe, until it is."""
+
+        def state(self, name: str) -> None:
+            if name == "making safe":
+                import time
+
+                give_up = time.monotonic() + 10
+                while "off" not in procedure.log and time.monotonic() < give_up:
+                    time.sleep(0.01)
+                log_when_it_went_on.extend(procedure.log)
+
+    outcome = run_of(procedure, tmp_path, monkeypatch, Hanging())
+    assert outcome.code is ExitCode.DONE, outcome.failures
+    assert "off" in log_when_it_went_on

@@ -1,0 +1,251 @@
+"""What is checked when a procedure is loaded, and of what its hooks raise and return."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from made_up import LAYOUT, Example, run_of
+
+from rig.cli.procedures import _common
+from rig.core.entry_points import PROCEDURES, names
+from rig.core.errors import ConfigurationError, ExitCode
+from rig.core.settings import Settings
+from rig.files.journal.layout import Column, Layout, Plot, Trace
+from rig.files.runfile.reader import RunFile
+from rig.run.checked_procedure import reading_fault
+from rig.run.load_procedure import COMMON_OPTIONS, fault_of, load_procedure
+from rig.run.procedure import Procedure, StreamPlan
+
+X = Column("x", "x_V", "V", "x (V)")
+
+
+def made(**members: Any) -> type[Example]:
+    """A subclass of a procedure without fault."""
+    return type("Changed", (Example,), {"__module__": __name__, **members})
+
+
+def of_columns(*columns: Column, traces: tuple[Trace, ...] = ()) -> Layout:
+    """A layout of columns, the first of which is plotted over itself."""
+    plot = Plot("data", columns[0].name, (columns[1].name,))
+    return Layout("NXrig_noop", "1", columns, (plot,), traces=traces)
+
+
+class TwoHolds(Settings):
+    """Settings that would make one option."""
+
+    hold_s: float = 1.0
+    """Time."""
+    hold_mm: float = 1.0
+    """Way."""
+
+
+class OwnSeed(Settings):
+    """A setting that every command has already."""
+
+    seed: int = 1
+    """Seed."""
+
+
+def misspelt(self: Any, fixture: Any, homed: bool) -> float:
+    return 1.0
+
+
+async def coroutine(self: Any, run: Any, point: Any) -> dict[str, Any]:
+    return {}
+
+
+FAULTS: dict[str, tuple[dict[str, Any], str]] = {
+    "a misspelt hook": (
+        {"overheads_s": misspelt},
+        "has 'overheads_s', which is not a hook; did you mean 'overhead_s'?",
+    ),
+    "two letters swapped": ({"refien": misspelt}, "did you mean 'refine'?"),
+    "a misspelt attribute": ({"stream": ()}, "did you mean 'streams'?"),
+    "too few arguments": (
+        {"take": lambda self, run: {}},
+        "has take(self, run), which has to be take(self, run, point)",
+    ),
+    "too many arguments": (
+        {"refine": lambda self, settings, readings: ()},
+        "has refine(self, settings, readings), which has to be refine(self, readings)",
+    ),
+    "a value in place of a method": ({"arm": 1}, "has 'arm' that is not a plain method"),
+    "a coroutine": ({"take": coroutine}, "has 'take' that is not a plain method"),
+    "no settings in __init__": ({"__init__": lambda self: None}, "has an __init__() that does not"),
+    "another name": ({"name": "exampel"}, "has the name 'exampel', which has to be that"),
+    "an unknown fixture": ({"fixtures": ("table",)}, "has the fixture 'table'; known are film-"),
+    "fixtures as a word": ({"fixtures": "plate"}, "has fixtures that are not a tuple"),
+    "Settings of another kind": ({"Settings": dict}, "has Settings that are not a subclass"),
+    "a layout of another kind": ({"layout": {}}, "has a layout that is not a"),
+    "two columns of one key": (
+        {"layout": of_columns(X, Column("y", "x_V", "V", "y"))},
+        "whose columns 'x' and 'y' show the same key 'x_V'",
+    ),
+    "an unknown unit": (
+        {"layout": of_columns(X, Column("y", "y", "furlong/blink", "y"))},
+        "whose column 'y' has the unknown unit 'furlong/blink'",
+    ),
+    "a trace of no stream": (
+        {"layout": of_columns(X, Column("y", "y", "", "y"), traces=(Trace("t", "ticks", "a"),))},
+        "whose trace 't' shows the stream 'ticks', which is not one of its streams",
+    ),
+    "a trace of no channel": (
+        {
+            "layout": of_columns(X, Column("y", "y", "", "y"), traces=(Trace("t", "ticks", "a"),)),
+            "streams": (StreamPlan("ticks", "clock", ("b",), "Ticks"),),
+        },
+        "whose trace 't' shows the channel 'a', which the stream 'ticks' has not",
+    ),
+    "a stream of no type": (
+        {"streams": (StreamPlan("ticks", "clock", ("b",), "Ticks", "float"),)},
+        "has a stream 'ticks' that cannot be recorded",
+    ),
+    "two settings with one option": (
+        {"Settings": TwoHolds},
+        "has the settings 'hold_s' and 'hold_mm', which would both be the option --hold",
+    ),
+    "a setting that every procedure has": (
+        {"Settings": OwnSeed},
+        "has the setting 'seed', whose option --seed every procedure has already",
+    ),
+    "one word for points": ({"point_name": "trial"}, "has a point_name that is not a pair"),
+}
+
+
+@pytest.mark.parametrize("case", FAULTS)
+def test_a_class_that_cannot_be_used_is_refused_with_the_reason(case: str) -> None:
+    members, told = FAULTS[case]
+    fault = fault_of(made(**members), "example")
+    assert fault is not None
+    assert told in fault
+
+
+def test_what_is_not_a_procedure_is_refused() -> None:
+    assert "names a module" in str(fault_of(ModuleType("lab.creep"), "creep"))
+    assert "is not a subclass of rig.run.procedure.Procedure" in str(fault_of(dict, "creep"))
+    bare = type("Bare", (Procedure,), {"name": "bare"})
+    assert fault_of(bare, "bare") == "lacks fixtures, Settings, layout, arm, points, take"
+
+
+def test_sound_procedures_are_not_refused() -> None:
+    assert fault_of(Example, "example") is None
+    assert fault_of(made(helper=lambda self: 1, pointer=1), "example") is None
+    for name in names(PROCEDURES):
+        assert load_procedure(name).name == name
+
+
+def test_the_options_of_every_procedure_are_reserved() -> None:
+    made_by_typer = {"figures": ("--figures", "--no-figures"), "as_json": ("--json",)}
+    fields = inspect.signature(_common).parameters
+    own = {
+        option
+        for name in fields
+        for option in made_by_typer.get(name, ("--" + name.replace("_", "-"),))
+    }
+    assert own | {"--help"} == COMMON_OPTIONS
+
+
+GOOD = {"x_V": 1.0, "y_mm_s": None, "note": "as it should be"}
+
+
+@pytest.mark.parametrize(
+    ("reading", "told"),
+    [
+        (GOOD, None),
+        (GOOD | {"x_V": np.float64(1), "y_mm_s": 3, "simulated_truth": "{}"}, None),
+        (GOOD | {"x_V": True, "note": None}, None),
+        (GOOD | {"x_V": float("nan")}, None),
+        ({"x_V": 1.0, "note": ""}, "no 'y_mm_s', which its layout declares (use None"),
+        (
+            {"x_V": 1.0, "y_mms": 2.0, "note": ""},
+            "'y_mms', which its layout does not declare; did you mean 'y_mm_s'?",
+        ),
+        (GOOD | {"x_V": "1.0"}, "'x_V' = '1.0' (a str), which its layout declares as a number"),
+        (GOOD | {"note": 3}, "'note' = 3 (a int), which its layout declares as text"),
+        (GOOD | {"x_V": [1.0]}, "(a list), which its layout declares as a number"),
+        (None, "None, not a reading (a dict)"),
+    ],
+)
+def test_a_reading_has_what_the_layout_declares(reading: Any, told: str | None) -> None:
+    fault = reading_fault(LAYOUT, reading)
+    assert fault == told or (told is not None and fault is not None and told in fault)
+
+
+def second_only(reading: Any) -> Callable[..., Any]:
+    """A `take` whose second reading is another one."""
+
+    def take(self: Example, run: Any, point: Any) -> Any:
+        good = Example.take(self, run, point)
+        return good if point.id == "first" else reading
+
+    return take
+
+
+def dividing(self: Any, *_: Any) -> Any:
+    return 1 / 0
+
+
+def leaving(self: Any, *_: Any) -> Any:
+    raise SystemExit(0)
+
+
+def test_a_reading_with_a_fault_ends_the_run_in_order_and_names_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    procedure = made(take=second_only({"x_V": 1.0, "note": ""}))(Settings())
+    outcome = run_of(procedure, tmp_path, monkeypatch)
+    assert outcome.code is ExitCode.INTERNAL
+    (failure,) = outcome.failures
+    assert failure.one_line() == (
+        "procedure example of package test_procedure: take() returned no 'y_mm_s', which its "
+        "layout declares (use None for no value)"
+    )
+    assert procedure.log == ["on", "first", "second", "off", "guard: safe", "guard: done"]
+    assert outcome.file is not None
+    with RunFile.open(outcome.file) as run:
+        assert run.point_ids() == ["first"]
+
+
+@pytest.mark.parametrize("hook", ["import_ahead", "points", "check", "arm", "take", "refine"])
+@pytest.mark.parametrize("what", [dividing, leaving])
+def test_what_a_hook_raises_is_the_fault_of_its_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hook: str, what: Callable[..., Any]
+) -> None:
+    procedure = made(**{hook: what})(Settings())
+    outcome = run_of(procedure, tmp_path, monkeypatch)
+    assert outcome.code is ExitCode.INTERNAL
+    assert outcome.status == "failed"
+    (failure,) = outcome.failures
+    line = what.__code__.co_firstlineno + 1
+    raised = "ZeroDivisionError: division by zero" if what is dividing else "SystemExit: 0"
+    assert failure.message == (
+        f"a fault in the package test_procedure: test_procedure.py line {line}: {raised}"
+    )
+    assert failure.__cause__ is not None, "its traceback goes to the log"
+    assert procedure.log.count("off") == procedure.log.count("on") or hook == "arm"
+
+
+def test_a_summary_that_fails_costs_the_summary_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    procedure = made(summarise=dividing)(Settings())
+    outcome = run_of(procedure, tmp_path, monkeypatch)
+    assert outcome.code is ExitCode.INTERNAL
+    assert outcome.status == "complete"
+    assert "a fault in the package test_procedure" in outcome.failures[0].message
+    assert procedure.log[-1] == "guard: done"
+    assert outcome.file is not None
+    with RunFile.open(outcome.file) as run:
+        assert run.outcome.status == "complete"
+        assert run.point_ids() == ["first", "second"]
+
+
+def test_an_unknown_procedure_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="procedure 'creep' is unknown"):
+        load_procedure("creep")
