@@ -60,7 +60,7 @@ def _ramp(
 ) -> Reading:
     """How well the tangential force followed its ramp until the skin slipped."""
     if record.ramp_to_s is None:
-        return {}
+        return {"ramp_error_rms_N": None, "ramp_to_s": None}
     since = t - record.motion_from_s
     rising = (since >= 0) & (t <= record.ramp_to_s)
     rise = settings.along * (force[rising, 1] - force[rising, 1][0])
