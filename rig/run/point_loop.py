@@ -165,18 +165,19 @@ class PointLoop:
     def _wait_out(self, hold: HoldError) -> None:
         """Make the bench safe, then wait until no hold is in force. The force is still read: that
         is how the end of its silence is seen."""
-        self._run.event("warning", "hold", hold.message)
+        asked_for = hold.message == PAUSE
+        self._run.event("info" if asked_for else "warning", "hold", hold.message)
         self._observers.making_safe()
         failures = self._switch_off(True)
         if failures:
             reasons = "; ".join(f"{f.name}: {f.reason}" for f in failures)
             raise RigError(reasons, None, ExitCode.INSTRUMENT) from hold
         self._phases.enter(RunPhase.ON_HOLD)
-        if hold.message != PAUSE:
+        if not asked_for:
             self._observers.event(
                 "warning", f"on hold: {hold.message}; the bench is safe and the run waits"
             )
-        self._observers.state(PAUSED if hold.message == PAUSE else HOLD)
+        self._observers.state(PAUSED if asked_for else HOLD)
         self._run.check_stop()
         while self._run.holds.active:
             self._run.clock.sleep(HOLD_POLL_S)

@@ -1,0 +1,85 @@
+"""The lines with which a run begins and ends."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import pytest
+
+from procedures.slip_trial import SlipTrial
+from procedures.sweep import Sweep
+from rig.cli.report import ConsoleObserver, closing_lines
+from rig.core.errors import ExitCode
+from rig.run.arming import OffFailure
+from rig.run.outcome import RunOutcome
+from rig.run.points import Point
+from rig.run.stopping import StopRequestedError
+
+POINTS = [Point(f"p{k}", k, (), duration_s=2.0) for k in range(20)]
+FILE = Path("results/a.h5")
+JOURNAL = Path("results/a.rigj")
+
+
+def test_a_complete_run_says_so_and_where_its_data_are() -> None:
+    outcome = RunOutcome("complete", ExitCode.DONE, 175, 175, simulated=True, file=FILE)
+    outcome.duration_s, outcome.safe = 18.02, True
+    outcome.made_safe = ("generator off", "preload released", "force stream stopped")
+    assert closing_lines(Sweep, outcome, ["a.png"] * 6) == [
+        "Finished: 175 of 175 points in 18.0 s of bench time (simulated).",
+        "Saved: results/a.h5 and 6 figures",
+        "Bench is safe: generator off, preload released, force stream stopped.",
+    ]
+
+
+def test_a_run_on_a_real_bench_speaks_of_no_bench_time_and_one_trial_is_a_trial() -> None:
+    outcome = RunOutcome("complete", ExitCode.DONE, 1, 1, file=FILE, duration_s=9.0)
+    assert closing_lines(SlipTrial, outcome, ["a.png"]) == [
+        "Finished: 1 of 1 trial in 9.0 s.",
+        "Saved: results/a.h5 and 1 figure",
+    ]
+
+
+def test_a_run_that_was_stopped_says_by_what_and_how_to_resume_it() -> None:
+    stopped = StopRequestedError(signal.SIGINT)
+    outcome = RunOutcome("stopped", ExitCode.SIGINT, 20, 3, file=FILE, journal=JOURNAL)
+    outcome.failures, outcome.duration_s = [stopped], 75.0
+    assert closing_lines(SlipTrial, outcome, []) == [
+        "Stopped by Ctrl-C: 3 of 20 trials in 0:01:15.",
+        "Saved: results/a.h5",
+        "Resume with: rig resume results/a.rigj",
+    ]
+
+
+def test_a_bench_that_is_not_safe_is_not_called_safe() -> None:
+    outcome = RunOutcome("failed", ExitCode.UNSAFE, 20, 3, journal=JOURNAL)
+    outcome.off_failures = [OffFailure("normal force", "no answer")]
+    outcome.made_safe = ("x stage stopped",)
+    assert closing_lines(SlipTrial, outcome, []) == [
+        "Failed: 3 of 20 trials.",
+        "Bench is NOT safe (see above); done: x stage stopped.",
+        "Recover the run file with: rig recover results/a.rigj",
+    ]
+    outcome.off_failures = []
+    assert closing_lines(SlipTrial, outcome, [])[1] == (
+        "Bench is stopped, but check it (see above): x stage stopped."
+    )
+
+
+def test_plans_pauses_and_points_are_one_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+    with ConsoleObserver(SlipTrial, simulated=True) as console:
+        console.planned(POINTS[:1], set(), 1.0)
+        console.point_recorded(1, 1, POINTS[0], {})
+        console.planned(POINTS, {"p0"}, 0.0)
+    with ConsoleObserver(SlipTrial) as console:
+        console.planned(POINTS, {"p0", "p1", "p2"}, 6.0)
+        for state in ("running", "making safe", "paused", "running", "making safe"):
+            console.state(state)
+    assert capsys.readouterr().err.splitlines() == [
+        "slip-trial: 1 trial, about 3.0 s of bench time",
+        "1/1 p0",
+        "slip-trial: 19 further trials (1 done), about 38.0 s of bench time",
+        "slip-trial: resuming, 3 of 20 trials done, 17 to go, about 40.0 s",
+        "PAUSED (bench is safe). Ctrl-Z continues, Ctrl-C ends the run.",
+        "Resumed.",
+    ]
