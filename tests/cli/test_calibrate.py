@@ -156,7 +156,7 @@ STOPPED = {"status": "stopped", "reason": "stopped by Ctrl-C", "exit": 130}
         ({"frequencies": GRID[:5]}, (), ("5 different frequencies", "too few")),
         ({"frequencies": GRID[60:80]}, (), ("20 different frequencies", "over a decade")),
         ({"age_days": 100.0}, (), ("would have expired", "--valid")),
-        ({"bench_toml": ""}, (), ("does not say which film", "--film")),
+        ({"bench_toml": ""}, (), ("does not state the film", "--film")),
         ({}, ("--valid", "soon"), ("--valid soon", "90d")),
         ({}, ("--valid", "0d"), ("1 to 3650 days",)),
         ({}, ("--film", "f" * 201), ("sensor", "200")),

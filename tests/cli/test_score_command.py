@@ -79,7 +79,7 @@ def population(tmp_path: Path) -> Path:
         (["--tune", "x.json"], "--tune x.json: thresholds are chosen on tuning seeds only"),
         (["--kinds", "slide,fall"], "'fall' is not a kind of trial; choose among slide,roll"),
         (["--detector", "ouija"], "--detector ouija: has to be one of rig, paper-literal"),
-        (["--speed", "0"], "--speed 0: must be one speed above 0 mm/s"),
+        (["--speed", "0"], "--speed 0: must be a speed above 0 mm/s"),
         (["--speed", "3N"], "--speed 3N: 'N' does not convert to mm/s"),
         (["--youngs-modulus", "-1MPa"], "youngs_modulus_MPa = -1.0 MPa: has to be above 0 MPa"),
         (["--ridge", "12"], "ridge 12: the skin has only 9 ridges"),
