@@ -12,7 +12,10 @@ In real time two threads wait for each tick, on two processors (`Relay`).
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +23,6 @@ from typing import Protocol
 
 from rig.core.clock import WAIT_SLICE_S, Clock
 from rig.core.errors import ExitCode, RigError
-from rig.core.processor import place, two_places
 
 LATE = 0.5
 """Share of a period from which a tick counts as late."""
@@ -201,6 +203,32 @@ class Ticks:
             self._behind_since_s = now_s
         elif now_s - self._behind_since_s > BEHIND_FOR_S:
             raise TooSlowError(rate_Hz, self._largest_s, now_s - self._behind_since_s)
+
+
+def _given() -> frozenset[int]:
+    if sys.platform != "linux":
+        return frozenset()
+    return frozenset(os.sched_getaffinity(0))
+
+
+GIVEN = _given()
+"""The processors that this process was started with."""
+
+
+def two_places() -> tuple[frozenset[int], frozenset[int]] | None:
+    """The processors in two parts, for two threads that are not to share one; None where there is
+    but one, or where nobody can be placed."""
+    if len(GIVEN) < 2:
+        return None
+    last = max(GIVEN)
+    return GIVEN - {last}, frozenset({last})
+
+
+def place(pid: int, processors: set[int] | frozenset[int]) -> None:
+    """Have a process run on these alone; 0 is the calling thread."""
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):  # it has ended, or may not be placed
+            os.sched_setaffinity(pid, processors)
 
 
 class Relay:

@@ -13,7 +13,6 @@ import sys
 from pathlib import Path
 
 from rig.core.errors import RigError
-from rig.core.processor import let_run_anywhere
 from rig.figures import FIGURES
 
 PATIENCE_S = 120.0
@@ -32,7 +31,6 @@ class Drawing:
             text=True,
             start_new_session=True,  # a terminal's Ctrl-C ends the run, not its picture
         )
-        let_run_anywhere(self._process.pid)
 
     def begin(self, run_file: Path) -> None:
         """The file is there."""

@@ -9,10 +9,9 @@ from collections.abc import Callable
 import pytest
 
 from rig.control import tick_loop as loop
-from rig.control.tick_loop import BEHIND_FOR_S, Relay, Tick, Ticks, TooSlowError, tick_loop
+from rig.control.tick_loop import BEHIND_FOR_S, GIVEN, Relay, Tick, Ticks, TooSlowError, tick_loop
 from rig.core.clock import WAIT_SLICE_S, Clock, WallClock
 from rig.core.errors import ExitCode
-from rig.core.processor import GIVEN
 
 
 class HandClock(Clock):

@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 import pytest
 
+from rig.control.tick_loop import GIVEN, place
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError
-from rig.core.processor import GIVEN, place
 from rig.run.aside import Aside
 
 LONGEST_S = 5.0

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.simulated.bench.options import Options, fault_plan
 from rig.core.errors import ConfigurationError, InstrumentError
-from rig.core.processor import Turns, let_run_anywhere
 
 if TYPE_CHECKING:
     from drivers.simulated.faults.disk import FaultyDisk
@@ -34,7 +33,6 @@ class StartedBench:
 
     def __init__(self) -> None:
         self._disk: FaultyDisk | None = None
-        self._turns: Turns | None = None
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "drivers.simulated.bench.process"],
             stdin=subprocess.PIPE,  # its end tells the bench that we died
@@ -42,7 +40,6 @@ class StartedBench:
             stderr=subprocess.PIPE,
             start_new_session=True,  # a terminal's Ctrl-C is the run's business, not the bench's
         )
-        let_run_anywhere(self._process.pid)
 
     def be(self, options: Options) -> None:
         """Tell it, once, how it is to be; then `ready` may be asked."""
@@ -67,14 +64,11 @@ class StartedBench:
             raise InstrumentError(
                 "simulated bench", "start", words[-1] if words else "the process ended at once"
             )
-        self._turns = Turns(self._process.pid)
         return answer
 
     def wait(self, timeout_s: float = 5.0) -> None:
         """Wait for the process to end; one that does not is ended. With it end the faults of the
         disk."""
-        if self._turns is not None:
-            self._turns.close()
         if self._disk is not None:
             self._disk.remove()
         try:
