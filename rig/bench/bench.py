@@ -587,13 +587,8 @@ def _impatience(settings: BenchSettings, plans: list[InstrumentPlan], source: st
 class BenchFactory(Protocol):
     """What an entry point of group ``rig.benches`` names: a module that can be a bench."""
 
-    def begin(self) -> RunningBench:
-        """Begin to start the bench as a process of its own, its time slaved to the caller, before
-        anybody knows how it is to be."""
-        ...
-
-    def start(self, options: dict[str, Any], begun: RunningBench | None = None) -> RunningBench:
-        """Go on to start a bench that has `begun`, or another one, as `options` say."""
+    def start(self, options: dict[str, Any]) -> RunningBench:
+        """Start the bench as a process of its own, its time slaved to the caller."""
         ...
 
     def serve(self, options: dict[str, Any], ready: Callable[[str], None]) -> None:

@@ -26,12 +26,9 @@ def main() -> None:
 
         outlast_readers()
         with importing():
-            from rig.cli.beginning import begin_bench
-
-            begun = begin_bench(sys.argv[1:])  # it boots while this process imports
             from rig.cli.app import perform
 
-        perform(sys.argv[1:], begun)
+        perform(sys.argv[1:])
     except KeyboardInterrupt:
         sys.exit(_code(signal.SIGINT))
     finally:  # what Python still clears away would answer an exception with a complaint

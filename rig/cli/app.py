@@ -14,16 +14,12 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from rig.cli.outcome import report
 from rig.core.errors import ConfigurationError
 from rig.core.imports import importing
-
-if TYPE_CHECKING:
-    from rig.bench.bench import RunningBench
 
 COMMANDS: dict[str, tuple[str, str, str]] = {
     "resume": (
@@ -110,24 +106,23 @@ says so.
 """
 
 
-def perform(arguments: Sequence[str], begun: RunningBench | None = None) -> None:
-    """Perform a command line and end the process with its exit code; `begun` is the simulated bench
-    of a procedure.
+def perform(arguments: Sequence[str]) -> None:
+    """Perform a command line and end the process with its exit code.
 
     With ``--json`` stdout carries an object for one that cannot be understood, too.
     """
     if "--json" not in arguments:
-        build(arguments, begun)(arguments)
+        build(arguments)(arguments)
         return
     try:
-        code = build(arguments, begun)(arguments, standalone_mode=False)
+        code = build(arguments)(arguments, standalone_mode=False)
     except typer.TyperException as error:
         hint = "see rig --help"
         code = report(ConfigurationError(error.format_message(), hint), as_json=True)
     sys.exit(code)
 
 
-def build(arguments: Sequence[str], begun: RunningBench | None = None) -> typer.Typer:
+def build(arguments: Sequence[str]) -> typer.Typer:
     """The application for this command line."""
     app = typer.Typer(
         name="rig",
@@ -144,7 +139,7 @@ def build(arguments: Sequence[str], begun: RunningBench | None = None) -> typer.
             with importing():
                 from rig.cli.procedures import command
 
-                function = command(procedure, begun)
+                function = command(procedure)
         _add(app, procedure.name, summary(procedure), function)
     for name, (module, function_name, text) in COMMANDS.items():
         own = getattr(import_module(module), function_name) if name == asked else _not_asked

@@ -18,7 +18,6 @@ from rig.cli.outcome import reported, say, start_log
 from rig.run.bench_selector import BenchRequest, Choosing, Stages, bench_file
 
 if TYPE_CHECKING:
-    from rig.bench.bench import RunningBench
     from rig.core.settings import Settings
     from rig.files.journal.reader import JournalContents
     from rig.run.procedure import Procedure
@@ -73,16 +72,15 @@ def _common(
     """Signature of the common options."""
 
 
-def command(entry: EntryPoint, begun: RunningBench | None = None) -> Callable[..., None]:
-    """The command function of a procedure, with an option for each of its settings; `begun` is its
-    simulated bench, if it needs one."""
+def command(entry: EntryPoint) -> Callable[..., None]:
+    """The command function of a procedure, with an option for each of its settings."""
     procedure: Procedure = entry.load()
 
     def run(**given: Any) -> None:
         options = {name: given.pop(name) for name in Request.__dataclass_fields__}
         request = Request(**options | {"bench": bench_file(options["bench"])})
         with reported(request.debug, request.as_json):
-            perform(procedure, settings_from(procedure.Settings, given), request, begun=begun)
+            perform(procedure, settings_from(procedure.Settings, given), request)
 
     common = list(inspect.signature(_common, eval_str=True).parameters.values())
     own = parameters(procedure.Settings)
@@ -97,7 +95,6 @@ def perform(
     settings: Settings,
     request: Request,
     resume: JournalContents | None = None,
-    begun: RunningBench | None = None,
 ) -> None:
     """Run a procedure on the bench that was asked for and end the process with its exit code."""
     from rig.cli.report import ConsoleReporter, finish, finish_dry_run
@@ -114,7 +111,7 @@ def perform(
             start_log(results)
         import_ahead = getattr(procedure, "import_ahead", _nothing)
         with stop.nothing_connected():
-            choosing = Choosing(say, import_ahead, begun=begun)
+            choosing = Choosing(say, import_ahead)
             bench = choosing.bench_for(request, stack, procedure.FIXTURES[0])
         from rig.run.execute import execute
         from rig.run.job import Job
@@ -135,8 +132,7 @@ def perform(
             lock=bench.lock,
         )
         drawn = procedure.FIGURE if request.figures and not request.dry_run else None
-        own = bench.started is not None
-        reporter = stack.enter_context(ConsoleReporter(procedure.NAME, drawn, draws_ahead=own))
+        reporter = stack.enter_context(ConsoleReporter(procedure.NAME, drawn))
         outcome = execute(job, bench.plan, bench.clock, stop, reporter)
         if bench.started is not None:
             bench.started.wait()

@@ -31,10 +31,8 @@ if TYPE_CHECKING:
 class ConsoleReporter:
     """Progress with time left on a terminal, one plain line a point where it is none."""
 
-    def __init__(self, name: str, figure: str | None = None, draws_ahead: bool = False):
+    def __init__(self, name: str, figure: str | None = None):
         self._figure = figure
-        self._draws_ahead = draws_ahead
-        """Whether drawing may be made ready while points are taken: where no clock runs on."""
         self._drawing: Drawing | None = None
         self._console = Console(stderr=True)
         self._name = name
@@ -56,8 +54,6 @@ class ConsoleReporter:
         that goes into making ready and parking."""
         self._weights = {point.id: max(point.duration_s, 1e-3) for point in points}
         left = sum(w for name, w in self._weights.items() if name not in kept)
-        if self._draws_ahead:
-            self._make_drawing_ready()
         self._say(
             f"{self._name}: {len(points) - len(kept)} points to take"
             + (f", {len(kept)} kept before" if kept else "")
@@ -95,18 +91,15 @@ class ConsoleReporter:
         """The bench is safe; the data are being brought into their file."""
         if self._progress is not None:
             self._progress.stop()
-        self._make_drawing_ready()
+        if self._figure is not None:
+            from rig.figures.beside import Drawing
+
+            self._drawing = Drawing(self._figure)
 
     def stored(self, run_file: Path) -> None:
         """They are there."""
         if self._drawing is not None:
             self._drawing.begin(run_file)
-
-    def _make_drawing_ready(self) -> None:
-        if self._figure is not None and self._drawing is None:
-            from rig.figures.beside import Drawing
-
-            self._drawing = Drawing(self._figure)
 
     def drawn(self, debug: bool) -> list[str]:
         """The figures of the run; one that fails costs a line, not the run."""

@@ -81,8 +81,6 @@ class Choosing:
     """Called before anything is connected, while a simulated bench boots."""
     paced: bool = False
     """Whether a simulated bench's time goes at a person's pace."""
-    begun: RunningBench | None = None
-    """What `begin_simulated` has begun for the command, of which nothing was known yet."""
 
     def bench_for(
         self,
@@ -97,13 +95,11 @@ class Choosing:
         from rig.bench.bench import read_bench
 
         if request.bench is not None and not request.dry_run:
-            if self.begun is not None:
-                self.begun.abandon()
             return self._of_file(request, at_the_end, request.bench)
         if started is None:
             self.say(f"starting the simulated bench ({STARTING[fixture]}) ...")
             # It boots while this process imports.
-            started = start_simulated(request, fixture, self.begun)
+            started = start_simulated(request, fixture)
         try:
             real = read_bench(request.bench) if request.bench is not None else None
             return self._simulated(request, started, real)
@@ -164,17 +160,13 @@ class Choosing:
             self.meanwhile()
 
 
-def begin_simulated() -> RunningBench:
-    """Begin to start a simulated bench, before anybody knows how it is to be: it imports meanwhile.
-    One that is not started ends with this process, or is abandoned."""
-    return _simulated_benches().begin()
+def start_simulated(request: BenchRequest, fixture: Fixture) -> RunningBench:
+    """Start a simulated bench as a command wants it."""
+    from importlib.metadata import entry_points
 
-
-def start_simulated(
-    request: BenchRequest, fixture: Fixture, begun: RunningBench | None = None
-) -> RunningBench:
-    """Start a simulated bench as a command wants it, or go on with one that has `begun`."""
-    return _simulated_benches().start(
+    (entry,) = entry_points(group="rig.benches", name="simulated")
+    factory: BenchFactory = entry.load()
+    return factory.start(
         {
             "fixture": fixture,
             **({} if request.stages is None else {"stages": request.stages}),
@@ -183,17 +175,8 @@ def start_simulated(
             "fault": _text(request.fault),
             "world_log": _text(request.world_log),
             "results": str(request.results),
-        },
-        begun,
+        }
     )
-
-
-def _simulated_benches() -> BenchFactory:
-    from importlib.metadata import entry_points
-
-    (entry,) = entry_points(group="rig.benches", name="simulated")
-    factory: BenchFactory = entry.load()
-    return factory
 
 
 def _refuse_simulation_options(request: BenchRequest, path: Path | None) -> None:

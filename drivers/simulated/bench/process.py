@@ -1,8 +1,8 @@
 """The process of a simulated bench: a World, what is mounted, the control socket, until the end.
 
 ``python -m drivers.simulated.bench.process`` is a bench whose time is slaved to whoever started it
-and holds its standard input, the first line of which says how it is to be: until that comes, it
-imports what every bench needs. `serve` runs one here, in real time.
+and holds its standard input, the first line of which is the bench's options as a JSON object.
+`serve` runs one here, in real time.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def _import_what_every_bench_needs() -> None:
 def main() -> None:
     """The process behind `start`: a line of JSON in, the options, and one out when it listens.
 
-    Where the options never come, its owner has no need of it any more.
+    Where the input ends without options, the owner has died: nothing is started.
     """
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)
@@ -150,7 +150,6 @@ def main() -> None:
         with contextlib.suppress(BrokenPipeError):  # the owner died first: its pipe will tell
             os.write(sys.stdout.fileno(), json.dumps(what).encode() + b"\n")
 
-    _import_what_every_bench_needs()
     options = sys.stdin.readline()
     if not options:
         return
