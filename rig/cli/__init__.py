@@ -8,8 +8,6 @@ import signal
 import sys
 from types import FrameType
 
-from rig.core.imports import importing
-
 SIGNALS_THAT_END = (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 """Beside SIGINT, which Python turns into KeyboardInterrupt."""
 
@@ -25,8 +23,7 @@ def main() -> None:
         from rig.cli.streams import outlast_readers
 
         outlast_readers()
-        with importing():
-            from rig.cli.app import perform
+        from rig.cli.app import perform
 
         perform(sys.argv[1:])
     except KeyboardInterrupt:

@@ -19,7 +19,6 @@ import typer
 
 from rig.cli.outcome import report
 from rig.core.errors import ConfigurationError
-from rig.core.imports import importing
 
 COMMANDS: dict[str, tuple[str, str, str]] = {
     "resume": (
@@ -136,10 +135,9 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     for procedure in entry_points(group="rig.procedures"):
         function: Callable[..., None] = _not_asked
         if procedure.name == asked:
-            with importing():
-                from rig.cli.procedures import command
+            from rig.cli.procedures import command
 
-                function = command(procedure)
+            function = command(procedure)
         _add(app, procedure.name, summary(procedure), function)
     for name, (module, function_name, text) in COMMANDS.items():
         own = getattr(import_module(module), function_name) if name == asked else _not_asked

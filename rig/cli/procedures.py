@@ -109,10 +109,8 @@ def perform(
             results = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rig-dry-run-")))
         else:
             start_log(results)
-        import_ahead = getattr(procedure, "import_ahead", _nothing)
         with stop.nothing_connected():
-            choosing = Choosing(say, import_ahead)
-            bench = choosing.bench_for(request, stack, procedure.FIXTURES[0])
+            bench = Choosing(say).bench_for(request, stack, procedure.FIXTURES[0])
         from rig.run.execute import execute
         from rig.run.job import Job
 
@@ -141,7 +139,3 @@ def perform(
         else:
             finish(procedure, outcome, request.as_json, reporter, request.debug)
     raise typer.Exit(int(outcome.code))
-
-
-def _nothing() -> None:
-    """What a procedure imports ahead that does not say."""

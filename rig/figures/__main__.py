@@ -14,9 +14,9 @@ from importlib import import_module
 from pathlib import Path
 
 from rig.core.errors import RigError
-from rig.core.imports import importing
 from rig.figures import draw_part
 from rig.figures.forked import side_by_side
+from rig.figures.style import get_ready
 
 NICENESS = 5
 """What takes the data, and what keeps them, goes first."""
@@ -26,16 +26,9 @@ def main() -> None:
     """Serve one request; an input that ends without one is none."""
     os.nice(NICENESS)
     parts = sys.argv[1:]
-    with importing():
-        from rig.figures.style import get_ready
-
-        for module in (
-            "h5py",
-            "rig.files.runfile.reader",
-            *(part.partition(":")[0] for part in parts),
-        ):
-            import_module(module)
-        get_ready()
+    for part in parts:
+        import_module(part.partition(":")[0])
+    get_ready()
     run_file = sys.stdin.readline().rstrip("\n")
     if not run_file:
         return

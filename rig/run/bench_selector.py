@@ -1,7 +1,7 @@
 """Which bench a command works on: that of a bench file, or a simulated one that it starts.
 
 The bench of a file is locked, and refused where its last guard left it unsafe. A simulated bench
-boots as a process of its own while the command goes on importing; it belongs to the command alone.
+boots as a process of its own and belongs to the command alone.
 Nothing is connected here.
 """
 
@@ -10,12 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
-
-from rig.core.imports import importing
-from rig.instruments.visa_library import import_visa
 
 if TYPE_CHECKING:
     from rig.bench.bench import BenchFactory, BenchPlan, Fixture, RunningBench
@@ -31,8 +27,6 @@ STARTING: dict[Fixture, str] = {
     "plate": f"skin above its plate; {FIRST_TIME}",
     "semi-spherical-object": f"skin above a head on the rotary stage; {FIRST_TIME}",
 }
-LIBRARIES_OF_LINKS = ("pymodbus.client", "serial")
-"""What drivers import when they connect, besides what VISA needs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +71,6 @@ class Choosing:
 
     say: Callable[[str], None]
     """Gets lines for a person."""
-    meanwhile: Callable[[], None] = lambda: None
-    """Called before anything is connected, while a simulated bench boots."""
     paced: bool = False
     """Whether a simulated bench's time goes at a person's pace."""
 
@@ -98,7 +90,6 @@ class Choosing:
             return self._of_file(request, at_the_end, request.bench)
         if started is None:
             self.say(f"starting the simulated bench ({STARTING[fixture]}) ...")
-            # It boots while this process imports.
             started = start_simulated(request, fixture)
         try:
             real = read_bench(request.bench) if request.bench is not None else None
@@ -122,7 +113,6 @@ class Choosing:
             self.say(f"SIMULATED bench ({path}): nothing here is measured")
         roles = ", ".join(part.role for part in plan.instruments)
         self.say(f"getting ready to connect to {roles} ...")
-        self._import_ahead()
         return ChosenBench(plan, WallClock(), lock)
 
     def _simulated(
@@ -133,7 +123,6 @@ class Choosing:
         from rig.run.guard import GUARD_SUFFIX
 
         self._tell_killed(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
-        self._import_ahead()
         ready = started.ready()
         why = "a rehearsal" if request.dry_run else "no bench.toml"
         self.say(f"SIMULATED bench ({why}, seed {request.seed}): nothing here is measured")
@@ -150,14 +139,6 @@ class Choosing:
         for report in reports:
             if (told := tell_killed(report)) is not None:
                 self.say(told)
-
-    def _import_ahead(self) -> None:
-        """What the command will need, while a simulated bench boots beside it."""
-        with importing():
-            for name in ("rig.files.runfile.compile", "rig.run.execute", *LIBRARIES_OF_LINKS):
-                import_module(name)
-            import_visa()
-            self.meanwhile()
 
 
 def start_simulated(request: BenchRequest, fixture: Fixture) -> RunningBench:

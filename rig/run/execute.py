@@ -9,6 +9,7 @@ and the stream readers have threads of their own, whose failures surface at the 
 from __future__ import annotations
 
 import contextlib
+import gc
 import time
 import zlib
 from collections.abc import Callable, Iterator
@@ -71,6 +72,9 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
     outcome = Outcome("failed", ExitCode.INTERNAL)
     outcome.simulated = plan.settings.simulation is not None
     getattr(job.procedure, "import_ahead", lambda: None)()
+    # A full collection that looks through all modules takes several ticks of a loop: none does.
+    gc.collect()
+    gc.freeze()
     try:
         plan = plan.require_fixture(*job.procedure.FIXTURES)
         points = job.procedure.points(job.settings)

@@ -14,14 +14,16 @@ import os
 import signal
 import sys
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any, get_args
 
 from drivers.simulated.bench.bench_file import bench_toml
+from drivers.simulated.bench.control import ControlServer
+from drivers.simulated.bench.mounted import Instruments
 from drivers.simulated.bench.options import Fixture, Options, Stages, fault_plan, world_settings
+from drivers.simulated.faults.plan import FORCE_SENSOR, TimedFault
+from drivers.simulated.world.world import World
 from rig.core.errors import ConfigurationError, InstrumentError, RigError
-from rig.core.imports import importing
 
 SETTLE_EVERY_S = 0.02
 """How often drives in real time look at what has befallen them."""
@@ -35,18 +37,11 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
                 f"the simulated bench has no {asked} to mount",
                 f"it has {' and '.join(get_args(known))}",
             )
-    _import_what_every_bench_needs()
-    from drivers.simulated.bench.control import ControlServer
-    from drivers.simulated.bench.mounted import Instruments
-    from drivers.simulated.faults.plan import FORCE_SENSOR, TimedFault
-    from drivers.simulated.world.world import World
-
-    with importing():
-        settings = world_settings(options)
-        faults = fault_plan(options)
-        log = Path(options.world_log) if options.world_log else None
-        world = World(settings, options.seed, options.slaved, log, faults.of(TimedFault))
-        bench = Instruments(world, options, faults)
+    settings = world_settings(options)
+    faults = fault_plan(options)
+    log = Path(options.world_log) if options.world_log else None
+    world = World(settings, options.seed, options.slaved, log, faults.of(TimedFault))
+    bench = Instruments(world, options, faults)
     monitor = bench.monitor(settings.watch)
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -130,12 +125,6 @@ class _OwnersPipe(asyncio.Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._gone()
-
-
-def _import_what_every_bench_needs() -> None:
-    with importing():
-        for name in ("bench.control", "faults.plan", "bench.mounted", "world.world"):
-            import_module(f"drivers.simulated.{name}")
 
 
 def main() -> None:

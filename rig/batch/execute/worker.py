@@ -431,10 +431,7 @@ class Worker:
     def _bench_for(self, claim: Claim, procedure: Procedure, at_the_end: ExitStack) -> ChosenBench:
         """The bench file's bench, locked once for all runs; or a simulated one for this run."""
         fixture = procedure.FIXTURES[0]
-        choosing = Choosing(
-            lambda text: self._say("note", level="info", text=text),
-            getattr(procedure, "import_ahead", lambda: None),
-        )
+        choosing = Choosing(lambda text: self._say("note", level="info", text=text))
         if self._terms.bench is None:
             request = self._simulated(claim)
             with self._stop.nothing_connected(), ExitStack() as nothing:
