@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
 NAME = "roll-trial"
 FIXTURES: tuple[Fixture, ...] = ("semi-spherical-object",)
-FIGURE = "roll_trial"
 LAYOUT = roll_layout.LAYOUT
 STREAMS = roll_layout.STREAMS
 invalid = why_invalid

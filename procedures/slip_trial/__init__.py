@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
 NAME = "slip-trial"
 FIXTURES: tuple[Fixture, ...] = ("plate",)
-FIGURE = "slip_trial"
 LAYOUT = slip_layout.LAYOUT
 STREAMS = pressed_layout.STREAMS
 invalid = why_invalid

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 NAME = "sweep"
 FIXTURES: tuple[Fixture, ...] = ("film-clamp",)
-FIGURE = "sweep"
 LAYOUT = sweep_layout.LAYOUT
 CHANNELS = ("load_cell", "film")
 DRIFT = {"gain_near_200_Hz_dB": DriftFigure("gain near 200 Hz", "film", 0.5)}

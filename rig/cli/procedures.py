@@ -129,13 +129,12 @@ def perform(
             recorded_toml=bench.recorded_toml,
             lock=bench.lock,
         )
-        drawn = procedure.FIGURE if request.figures and not request.dry_run else None
-        reporter = stack.enter_context(ConsoleReporter(procedure.NAME, drawn))
+        reporter = stack.enter_context(ConsoleReporter(procedure.NAME))
         outcome = execute(job, bench.plan, bench.clock, stop, reporter)
         if bench.started is not None:
             bench.started.wait()
         if request.dry_run:
             finish_dry_run(outcome, request.as_json)
         else:
-            finish(procedure, outcome, request.as_json, reporter, request.debug)
+            finish(procedure, outcome, request.as_json, request.figures, request.debug)
     raise typer.Exit(int(outcome.code))

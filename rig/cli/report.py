@@ -16,13 +16,12 @@ from rich.progress import (
 )
 
 from rig.cli.outcome import say, tell_failure
-from rig.core.errors import RigError
 from rig.core.units import duration
+from rig.figures.drawing import Drawn, draw_in_child
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from rig.figures.beside import Drawing
     from rig.run.outcome import Outcome
     from rig.run.points import Point, Reading
     from rig.run.procedure import Procedure
@@ -31,9 +30,7 @@ if TYPE_CHECKING:
 class ConsoleReporter:
     """Progress with time left on a terminal, one plain line a point where it is none."""
 
-    def __init__(self, name: str, figure: str | None = None):
-        self._figure = figure
-        self._drawing: Drawing | None = None
+    def __init__(self, name: str):
         self._console = Console(stderr=True)
         self._name = name
         self._progress: Progress | None = None
@@ -46,8 +43,6 @@ class ConsoleReporter:
     def __exit__(self, *_: object) -> None:
         if self._progress is not None:
             self._progress.stop()
-        if self._drawing is not None:
-            self._drawing.abandon()
 
     def planned(self, points: tuple[Point, ...], kept: set[str], overhead_s: float) -> None:
         """The run has these points, of which some were kept by an earlier attempt; bench time
@@ -91,33 +86,16 @@ class ConsoleReporter:
         """The bench is safe; the data are being brought into their file."""
         if self._progress is not None:
             self._progress.stop()
-        if self._figure is not None:
-            from rig.figures.beside import Drawing
-
-            self._drawing = Drawing(self._figure)
 
     def stored(self, run_file: Path) -> None:
         """They are there."""
-        if self._drawing is not None:
-            self._drawing.begin(run_file)
-
-    def drawn(self, debug: bool) -> list[str]:
-        """The figures of the run; one that fails costs a line, not the run."""
-        if self._drawing is None:
-            return []
-        drawing, self._drawing = self._drawing, None
-        try:
-            return [str(path) for path in drawing.paths()]
-        except RigError as error:
-            tell_failure(RigError(f"the figure could not be drawn: {error.one_line()}"), debug)
-            return []
 
     def _say(self, text: str) -> None:
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def finish(
-    procedure: Procedure, outcome: Outcome, as_json: bool, reporter: ConsoleReporter, debug: bool
+    procedure: Procedure, outcome: Outcome, as_json: bool, figures: bool, debug: bool
 ) -> None:
     """Failures, figures, what was done to the bench, where the data are and, last, how to go on."""
     for failure in outcome.failures:
@@ -127,13 +105,16 @@ def finish(
         say(f"error: NOT SAFE: {off.name} could not be switched off: {off.reason}")
     if outcome.taken_over is not None:
         say(outcome.taken_over.told)
+    drawn = Drawn()
+    if figures and outcome.file is not None and outcome.points_done:
+        drawn = draw_in_child(outcome.file)
+    outcome.warnings.extend(drawn.warnings)
     for warning in outcome.warnings:
         say(f"warning: {warning}")
-    drawn = reporter.drawn(debug) if outcome.file is not None else []
-    for figure in drawn:
+    for figure in drawn.files:
         say(f"figure: {figure}")
     if as_json:
-        print(json.dumps(as_object(outcome, drawn)))  # noqa: T201 - stdout carries data
+        print(json.dumps(as_object(outcome, [str(path) for path in drawn.files])))  # noqa: T201 - stdout carries data
     else:
         _tell_summary(outcome)
     say(closing_line(procedure.NAME, outcome))

@@ -73,8 +73,6 @@ class Procedure(Protocol):
     LAYOUT: Layout
     """How readings become the run file's plots."""
     STREAMS: tuple[StreamPlan, ...]
-    FIGURE: str
-    """Which figure shows a run: a function of ``rig.figures``."""
 
     def points(self, settings: Any) -> tuple[Point, ...]:
         """All points of a run, from the settings alone."""

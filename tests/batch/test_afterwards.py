@@ -91,7 +91,7 @@ def test_a_figure_that_fails_is_told_and_the_rest_is_done(tmp_path: Path) -> Non
     assert answer.processed is not None
     assert answer.figures == ()
     (warning,) = answer.warnings
-    assert warning.startswith("a.h5: not drawn: ")
+    assert warning.startswith("a.h5: the figure slip-trial (")
 
 
 def test_a_journal_that_is_none_is_told(tmp_path: Path) -> None:

@@ -200,7 +200,6 @@ class NoOp:
 
     NAME = "no-op"
     FIXTURES = ("film-clamp",)
-    FIGURE = "sweep"
     STREAMS = ()
     Settings = Settings
     LAYOUT = Layout(

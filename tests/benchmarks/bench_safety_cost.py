@@ -60,7 +60,7 @@ def cost_of_ticks(run, clock):
 class Ticking:
     """A procedure that ticks and does nothing."""
 
-    NAME, FIXTURES, FIGURE, STREAMS = "ticking", ("film-clamp",), "sweep", ()
+    NAME, FIXTURES, STREAMS = "ticking", ("film-clamp",), ()
     Settings = Settings
     LAYOUT = Layout(
         definition="NXrig_noop",

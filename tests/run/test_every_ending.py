@@ -216,7 +216,7 @@ class Guard:
 class Puppet:
     """A procedure that waits for orders, and obeys one after each slice of bench time."""
 
-    NAME, FIXTURES, FIGURE, STREAMS = "puppet", ("film-clamp",), "sweep", ()
+    NAME, FIXTURES, STREAMS = "puppet", ("film-clamp",), ()
     Settings, LAYOUT = Settings, LAYOUT
 
     def __init__(self, story: Story) -> None:
