@@ -17,9 +17,12 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+import pyvisa
+import pyvisa_py  # noqa: F401 - up to a second, not to be spent while a drive waits for a word
+from pyvisa.constants import StatusCode
+
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.instruments.roles import Identity
-from rig.instruments.visa_library import import_visa
 
 if TYPE_CHECKING:
     from rig.core.clock import Clock
@@ -102,9 +105,6 @@ class VisaLink:
     @contextlib.contextmanager
     def _conversation(self, message: str) -> Iterator[Any]:
         """A session to talk on; any failure closes it and becomes an InstrumentError."""
-        import pyvisa
-        from pyvisa.constants import StatusCode
-
         try:
             if self._session is None:
                 self._session = self._open(message)
@@ -131,9 +131,6 @@ class VisaLink:
 
     def _open(self, message: str) -> Any:
         """A new session; `message` is what it is wanted for."""
-        import pyvisa
-
-        import_visa(self.resource)
         wait_ms = round(self._timeout_s * 1000)
         try:
             session: Any = pyvisa.ResourceManager("@py").open_resource(

@@ -631,13 +631,8 @@ class BenchFactory(Protocol):
         have their limits. None where it has none for them."""
         ...
 
-    def begin(self) -> RunningBench:
-        """Begin to start the bench as a process of its own, its time slaved to the caller, before
-        anybody knows how it is to be."""
-        ...
-
-    def start(self, options: dict[str, Any], begun: RunningBench | None = None) -> RunningBench:
-        """Go on to start a bench that has `begun`, or another one, as `options` say."""
+    def start(self, options: dict[str, Any]) -> RunningBench:
+        """Start the bench as a process of its own, its time slaved to the caller."""
         ...
 
     def serve(self, options: dict[str, Any], ready: Callable[[str], None]) -> None:

@@ -8,8 +8,6 @@ import signal
 import sys
 from types import FrameType
 
-from rig.core.imports import importing
-
 SIGNALS_THAT_END = (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 """Beside SIGINT, which Python turns into KeyboardInterrupt."""
 
@@ -25,13 +23,9 @@ def main() -> None:
         from rig.cli.streams import outlast_readers
 
         outlast_readers()
-        with importing():
-            from rig.cli.beginning import begin_bench
+        from rig.cli.app import perform
 
-            begun = begin_bench(sys.argv[1:])  # it boots while this process imports
-            from rig.cli.app import perform
-
-        perform(sys.argv[1:], begun)
+        perform(sys.argv[1:])
     except KeyboardInterrupt:
         sys.exit(_code(signal.SIGINT))
     finally:  # what Python still clears away would answer an exception with a complaint

@@ -10,17 +10,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 import typer
 
 from rig.cli.outcome import printable, report, say
 from rig.core.entry_points import PROCEDURES, BrokenPackageError, names, summary
 from rig.core.errors import ConfigurationError, RigError
-from rig.core.imports import importing
-
-if TYPE_CHECKING:
-    from rig.bench.bench import RunningBench
 
 COMMANDS: dict[str, tuple[str, str, str]] = {
     "resume": (
@@ -107,15 +102,14 @@ says so.
 """
 
 
-def perform(arguments: Sequence[str], begun: RunningBench | None = None) -> None:
-    """Perform a command line and end the process with its exit code; `begun` is the simulated bench
-    of a procedure.
+def perform(arguments: Sequence[str]) -> None:
+    """Perform a command line and end the process with its exit code.
 
     With ``--json`` stdout carries an object for one that cannot be understood, too.
     """
     as_json = "--json" in arguments
     try:
-        app = build(arguments, begun)
+        app = build(arguments)
     except RigError as error:
         sys.exit(report(error, "--debug" in arguments, as_json))
     if not as_json:
@@ -129,7 +123,7 @@ def perform(arguments: Sequence[str], begun: RunningBench | None = None) -> None
     sys.exit(code)
 
 
-def build(arguments: Sequence[str], begun: RunningBench | None = None) -> typer.Typer:
+def build(arguments: Sequence[str]) -> typer.Typer:
     """The application for this command line; ConfigurationError where the procedure that it asks
     for cannot be used. Procedures that are broken and not asked for are listed as unavailable."""
     app = typer.Typer(
@@ -151,10 +145,9 @@ def build(arguments: Sequence[str], begun: RunningBench | None = None) -> typer.
             continue
         function: Callable[..., None] = _not_asked
         if name == asked:
-            with importing():
-                from rig.cli.procedures import command
+            from rig.cli.procedures import command
 
-                function = command(name, begun)
+            function = command(name)
         _add(app, name, _summary(name) if listed or name == asked else "", function)
     for name, (module, function_name, text) in COMMANDS.items():
         function = getattr(import_module(module), function_name) if name == asked else _not_asked

@@ -5,8 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -106,11 +105,8 @@ def show(
                 _tell(describe(path, run.header, run.outcome))
                 readings = run.readings()
                 _tell(_results(run.header, readings))
-                figure = run.header.procedure.replace("-", "_")
-            if figures and readings:
-                from rig.figures import draw
-
-                _draw(partial(draw, figure), path, figures_to)
+            if figures:
+                _draw(path, figures_to)
 
 
 def verify(files: Files, debug: Debug = False) -> None:
@@ -188,26 +184,18 @@ def _show_processed(
             say(f"warning: {path.name}: {finding}")
         _tell(describe_processed(processed))
     if figures:
-        from rig.figures import draw_processed
-
-        _draw(draw_processed, path, figures_to)
+        _draw(path, figures_to)
 
 
-def _draw(
-    draw: Callable[[Path, Path | None], list[Path]], run_file: Path, folder: Path | None
-) -> None:
-    """Draw the figures; a folder that cannot be written is a warning, not an error."""
-    try:
-        if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
-        for drawn in draw(run_file, folder):
-            print(f"figure: {drawn}")  # noqa: T201 - stdout carries data
-    except OSError as error:
-        say(
-            f"warning: no figure was drawn: {folder or run_file.parent} cannot be written "
-            f"({error.strerror or error}); name another folder with --figures-to, or leave figures "
-            "out with --no-figures"
-        )
+def _draw(file: Path, folder: Path | None) -> None:
+    """Draw the figures of a file; one that fails costs a line, not the command."""
+    from rig.figures.drawing import draw
+
+    drawn = draw(file, folder)
+    for picture in drawn.files:
+        print(f"figure: {picture}")  # noqa: T201 - stdout carries data
+    for warning in drawn.warnings:
+        say(f"warning: {warning}")
 
 
 def _tell(values: Mapping[str, Any], indent: str = "") -> None:

@@ -7,12 +7,15 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from rig.cli.outcome import reported, say, start_log
 from rig.core.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from rig.figures.drawing import Drawn
 
 CHANNELS = ("v_1", "v_2", "F_n", "F_t")
 SCALED = {"v_1": "V", "v_2": "V", "F_n": "N", "F_t": "N", "time": "s"}
@@ -91,6 +94,7 @@ def import_(
         rate_Hz = None if rate is None else _quantity("--rate", rate, "Hz")
 
         import rig
+        from rig.figures.drawing import Drawn, draw
         from rig.files.imported.import_file import RecordingNotes, read_foreign, write_import
         from rig.files.imported.series import ChannelMap
         from rig.files.journal.values import Program
@@ -120,14 +124,18 @@ def import_(
         )
         for warning in recording.warnings:
             say(f"warning: {warning}")
-        drawn = _draw(run_file) if figures else []
+        drawn = draw(run_file) if figures else Drawn()
+        for picture in drawn.files:
+            say(f"figure: {picture}")
+        for warning in drawn.warnings:
+            say(f"warning: {warning}")
         if as_json:
             print(json.dumps(_as_object(run_file, recording, drawn)))  # noqa: T201 - data
         else:
             print(run_file)  # noqa: T201 - stdout carries data
 
 
-def _as_object(run_file: Path, recording: Any, drawn: list[str]) -> dict[str, Any]:
+def _as_object(run_file: Path, recording: Any, drawn: Drawn) -> dict[str, Any]:
     return {
         "file": str(run_file),
         "outcome": "complete",
@@ -141,23 +149,9 @@ def _as_object(run_file: Path, recording: Any, drawn: list[str]) -> dict[str, An
             "scale": recording.scale,
         },
         "errors": [],
-        "warnings": list(recording.warnings),
-        "figures": drawn,
+        "warnings": [*recording.warnings, *drawn.warnings],
+        "figures": [str(path) for path in drawn.files],
     }
-
-
-def _draw(run_file: Path) -> list[str]:
-    """Draw the figures; a folder that cannot be written is a warning, not an error."""
-    from rig.figures import draw
-
-    try:
-        drawn = [str(path) for path in draw("import", run_file)]
-    except OSError as error:
-        say(f"warning: no figure was drawn: {error.strerror or error}; rig show draws it again")
-        return []
-    for path in drawn:
-        say(f"figure: {path}")
-    return drawn
 
 
 def channel_map(text: str) -> dict[str, str]:

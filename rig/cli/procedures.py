@@ -17,7 +17,6 @@ from rig.cli.outcome import reported, say, start_log
 from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file
 
 if TYPE_CHECKING:
-    from rig.bench.bench import RunningBench
     from rig.files.journal.reader import JournalContents
     from rig.run.procedure import Procedure
 
@@ -68,9 +67,10 @@ def _common(
     """Signature of the common options."""
 
 
-def command(name: str, begun: RunningBench | None = None) -> Callable[..., None]:
-    """The command function of a procedure, with an option for each of its settings; `begun` is its
-    simulated bench, if it needs one. ConfigurationError where the procedure cannot be used."""
+def command(name: str) -> Callable[..., None]:
+    """The command function of a procedure, with an option for each of its settings.
+
+    ConfigurationError where the procedure cannot be used."""
     from rig.run.load_procedure import load_procedure
 
     procedure = load_procedure(name)
@@ -80,7 +80,7 @@ def command(name: str, begun: RunningBench | None = None) -> Callable[..., None]
         request = Request(**options | {"bench": bench_file(options["bench"])})
         with reported(request.debug, request.as_json):
             settings = settings_from(procedure.Settings, given)
-            perform(procedure(settings), request, begun=begun)
+            perform(procedure(settings), request)
 
     common = list(inspect.signature(_common, eval_str=True).parameters.values())
     own = parameters(procedure.Settings)
@@ -94,13 +94,11 @@ def perform(
     procedure: Procedure,
     request: Request,
     resume: JournalContents | None = None,
-    begun: RunningBench | None = None,
 ) -> None:
     """Run a procedure, made with its settings, on the bench that was asked for, and end the process
     with the run's exit code."""
     from rig.cli.report import ConsoleObserver, finish, finish_dry_run
     from rig.cli.streams import say_at_once
-    from rig.run.checked_procedure import CheckedProcedure
     from rig.run.stopping import StopFlag
 
     with ExitStack() as stack:
@@ -111,10 +109,8 @@ def perform(
             results = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rig-dry-run-")))
         else:
             start_log(results)
-        import_ahead = CheckedProcedure(procedure).import_ahead
         with stop.nothing_connected():
-            selector = BenchSelector(say, import_ahead, begun=begun)
-            bench = selector.select(request, stack, procedure.fixtures[0])
+            bench = BenchSelector(say).select(request, stack, procedure.fixtures[0])
         from rig.run.execute import execute
         from rig.run.job import RunJob
 
@@ -132,20 +128,13 @@ def perform(
             recorded_toml=bench.recorded_toml,
             lock=bench.lock,
         )
-        own = bench.started is not None
-        console = stack.enter_context(
-            ConsoleObserver(
-                type(procedure),
-                draws=request.figures and not request.dry_run,
-                draws_ahead=own,
-                simulated=bench.plan.settings.simulation is not None,
-            )
-        )
+        simulated = bench.plan.settings.simulation is not None
+        console = stack.enter_context(ConsoleObserver(type(procedure), simulated=simulated))
         outcome = execute(job, bench.plan, bench.clock, stop, console)
         if bench.started is not None:
             bench.started.wait()
         if request.dry_run:
             finish_dry_run(type(procedure), outcome, request.as_json)
         else:
-            finish(type(procedure), outcome, request.as_json, console, request.debug)
+            finish(type(procedure), outcome, request.as_json, request.figures, request.debug)
     raise typer.Exit(int(outcome.code))

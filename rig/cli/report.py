@@ -11,14 +11,13 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, Tex
 from rich.text import Text
 
 from rig.cli.outcome import say, tell_failure
-from rig.core.errors import RigError
 from rig.core.units import count, duration
+from rig.figures.drawing import Drawn, draw_in_child
 from rig.run.observers import HOLD, PAUSED, RUNNING, RunObserver
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from rig.figures.beside import Drawing
     from rig.run.outcome import RunOutcome
     from rig.run.points import Point, Reading
     from rig.run.procedure import Procedure
@@ -36,18 +35,8 @@ class _Eta(ProgressColumn):
 class ConsoleObserver(RunObserver):
     """Progress with the time left on a terminal; one plain line a point where there is none."""
 
-    def __init__(
-        self,
-        procedure: type[Procedure],
-        draws: bool = False,
-        draws_ahead: bool = False,
-        simulated: bool = False,
-    ):
+    def __init__(self, procedure: type[Procedure], simulated: bool = False):
         self._procedure = procedure
-        self._draws = draws
-        self._draws_ahead = draws_ahead
-        """Whether drawing may be prepared while points are measured: where time is virtual."""
-        self._drawing: Drawing | None = None
         self._console = Console(stderr=True)
         self._bench_time = " of bench time" if simulated else ""
         self._progress: Progress | None = None
@@ -62,8 +51,6 @@ class ConsoleObserver(RunObserver):
     def __exit__(self, *_: object) -> None:
         if self._progress is not None:
             self._progress.stop()
-        if self._drawing is not None:
-            self._drawing.abandon()
 
     @property
     def observer_name(self) -> str:
@@ -75,8 +62,6 @@ class ConsoleObserver(RunObserver):
         first_plan = not self._weights
         self._weights = {point.id: max(point.duration_s, 1e-3) for point in points}
         left_s = sum(w for name, w in self._weights.items() if name not in recorded)
-        if self._draws_ahead:
-            self._make_drawing_ready()
         one, several = self._procedure.point_name
         to_do = len(points) - len(recorded)
         if not recorded:
@@ -128,35 +113,6 @@ class ConsoleObserver(RunObserver):
         """See `RunObserver`."""
         if self._progress is not None:
             self._progress.stop()
-        self._make_drawing_ready()
-
-    def saved(self, run_file: Path) -> None:
-        """See `RunObserver`."""
-        if self._drawing is not None:
-            self._drawing.begin(run_file)
-
-    def _make_drawing_ready(self) -> None:
-        from rig.figures import FIGURES
-
-        figure = self._procedure.name.replace("-", "_")
-        if self._draws and self._drawing is None and figure in FIGURES:
-            from rig.figures.beside import Drawing
-
-            self._drawing = Drawing(figure)
-
-    def drawn(self, outcome: RunOutcome, debug: bool) -> list[str]:
-        """The paths of the run's figures; one that fails costs a line, not the run."""
-        drawing, self._drawing = self._drawing, None
-        if drawing is None:
-            return []
-        if outcome.file is None or not outcome.points_done:
-            drawing.abandon()  # there is nothing to draw
-            return []
-        try:
-            return [str(path) for path in drawing.paths()]
-        except RigError as error:
-            tell_failure(RigError(f"the figure could not be drawn: {error.one_line()}"), debug)
-            return []
 
     def _say(self, text: str) -> None:
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -166,7 +122,7 @@ def finish(
     procedure: type[Procedure],
     outcome: RunOutcome,
     as_json: bool,
-    console: ConsoleObserver,
+    figures: bool,
     debug: bool,
 ) -> None:
     """Report failures and warnings, the summary and, last, how the run ended and how to go on."""
@@ -177,14 +133,17 @@ def finish(
         say(f"error: NOT SAFE: {off.name} could not be switched off: {off.reason}")
     if outcome.taken_over is not None:
         say(outcome.taken_over.told)
+    drawn = Drawn()
+    if figures and outcome.file is not None and outcome.points_done:
+        drawn = draw_in_child(outcome.file)
+    outcome.warnings.extend(drawn.warnings)
     for warning in outcome.warnings:
         say(f"warning: {warning}")
-    drawn = console.drawn(outcome, debug)
     if as_json:
-        print(json.dumps(as_object(outcome, drawn)))  # noqa: T201 - stdout carries data
+        print(json.dumps(as_object(outcome, [str(path) for path in drawn.files])))  # noqa: T201 - stdout carries data
     else:
         _tell_summary(outcome)
-    for line in closing_lines(procedure, outcome, drawn):
+    for line in closing_lines(procedure, outcome, drawn.files):
         say(line)
 
 
@@ -217,7 +176,7 @@ def finish_dry_run(procedure: type[Procedure], outcome: RunOutcome, as_json: boo
 
 
 def closing_lines(
-    procedure: type[Procedure], outcome: RunOutcome, drawn: Sequence[str]
+    procedure: type[Procedure], outcome: RunOutcome, drawn: Sequence[Path]
 ) -> list[str]:
     """How the run ended, where its data are, what state the bench is in, and how to go on."""
     ended = _ending(outcome)
@@ -227,7 +186,8 @@ def closing_lines(
         lines[0] += " of bench time" if outcome.simulated else ""
     lines[0] += " (simulated)." if outcome.simulated else "."
     if outcome.file is not None:
-        figures = f" and {count(len(drawn), 'figure', 'figures')}" if drawn else ""
+        pictures = len({path.with_suffix("") for path in drawn})
+        figures = f" and {count(pictures, 'figure', 'figures')} (PNG and SVG)" if drawn else ""
         lines.append(f"Saved: {outcome.file}{figures}")
     if outcome.made_safe:
         lines.append(f"{_bench_state(outcome)}: {', '.join(outcome.made_safe)}.")

@@ -7,20 +7,19 @@ stop requests, keep-alives and watchers are looked at in every slice, and once b
 also where there is nothing to wait for: a late loop is a sign of life. One that leaves out ticks
 for longer than a stall of the computer explains controls nothing any more and ends.
 
-In real time two threads wait for each tick, on two processors (`Relay`).
+All of it happens in the thread that calls it, the procedure's own: a tick that hangs gives no sign
+of life.
 """
 
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from rig.core.clock import WAIT_SLICE_S, Clock
+from rig.core.clock import Clock
 from rig.core.errors import ExitCode, RigError
-from rig.core.processor import place, two_places
 
 LATE = 0.5
 """Share of a period from which a tick counts as late."""
@@ -117,16 +116,12 @@ def tick_loop(
         raise ValueError(f"rate_Hz {rate_Hz:g} Hz must be above 0 and at most {HIGHEST_RATE_Hz:g}")
     if not (duration_s >= 0 and math.isfinite(duration_s)):
         raise ValueError(f"duration_s {duration_s:g} s must be a number of at least 0")
-    ticks = Ticks(run, rate_Hz, round(duration_s * rate_Hz), on_tick)
-    places = two_places() if not run.clock.stands else None
-    if places is None:
-        ticks.take_all()
-    else:
-        Relay(ticks, run, places).take_all()
+    ticks = _Ticks(run, rate_Hz, round(duration_s * rate_Hz), on_tick)
+    ticks.take_all()
     return ticks.statistics()
 
 
-class Ticks:
+class _Ticks:
     """The ticks of one loop, taken one after the other."""
 
     def __init__(self, run: LoopRun, rate_Hz: float, planned: int, on_tick: Callable[[Tick], bool]):
@@ -201,66 +196,3 @@ class Ticks:
             self._behind_since_s = now_s
         elif now_s - self._behind_since_s > BEHIND_FOR_S:
             raise TooSlowError(rate_Hz, self._largest_s, now_s - self._behind_since_s)
-
-
-class Relay:
-    """Two threads on two processors that wait for the same ticks: who comes first takes one.
-
-    A processor that is busy, or on a virtual machine away, when a tick is due would make it late;
-    that both are is rare. One thread at a time is the procedure; between ticks it looks at stop
-    requests and keep-alives no less often than a wait of the clock does. What either meets ends
-    both, and is raised by `take_all`.
-    """
-
-    def __init__(self, ticks: Ticks, run: LoopRun, places: tuple[frozenset[int], frozenset[int]]):
-        self._ticks, self._run, self._clock = ticks, run, run.clock
-        self._turn = threading.Lock()
-        self._ended = threading.Event()
-        self._failure: BaseException | None = None
-        self._looked_s = -math.inf
-        """When stop requests and keep-alives were looked at last."""
-        self._threads = [
-            threading.Thread(target=self._take_part, args=(own,), name="ticks", daemon=True)
-            for own in places
-        ]
-
-    def take_all(self) -> None:
-        """Until the last; the calling thread waits."""
-        try:
-            for thread in self._threads:
-                thread.start()
-            for thread in self._threads:
-                thread.join()
-        finally:
-            self._ended.set()
-            for thread in self._threads:
-                if thread.ident is not None:
-                    thread.join()
-        if self._failure is not None:
-            raise self._failure
-
-    def _take_part(self, processors: frozenset[int]) -> None:
-        place(0, processors)
-        while not self._ended.is_set():
-            remaining_s = self._ticks.next_due_s - self._clock.now()
-            if remaining_s > 0:
-                self._ended.wait(min(remaining_s, WAIT_SLICE_S))
-            with self._turn:
-                if self._ended.is_set():
-                    return
-                try:
-                    self._take_what_is_due()
-                except BaseException as failure:  # noqa: BLE001 - raised by take_all()
-                    self._failure = failure
-                    self._ended.set()
-
-    def _take_what_is_due(self) -> None:
-        now_s = self._clock.now()
-        due = now_s >= self._ticks.next_due_s and not self._ticks.over
-        if due or now_s - self._looked_s >= WAIT_SLICE_S:
-            self._looked_s = now_s
-            self._clock.sleep(0.0)
-        if due:
-            self._ticks.take()
-        if self._ticks.over:
-            self._ended.set()

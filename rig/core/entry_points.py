@@ -33,7 +33,7 @@ DATA: dict[str, tuple[str, ...]] = {DRIVERS: ("ROLES", "Settings")}
 """Members, not functions, that a module of each group must have."""
 FUNCTIONS: dict[str, tuple[str, ...]] = {
     DRIVERS: ("connect", "make_safe"),
-    BENCHES: ("begin", "start", "serve"),
+    BENCHES: ("start", "serve", "variants", "variant_for"),
 }
 """Functions that a module of each group must have. What a procedure's class must have is checked by
 `rig.run.load_procedure`."""

@@ -1,53 +1,30 @@
-"""Figures drawn by a process of their own (see `rig.figures.beside`).
+"""``python -m rig.figures FILE`` draws all figures of a file beside it (`rig.figures.drawing`).
 
-``python -m rig.figures MODULE:FUNCTION ...`` imports what the parts need, then waits for the run
-file's path on its standard input. One line of JSON answers: ``paths``, or ``error`` and ``hint``.
+One JSON object on stdout: ``files``, the pictures drawn, and ``warnings``, sentences.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
-import os
 import sys
-from functools import partial
-from importlib import import_module
 from pathlib import Path
 
 from rig.core.errors import RigError
-from rig.core.imports import importing
-from rig.figures import draw_part
-from rig.figures.forked import side_by_side
-
-NICENESS = 5
-"""What takes the data, and what keeps them, goes first."""
+from rig.figures.drawing import draw
 
 
 def main() -> None:
-    """Serve one request; an input that ends without one is none."""
-    os.nice(NICENESS)
-    parts = sys.argv[1:]
-    with importing():
-        from rig.figures.style import get_ready
-
-        for module in (
-            "h5py",
-            "rig.files.runfile.reader",
-            *(part.partition(":")[0] for part in parts),
-        ):
-            import_module(module)
-        get_ready()
-    run_file = sys.stdin.readline().rstrip("\n")
-    if not run_file:
-        return
-    draw = partial(draw_part, run_file=Path(run_file), together=side_by_side)
+    """Draw the file that the command line names."""
+    file = Path(sys.argv[1])
     try:
-        drawn = side_by_side([partial(draw, part) for part in parts])
-        answer: dict[str, object] = {"paths": [str(path) for paths in drawn for path in paths]}
+        with contextlib.redirect_stdout(sys.stderr):  # what a figure prints is not the answer
+            drawn = draw(file)
+        answer = {"files": [str(path) for path in drawn.files], "warnings": list(drawn.warnings)}
     except RigError as error:
-        answer = {"error": error.message, "hint": error.hint}
-    except (OSError, ValueError) as error:
-        answer = {"error": str(error), "hint": ""}
+        answer = {"files": [], "warnings": [f"no figure was drawn: {error.one_line()}"]}
     sys.stdout.write(json.dumps(answer) + "\n")
 
 
-main()
+if __name__ == "__main__":
+    main()

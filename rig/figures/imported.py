@@ -25,8 +25,8 @@ MOST_DRAWN = 8000
 MILLIVOLTS_BELOW_V = 1.0
 
 
-def draw_recording(run: RunFile) -> dict[str, Figure]:
-    """One figure."""
+def draw_recording(run: RunFile) -> Figure:
+    """Both strips, their difference, and the forces if there are any, over time."""
     series = {waveform.stream: waveform for waveform in run.waveforms()}
     signals, force = series["signals"], series.get("force")
     volts = {name: signals.values(name) for name in ("v_d", "v_1", "v_2")}
@@ -57,7 +57,7 @@ def draw_recording(run: RunFile) -> dict[str, Figure]:
             f"{run.header.marked(run.header.title)}\n{run.path.name}", fontsize=9, parse_math=False
         )
         set_margins(figure, top=0.72, between=0.22)
-    return {"": figure}
+    return figure
 
 
 def thinned(

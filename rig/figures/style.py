@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from rig.core.atomic import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-T = TypeVar("T")
 
 STYLE: Any = {
     "font.size": 9,
@@ -34,18 +29,7 @@ NUMBERED_SPAN = 1e3
 """Over so large a ratio of frequencies the numbers at 2 and 5 would touch each other."""
 
 
-Together = Callable[[Sequence[Callable[[], Path]]], list[Path]]
-"""How several pictures are drawn: one after the other, or side by side."""
-
-
-def one_by_one(tasks: Sequence[Callable[[], T]]) -> list[T]:
-    """What the tasks give."""
-    return [task() for task in tasks]
-
-
-def save(
-    figure: Figure, run_file: Path, simulated: bool, together: Together = one_by_one
-) -> list[Path]:
+def save(figure: Figure, run_file: Path, simulated: bool) -> list[Path]:
     """Write the figure as PNG and SVG beside its run file, marked where it is simulated."""
     import matplotlib as mpl
 
@@ -63,9 +47,7 @@ def save(
         )
     with mpl.rc_context(STYLE):
         _lay_out(figure)
-        return together(
-            (partial(_save_png, figure, run_file), partial(_save_svg, figure, run_file))
-        )
+        return [_save_png(figure, run_file), _save_svg(figure, run_file)]
 
 
 # The canvases themselves: `savefig` draws everything once more before each of them.
@@ -87,25 +69,6 @@ def _save_svg(figure: Figure, run_file: Path) -> Path:
     with replacing(run_file.with_suffix(".svg"), durable=False, shared=True) as part:
         canvas.print_svg(part, metadata={"Date": None})
     return run_file.with_suffix(".svg")
-
-
-def get_ready() -> None:
-    """Import what every figure needs, and draw one that nobody sees: the first of a process takes
-    twice as long, for it looks for its fonts and learns to set formulas."""
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(1, 1))
-        axes = figure.subplots()
-        axes.plot([0, 1], [0, 1], label="$F_n$")
-        axes.set_ylabel("Force (N)")
-        axes.legend()
-        for canvas, name in ((FigureCanvasAgg, "png"), (FigureCanvasSVG, "svg")):
-            drawn: Any = canvas(figure)
-            getattr(drawn, f"print_{name}")(io.BytesIO())
 
 
 def set_margins(figure: Figure, *, top: float = 0.35, between: float = 0.08) -> None:

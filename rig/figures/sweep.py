@@ -24,36 +24,47 @@ LEAST_SPAN_DB, LEAST_SPAN_DEG, LEAST_DEVIATION_PERCENT = 1.0, 2.0, 0.1
 """Axes never show less, so that a single point is not a picture of its noise."""
 
 
-def draw_data(run: RunFile) -> dict[str, Figure]:
-    """What was measured."""
-    return {"": draw_measured(run)}
+def draw_fitted_gain(run: RunFile) -> dict[str, Figure]:
+    """The measured gain with the fitted curve; nothing for a sweep too short for a fit."""
+    from rig.figures.gain_curve import draw_gain
 
-
-def draw_model(run: RunFile) -> dict[str, Figure]:
-    """The fitted curve, the three readings of the circuit and the linearity over load, where the
-    sweep is long enough to tell them."""
     curve, analysis = _analysed(run)
     if curve is None or analysis is None:
         return {}
-    from rig.figures.gain_curve import draw_gain, draw_linearity, draw_readings
+    return {"": draw_gain(curve, analysis, _title(run))}
 
-    title = _title(run)
-    figures = {
-        "-gain": draw_gain(curve, analysis, title),
-        "-readings": draw_readings(curve, analysis, SKIN_STRIP, title),
-    }
-    if analysis.linearity is not None:
-        figures["-linearity"] = draw_linearity(analysis.linearity, title)
-    return figures
+
+def draw_circuit_readings(run: RunFile) -> dict[str, Figure]:
+    """The three readings of the film's circuit; nothing for a sweep too short for a fit."""
+    from rig.figures.gain_curve import draw_readings
+
+    curve, analysis = _analysed(run)
+    if curve is None or analysis is None:
+        return {}
+    return {"": draw_readings(curve, analysis, SKIN_STRIP, _title(run))}
+
+
+def draw_load_linearity(run: RunFile) -> dict[str, Figure]:
+    """How the gain depends on the load; nothing for a sweep of one load or too short for a fit."""
+    from rig.figures.gain_curve import draw_linearity
+
+    _, analysis = _analysed(run) if _several_loads(run) else (None, None)
+    if analysis is None or analysis.linearity is None:
+        return {}
+    return {"": draw_linearity(analysis.linearity, _title(run))}
+
+
+def _several_loads(run: RunFile) -> bool:
+    return len(set(run.column("load_set").tolist())) > 1
 
 
 def _analysed(run: RunFile) -> tuple[ResponseCurve | None, SweepAnalysis | None]:
-    """The responses and what the analysis makes of them; nothing for a sweep too short for it."""
+    """The responses and what the analysis makes of them; (None, None) for a sweep too short."""
     from rig.analysis.film.gain_curve import analyse
     from rig.analysis.response.curve import CurveError, points_of
 
     column = run.column
-    several = len(set(column("load_set").tolist())) > 1
+    several = _several_loads(run)
     try:
         found = analyse(
             *points_of(column),

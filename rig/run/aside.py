@@ -36,7 +36,6 @@ class Aside:
     def __enter__(self) -> Aside:
         if not self._clock.stands:
             self._executor = ThreadPoolExecutor(1, f"aside {self._name}")
-            self._executor.submit(int)  # begins here: a tick's thread may be bound to a processor
         return self
 
     def __exit__(

@@ -1,7 +1,7 @@
 """Which bench a command works on: that of a bench file, or a simulated one that it starts.
 
 The bench of a file is locked, and refused where its last guard left it unsafe. A simulated bench
-boots as a process of its own while the command goes on importing; it belongs to the command alone.
+boots as a process of its own and belongs to the command alone.
 Nothing is connected here.
 """
 
@@ -10,13 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.entry_points import BENCHES, load
-from rig.core.imports import importing
-from rig.instruments.visa_library import import_visa
 
 if TYPE_CHECKING:
     from rig.bench.bench import BenchFactory, BenchPlan, Fixture, RunningBench
@@ -31,8 +28,6 @@ STARTING: dict[Fixture, str] = {
     "plate": f"skin above its plate; {FIRST_TIME}",
     "semi-spherical-object": f"skin above a head on the rotary stage; {FIRST_TIME}",
 }
-LIBRARIES_OF_LINKS = ("pymodbus.client", "serial")
-"""What drivers import when they connect, besides what VISA needs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,12 +73,8 @@ class BenchSelector:
 
     say: Callable[[str], None]
     """Shows a line to a person."""
-    meanwhile: Callable[[], None] = lambda: None
-    """Called before anything is connected, while a simulated bench boots."""
     paced: bool = False
     """Whether a simulated bench's time passes at a person's pace."""
-    begun: RunningBench | None = None
-    """What `begin_simulated` has begun for the command, of which nothing was known yet."""
 
     def select(
         self,
@@ -98,13 +89,10 @@ class BenchSelector:
         from rig.bench.bench import read_bench
 
         if request.bench is not None and not request.dry_run:
-            if self.begun is not None:
-                self.begun.abandon()
             return self._of_file(request, at_the_end, request.bench)
         if started is None:
             self.say(f"starting the simulated bench ({STARTING[fixture]}) ...")
-            # It boots while this process imports.
-            started = start_simulated(request, fixture, self.begun)
+            started = start_simulated(request, fixture)
         try:
             real = read_bench(request.bench) if request.bench is not None else None
             return self._simulated(request, started, real)
@@ -127,7 +115,6 @@ class BenchSelector:
             self.say(f"SIMULATED bench ({path}). {NOT_MEASURED}")
         roles = ", ".join(part.role for part in plan.instruments)
         self.say(f"getting ready to connect to {roles} ...")
-        self._import_ahead()
         return ChosenBench(plan, WallClock(), lock)
 
     def _simulated(
@@ -138,7 +125,6 @@ class BenchSelector:
         from rig.run.guard import GUARD_SUFFIX
 
         self._tell_killed(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
-        self._import_ahead()
         ready = started.ready()
         why = "dry run" if request.dry_run else f"no {BENCH_FILE} found in {Path.cwd()}"
         self.say(f"SIMULATED bench ({why}; seed {request.seed}). {NOT_MEASURED}")
@@ -156,26 +142,14 @@ class BenchSelector:
             if (told := tell_killed(report)) is not None:
                 self.say(told)
 
-    def _import_ahead(self) -> None:
-        """What the command will need, while a simulated bench boots beside it."""
-        with importing():
-            for name in ("rig.files.runfile.compile", "rig.run.execute", *LIBRARIES_OF_LINKS):
-                import_module(name)
-            import_visa()
-            self.meanwhile()
 
+def start_simulated(request: BenchRequest, fixture: Fixture) -> RunningBench:
+    """Start a simulated bench as a command wants it."""
+    from importlib.metadata import entry_points
 
-def begin_simulated() -> RunningBench:
-    """Begin to start a simulated bench, before anybody knows how it is to be: it imports meanwhile.
-    One that is not started ends with this process, or is abandoned."""
-    return _simulated_benches().begin()
-
-
-def start_simulated(
-    request: BenchRequest, fixture: Fixture, begun: RunningBench | None = None
-) -> RunningBench:
-    """Start a simulated bench as a command wants it, or go on with one that has `begun`."""
-    return _simulated_benches().start(
+    (entry,) = entry_points(group="rig.benches", name="simulated")
+    factory: BenchFactory = entry.load()
+    return factory.start(
         {
             "fixture": fixture,
             **({} if request.stages is None else {"stages": request.stages}),
@@ -184,8 +158,7 @@ def start_simulated(
             "fault": _text(request.fault),
             "world_log": _text(request.world_log),
             "results": str(request.results),
-        },
-        begun,
+        }
     )
 
 

@@ -14,6 +14,7 @@ A procedure may run its control ticks in further threads while its own waits for
 from __future__ import annotations
 
 import contextlib
+import gc
 import time
 from collections.abc import Iterator
 from datetime import datetime
@@ -52,6 +53,9 @@ def execute(
     procedure = CheckedProcedure(job.procedure)
     try:
         procedure.import_ahead()
+        # A full collection that looks through all modules takes several ticks of a loop: none does.
+        gc.collect()
+        gc.freeze()
         plan = plan.require_fixture(*job.procedure.fixtures)
         points = procedure.points()
         recorded = job.recorded

@@ -28,7 +28,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rig.core.atomic import write_text
-from rig.core.processor import let_run_anywhere
 
 if TYPE_CHECKING:
     from rig.bench.bench import BenchPlan
@@ -132,7 +131,6 @@ class GuardLink:
             start_new_session=True,
             pass_fds=held,
         )
-        let_run_anywhere(self._process.pid)
         self._tell(json.dumps(order))
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 from pathlib import Path
 
@@ -9,8 +10,10 @@ import pytest
 
 from procedures.slip_trial import SlipTrial
 from procedures.sweep import Sweep
+from rig.cli import report
 from rig.cli.report import ConsoleObserver, closing_lines
 from rig.core.errors import ExitCode
+from rig.figures.drawing import Drawn
 from rig.run.arming import OffFailure
 from rig.run.outcome import RunOutcome
 from rig.run.points import Point
@@ -25,18 +28,20 @@ def test_a_complete_run_says_so_and_where_its_data_are() -> None:
     outcome = RunOutcome("complete", ExitCode.DONE, 175, 175, simulated=True, file=FILE)
     outcome.duration_s, outcome.safe = 18.02, True
     outcome.made_safe = ("generator off", "preload released", "force stream stopped")
-    assert closing_lines(Sweep, outcome, ["a.png"] * 6) == [
+    assert closing_lines(
+        Sweep, outcome, [Path(f"a-{k}.{kind}") for k in range(3) for kind in ("png", "svg")]
+    ) == [
         "Finished: 175 of 175 points in 18.0 s of bench time (simulated).",
-        "Saved: results/a.h5 and 6 figures",
+        "Saved: results/a.h5 and 3 figures (PNG and SVG)",
         "Bench is safe: generator off, preload released, force stream stopped.",
     ]
 
 
 def test_a_run_on_a_real_bench_speaks_of_no_bench_time_and_one_trial_is_a_trial() -> None:
     outcome = RunOutcome("complete", ExitCode.DONE, 1, 1, file=FILE, duration_s=9.0)
-    assert closing_lines(SlipTrial, outcome, ["a.png"]) == [
+    assert closing_lines(SlipTrial, outcome, [Path("a.png"), Path("a.svg")]) == [
         "Finished: 1 of 1 trial in 9.0 s.",
-        "Saved: results/a.h5 and 1 figure",
+        "Saved: results/a.h5 and 1 figure (PNG and SVG)",
     ]
 
 
@@ -83,3 +88,43 @@ def test_plans_pauses_and_points_are_one_line_each(capsys: pytest.CaptureFixture
         "PAUSED (bench is safe). Ctrl-Z continues, Ctrl-C ends the run.",
         "Resumed.",
     ]
+
+
+@pytest.fixture
+def drawn_of(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """The run files that figures were asked of; each gives one picture and one warning."""
+    asked: list[Path] = []
+
+    def draw_in_child(file: Path) -> Drawn:
+        asked.append(file)
+        return Drawn((file.with_suffix(".png"),), ("the figure x of y could not be drawn: z",))
+
+    monkeypatch.setattr(report, "draw_in_child", draw_in_child)
+    return asked
+
+
+def closing(capsys: pytest.CaptureFixture[str], done: int, figures: bool) -> tuple[dict, str]:
+    outcome = RunOutcome("complete", ExitCode.DONE, 2, done, file=Path("r.h5"))
+    report.finish(Sweep, outcome, as_json=True, figures=figures, debug=False)
+    printed = capsys.readouterr()
+    return json.loads(printed.out), printed.err
+
+
+def test_figures_are_listed_and_one_that_fails_is_a_warning(
+    drawn_of: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    answer, told = closing(capsys, done=2, figures=True)
+    assert drawn_of == [Path("r.h5")]
+    assert (answer["figures"], answer["exit"]) == (["r.png"], 0)
+    assert answer["warnings"] == ["the figure x of y could not be drawn: z"]
+    assert "warning: the figure x of y could not be drawn: z\nfigure: r.png\n" in told
+
+
+@pytest.mark.parametrize(("done", "figures"), [(0, True), (2, False)])
+def test_without_a_completed_point_nothing_is_drawn_and_nothing_is_said(
+    drawn_of: list[Path], capsys: pytest.CaptureFixture[str], done: int, figures: bool
+) -> None:
+    answer, told = closing(capsys, done, figures)
+    assert drawn_of == []
+    assert (answer["figures"], answer["warnings"]) == ([], [])
+    assert "figure" not in told

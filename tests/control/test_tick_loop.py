@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 
 import pytest
 
-from rig.control import tick_loop as loop
-from rig.control.tick_loop import BEHIND_FOR_S, Relay, Tick, Ticks, TooSlowError, tick_loop
+from rig.control.tick_loop import BEHIND_FOR_S, Tick, TooSlowError, tick_loop
 from rig.core.clock import WAIT_SLICE_S, Clock, WallClock
 from rig.core.errors import ExitCode
-from rig.core.processor import GIVEN
 
 
 class HandClock(Clock):
@@ -229,143 +226,37 @@ def test_in_real_time_every_tick_runs_once_and_none_before_its_time() -> None:
     assert statistics.duration_s >= 39 / 200
 
 
-# --- two threads that wait for the same ticks -------------------------------------------------
-
-
-def relay(on_tick: Callable[[Tick], bool], rate_Hz: float, planned: int) -> tuple[Relay, Ticks]:
-    """Both on any processor: what they do does not depend on where they are."""
-    run = HandRun(WallClock())
-    ticks = Ticks(run, rate_Hz, planned, on_tick)
-    return Relay(ticks, run, (GIVEN, GIVEN)), ticks
-
-
-def test_a_tick_waits_for_no_thread_whose_processor_is_away(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    back, away, taken = threading.Event(), list[int](), list[int]()
-
-    def place(pid: int, processors: frozenset[int]) -> None:
-        if not away:
-            away.append(threading.get_ident())
-            assert back.wait(30)
-
-    def on_tick(tick: Tick) -> bool:
-        taken.append(threading.get_ident())
-        if tick.number >= 5:
-            back.set()
-        return True
-
-    monkeypatch.setattr(loop, "place", place)
-    both, ticks = relay(on_tick, 200.0, 40)
-    both.take_all()
-    assert taken[0] != away[0]
-    assert ticks.statistics().ticks == 40
-    assert threading.get_ident() not in taken
-
-
-def test_both_threads_take_ticks_one_at_a_time_and_each_tick_once() -> None:
-    under_way, seen = threading.Lock(), list[Tick]()
-    both_have = threading.Event()
-    by = set[int]()
-
-    def on_tick(tick: Tick) -> bool:
-        assert under_way.acquire(blocking=False), "two ticks at once"
-        seen.append(tick)
-        by.add(threading.get_ident())
-        if len(by) == 2:
-            both_have.set()
-        under_way.release()
-        return not both_have.is_set()
-
-    both, ticks = relay(on_tick, 100.0, 1000)
-    both.take_all()
-    numbers = [n for tick in seen for n in range(tick.number - tick.missed, tick.number + 1)]
-    assert numbers == list(range(ticks.statistics().ticks))
-    assert all(tick.began_s >= tick.due_s for tick in seen)
-
-
-def test_what_a_tick_meets_ends_both_and_is_raised_by_the_loop() -> None:
-    done: list[int] = []
-
-    def on_tick(tick: Tick) -> bool:
-        done.append(tick.number)
-        if tick.number >= 4:
-            raise TimeoutError("no answer")
-        return True
-
-    both, _ = relay(on_tick, 500.0, 1000)
-    before = threading.active_count()
-    with pytest.raises(TimeoutError, match="no answer"):
-        both.take_all()
-    assert done == sorted(set(done))
-    assert len([number for number in done if number >= 4]) == 1
-    assert threading.active_count() == before
-
-
 def test_a_stop_request_is_seen_between_ticks_that_are_far_apart() -> None:
-    done, looks = list[int](), list[int]()
-    both, ticks = relay(lambda tick: done.append(tick.number) is None, 0.01, 10)
+    clock = WallClock()
+    done, looks = list[int](), list[float]()
 
     def stop() -> None:
-        looks.append(len(done))
+        looks.append(clock.now())
         if len(looks) == 4:
             raise KeyboardInterrupt
 
-    ticks._run.clock.each_slice(stop)
+    clock.each_slice(stop)
     with pytest.raises(KeyboardInterrupt):
-        both.take_all()
+        tick_loop(HandRun(clock), 0.01, 1000.0, lambda tick: done.append(tick.number) is None)
     assert done == [0]
-    assert looks == [0, 1, 1, 1]
 
 
-def test_a_tick_that_hangs_holds_both_up_and_gives_no_sign_of_life() -> None:
-    done, lives, seen = list[int](), list[int](), list[tuple[int, int]]()
-
-    def on_tick(tick: Tick) -> bool:
-        done.append(tick.number)
-        if len(done) == 3:
-            for _ in range(2):
-                seen.append((len(done), len(lives)))
-                time.sleep(5 * WAIT_SLICE_S)
-        return len(done) < 5
-
-    both, ticks = relay(on_tick, 200.0, 1000)
-    ticks._run.clock.each_slice(lambda: lives.append(len(done)))
-    both.take_all()
-    assert seen[0] == seen[1]
-    assert len(done) == 5
-
-
-def test_a_caller_who_is_interrupted_leaves_no_tick_under_way(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    begun, done = threading.Event(), list[int]()
+def test_ticks_run_in_the_thread_that_calls_and_one_that_hangs_gives_no_sign_of_life() -> None:
+    """In real time: what feeds the drives and the guard must stop where the procedure stops."""
+    clock = WallClock()
+    lives, during, by = list[float](), list[int](), list[int]()
+    clock.each_slice(lambda: lives.append(clock.now()))
 
     def on_tick(tick: Tick) -> bool:
-        begun.set()
-        done.append(tick.number)
-        return True
+        by.append(threading.get_ident())
+        if len(by) == 3:
+            earlier = len(lives)
+            time.sleep(5 * WAIT_SLICE_S)
+            during.append(len(lives) - earlier)
+        return len(by) < 5
 
-    join = threading.Thread.join
-    joins: list[str] = []
-
-    def interrupted(thread: threading.Thread, timeout: float | None = None) -> None:
-        joins.append(thread.name)
-        if len(joins) == 1:
-            assert begun.wait(30)
-            raise KeyboardInterrupt
-        join(thread, timeout)
-
-    both, _ = relay(on_tick, 500.0, 100_000)
     before = threading.active_count()
-    monkeypatch.setattr(threading.Thread, "join", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        both.take_all()
+    tick_loop(HandRun(clock), 200.0, 10.0, on_tick)
+    assert by == [threading.get_ident()] * 5
+    assert during == [0]
     assert threading.active_count() == before
-    assert len(done) < 100_000
-
-
-def test_a_relay_of_no_ticks_takes_none() -> None:
-    both, ticks = relay(lambda tick: pytest.fail("a tick"), 100.0, 0)
-    both.take_all()
-    assert ticks.statistics().ticks == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -11,7 +10,6 @@ import pytest
 
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError
-from rig.core.processor import GIVEN, place
 from rig.run.aside import Aside
 
 LONGEST_S = 5.0
@@ -152,18 +150,3 @@ def test_a_wait_of_the_link_is_no_sign_of_life_of_the_procedure() -> None:
         clock.sleep(0)
         aside.ask("target", lambda: clock.charge(0.03))
     assert calls == [threading.current_thread()]
-
-
-@pytest.mark.skipif(len(GIVEN) < 2, reason="there is nowhere else to be")
-def test_a_links_thread_is_not_bound_to_the_processor_of_the_tick_that_asks() -> None:
-    found = list[frozenset[int]]()
-
-    def tick() -> None:
-        place(0, frozenset({max(GIVEN)}))
-        aside.ask("look", lambda: found.append(frozenset(os.sched_getaffinity(0))))
-
-    with Aside("a link", WallClock()) as aside:
-        ticks = threading.Thread(target=tick)
-        ticks.start()
-        ticks.join()
-    assert found == [GIVEN]

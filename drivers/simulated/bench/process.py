@@ -1,8 +1,8 @@
 """The process of a simulated bench: a World, what is mounted, the control socket, until the end.
 
 ``python -m drivers.simulated.bench.process`` is a bench whose time is slaved to whoever started it
-and holds its standard input, the first line of which says how it is to be: until that comes, it
-imports what every bench needs. `serve` runs one here, in real time.
+and holds its standard input, the first line of which is the bench's options as a JSON object.
+`serve` runs one here, in real time.
 """
 
 from __future__ import annotations
@@ -14,14 +14,16 @@ import os
 import signal
 import sys
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any, get_args
 
 from drivers.simulated.bench.bench_file import bench_toml
+from drivers.simulated.bench.control import ControlServer
+from drivers.simulated.bench.mounted import Instruments
 from drivers.simulated.bench.options import Fixture, Options, Stages, fault_plan, world_settings
+from drivers.simulated.faults.plan import FORCE_SENSOR, TimedFault
+from drivers.simulated.world.world import World
 from rig.core.errors import ConfigurationError, InstrumentError, RigError
-from rig.core.imports import importing
 
 SETTLE_EVERY_S = 0.02
 """How often drives in real time look at what has befallen them."""
@@ -35,18 +37,11 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
                 f"the simulated bench has no {asked} to mount",
                 f"it has {' and '.join(get_args(known))}",
             )
-    _import_what_every_bench_needs()
-    from drivers.simulated.bench.control import ControlServer
-    from drivers.simulated.bench.mounted import Instruments
-    from drivers.simulated.faults.plan import FORCE_SENSOR, TimedFault
-    from drivers.simulated.world.world import World
-
-    with importing():
-        settings = world_settings(options)
-        faults = fault_plan(options)
-        log = Path(options.world_log) if options.world_log else None
-        world = World(settings, options.seed, options.slaved, log, faults.of(TimedFault))
-        bench = Instruments(world, options, faults)
+    settings = world_settings(options)
+    faults = fault_plan(options)
+    log = Path(options.world_log) if options.world_log else None
+    world = World(settings, options.seed, options.slaved, log, faults.of(TimedFault))
+    bench = Instruments(world, options, faults)
     monitor = bench.monitor(settings.watch)
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -132,16 +127,10 @@ class _OwnersPipe(asyncio.Protocol):
         self._gone()
 
 
-def _import_what_every_bench_needs() -> None:
-    with importing():
-        for name in ("bench.control", "faults.plan", "bench.mounted", "world.world"):
-            import_module(f"drivers.simulated.{name}")
-
-
 def main() -> None:
     """The process behind `start`: a line of JSON in, the options, and one out when it listens.
 
-    Where the options never come, its owner has no need of it any more.
+    Where the input ends without options, the owner has died: nothing is started.
     """
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)
@@ -150,7 +139,6 @@ def main() -> None:
         with contextlib.suppress(BrokenPipeError):  # the owner died first: its pipe will tell
             os.write(sys.stdout.fileno(), json.dumps(what).encode() + b"\n")
 
-    _import_what_every_bench_needs()
     options = sys.stdin.readline()
     if not options:
         return

@@ -2,9 +2,8 @@
 
 Entry point ``simulated`` of group ``rig.benches``. `serve` runs the bench here until it is stopped
 (``rig simulate``); `start` runs it as a process of its own with its time slaved to the caller,
-which is what a run without a bench file does: one that was begun earlier, when nobody knew yet how
-it was to be, or its own. Both end up in the same few lines: there is no other way to be a simulated
-bench. Those are in `drivers.simulated.bench.process`, which whoever starts one need not import.
+which is what a run without a bench file does. Both end up in the same few lines of
+`drivers.simulated.bench.process`, which whoever starts a bench does not import.
 """
 
 from __future__ import annotations
@@ -20,12 +19,11 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from drivers.simulated.bench.options import Options, Stages, fault_plan, variant_for
 from rig.core.errors import ConfigurationError, InstrumentError
-from rig.core.processor import Turns, let_run_anywhere
 
 if TYPE_CHECKING:
     from drivers.simulated.faults.disk import FaultyDisk
 
-__all__ = ["StartedBench", "begin", "serve", "start", "variant_for", "variants"]
+__all__ = ["StartedBench", "serve", "start", "variant_for", "variants"]
 
 ABANDONED_S = 0.5
 """How long a bench that nobody has connected to may take to end by itself."""
@@ -34,9 +32,9 @@ ABANDONED_S = 0.5
 class StartedBench:
     """A bench that was started as a process of its own, and how to drive it."""
 
-    def __init__(self) -> None:
-        self._disk: FaultyDisk | None = None
-        self._turns: Turns | None = None
+    def __init__(self, options: Options):
+        """ConfigurationError for a fault plan that is wrong; no process is started then."""
+        self._disk = _faulty_disk(options)
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "drivers.simulated.bench.process"],
             stdin=subprocess.PIPE,  # its end tells the bench that we died
@@ -44,11 +42,6 @@ class StartedBench:
             stderr=subprocess.PIPE,
             start_new_session=True,  # a terminal's Ctrl-C is the run's business, not the bench's
         )
-        let_run_anywhere(self._process.pid)
-
-    def be(self, options: Options) -> None:
-        """Tell it, once, how it is to be; then `ready` may be asked."""
-        self._disk = _faulty_disk(options)
         if self._disk is not None:
             self._disk.install()
         assert self._process.stdin is not None
@@ -69,14 +62,11 @@ class StartedBench:
             raise InstrumentError(
                 "simulated bench", "start", words[-1] if words else "the process ended at once"
             )
-        self._turns = Turns(self._process.pid)
         return answer
 
     def wait(self, timeout_s: float = 5.0) -> None:
         """Wait for the process to end; one that does not is ended. With it end the faults of the
         disk."""
-        if self._turns is not None:
-            self._turns.close()
         if self._disk is not None:
             self._disk.remove()
         try:
@@ -89,7 +79,7 @@ class StartedBench:
                 pipe.close()
 
     def abandon(self) -> None:
-        """End the process, which nobody needs: it may still be making its skin, or know nothing."""
+        """End the process, to which nothing has been connected: it may still be making its skin."""
         self._process.terminate()
         self.wait(ABANDONED_S)
 
@@ -100,21 +90,12 @@ def variants() -> tuple[str, ...]:
     return get_args(Stages)
 
 
-def begin() -> StartedBench:
-    """Start a slaved bench that is to be told later how it is to be, by `start`."""
-    return StartedBench()
+def start(options: dict[str, Any]) -> StartedBench:
+    """Start a slaved bench; `options` are fields of `Options`.
 
-
-def start(options: dict[str, Any], begun: StartedBench | None = None) -> StartedBench:
-    """Start a slaved bench, or go on with one that has `begun`; `options` are fields of `Options`.
-    A fault plan's disk is this process's, until the bench has been waited for."""
-    bench = begun or begin()
-    try:
-        bench.be(Options(**{**options, "slaved": True}))
-    except BaseException:
-        bench.abandon()
-        raise
-    return bench
+    A fault plan's disk is this process's, until the bench has been waited for. ConfigurationError
+    for a fault plan that is wrong."""
+    return StartedBench(Options(**{**options, "slaved": True}))
 
 
 def serve(options: dict[str, Any], ready: Callable[[str], None]) -> None:

@@ -29,7 +29,6 @@ import numpy.typing as npt
 from pydantic import Field
 
 from drivers.simulated.world.slip_record import SlipRecord
-from rig.core.imports import as_if_missing
 from rig.core.settings import Settings
 from rig.physics.contact.settings import ContactSettings, Plate, Sphere
 from rig.physics.contact.slices import SlicedStepper
@@ -110,10 +109,8 @@ class SkinContact:
         begin = below.at(np.zeros(1, np.int64))
         self._object_at_mm, self._turned_rad = float(begin.x_mm[0]), float(begin.turned_rad[0])
         """Where the skin sees the object and how it is turned, at the newest step."""
-        with as_if_missing(
-            "scipy.linalg"
-        ):  # where numba looks for a BLAS, of which no step is made
-            self._fresh_stepper().advance(-1.0, self._object_at_mm, normal_control="position")
+        # numba compiles or loads its machine code now, not at the first touch
+        self._fresh_stepper().advance(-1.0, self._object_at_mm, normal_control="position")
 
     # --- what the World asks ------------------------------------------------------------------
 

@@ -189,19 +189,21 @@ def make_files(job: PostprocessJob) -> PostprocessResult:
     except Exception as error:  # noqa: BLE001 - a defect is reported like any other failure
         return PostprocessResult(job.journal, error=_reason(error))
     warnings: list[str] = []
-    figures: list[Path] = []
+    figures: tuple[Path, ...] = ()
     processed: Path | None = None
     with _reporting(warnings, f"{file.name}: not drawn"):
-        figure, has_points, has_strips = _kind_of(file)
+        has_points, has_strips = _kind_of(file)
         if job.detect and has_points and has_strips:
             with _reporting(warnings, f"{file.name}: not judged by the detector"):
                 processed, said = _detect(file)
                 warnings += said
         if job.figures and has_points:
-            from rig.figures import draw
+            from rig.figures.drawing import draw
 
-            figures = draw(figure, file)
-    return PostprocessResult(job.journal, file, processed, tuple(figures), tuple(warnings))
+            drawn = draw(file)
+            figures = drawn.files
+            warnings += [f"{file.name}: {warning}" for warning in drawn.warnings]
+    return PostprocessResult(job.journal, file, processed, figures, tuple(warnings))
 
 
 @contextlib.contextmanager
@@ -223,14 +225,13 @@ def _run_file(journal: Path) -> Path:
     return compile_run(journal, retire=True)
 
 
-def _kind_of(file: Path) -> tuple[str, bool, bool]:
-    """A run file's figure; whether it has points; whether it has the strips' signals."""
+def _kind_of(file: Path) -> tuple[bool, bool]:
+    """Whether a run file has points, and whether it has the strips' signals."""
     from rig.files.runfile.reader import RunFile
     from rig.processing.detection import stream_of_strips
 
     with RunFile.open(file) as run:
-        figure = run.header.procedure.replace("-", "_")
-        return figure, bool(run.point_ids()), stream_of_strips(run.header.layout) is not None
+        return bool(run.point_ids()), stream_of_strips(run.header.layout) is not None
 
 
 def _detect(file: Path) -> tuple[Path | None, list[str]]:

@@ -38,7 +38,6 @@ from rig.batch.queue import AttemptResult, Claim, Queue
 from rig.core.errors import ExitCode, RigError
 from rig.core.units import plural
 from rig.run.bench_selector import BenchRequest, BenchSelector, ChosenBench, start_simulated
-from rig.run.checked_procedure import CheckedProcedure
 from rig.run.observers import PAUSED, RunObserver
 from rig.run.stopping import StopFlag, StopRequestedError
 
@@ -435,10 +434,7 @@ class Worker:
     def _bench_for(self, claim: Claim, procedure: Procedure, at_the_end: ExitStack) -> ChosenBench:
         """The bench file's bench, locked once for all runs; or a simulated one for this run."""
         fixture = procedure.fixtures[0]
-        selector = BenchSelector(
-            lambda text: self._send("note", level="info", text=text),
-            CheckedProcedure(procedure).import_ahead,
-        )
+        selector = BenchSelector(lambda text: self._send("note", level="info", text=text))
         if self._terms.bench is None:
             request = self._simulated(claim)
             with self._stop.nothing_connected(), ExitStack() as nothing:

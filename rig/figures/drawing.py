@@ -1,0 +1,170 @@
+"""Drawing the registered figures of a file, here or in a child process.
+
+`draw` is what happens; `draw_in_child` has ``python -m rig.figures FILE`` do it, so that a figure
+that crashes or does not end costs a finished run nothing but its picture.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.core.errors import RigError
+from rig.figures.registry import PROCESSED, RegisteredFigure, figures_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TIMEOUT_S = 120.0
+"""How long a child process may take for all figures of a file; those of a sweep take two seconds
+of processor time."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What was drawn of a file, and one sentence for each figure that could not be."""
+
+    files: tuple[Path, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def draw(file: Path, folder: Path | None = None) -> Drawn:
+    """Draw all registered figures of a run file or processed file as PNG and SVG.
+
+    They are written to `folder`, or beside the file. A run without a completed point has no
+    figures. A figure that fails, and a folder that cannot be written to, are warnings. RunFileError
+    where the file itself cannot be read.
+    """
+    with ExitStack() as stack:
+        opened, kind, simulated = _open(file, stack)
+        if not kind:
+            return Drawn()
+        drawing = _Drawing(file if folder is None else folder / file.name, simulated)
+        try:
+            for registered in figures_of(kind):
+                drawing.add(registered, opened)
+        except _NoPlaceError as error:
+            drawing.warnings.append(error.message)
+        return Drawn(tuple(drawing.files), tuple(drawing.warnings))
+
+
+def draw_in_child(file: Path) -> Drawn:
+    """Draw all figures of a file in a child process. Whatever happens to it is a warning."""
+    command = [sys.executable, "-P", "-m", "rig.figures", str(file)]
+    again = f"`rig show {file}` draws it again"
+    try:
+        ended = subprocess.run(
+            command,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return Drawn(
+            warnings=(f"no figure was drawn: it took longer than {TIMEOUT_S:g} s; {again}",)
+        )
+    except OSError as error:
+        return Drawn(
+            warnings=(f"no figure was drawn: {error.strerror}: {command[0]}; {again}",),
+        )
+    try:
+        answer = json.loads(ended.stdout)
+        return Drawn(tuple(Path(path) for path in answer["files"]), tuple(answer["warnings"]))
+    except (ValueError, KeyError, TypeError):
+        last = ended.stderr.strip().splitlines()[-1:]
+        why = last[0] if last else f"exit code {ended.returncode}"
+        return Drawn(
+            warnings=(f"no figure was drawn: the process that draws ended early ({why}); {again}",)
+        )
+
+
+class _NoPlaceError(RigError):
+    """The folder does not take a picture, so it takes none of the others either."""
+
+
+class _Drawing:
+    """The pictures of one file."""
+
+    def __init__(self, place: Path, simulated: bool):
+        """`place` is the file that the pictures are named after, in the folder they go to."""
+        self.files: list[Path] = []
+        self.warnings: list[str] = []
+        self._place, self._simulated = place, simulated
+        self._suffixes: set[str] = set()
+
+    def add(self, registered: RegisteredFigure, opened: Any) -> None:
+        """Draw one registered figure; what it raises becomes a warning."""
+        try:
+            for suffix, figure in _figures(registered, opened).items():
+                if suffix in self._suffixes:
+                    self._warn(f"{registered} was left out: another one has its file name")
+                else:
+                    self._suffixes.add(suffix)
+                    self._save(figure, suffix)
+        except _NoPlaceError:
+            raise
+        # A package may raise anything, and call sys.exit() where it was meant as a program.
+        except (Exception, SystemExit) as error:  # noqa: BLE001
+            self._warn(f"{registered} could not be drawn: {_in_words(error)}")
+
+    def _save(self, figure: Figure, suffix: str) -> None:
+        from rig.figures.style import save
+
+        place = self._place.with_stem(self._place.stem + suffix)
+        try:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            self.files += save(figure, place, self._simulated)
+        except OSError as error:
+            raise _NoPlaceError(
+                f"no figure was drawn: {place.parent} cannot be written to "
+                f"({error.strerror or error}); name another folder with `rig show --figures-to`, "
+                "or leave figures out with --no-figures"
+            ) from error
+
+    def _warn(self, text: str) -> None:
+        self.warnings.append(text)
+
+
+def _open(file: Path, stack: ExitStack) -> tuple[Any, str, bool]:
+    """The open file, the kind of its figures (empty where there is nothing to draw), and whether it
+    comes from a simulated bench."""
+    from rig.files.processed.reader import ProcessedFile, is_processed
+    from rig.files.runfile.reader import RunFile
+
+    if is_processed(file):
+        processed = stack.enter_context(ProcessedFile.open(file))
+        return processed, PROCESSED, bool(processed.source.simulated)
+    run = stack.enter_context(RunFile.open(file))
+    kind = run.header.procedure if run.point_ids() else ""
+    return run, kind, bool(run.outcome.simulated)
+
+
+def _figures(registered: RegisteredFigure, opened: Any) -> dict[str, Figure]:
+    """What the registered function draws of the open file, by the suffix of each file name."""
+    from matplotlib.figure import Figure
+
+    given = registered.load()(opened)
+    figures = {}
+    for suffix, figure in (given if isinstance(given, Mapping) else {"": given}).items():
+        if not isinstance(figure, Figure):
+            raise TypeError(f"it returned {type(figure).__name__} where a Figure is expected")
+        if not isinstance(suffix, str) or Path(f"x{suffix}").name != f"x{suffix}":
+            raise ValueError(f"{suffix!r} cannot be a part of a file name")
+        figures[registered.suffix + suffix] = figure
+    return figures
+
+
+def _in_words(error: BaseException) -> str:
+    if isinstance(error, RigError):
+        return error.one_line()
+    words = " ".join(str(error).split())
+    return f"{type(error).__name__}: {words}" if words else type(error).__name__
