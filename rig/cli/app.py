@@ -1,8 +1,10 @@
-"""The application ``rig``: its commands, put together so that ``rig --help`` imports next to
-nothing.
+"""The application ``rig``: its commands, put together so that ``rig --help`` comes at once.
 
-Only what was asked for is imported. A procedure's options come from its settings, whose classes are
-expensive; the others show the first line of their module's docstring, read from the source.
+The modules of commands import what is expensive inside their commands. Typer reads the types of
+every option it is given, for which it imports pydantic; so it gets the function of the command that
+was asked for, and of the others only a line for the list. A procedure's settings are classes of
+pydantic, so a procedure that was not asked for is not imported: the first line of its module's
+docstring is read from the source.
 """
 
 from __future__ import annotations
@@ -10,93 +12,50 @@ from __future__ import annotations
 import ast
 import sys
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
 
 import typer
 
+from rig.cli import (
+    batch,
+    calibrate,
+    detect,
+    files,
+    imports,
+    jog,
+    low_pass,
+    score,
+    simulate,
+    skin,
+    train,
+)
 from rig.cli.outcome import report
 from rig.core.errors import ConfigurationError
 
-COMMANDS: dict[str, tuple[str, str, str]] = {
-    "resume": (
-        "rig.cli.files",
-        "resume",
-        "Go on with an interrupted run at the point where it was interrupted.",
-    ),
-    "show": (
-        "rig.cli.files",
-        "show",
-        "Say what a run file, processed file or journal holds; draw a file's figures again.",
-    ),
-    "verify": (
-        "rig.cli.files",
-        "verify",
-        "Check run files, processed files and journals; exit 8 where something is wrong.",
-    ),
-    "recover": (
-        "rig.cli.files",
-        "recover",
-        "Compile what a killed run left behind into its run file.",
-    ),
-    "import": (
-        "rig.cli.imports",
-        "import_",
-        "Make a run file of a recording from elsewhere: CSV, text in columns, LVM, MATLAB.",
-    ),
-    "detect": (
-        "rig.cli.detect",
-        "detect",
-        "Look for incipient slips in run files; what is found goes into processed files.",
-    ),
-    "filter": (
-        "rig.cli.low_pass",
-        "filter_",
-        "Design the low-pass of the predictive signal: its numbers, its curves, Figure 14.",
-    ),
-    "simulate": (
-        "rig.cli.simulate",
-        "simulate",
-        "Serve the simulated bench in real time and print the bench file that drives it.",
-    ),
-    "jog": (
-        "rig.cli.jog",
-        "jog",
-        "Move an axis by keys: small slow steps, stopped when the key is let go.",
-    ),
-    "score": (
-        "rig.cli.score",
-        "score",
-        "Score detectors on trials whose truth is known: found, false alarms, delays, prediction.",
-    ),
-    "train": (
-        "rig.cli.train",
-        "train",
-        "Train the network of the detector `rig` on simulated trials whose truth is known.",
-    ),
-    "make-safe": (
-        "rig.cli.simulate",
-        "make_safe",
-        "Bring every instrument of a bench to rest, whatever state it was left in.",
-    ),
+COMMANDS: dict[str, Callable[..., None]] = {
+    "resume": files.resume,
+    "show": files.show,
+    "verify": files.verify,
+    "recover": files.recover,
+    "import": imports.import_,
+    "detect": detect.detect,
+    "filter": low_pass.filter_,
+    "simulate": simulate.simulate,
+    "jog": jog.jog,
+    "score": score.score,
+    "train": train.train,
+    "make-safe": simulate.make_safe,
 }
-"""Module, function, and the first line of its docstring: only the one that is asked for is
-imported."""
+"""Commands in the order of the help, each described by the first line of its docstring."""
 
-GROUPS: dict[str, tuple[str, str]] = {
-    "batch": ("rig.cli.batch", "Overnight batches: a file of many runs, each taken exactly once."),
-    "calibrate": (
-        "rig.cli.calibrate",
-        "Make calibration records: a film from a sweep's file, sensors from known weights.",
-    ),
-    "skin": (
-        "rig.cli.skin",
-        "Simulate the finger skin: slides, rolls, the paper's 4.2, where strips belong.",
-    ),
+GROUPS: dict[str, tuple[typer.Typer, str]] = {
+    "batch": (batch.app, batch.HELP),
+    "calibrate": (calibrate.app, calibrate.HELP),
+    "skin": (skin.app, skin.HELP),
 }
-"""Module with its ``app``, and its ``HELP``."""
+"""Groups of commands with their description."""
 
 HELP = """Tactile bench controller: sweeps, slip and roll trials, calibrations, and their files.
 
@@ -133,18 +92,18 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     )
     asked = next((word for word in arguments if not word.startswith("-")), None)
     for procedure in entry_points(group="rig.procedures"):
-        function: Callable[..., None] = _not_asked
         if procedure.name == asked:
             from rig.cli.procedures import command
 
-            function = command(procedure)
-        _add(app, procedure.name, summary(procedure), function)
-    for name, (module, function_name, text) in COMMANDS.items():
-        own = getattr(import_module(module), function_name) if name == asked else _not_asked
-        _add(app, name, text, own)
-    for name, (module, text) in GROUPS.items():
+            _add(app, procedure.name, summary(procedure), command(procedure))
+        else:
+            _add(app, procedure.name, summary(procedure), _not_asked)
+    for name, function in COMMANDS.items():
+        text = _first_line(function.__doc__)
+        _add(app, name, text, function if name == asked else _not_asked)
+    for name, (group, text) in GROUPS.items():
         if name == asked:
-            app.add_typer(import_module(module).app, name=name, short_help=text)
+            app.add_typer(group, name=name, short_help=text)
         else:
             _add(app, name, text, _not_asked)
     return app
@@ -159,7 +118,11 @@ def summary(procedure: EntryPoint) -> str:
     spec = find_spec(procedure.module)
     if spec is None or spec.origin is None:
         return ""
-    docstring = ast.get_docstring(ast.parse(Path(spec.origin).read_text(encoding="utf-8")))
+    source = Path(spec.origin).read_text(encoding="utf-8")
+    return _first_line(ast.get_docstring(ast.parse(source)))
+
+
+def _first_line(docstring: str | None) -> str:
     return (docstring or "").strip().split("\n", 1)[0]
 
 
