@@ -1,8 +1,9 @@
-"""The application ``rig``: its commands, put together so that ``rig --help`` imports next to
-nothing.
+"""The application ``rig``: its commands, put together so that ``rig --help`` comes at once.
 
-Only what was asked for is imported. A procedure's options come from its settings, whose classes are
-expensive; the others show the first line of their module's docstring, read from the source.
+The modules of commands import what is expensive inside their commands. Typer reads the types of
+every option it is given, for which it imports pydantic; so it gets the function of the command that
+was asked for, and of the others only a line for the list. A procedure's settings are classes of
+pydantic, so a procedure that was not asked for is not imported: its line is read from its source.
 """
 
 from __future__ import annotations
@@ -17,83 +18,28 @@ from rig.cli.outcome import printable, report, say
 from rig.core.entry_points import PROCEDURES, BrokenPackageError, names, summary
 from rig.core.errors import ConfigurationError, RigError
 
-COMMANDS: dict[str, tuple[str, str, str]] = {
-    "resume": (
-        "rig.cli.files",
-        "resume",
-        "Resume an interrupted run at the point where it was interrupted.",
-    ),
-    "show": (
-        "rig.cli.files",
-        "show",
-        "Show what a run file, processed file or journal holds, and draw its figures again.",
-    ),
-    "verify": (
-        "rig.cli.files",
-        "verify",
-        "Check run files, processed files and journals; exit 8 if something is wrong.",
-    ),
-    "recover": (
-        "rig.cli.files",
-        "recover",
-        "Rebuild the run file of a crashed run from its journal.",
-    ),
-    "import": (
-        "rig.cli.imports",
-        "import_",
-        "Make a run file of another program's recording: CSV, text in columns, LVM, MATLAB.",
-    ),
-    "detect": (
-        "rig.cli.detect",
-        "detect",
-        "Find incipient slips in run files and write the results to processed files.",
-    ),
-    "filter": (
-        "rig.cli.low_pass",
-        "filter_",
-        "Design the low-pass filter of the predictive signal and draw its curves (Figure 14).",
-    ),
-    "simulate": (
-        "rig.cli.simulate",
-        "simulate",
-        "Serve the simulated bench in real time and print the bench file that drives it.",
-    ),
-    "jog": (
-        "rig.cli.jog",
-        "jog",
-        "Move an axis by keys: small slow steps, stopped when the key is let go.",
-    ),
-    "score": (
-        "rig.cli.score",
-        "score",
-        "Score detectors on trials whose truth is known: slips found, false alarms, delays.",
-    ),
-    "train": (
-        "rig.cli.train",
-        "train",
-        "Train the network of the detector `rig` on simulated trials whose truth is known.",
-    ),
-    "make-safe": (
-        "rig.cli.simulate",
-        "make_safe",
-        "Bring every instrument of a bench to rest, whatever state it was left in.",
-    ),
+COMMANDS: dict[str, tuple[str, str]] = {
+    "resume": ("rig.cli.files", "resume"),
+    "show": ("rig.cli.files", "show"),
+    "verify": ("rig.cli.files", "verify"),
+    "recover": ("rig.cli.files", "recover"),
+    "import": ("rig.cli.imports", "import_"),
+    "detect": ("rig.cli.detect", "detect"),
+    "filter": ("rig.cli.low_pass", "filter_"),
+    "simulate": ("rig.cli.simulate", "simulate"),
+    "jog": ("rig.cli.jog", "jog"),
+    "score": ("rig.cli.score", "score"),
+    "train": ("rig.cli.train", "train"),
+    "make-safe": ("rig.cli.simulate", "make_safe"),
 }
-"""Module, function, and the first line of its docstring: only the one that is asked for is
-imported."""
+"""Commands in the order of the help, each described by the first line of its docstring."""
 
-GROUPS: dict[str, tuple[str, str]] = {
-    "batch": ("rig.cli.batch", "Overnight batches: a file of many runs, each taken exactly once."),
-    "calibrate": (
-        "rig.cli.calibrate",
-        "Make calibration records: a film from a sweep's file, sensors from known weights.",
-    ),
-    "skin": (
-        "rig.cli.skin",
-        "Simulate the finger skin: slides, rolls, the paper's section 4.2, places for the strips.",
-    ),
+GROUPS: dict[str, str] = {
+    "batch": "rig.cli.batch",
+    "calibrate": "rig.cli.calibrate",
+    "skin": "rig.cli.skin",
 }
-"""Module with its ``app``, and its ``HELP``."""
+"""Groups of commands with their description."""
 
 HELP = """Tactile bench controller: sweeps, slip and roll trials, calibrations, and their files.
 
@@ -149,12 +95,18 @@ def build(arguments: Sequence[str]) -> typer.Typer:
 
             function = command(name)
         _add(app, name, _summary(name) if listed or name == asked else "", function)
-    for name, (module, function_name, text) in COMMANDS.items():
-        function = getattr(import_module(module), function_name) if name == asked else _not_asked
-        _add(app, name, text, function)
-    for name, (module, text) in GROUPS.items():
-        if name == asked:
-            app.add_typer(import_module(module).app, name=name, short_help=text)
+    # A command imports its own module only: `rig make-safe` depends on no other.
+    for name, (module, function_name) in COMMANDS.items():
+        command_of = (
+            getattr(import_module(module), function_name) if listed or name == asked else None
+        )
+        text = _first_line(command_of.__doc__) if command_of else ""
+        _add(app, name, text, command_of if command_of and name == asked else _not_asked)
+    for name, module in GROUPS.items():
+        group = import_module(module) if listed or name == asked else None
+        text = group.HELP if group else ""
+        if group and name == asked:
+            app.add_typer(group.app, name=name, short_help=text)
         else:
             _add(app, name, text, _not_asked)
     return app
@@ -172,6 +124,10 @@ def _summary(name: str) -> str:
         return printable(f"(unavailable: {error.package}: {error.reason})")
     except ConfigurationError as error:
         return printable(f"(unavailable: {error.message})")
+
+
+def _first_line(docstring: str | None) -> str:
+    return (docstring or "").strip().split("\n", 1)[0]
 
 
 def _not_asked() -> None:
