@@ -2,15 +2,16 @@
 
 The modules of commands import what is expensive inside their commands. Typer reads the types of
 every option it is given, for which it imports pydantic; so it gets the function of the command that
-was asked for, and of the others only a line for the list. A procedure's settings are classes of
-pydantic, so a procedure that was not asked for is not imported: its line is read from its source.
+was asked for, and of the others only a line for the list, read from their sources.
 """
 
 from __future__ import annotations
 
+import ast
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from pathlib import Path
 
 import typer
 
@@ -30,7 +31,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "jog": ("rig.cli.jog", "jog"),
     "score": ("rig.cli.score", "score"),
     "train": ("rig.cli.train", "train"),
-    "make-safe": ("rig.cli.simulate", "make_safe"),
+    "make-safe": ("rig.cli.make_safe", "make_safe"),
 }
 """Commands in the order of the help, each described by the first line of its docstring."""
 
@@ -39,7 +40,7 @@ GROUPS: dict[str, str] = {
     "calibrate": "rig.cli.calibrate",
     "skin": "rig.cli.skin",
 }
-"""Groups of commands with their description."""
+"""Groups of commands: modules with an ``app``, described by the first line of their docstring."""
 
 HELP = """Tactile bench controller: sweeps, slip and roll trials, calibrations, and their files.
 
@@ -97,16 +98,15 @@ def build(arguments: Sequence[str]) -> typer.Typer:
         _add(app, name, _summary(name) if listed or name == asked else "", function)
     # A command imports its own module only: `rig make-safe` depends on no other.
     for name, (module, function_name) in COMMANDS.items():
-        command_of = (
-            getattr(import_module(module), function_name) if listed or name == asked else None
-        )
-        text = _first_line(command_of.__doc__) if command_of else ""
-        _add(app, name, text, command_of if command_of and name == asked else _not_asked)
+        if name == asked:
+            function = getattr(import_module(module), function_name)
+            _add(app, name, _first_line(function.__doc__), function)
+        else:
+            _add(app, name, first_line_in(module, function_name) if listed else "", _not_asked)
     for name, module in GROUPS.items():
-        group = import_module(module) if listed or name == asked else None
-        text = group.HELP if group else ""
-        if group and name == asked:
-            app.add_typer(group.app, name=name, short_help=text)
+        text = first_line_in(module) if listed or name == asked else ""
+        if name == asked:
+            app.add_typer(import_module(module).app, name=name, short_help=text)
         else:
             _add(app, name, text, _not_asked)
     return app
@@ -124,6 +124,17 @@ def _summary(name: str) -> str:
         return printable(f"(unavailable: {error.package}: {error.reason})")
     except ConfigurationError as error:
         return printable(f"(unavailable: {error.message})")
+
+
+def first_line_in(module: str, function_name: str | None = None) -> str:
+    """Return the first line of the docstring of a module of this package, or of a function in it,
+    from its source: to import all of them would take most of the time of ``rig --help``."""
+    source = Path(__file__).with_name(module.rsplit(".", 1)[1] + ".py").read_text(encoding="utf-8")
+    tree = ast.parse(source)
+    if function_name is None:
+        return _first_line(ast.get_docstring(tree))
+    functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+    return _first_line(ast.get_docstring(functions[function_name]))
 
 
 def _first_line(docstring: str | None) -> str:

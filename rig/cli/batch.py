@@ -1,4 +1,4 @@
-"""Commands of an overnight batch: plan, run, show its status, pause, stop and resume it."""
+"""Overnight batches: many runs from one file, each taken exactly once."""
 
 from __future__ import annotations
 
@@ -18,11 +18,10 @@ if TYPE_CHECKING:
     from rig.batch.folder import BatchFolder
     from rig.batch.report.status import BatchStatus
 
-HELP = "Overnight batches: many runs from one file, each taken exactly once."
 
 app = typer.Typer(
     name="batch",
-    help=HELP,
+    help=(__doc__ or "").split("\n", 1)[0],
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,

@@ -1,4 +1,4 @@
-"""Commands that make calibration records: of a film from a sweep, of sensors from known weights."""
+"""Make calibration records: a film from a sweep's file, sensors from known weights."""
 
 from __future__ import annotations
 
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     Vector = tuple[float, float, float]
 
-HELP = "Make calibration records: a film from a sweep's file, sensors from known weights."
 
 LARGE_CROSSTALK_PERCENT = 10.0
 """A sensor of two crossed or tilted axes."""
@@ -47,7 +46,7 @@ TEMPERATURES_degC = (-40.0, 85.0)
 """Between which the sensors and the film work at all."""
 app = typer.Typer(
     name="calibrate",
-    help=HELP,
+    help=(__doc__ or "").split("\n", 1)[0],
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,

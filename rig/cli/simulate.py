@@ -10,7 +10,7 @@ import typer
 from rig.cli.options import SimulatedStages
 from rig.cli.outcome import reported, say
 from rig.core.atomic import write_text
-from rig.core.errors import ConfigurationError, UnsafeError
+from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rig.bench.bench import BenchFactory
@@ -60,47 +60,3 @@ def _write_bench_file(path: Path, text: str) -> None:
             f"the bench file {path} cannot be written: {error.strerror}",
             "name a file in an existing folder",
         ) from error
-
-
-def make_safe(
-    bench: Annotated[Path, typer.Option(help="Bench file.")] = Path("bench.toml"),
-    results: Annotated[Path, typer.Option(help="Folder with the guard's report.")] = Path(
-        "results"
-    ),
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
-) -> None:
-    """Bring every instrument of a bench to rest, whatever state it was left in.
-
-    One whose driver is broken, or whose table in the bench file is wrong, keeps no other from it.
-    A run on it is not waited for: it fails when its instruments do what it has not told them.
-    Ctrl-C ends nothing half-way.
-    """
-    from rig.run.stopping import StopFlag
-
-    with reported(debug), StopFlag():
-        from rig.bench.bench import parse_to_make_safe
-        from rig.core.toml_files import MAX_TOML_BYTES, read_text
-        from rig.run.guard import make_bench_safe, report_path
-        from rig.run.lock import in_use
-
-        if not bench.exists():
-            raise ConfigurationError(
-                f"there is no bench file {bench}",
-                "name the one of the bench with --bench; the simulated bench that a command starts "
-                "for itself makes itself safe",
-            )
-        text = read_text(bench, "bench file", MAX_TOML_BYTES)
-        described = parse_to_make_safe(text, str(bench))
-        if (user := in_use(described)) is not None:
-            say(f"{user}; it is made safe all the same, and what runs on it will fail")
-        failures = make_bench_safe(text, str(bench))
-        roles = [part.role for part in described.instruments if part.role not in failures]
-        name = str(bench) if described.settings is None else described.settings.name
-        if roles:
-            say(f"{name}: {', '.join(roles)} made safe")
-        if failures or described.settings is None:
-            raise UnsafeError(
-                "; ".join(f"{role}: {why}" for role, why in failures.items()),
-                "switch the bench off by hand and find out why",
-            )
-        report_path(results, name).unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""``rig skin`` runs the skin model and draws the results. It contains no physics of its own.
+"""Simulate the finger skin: slides, rolls, the paper's section 4.2, places for the strips.
 
 Modules that are slow to import are imported inside the commands. stdout carries the summary,
 stderr only errors. Every figure and every summary states that it is simulated.
@@ -34,11 +34,10 @@ if TYPE_CHECKING:
 else:
     Model = TypeVar("Model")
 
-HELP = "Simulate the finger skin: slides, rolls, the paper's section 4.2, places for the strips."
 
 app = typer.Typer(
     name="skin",
-    help=HELP,
+    help=(__doc__ or "").split("\n", 1)[0],
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
