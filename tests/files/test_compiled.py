@@ -18,13 +18,16 @@ import recorded_run as run
 from rig.files.checksum import sha256_of
 from rig.files.definitions import definition_path
 from rig.files.errors import JournalError, RecordingError, RunFileError
+from rig.files.hdf5.nexus import CHUNK_ROWS
 from rig.files.journal.layout import Layout, Trace
 from rig.files.journal.reader import read_journal
 from rig.files.journal.writer import JournalWriter
 from rig.files.naming import journal_path, next_run_path
 from rig.files.runfile.compile import compile_run, journal_equals_file
+from rig.files.runfile.read_back import differences
 from rig.files.runfile.reader import RunFile
 from rig.files.runfile.recover import recover
+from rig.files.runfile.sample_walk import SampleWalk
 from rig.files.verify import verify
 
 
@@ -548,3 +551,24 @@ def test_progress_can_be_read_while_the_run_writes(tmp_path: Path) -> None:
     with JournalWriter.create(tmp_path / "a.rigj", run.header()) as journal:
         run.take_point(journal, 0)
         assert read_journal(journal.path).kept_ids() == [run.POINTS[0]]
+
+
+def test_a_sample_that_differs_is_found_in_whatever_chunk_it_is(tmp_path: Path) -> None:
+    rows = CHUNK_ROWS + 1000
+    path = tmp_path / "long.rigj"
+    with JournalWriter.create(path, run.header()) as journal:
+        run.take_point(journal, 0, rows)
+        journal.end(run.end(points=1))
+        journal.sync()
+    file = compile_run(path)
+    walk = SampleWalk(read_journal(path)).exhaust()
+    assert differences(walk, file) == []
+    assert differences(SampleWalk(read_journal(path)), file) != [], "nothing was compared"
+    for row, first in ((7, 0), (CHUNK_ROWS + 999, CHUNK_ROWS)):
+        changed = tmp_path / f"{row}.h5"
+        changed.write_bytes(file.read_bytes())
+        with h5py.File(changed, "r+") as opened:
+            (data,) = opened["entry/waveforms"].values()
+            data["force"][row] ^= 1
+            name = data["force"].name
+        assert differences(walk, changed) == [f"{name} differs at rows from {first}"]

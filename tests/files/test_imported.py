@@ -737,7 +737,7 @@ def test_a_spoilt_text_is_refused_or_read_as_it_stands(
     above = [line for line in lines[: numbers[0] - 1] if line.strip()]
     for line in above:
         assert not re.fullmatch(r"[-+0-9.,;eE \t]*[0-9][-+0-9.,;eE \t]*", line), line
-    delimiter, decimal = source.told.split(", decimal ")
+    delimiter, decimal = source.written_as.split(", decimal ")
     for row, number in enumerate(numbers):
         line = lines[number - 1].replace('"', "")
         mark = r"[ \t]+" if delimiter == "space" else files.MARK[delimiter]

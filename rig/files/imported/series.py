@@ -76,8 +76,8 @@ class Recording:
 def recording_of(source: ImportSource, stated: ChannelMap, name: str) -> Recording:
     """Return the channels that the user named, read and checked.
 
-    ForeignFileError where a column is not there or named twice, is labelled in a unit that nothing
-    was stated, holds something that is not a number, or if the rate is unknown, uneven or
+    ForeignFileError if a column is missing or named twice, is labelled in another unit while no
+    scale is stated, or holds something that is not a number; and if the rate is unknown, uneven or
     contradicted.
     """
     import numpy as np
