@@ -1,4 +1,4 @@
-"""The strips' samples in a trial: read aside of its ticks, recorded raw and at 1 kHz."""
+"""The strips' samples in a trial: read beside its ticks, recorded raw and at 1 kHz."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from procedures.pressed.reading import DECIMATED_Hz, Taken
 from rig.analysis.trial.decimation import Decimator
 from rig.bench.bench import STRIPS
-from rig.run.aside import Aside
 from rig.run.sample_stream import SampleStream
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ class StripRecord:
     def __init__(self, run: Run, taken: Taken):
         self._run, self._taken = run, taken
         self._settings: PressedSettings = run.settings
-        self.link = Aside("DAQ", run.clock)
+        self.link = run.bench.links["daq"]
         self._samples = SampleStream(run.bench.daq, run.clock)
         self._decimator = Decimator(self._settings.rate_S_s, len(STRIPS))
         self._rows_read = 0

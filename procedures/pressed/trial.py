@@ -31,7 +31,6 @@ from rig.control.approach import Approach, search_speed_mm_s
 from rig.control.force_servo import ForceServo, settings_from
 from rig.control.tick_loop import tick_loop
 from rig.core.errors import InstrumentError, RigError
-from rig.run.aside import Aside
 
 if TYPE_CHECKING:
     from procedures.pressed.rates import Pace
@@ -113,8 +112,9 @@ class PressedTrial:
         self.z, self.x = run.bench.stage_z, run.bench.stage_x
         self.fixture = run.bench.settings.fixture
         self._strips = StripRecord(run, taken)
-        self._aside_z, self._aside_x = Aside("stage z", run.clock), Aside("stage x", run.clock)
-        self._links = {"stage_z": self._aside_z, "stage_x": self._aside_x, "daq": self._strips.link}
+        links = run.bench.links
+        self._link_z, self._link_x = links["stage_z"], links["stage_x"]
+        self._links = {"stage_z": self._link_z, "stage_x": self._link_x, "daq": self._strips.link}
         """By role."""
         self._recording = self._in_motion = False
         self._pace = series.pace
@@ -286,8 +286,6 @@ class PressedTrial:
         with contextlib.ExitStack() as links:
             for link in self._links.values():
                 links.enter_context(link)
-            talking = {role: link.talking for role, link in self._links.items()}
-            links.enter_context(self.bench.keep_alives.left_to(talking))
             links.push(self._end_blocks)
             done = tick_loop(self.run, tick_Hz, longest_s, whole)
         self._next_tick_s = begin_s + done.ticks / tick_Hz
@@ -319,9 +317,9 @@ class PressedTrial:
         older than the end of the tap is not what the servo begins with.
         """
         force_N = self._collect(tick)
-        if (silent_s := self._aside_z.silent_s) > SILENT_S:
+        if (silent_s := self._link_z.silent_s) > SILENT_S:
             raise self._not_held(silent_s)
-        if not self._aside_z.idle or self._felt_s < self._at_rest_s:
+        if not self._link_z.idle or self._felt_s < self._at_rest_s:
             self.taken.held_back += 1
             return True
         step = self._servo.step(force_N, self._ticks_since_step, self._target_late_s, self._older_s)
@@ -345,11 +343,11 @@ class PressedTrial:
         for link in self._links.values():
             link.check()
         self._look_due = look or due
-        if look or self.run.clock.stands:
+        if look or self.run.clock.is_virtual:
             self._ask_what_is_due()
         if look:
-            self._aside_z.settle()
-            self._aside_x.settle()
+            self._link_z.settle()
+            self._link_x.settle()
         if self._recording:
             self._count_frames()
             if due:
@@ -369,9 +367,9 @@ class PressedTrial:
 
     def _ask_where(self) -> None:
         """Ask the stages where they are, x while it may move."""
-        self._aside_z.ask("look", self._look_at_z)
+        self._link_z.ask("look", self._look_at_z)
         if self._in_motion:
-            self._aside_x.ask("look", self._look_at_x)
+            self._link_x.ask("look", self._look_at_x)
 
     def _look_at_z(self) -> None:
         self._z_seen = self._seen(self.z, self._z_commanded)
@@ -462,7 +460,7 @@ class PressedTrial:
             beyond_s = max(0.0, self.run.clock.now() - begun_s - self._pace.link_s)
             self._target_late_s = begun_s - asked_s + beyond_s / 2
 
-        self._aside_z.ask("target", tell)
+        self._link_z.ask("target", tell)
 
     # --- what can be wrong ----------------------------------------------------------------------
 

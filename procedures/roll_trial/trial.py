@@ -17,7 +17,6 @@ from procedures.roll_trial import NUDGED_S, NUDGES, SETTLED_S
 from procedures.roll_trial.reading import RollTaken, reading_of
 from rig.analysis.trial.axis_offset import Look, axis_offset
 from rig.core.errors import LimitError
-from rig.run.aside import Aside
 
 if TYPE_CHECKING:
     from procedures.roll_trial import Settings
@@ -79,8 +78,8 @@ class _OnHead(PressedTrial):
         self._start_mm = fixture.centre_mm + self.settings.start_mm
         self._commanded_deg = 0.0
         self._rotary_seen = Turned()
-        self._aside_rotary = Aside("rotary stage", run.clock)
-        self._links["rotary"] = self._aside_rotary
+        self._link_rotary = run.bench.links["rotary"]
+        self._links["rotary"] = self._link_rotary
         self._looks_Hz = min(self._looks_Hz, LOOKS_Hz)
 
     def make_ready(self, start_mm: float | None = None) -> None:
@@ -179,7 +178,7 @@ class Trial(_OnHead):
         since_s = tick.began_s - self.taken.begun_s - self.taken.motion_from_s
         while self._turns and self._turns[0].at_s <= since_s + self._pace.tick_s / 2:
             turn = self._turns.pop(0)
-            self._aside_rotary.ask("turn", partial(self._turn, turn))
+            self._link_rotary.ask("turn", partial(self._turn, turn))
         self._commanded_deg = self._profile.at_deg(since_s)
         self._hold(tick)
         if self._offset_mm:
@@ -194,7 +193,7 @@ class Trial(_OnHead):
         speed_mm_s = CATCH_UP * abs(target_mm - self._x_commanded) / self._pace.tick_s
         self._x_commanded = target_mm
         speed_mm_s = max(speed_mm_s, SLOWEST_mm_s)
-        self._aside_x.ask("target", lambda: self.x.start_move(target_mm, speed_mm_s))
+        self._link_x.ask("target", lambda: self.x.start_move(target_mm, speed_mm_s))
 
     def _turn(self, turn: Turn) -> None:
         to_deg = self._upright_deg + turn.to_deg
@@ -203,7 +202,7 @@ class Trial(_OnHead):
     def _ask_where(self) -> None:
         super()._ask_where()
         if self._in_motion:  # else it stands where it was brought
-            self._aside_rotary.ask("look", self._look_at_rotary)
+            self._link_rotary.ask("look", self._look_at_rotary)
 
     def _seen_last_s(self) -> float:
         return max(super()._seen_last_s(), self._rotary_seen.at_s)

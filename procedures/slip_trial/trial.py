@@ -113,7 +113,7 @@ class Trial(PressedTrial):
         looks = (tick.number + 1) // self._moving_every
         due, self._moving_looks = looks != self._moving_looks, looks
         if due:
-            self._aside_x.ask("arrived", self._look_whether_arrived)
+            self._link_x.ask("arrived", self._look_whether_arrived)
         return not self._arrived
 
     def _look_whether_arrived(self) -> None:
@@ -121,7 +121,7 @@ class Trial(PressedTrial):
 
     def _move_x(self, speed_mm_s: float) -> None:
         """On to the end of the slide."""
-        self._aside_x.ask("target", lambda: self.x.start_move(self.settings.end_mm, speed_mm_s))
+        self._link_x.ask("target", lambda: self.x.start_move(self.settings.end_mm, speed_mm_s))
 
     def reading(self) -> Reading:
         """Figures of the trial, and why it does not count if it does not."""

@@ -118,7 +118,7 @@ def tick_loop(
     if not (duration_s >= 0 and math.isfinite(duration_s)):
         raise ValueError(f"duration_s {duration_s:g} s must be a number of at least 0")
     ticks = Ticks(run, rate_Hz, round(duration_s * rate_Hz), on_tick)
-    places = two_places() if not run.clock.stands else None
+    places = two_places() if not run.clock.is_virtual else None
     if places is None:
         ticks.take_all()
     else:

@@ -90,9 +90,9 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
             getattr(job.procedure, "check", lambda *_: None)(job.settings, bench)
             stop.check()
             journal = job.open_journal(bench, points)
+            loop = _Loop(job, bench, points, journal, stop, reporter, outcome)
         except RigError as error:
             return _failed(outcome, error)
-        loop = _Loop(job, bench, points, journal, stop, reporter, outcome)
         for warning in warnings:
             loop.run.event("warning", "calibration", warning)
         loop.go()
@@ -274,7 +274,7 @@ class _Loop:
         """Run the offs, undisturbed by stop requests, drives and threads that fail meanwhile."""
         self._making_safe = True
         try:
-            with self.bench.keep_alives.while_making_safe(self.bench.clock):
+            with self.bench.links.making_safe():
                 return self.run.arming.make_safe(self.guard.beat, watch_on)
         finally:
             self._making_safe = False

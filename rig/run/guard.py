@@ -27,6 +27,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rig.core.errors import RigError
 from rig.core.processor import let_run_anywhere
 
 if TYPE_CHECKING:
@@ -123,14 +124,21 @@ class GuardLink:
             "bench_source": plan.source,
             "heartbeat_timeout_s": plan.settings.heartbeat_timeout_s,
         }
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "rig.run.guard"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-            pass_fds=held,
-        )
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "rig.run.guard"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+                pass_fds=held,
+            )
+        except OSError as error:
+            raise RigError(
+                f"the guard cannot be started: {error}; the limit on processes, files or memory is "
+                "reached",
+                "end other programs, or raise the limit (ulimit -u, ulimit -n), and start again",
+            ) from error
         let_run_anywhere(self._process.pid)
         self._tell(json.dumps(order))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 
@@ -31,7 +33,8 @@ class Sensor:
 
 class Clock:
     now_s = 0.0
-    stands = False
+    is_virtual = False
+    in_background = contextlib.nullcontext
 
     def now(self) -> float:
         return self.now_s
@@ -206,5 +209,5 @@ def test_the_newest_frame_is_as_old_as_frames_are_missing(
         clock.now_s += 0.004
         sensor.frames_behind = 0.0
         assert monitor.older_s == pytest.approx(older_s + 0.004, abs=1e-5)
-    clock.stands = True
+    clock.is_virtual = True
     assert monitor.older_s == 0.0
