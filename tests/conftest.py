@@ -29,7 +29,8 @@ settings.register_profile("any computer", deadline=None)
 settings.load_profile("any computer")
 """A loaded machine is no failure: wall-clock bounds live in benchmarks."""
 
-RIG = [sys.executable, "-c", "from rig.cli import main; main()"]
+RIG_MAIN = "from rig.cli import main; main()"
+RIG = [sys.executable, "-c", RIG_MAIN]
 SIMULATING = ("sweep", "slip-trial", "roll-trial", "jog", "simulate")
 """Commands that simulate a bench where they are given none."""
 PATIENCE_S = 120.0
@@ -56,11 +57,12 @@ class Finished:
 
 
 class Running:
-    """A command that is running; its stderr can be waited for line by line."""
+    """A command that is running; its stderr can be waited for line by line. `before` is Python that
+    its process runs first, to have something go wrong in it."""
 
-    def __init__(self, arguments: list[str], cwd: Path, env: dict[str, str]):
+    def __init__(self, arguments: list[str], cwd: Path, env: dict[str, str], before: str = ""):
         self.process = subprocess.Popen(
-            [*RIG, *arguments],
+            [sys.executable, "-c", f"{before}\n{RIG_MAIN}", *arguments],
             cwd=cwd,
             env=env,
             stdout=subprocess.PIPE,
@@ -149,9 +151,9 @@ class Rig:
         """The whole command line, for whoever starts it by other means."""
         return [*RIG, *self.on_bench(*arguments)]
 
-    def start(self, *arguments: str) -> Running:
-        """Start a command."""
-        running = Running(self.on_bench(*arguments), self.folder, self.env)
+    def start(self, *arguments: str, before: str = "") -> Running:
+        """Start a command; for `before` see `Running`."""
+        running = Running(self.on_bench(*arguments), self.folder, self.env, before)
         self._started.append(running)
         return running
 

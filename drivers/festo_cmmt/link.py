@@ -38,6 +38,9 @@ MAILBOX_DATA = 510
 # own, Python would print it.
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
+WAITS = 2
+"""Times the time-out: a transaction may open the connection before it waits for its answer."""
+
 _READ, _WRITE, _DONE = 1, 2, 0x10
 _BASIC, _REGULAR = 1, 2
 _BROKEN = (OSError, EOFError, struct.error, ValueError, IndexError, KeyError, TypeError)
@@ -214,7 +217,7 @@ class CmmtLink:
         from pymodbus.exceptions import ModbusException
 
         failed: Exception | None = None
-        with self._lock:
+        with self._clock.answer_within(WAITS * self._timeout_s), self._lock:
             permit()
             begun = time.monotonic()
             try:

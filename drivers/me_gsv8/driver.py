@@ -51,6 +51,8 @@ INPUT_RANGE_MV_V = 3.5
 MULTI_AXIS, AUTO_FILTER, MIN_MAX = 0x01, 0x02, 0x04
 READ_WAIT_S = 0.02
 """Longest wait for bytes in one read: what a request may be kept waiting by the reader."""
+WAITS = 2
+"""Times the time-out: a request may have to synchronise the link before it waits for its answer."""
 STREAMING = 0x08
 CRC16_ON = b"\x08"
 
@@ -360,7 +362,8 @@ class GsvLink:
 
         name = command.name if command is not None else "stream"
         try:
-            yield
+            with self._clock.answer_within(WAITS * self._settings.timeout_s):
+                yield
         except InstrumentTimeoutError:
             with contextlib.suppress(InstrumentError):  # the time-out itself is the news
                 self._clock.charge(self._settings.timeout_s)

@@ -49,6 +49,8 @@ READ_WAIT_S = 0.005
 HELD_UP_S = 0.1
 """A wait for the line that is longer has met something else, as another instrument's time-out: the
 line's drives are kept alive meanwhile."""
+WAITS = 2
+"""Times the time-out: a drive may have to echo before it is asked."""
 EXCEPTIONS = {
     1: "illegal function",
     2: "illegal data address",
@@ -480,7 +482,8 @@ class AzLink:
         trusting: bool = False,
         permit: Callable[[], None] = lambda: None,
     ) -> bytes:
-        with self._line_errors(what, charge):
+        waiting = self._clock.answer_within(WAITS * self._timeout_s)
+        with self._line_errors(what, charge), waiting:
             pdu = self.line.exchange(request, self._timeout_s, trusting, permit)
         if pdu[0] & 0x80:
             code = pdu[1]

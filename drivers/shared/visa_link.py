@@ -31,6 +31,8 @@ _ERROR_REPLY = re.compile(r'^([+-]?\d+),"(.*)"$')
 _SMALLEST_BLOCK_REPLY = len(b"#10")
 _LINE_ENDS = (b"", b"\n", b"\r\n")
 _LONGEST_ERROR_QUEUE = 32
+WAITS = 2
+"""Times the time-out: a message may open the connection before it waits for its answer."""
 
 
 class VisaLink:
@@ -106,9 +108,10 @@ class VisaLink:
     def _conversation(self, message: str) -> Iterator[Any]:
         """A session to talk on; any failure closes it and becomes an InstrumentError."""
         try:
-            if self._session is None:
-                self._session = self._open(message)
-            yield self._session
+            with self._clock.answer_within(WAITS * self._timeout_s):
+                if self._session is None:
+                    self._session = self._open(message)
+                yield self._session
         except pyvisa.errors.VisaIOError as error:
             self.close()
             if error.error_code == StatusCode.error_timeout:

@@ -30,6 +30,8 @@ READ_WAIT_S = 0.005
 LONGEST_LINE = 1024
 """Longest message: more bytes without a line's end are an error."""
 SOCKET = "socket://"
+WAITS = 2
+"""Times the time-out: a command may open the port before it waits for its reply."""
 READ_BYTES = 4096
 
 
@@ -135,7 +137,7 @@ class ZaberLink:
 
         what = words or "status"
         try:
-            with self._lock:
+            with self._clock.answer_within(WAITS * self._timeout_s), self._lock:
                 permit()
                 try:
                     return self._transact(axis, words)

@@ -10,9 +10,8 @@ import contextlib
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from rig.run.aside import Aside
-
 if TYPE_CHECKING:
+    from rig.bench.link_worker import LinkWorker
     from rig.run.context import Run
 
 
@@ -20,25 +19,23 @@ class TrialLinks:
     """The workers of a trial's links, by the role of the instrument at the other end."""
 
     def __init__(self, run: Run):
-        self._clock, self._keep_alives = run.clock, run.bench.keep_alives
-        self._workers: dict[str, Aside] = {}
+        self._bench_links = run.bench.links
+        self._workers: dict[str, LinkWorker] = {}
 
-    def add(self, role: str, name: str) -> None:
-        """Give the link to the instrument of this role a worker; `name` is its thread's."""
-        self._workers[role] = Aside(name, self._clock)
+    def add(self, role: str) -> None:
+        """Use the link to the instrument of this role."""
+        self._workers[role] = self._bench_links[role]
 
     @contextlib.contextmanager
     def working(self) -> Iterator[None]:
-        """Within it, requests are carried out in background threads (in real time).
+        """Within it, requests are carried out by the links' workers (in real time).
 
-        Keep-alives are left to a link's worker as long as it is talking. Leaving it waits for
-        what was asked, unless something was raised: then what has not begun is dropped.
+        Leaving it waits for what was asked, unless something was raised: then what has not begun is
+        dropped.
         """
         with contextlib.ExitStack() as stack:
             for worker in self._workers.values():
                 stack.enter_context(worker)
-            talking = {role: worker.talking for role, worker in self._workers.items()}
-            stack.enter_context(self._keep_alives.left_to(talking))
             yield
 
     def ask(self, role: str, what: str, work: Callable[[], None]) -> None:

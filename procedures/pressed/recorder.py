@@ -118,7 +118,7 @@ class TickRecorder:
         due = self._schedule.is_due(tick)
         self._links.check()
         self._poll_due = wait or due
-        if wait or self._run.clock.stands:
+        if wait or self._run.clock.is_virtual:
             self.poll_if_due()
         if wait:
             self._links.settle("stage_z", "stage_x")

@@ -267,9 +267,10 @@ def arm_pressed(
 
 
 def _lift(run: Run, what: str, stop: Callable[[], None], came_from_mm: float) -> None:
-    """Stop, what moves first; then away from the object, if the drive still can."""
+    """Stop, what moves first; then away from the object, if the drive still can. An instrument that
+    does not answer its stop does not keep the skin pressed."""
     try:
-        stop()
+        run.arming.begin(what, stop)
     except RigError as error:  # its own off says so, too: up is what matters here
         run.event("warning", f"{what}-not-stopped", error.one_line())
     unload(run, "skin", came_from_mm)

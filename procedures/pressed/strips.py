@@ -34,7 +34,7 @@ class StripRecorder:
 
     def __init__(self, run: Run, record: TrialRecord, links: TrialLinks):
         self._run, self._record, self._links = run, record, links
-        links.add("daq", "DAQ")
+        links.add("daq")
         self._settings: PressedSettings = run.settings
         self._samples = SampleStream(run.bench.daq, run.clock)
         self._decimator = Decimator(self._settings.rate_S_s, len(STRIPS))

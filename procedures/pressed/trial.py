@@ -57,8 +57,8 @@ class PressedTrial:
         self.settings: PressedSettings = run.settings
         rates, bench = series.rates, run.bench
         self.links = TrialLinks(run)
-        self.links.add("stage_z", "stage z")
-        self.links.add("stage_x", "stage x")
+        self.links.add("stage_z")
+        self.links.add("stage_x")
         self.z = PressingStage(run, bench.stage_z, self.links, rates.link_s)
         self.x = PolledStage(run, "stage_x", bench.stage_x, self.links)
         poll_rate_Hz = min(rates.poll_rate_Hz, most_polls_Hz)

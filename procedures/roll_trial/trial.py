@@ -57,7 +57,7 @@ class PolledRotary:
     """The rotary stage of a trial, with the object on it, by its angle from upright."""
 
     def __init__(self, run: Run, upright_deg: float, links: TrialLinks):
-        links.add("rotary", "rotary stage")
+        links.add("rotary")
         self.stage, self.upright_deg = run.bench.rotary, upright_deg
         self.commanded_deg = 0.0
         self.in_motion = False

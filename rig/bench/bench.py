@@ -17,7 +17,7 @@ from typing import Any, Literal, Protocol, Self, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
-from rig.bench.keep_alives import KeepAlives
+from rig.bench.link_worker import LinkWorkers
 from rig.core.clock import Clock
 from rig.core.entry_points import DRIVERS, load
 from rig.core.errors import (
@@ -276,7 +276,8 @@ class Bench:
     plan: BenchPlan
     clock: Clock
     instruments: dict[str, Instrument]
-    keep_alives: KeepAlives = field(default_factory=KeepAlives)
+    links: LinkWorkers
+    """A worker for each instrument's link."""
     strip_calibrations: dict[Strip, FilmCalibration] = field(default_factory=dict)
     """Records in use for the skin's strips."""
 
@@ -350,6 +351,7 @@ class Bench:
 
     def close(self) -> None:
         """Let go of every link, each in isolation."""
+        self.links.close()
         _close_all(self.instruments)
         self.clock.close()
 
@@ -481,34 +483,38 @@ def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
 def connect(plan: BenchPlan, clock: Clock, before_each: Callable[[], None] = lambda: None) -> Bench:
     """Connect to every instrument; where some fail, all failures are told and none stays open.
 
-    What `before_each` raises, before an instrument is connected, ends it at once.
+    What `before_each` raises, before an instrument is connected, ends it at once. Each instrument
+    has its worker as soon as it is connected: a drive is fed while the next one takes its time.
     """
     instruments: dict[str, Instrument] = {}
     failures: list[RigError] = []
-    keep_alives = KeepAlives()
-    clock.each_slice(keep_alives.feed)
-    for part in plan.instruments:
-        try:
+    links = LinkWorkers(clock)
+    unregister = clock.each_slice(links.look)
+    try:
+        for part in plan.instruments:
             before_each()
-        except BaseException:
-            _close_all(instruments)
-            raise
-        try:
-            instrument = part.driver.connect(part.settings, clock)
-        except RigError as error:
-            failures.append(error)
-            continue
-        except BaseException:
-            _close_all(instruments)
-            raise
-        guarded = GuardedGenerator(instrument) if part.role == "generator" else instrument  # type: ignore[arg-type]
-        instruments[part.role] = guarded
-        if hasattr(instrument, "keep_alive"):
-            keep_alives.add(part.role, instrument.keep_alive)
-    if failures:
+            try:
+                instrument = part.driver.connect(part.settings, clock)
+            except RigError as error:
+                failures.append(error)
+                continue
+            guarded = GuardedGenerator(instrument) if part.role == "generator" else instrument  # type: ignore[arg-type]
+            instruments[part.role] = guarded
+            feed = getattr(instrument, "keep_alive", None)
+            links.add(part.role, feed, longest_call_s(part.settings))
+        if failures:
+            raise failures[0] if len(failures) == 1 else SeveralFailuresError(failures)
+    except BaseException:
+        unregister()
+        links.close()
         _close_all(instruments)
-        raise failures[0] if len(failures) == 1 else SeveralFailuresError(failures)
-    return Bench(plan, clock, instruments, keep_alives)
+        raise
+    return Bench(plan, clock, instruments, links)
+
+
+def longest_call_s(settings: Settings) -> float:
+    """The longest that a call on an instrument with these settings may wait for its link, in s."""
+    return WAITS_PER_CALL * float(getattr(settings, "timeout_s", 0.0))
 
 
 def apply_calibrations(
@@ -610,7 +616,7 @@ def _wiring_errors(
 def _impatience(settings: BenchSettings, plans: list[InstrumentPlan], source: str) -> Iterator[str]:
     """A run that waits for an instrument must not be taken for one that hangs."""
     for plan in plans:
-        longest_s = WAITS_PER_CALL * getattr(plan.settings, "timeout_s", 0.0)
+        longest_s = longest_call_s(plan.settings)
         if longest_s >= settings.heartbeat_timeout_s:
             yield (
                 f"{source}: heartbeat_timeout_s {settings.heartbeat_timeout_s:g} is not above "

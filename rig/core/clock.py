@@ -6,9 +6,13 @@ unless this clock says so, which makes a run repeatable to the bit and as fast a
 allows.
 
 A wait is cut into slices of at most 20 ms. Before each slice the registered callbacks run: the
-keep-alives of drives with a communication time-out, the check for a stop request, the heartbeat.
-They run from here and from nowhere else, so a procedure that hangs starves them, and the drives
-stop by themselves. What works aside of the procedure waits without them.
+check for a stop request, the heartbeat, a look at what the links' threads have met. They run in the
+procedure's threads only; a thread that works in the background waits without them.
+
+Every slice is also a sign of life of the procedure. `procedure_alive` says whether the latest is
+recent: drives with a communication time-out are kept alive only while it is, so a procedure that
+hangs starves them and they stop by themselves. A link that waits for an answer says for how long at
+most (`answer_within`); the procedure may be silent for as long.
 """
 
 from __future__ import annotations
@@ -37,6 +41,10 @@ the guard's patience with a run that gives no sign of life."""
 BEAT_S = 1.0
 """Between two signs of life of who waits for a simulated bench that computes."""
 
+SIGN_OF_LIFE_S = 0.5
+"""Without a sign of life for longer, outside the waits for an answer, the procedure is taken to
+hang. A computer that is busy stalls for less."""
+
 CONTROL_TIMEOUT_S = 60.0
 """Wall time the simulated bench may take to answer an advance: only a dead one takes longer."""
 
@@ -59,12 +67,13 @@ class StreamConsumer(Protocol):
 class Clock(ABC):
     """Seconds since the clock was made, and waiting that stays responsive."""
 
-    stands = False
-    """Whether it stands while an instrument answers."""
+    is_virtual = False
+    """Whether time stops while an instrument answers."""
 
     def __init__(self) -> None:
         self._callbacks: list[Callable[[], None]] = []
-        self._aside = threading.local()
+        self._background = threading.local()
+        self._alive_until = time.monotonic() + SIGN_OF_LIFE_S
 
     @abstractmethod
     def now(self) -> float:
@@ -85,20 +94,46 @@ class Clock(ABC):
         return unregister
 
     @contextlib.contextmanager
-    def aside(self) -> Iterator[None]:
-        """This thread works aside of the procedure: nobody is called from its waits, which are no
-        sign that the procedure is alive."""
-        self._aside.here = True
+    def in_background(self) -> Iterator[None]:
+        """Within it the calling thread is not the procedure: its waits call no callbacks and are no
+        sign of life."""
+        self._background.here = True
         try:
             yield
         finally:
-            self._aside.here = False
+            self._background.here = False
+
+    def sign_of_life(self) -> None:
+        """Say that the procedure is running; nothing happens in a background thread."""
+        if not getattr(self._background, "here", False):
+            self._alive_until = time.monotonic() + SIGN_OF_LIFE_S
+
+    @contextlib.contextmanager
+    def answer_within(self, seconds: float) -> Iterator[None]:
+        """Within it the calling thread waits for an instrument's answer, at most for `seconds` of
+        wall time: so long the procedure's silence does not mean that it hangs.
+
+        Every link puts its transactions into it. Nothing happens in a background thread.
+        """
+        if not getattr(self._background, "here", False):
+            self._alive_until = time.monotonic() + seconds + SIGN_OF_LIFE_S
+        try:
+            yield
+        finally:
+            self.sign_of_life()
+
+    @property
+    def procedure_alive(self) -> bool:
+        """Whether the procedure has given a sign of life recently, or waits for an answer that is
+        not overdue."""
+        return time.monotonic() < self._alive_until
 
     def sleep(self, seconds: float) -> None:
         """Wait `seconds` of bench time; whatever a callback raises ends the wait."""
         deadline = self.now() + seconds
         while True:
-            if not getattr(self._aside, "here", False):
+            if not getattr(self._background, "here", False):
+                self.sign_of_life()
                 for callback in tuple(self._callbacks):
                     callback()
             remaining = deadline - self.now()
@@ -166,7 +201,7 @@ class SlavedClock(Clock):
     given bench time never depends on the host's scheduling.
     """
 
-    stands = True
+    is_virtual = True
 
     def __init__(self, control: ControlLink):
         super().__init__()

@@ -16,7 +16,7 @@ from typing import Protocol
 
 from pydantic import Field
 
-from rig.bench.bench import WAITS_PER_CALL, Bench, require
+from rig.bench.bench import Bench, longest_call_s, require
 from rig.core.errors import ConfigurationError, ExitCode, LimitError, RigError
 from rig.core.settings import Settings
 from rig.instruments.roles import LinearStage, Reach, RotaryStage
@@ -212,7 +212,8 @@ class JogSession:
         }
         self._jog = Jog(axes, settings.largest_force_N, chosen or names[0])
         self._limited = limited
-        self._arming, self._holds = Arming(), Holds()
+        self._arming = Arming(overlapping=not bench.clock.is_virtual)
+        self._holds = Holds()
         self._force: ForceMonitor | None = None
         self._force_N: Vector | None = None
         self._places: dict[str, Place] = {}
@@ -244,9 +245,7 @@ class JogSession:
     # --- beginning and end --------------------------------------------------------------------
 
     def _begin(self) -> None:
-        waits_s = WAITS_PER_CALL * max(
-            getattr(part.settings, "timeout_s", 0.0) for part in self._bench.plan.instruments
-        )
+        waits_s = max(longest_call_s(part.settings) for part in self._bench.plan.instruments)
         deadline_s = OFF_DEADLINE_S + waits_s
         if "force_sensor" in self._bench.instruments:
             sensor = self._bench.force_sensor
@@ -266,7 +265,7 @@ class JogSession:
 
     def _make_safe(self, ended: Ended) -> None:
         self._undisturbed = True
-        with self._bench.keep_alives.while_making_safe(self._bench.clock):
+        with self._bench.links.making_safe():
             failures = self._arming.make_safe(self._guard.beat)
         if (moved := self._jog.moving) is not None:
             with contextlib.suppress(RigError):

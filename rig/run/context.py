@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rig.bench.bench import WAITS_PER_CALL, Bench
+from rig.bench.bench import Bench, longest_call_s
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentTimeoutError, RigError
 from rig.files.journal.recorder import Recorder
@@ -46,10 +46,9 @@ class Run:
         self.made_safe: list[str] = []
         """What the shutdown actions have done since the bench was last made safe, in their order,
         as parts of a sentence: "generator off". An action that failed in part is not among them."""
-        self._arming = Arming()
-        self._waits_s = WAITS_PER_CALL * max(
-            (getattr(part.settings, "timeout_s", 0.0) for part in bench.plan.instruments),
-            default=0.0,
+        self._arming = Arming(overlapping=not self.clock.is_virtual)
+        self._waits_s = max(
+            (longest_call_s(part.settings) for part in bench.plan.instruments), default=0.0
         )
         """What one call on an instrument may wait for its link at most."""
         self._recorder = recorder

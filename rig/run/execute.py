@@ -75,9 +75,9 @@ def execute(
             procedure.check(bench)
             stop.check()
             journal = job.open_journal(bench, points)
+            execution = _Execution(job, procedure, bench, journal, stop, observers, outcome)
         except RigError as error:
             return _failed(outcome, error)
-        execution = _Execution(job, procedure, bench, journal, stop, observers, outcome)
         for warning in warnings:
             execution.run.event("warning", "calibration", warning)
         execution.go(points)
@@ -200,7 +200,7 @@ class _Execution:
         meanwhile; those that failed."""
         self.phases.enter(RunPhase.MAKING_SAFE)
         self.run.made_safe.clear()
-        with self.bench.keep_alives.while_making_safe(self.bench.clock):
+        with self.bench.links.making_safe():
             return self.run.arming.make_safe(self.guard.beat, keep_watching)
 
     def _make_safe(self) -> None:

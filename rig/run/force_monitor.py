@@ -70,7 +70,9 @@ class ForceMonitor:
         """Frames up to the last one that have repeated the one before them."""
         self.largest_N = 0.0
         """Largest force along any axis since `watch`."""
-        self._reader: StreamReader[ForceFrames] = StreamReader("force reader", self)
+        self._reader: StreamReader[ForceFrames] = StreamReader(
+            "force reader", self, around=clock.in_background
+        )
         self._unfollow: Callable[[], None] = lambda: None
 
     # --- what the procedure uses --------------------------------------------------------------
@@ -150,7 +152,7 @@ class ForceMonitor:
     def older_s(self) -> float:
         """By how much older than usual the newest frame is; nothing where bench time stands while
         frames come."""
-        if self._clock.stands or not self._rate:
+        if self._clock.is_virtual or not self._rate:
             return 0.0
         return max(0.0, self._clock.now() - self._newest_s)
 

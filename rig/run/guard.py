@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rig.core.atomic import write_text
+from rig.core.errors import RigError
 
 if TYPE_CHECKING:
     from rig.bench.bench import BenchPlan
@@ -123,14 +124,21 @@ class GuardLink:
             "bench_source": plan.source,
             "heartbeat_timeout_s": plan.settings.heartbeat_timeout_s,
         }
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "rig.run.guard"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-            pass_fds=held,
-        )
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "rig.run.guard"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+                pass_fds=held,
+            )
+        except OSError as error:
+            raise RigError(
+                f"the guard cannot be started: {error}; the limit on processes, files or memory is "
+                "reached",
+                "end other programs, or raise the limit (ulimit -u, ulimit -n), and start again",
+            ) from error
         self._tell(json.dumps(order))
 
     @property

@@ -7,10 +7,15 @@ goes wrong here is kept and raised in the procedure's thread at its next look.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, Generic, Protocol, TypeVar
+
+from rig.core.errors import RigError
+from rig.core.threads import start_thread
 
 Sample = TypeVar("Sample")
 Delivered = TypeVar("Delivered", covariant=True)
@@ -33,7 +38,7 @@ class StreamSource(Protocol[Delivered]):
 class StreamReader(Generic[Sample]):
     """Reads a source in a thread of its own until stopped.
 
-    `samples_kept` bounds the ring from which the procedure reads.
+    `samples_kept` bounds the ring from which the procedure reads. The thread works within `around`.
     """
 
     def __init__(
@@ -42,8 +47,10 @@ class StreamReader(Generic[Sample]):
         source: StreamSource[Sample],
         watchers: Sequence[Watcher] = (),
         samples_kept: int = 100_000,
+        around: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
     ):
         self._source = source
+        self._around = around
         self._watchers = tuple(watchers)
         self._ring: deque[Sample] = deque(maxlen=samples_kept)
         self._failure: BaseException | None = None
@@ -56,9 +63,13 @@ class StreamReader(Generic[Sample]):
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Begin reading."""
+        """Begin reading; RigError where no thread can be had."""
         self._running = True
-        self._thread.start()
+        try:
+            start_thread(self._thread)
+        except RigError:
+            self._running = False  # nobody shall wait for it
+            raise
 
     def stop(self) -> None:
         """End the thread and wait for it; nothing happens where it never began."""
@@ -101,6 +112,10 @@ class StreamReader(Generic[Sample]):
             return list(self._ring)[-count:] if count else []
 
     def _run(self) -> None:
+        with self._around():
+            self._read_on()
+
+    def _read_on(self) -> None:
         try:
             while not self._stopping.is_set():
                 samples = self._source.read()

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import re
 import textwrap
-import threading
 import tomllib
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -25,7 +23,7 @@ from rig.bench.bench import (
     rehearsal,
     require,
 )
-from rig.bench.keep_alives import KeepAlives
+from rig.bench.link_worker import LinkWorkers
 from rig.core.clock import WallClock
 from rig.core.errors import ConfigurationError, ExitCode, InstrumentError, LimitError, RigError
 from rig.instruments.roles import Identity, Reach
@@ -258,7 +256,8 @@ def test_what_did_connect_is_closed_where_another_failed() -> None:
     with pytest.raises(InstrumentError) as caught:
         connect(plan_with(works(generator), fails(error)), WallClock())
     assert caught.value is error
-    assert generator.calls == [("close",)]
+    assert [call for call in generator.calls if call != ("keep_alive",)] == [("close",)]
+    assert generator.calls[-1] == ("close",), "nobody is fed over a link that is closed"
 
 
 def test_one_simulated_instrument_makes_the_bench_simulated() -> None:
@@ -292,78 +291,6 @@ def test_a_guarded_generator_refuses_before_anything_is_sent(
     assert inner.calls == []
 
 
-def test_a_drive_that_is_not_heard_ends_a_wait_but_no_clean_up() -> None:
-    fed: list[str] = []
-    silent = InstrumentError("stage_x", "read register 100", "no answer", "switch it on")
-
-    def unheard() -> None:
-        fed.append("x")
-        raise silent
-
-    alive = KeepAlives()
-    alive.add("stage_x", unheard)
-    alive.add("stage_z", lambda: fed.append("z"))
-    with pytest.raises(InstrumentError, match="no answer"):
-        alive.feed()
-    assert fed == ["x"]
-    with alive.while_making_safe(StandingClock()):
-        alive.feed()
-        alive.feed()
-    assert fed == ["x", "x", "z", "z"], "asked once more, then left to its own time-out"
-    with pytest.raises(InstrumentError, match="no answer"):
-        alive.feed()
-
-
-def test_a_drive_that_somebody_else_talks_to_is_left_to_them() -> None:
-    fed, talking = list[str](), True
-    alive = KeepAlives()
-    for role in ("stage_x", "stage_z"):
-        alive.add(role, partial(fed.append, role))
-    with alive.left_to({"stage_x": lambda: talking}):
-        alive.feed()
-        talking = False
-        alive.feed()
-    alive.feed()
-    assert fed == ["stage_z", *2 * ["stage_x", "stage_z"]]
-
-
-class StandingClock(WallClock):
-    """As a slaved one."""
-
-    stands = True
-
-
-def test_a_clean_up_in_real_time_feeds_each_drive_whoever_else_waits() -> None:
-    """x hangs, y is broken; z is fed until it is over, and nobody is called from its waits."""
-    clock, fed, calls = WallClock(), list[str](), list[str]()
-    hangs, fed_z = threading.Event(), threading.Semaphore(0)
-    clock.each_slice(lambda: calls.append("slice"))
-
-    def hang() -> None:
-        fed.append("x")
-        assert hangs.wait(5)
-
-    def broken() -> None:
-        fed.append("y")
-        raise InstrumentError("stage_y", "read register 100", "no answer", "switch it on")
-
-    def feed_z() -> None:
-        clock.sleep(0)
-        fed_z.release()
-
-    alive = KeepAlives()
-    for role, feed in (("stage_x", hang), ("stage_y", broken), ("stage_z", feed_z)):
-        alive.add(role, feed)
-    with alive.while_making_safe(clock):
-        for _ in range(3):
-            assert fed_z.acquire(timeout=5)
-    hangs.set()
-    assert sorted(fed) == ["x", "y"]
-    assert calls == []
-    with pytest.raises(InstrumentError, match="no answer"):
-        alive.feed()
-
-
 def test_a_guarded_generator_passes_on_what_is_inside() -> None:
     inner = Fake()
     generator = GuardedGenerator(inner)  # type: ignore[arg-type]
@@ -387,7 +314,7 @@ def test_require_names_value_unit_limit_device_and_place() -> None:
 def test_a_part_that_the_bench_has_not_is_named_when_it_is_asked_for(part: str) -> None:
     plan = parse_bench('name = "bare"\n[fixture]\nmounted = "plate"\n', "bare.toml")
     with pytest.raises(ConfigurationError, match=rf"bare\.toml.*{part}.*"):
-        getattr(Bench(plan, WallClock(), {}), part)
+        getattr(Bench(plan, WallClock(), {}, LinkWorkers(WallClock())), part)
 
 
 def test_the_wrong_fixture_is_refused() -> None:
@@ -422,7 +349,7 @@ channels = { strip_1 = 101, strip_2 = 102 }
 
 
 def test_a_skin_is_described_with_what_is_known_of_its_strips() -> None:
-    skin = Bench(parse_bench(PLATE, "bench.toml"), WallClock(), {}).skin
+    skin = Bench(parse_bench(PLATE, "bench.toml"), WallClock(), {}, LinkWorkers(WallClock())).skin
     assert (skin.name, skin.amplifier_gain, skin.ridge) == ("skin 2", 1000.0, 3)
     assert skin.b_dB == {"strip_1": -62.5}, "the other strip is not calibrated"
 

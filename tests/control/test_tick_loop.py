@@ -15,7 +15,7 @@ from rig.core.errors import ExitCode
 class HandClock(Clock):
     """Time passes where it is waited for and where a test says so."""
 
-    stands = True
+    is_virtual = True
 
     def __init__(self) -> None:
         super().__init__()

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from rig.core.errors import InstrumentError
+from rig.core.errors import InstrumentError, RigError
 from rig.run.arming import Arming, OffFailure
 
 PATIENCE_S = 30.0
@@ -119,3 +119,128 @@ def test_a_long_clean_up_keeps_saying_that_it_is_alive():
 
     arming.register("stage", unload, deadline_s=6 * PATIENCE_S)
     assert arming.make_safe(beat=alive.release) == []
+
+
+# --- threads that exist before; offs that do not wait for each other -----------------------------
+
+
+def refuse_threads(patch: pytest.MonkeyPatch) -> None:
+    """From now on the computer has no thread to give."""
+
+    def refuse(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    patch.setattr(threading.Thread, "start", refuse)
+
+
+@pytest.mark.parametrize("overlapping", [False, True])
+def test_every_off_runs_although_no_thread_can_be_had_any_more(
+    overlapping: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arming, done = Arming(overlapping), list[str]()
+    for name in ("pump", "stage", "vibrator"):
+        arming.register(name, noting(done, name), at_once=noting(done, f"{name} at once"))
+    with monkeypatch.context() as patch:
+        refuse_threads(patch)
+        assert arming.act_at_once() == []
+        assert arming.make_safe() == []
+    assert sorted(done[:3]) == ["pump at once", "stage at once", "vibrator at once"]
+    assert done[3:] == ["vibrator", "stage", "pump"]
+
+
+def test_nothing_is_armed_for_which_no_thread_can_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    arming, done = Arming(), list[str]()
+    arming.register("stage", noting(done, "old"))
+    with monkeypatch.context() as patch:
+        refuse_threads(patch)
+        with pytest.raises(RigError, match="thread 'off' cannot be started"):
+            arming.register("vibrator", noting(done, "vibrator"))
+        arming.register("stage", noting(done, "new"))  # it has its thread
+    assert arming.names == ("stage",)
+    assert arming.make_safe() == []
+    assert done == ["new"]
+
+
+def test_an_off_that_is_stuck_is_tried_again_in_a_thread_of_its_own(
+    release: threading.Event,
+) -> None:
+    arming, tries = Arming(), list[int]()
+
+    def stuck_once() -> None:
+        tries.append(1)
+        if len(tries) == 1:
+            release.wait(PATIENCE_S)
+
+    arming.register("stage", stuck_once, deadline_s=0.05)
+    assert [failure.name for failure in arming.make_safe()] == ["stage"]
+    assert arming.make_safe() == []
+    assert len(tries) == 2
+    assert not release.is_set()
+
+
+def test_in_real_time_an_off_that_waits_for_an_answer_holds_up_no_other() -> None:
+    """The generator is silent; the film is lifted meanwhile, and the force is read until then."""
+    arming, done = Arming(overlapping=True), list[str]()
+    lifted = threading.Event()
+
+    def answer_late() -> None:
+        assert lifted.wait(PATIENCE_S)
+        done.append("generator")
+
+    def lift() -> None:
+        done.append("film")
+        lifted.set()
+
+    arming.register("force stream", noting(done, "force stream"), watches=True)
+    arming.register("film", lift, deadline_s=PATIENCE_S)
+    arming.register("generator", answer_late, deadline_s=PATIENCE_S)
+    assert arming.make_safe() == []
+    assert done == ["film", "generator", "force stream"]
+
+
+def test_in_real_time_what_stops_at_once_waits_for_no_other_answer() -> None:
+    arming, stopped = Arming(overlapping=True), threading.Event()
+
+    def answer_late() -> None:
+        assert stopped.wait(PATIENCE_S), "the stage was not stopped meanwhile"
+
+    arming.register("stage", lambda: None, PATIENCE_S, at_once=stopped.set)
+    arming.register("generator", lambda: None, PATIENCE_S, at_once=answer_late)
+    assert arming.act_at_once() == []
+
+
+def test_what_stops_at_once_does_not_wait_for_an_off_that_is_under_way() -> None:
+    """A force over the limit while the stage is on its way up."""
+    arming, stopped = Arming(overlapping=True), threading.Event()
+
+    def lift() -> None:
+        assert arming.act_at_once() == []
+        assert stopped.is_set()
+
+    arming.register("stage", lift, PATIENCE_S, at_once=stopped.set)
+    assert arming.make_safe() == []
+
+
+@pytest.mark.parametrize("overlapping", [False, True])
+def test_what_has_to_stop_first_has_a_head_start(
+    overlapping: bool, release: threading.Event
+) -> None:
+    arming, done = Arming(overlapping), list[str]()
+
+    def lift() -> None:
+        arming.begin("slide", noting(done, "x stopped"))
+        with pytest.raises(InstrumentError, match="no answer"):
+            arming.begin("slide", refuse)
+        if overlapping:  # where time stops meanwhile, one thread at a time may wait
+            arming.begin("slide", lambda: release.wait(PATIENCE_S) and None, head_start_s=0.01)
+            assert not release.is_set()
+        done.append("lifted")
+        release.set()
+
+    def refuse() -> None:
+        raise InstrumentError("stage_x", "stop", "no answer", "pull the plug")
+
+    arming.register("slide", noting(done, "slide"))
+    arming.register("normal force", lift, deadline_s=PATIENCE_S)
+    assert arming.make_safe() == []
+    assert done == ["x stopped", "lifted", "slide"]

@@ -87,6 +87,8 @@ Thing = dict[str, Any]
 class BenchTime(Clock):
     """Bench time that passes in the run's own thread only when `let_pass` is called."""
 
+    is_virtual = True
+
     def __init__(self) -> None:
         super().__init__()
         self.run_thread: threading.Thread | None = None

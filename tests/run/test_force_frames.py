@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +35,8 @@ class Sensor:
 
 class Clock:
     now_s = 0.0
-    stands = False
+    is_virtual = False
+    in_background = contextlib.nullcontext
 
     def now(self) -> float:
         return self.now_s
@@ -209,7 +211,7 @@ def test_the_newest_frame_is_as_old_as_frames_are_missing(
         clock.now_s += 0.004
         sensor.frames_behind = 0.0
         assert monitor.older_s == pytest.approx(older_s + 0.004, abs=1e-5)
-    clock.stands = True
+    clock.is_virtual = True
     assert monitor.older_s == 0.0
 
 

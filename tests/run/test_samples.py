@@ -19,7 +19,7 @@ class Daq:
 
     def __init__(self) -> None:
         self.coming: list[str] = []
-        self.now_s = 0.0
+        self.now_s = self.takes_s = 0.0
 
     def now(self) -> float:
         return self.now_s
@@ -28,6 +28,7 @@ class Daq:
         return SimpleNamespace(rate_S_s=acquisition.rate_S_s)
 
     def read(self) -> str | None:
+        self.now_s += self.takes_s
         return self.coming.pop(0) if self.coming else None
 
 
@@ -76,3 +77,21 @@ def test_whoever_asks_late_finds_what_the_buffer_has_bridged(
     daq.now_s += 0.7
     with pytest.raises(InstrumentError, match="no block"):
         stream.read()
+
+
+def test_a_link_that_brings_less_than_is_sampled_is_noticed(daq: Daq, stream: SampleStream) -> None:
+    daq.takes_s = 0.3  # for blocks of 0.1 s
+    daq.coming += ["block"] * 20
+    for _ in range(10):
+        assert stream.read() == "block"
+    with pytest.raises(InstrumentError, match=r"blocks of 0\.1 s .* the latest 0\.3 s: the link"):
+        stream.read()
+
+
+def test_a_stall_or_a_link_that_is_slow_for_a_while_is_caught_up(
+    daq: Daq, stream: SampleStream
+) -> None:
+    daq.coming += ["block"] * 100
+    for takes_s in (60.0, *4 * [0.3], *30 * [0.001], *4 * [0.4], *30 * [0.05]):
+        daq.takes_s = takes_s
+        assert stream.read() == "block"

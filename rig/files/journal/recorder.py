@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Self
 
+from rig.core.threads import start_thread
 from rig.files.errors import RecordingError
 from rig.files.journal.values import End, JournalEvent, StreamState
 from rig.files.journal.writer import JournalWriter, encode_or_raise
@@ -47,7 +48,7 @@ class Recorder:
         self._closing = False
         self._failure: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
-        self._thread.start()
+        start_thread(self._thread)
 
     @property
     def journal(self) -> JournalWriter:
