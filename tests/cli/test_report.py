@@ -117,7 +117,8 @@ def test_figures_are_listed_and_one_that_fails_is_a_warning(
     assert drawn_of == [Path("r.h5")]
     assert (answer["figures"], answer["exit"]) == (["r.png"], 0)
     assert answer["warnings"] == ["the figure x of y could not be drawn: z"]
-    assert "warning: the figure x of y could not be drawn: z\nfigure: r.png\n" in told
+    assert "warning: the figure x of y could not be drawn: z\n" in told
+    assert "Saved: r.h5 and 1 figure (PNG and SVG)\n" in told
 
 
 @pytest.mark.parametrize(("done", "figures"), [(0, True), (2, False)])
