@@ -77,6 +77,22 @@ class AnalogueInputPort(TimePort, Protocol):
         ...
 
 
+class ForcePort(TimePort, Protocol):
+    """What a force sensor in the World feels."""
+
+    @property
+    def noise_key(self) -> tuple[int, ...]:
+        """Keys the amplifier's noise from now on: seed, run and point, for instance."""
+        ...
+
+    def force_N(  # noqa: N802 - the unit keeps its capital
+        self, times_s: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """Return the true force on the sensor along its x, y, z in N, shape (n, 3), at past or
+        present World times (n,) in seconds. What presses on the sensor is positive along z."""
+        ...
+
+
 class TaskLogPort(Protocol):
     """Where an instrument records that a task of its own begins."""
 

@@ -13,6 +13,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -23,7 +24,7 @@ from rig.core.errors import ConfigurationError, InstrumentError
 if TYPE_CHECKING:
     from drivers.simulated.faults.disk import FaultyDisk
 
-__all__ = ["StartedBench", "serve", "start", "variant_for", "variants"]
+__all__ = ["StartedBench", "alone", "serve", "start", "variant_for", "variants"]
 
 ABANDONED_S = 0.5
 """How long a bench that nobody has connected to may take to end by itself."""
@@ -108,6 +109,14 @@ def serve(options: dict[str, Any], ready: Callable[[str], None]) -> None:
     from drivers.simulated.bench import process
 
     asyncio.run(process.serve(Options(**options), lambda said: ready(said["bench_toml"])))
+
+
+def alone(core: Any, force_law: Any, faults: list[dict[str, Any]]) -> AbstractContextManager[Any]:
+    """Serve one simulated instrument without a bench, for the contract of its driver: see
+    `drivers.simulated.bench.alone`."""
+    from drivers.simulated.bench import alone as lone
+
+    return lone.alone(core, force_law, faults)
 
 
 def _faulty_disk(options: Options) -> FaultyDisk | None:

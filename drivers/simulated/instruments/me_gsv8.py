@@ -20,13 +20,14 @@ import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.simulated.faults.wire import WireDialect
-from drivers.simulated.ports import Exchange, LogPort, TimePort
+from drivers.simulated.instruments.force_sensor import ForceSensorCore
+from drivers.simulated.ports import Exchange, ForcePort, LogPort
 
 CHANNELS = 8
 CONVERSIONS_PER_S = 48_000
@@ -59,21 +60,6 @@ UNSERVED = frozenset(
     | {*range(0x90, 0xA2)}
 )
 """Commands of the protocol that this simulator answers with "not implemented"."""
-
-
-class ForcePort(TimePort, Protocol):
-    """What a force sensor in the World feels."""
-
-    @property
-    def noise_key(self) -> tuple[int, ...]:
-        """Keys the amplifier's noise from now on: seed, run and point, for instance."""
-        ...
-
-    def force_N(  # noqa: N802 - the unit keeps its capital
-        self, times_s: npt.NDArray[np.float64]
-    ) -> npt.NDArray[np.float64]:
-        """The true force on the sensor at past or present World times: (n,) to (n, 3)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -171,11 +157,18 @@ class Command:
     writes: bool = False
 
 
-class Gsv8:
+class Gsv8(ForceSensorCore):
     """The amplifier's protocol core; ``name`` is its name in the World's log.
 
     ``memory`` is what an earlier user left in it. Streaming is on when it is switched on.
     """
+
+    title = "ME GSV-8"
+    rates = tuple(sorted(CONVERSIONS_PER_S / d for d in DIVISORS if CONVERSIONS_PER_S / d <= 12e3))
+    alike = (b"A2 ", b"14 ")
+    """Its three channels are set up alike, and so one of them meets the faults."""
+    disturbances = ("saturated", "frozen")
+    vendor, model, serial_number = "ME-Messsysteme", "GSV-8", "SIM00001"
 
     def __init__(
         self,
@@ -190,8 +183,8 @@ class Gsv8:
         self.sensor = sensor or Sensor()
         self.memory = memory or Memory()
         self.serial_number = serial_number
-        self.firmware = firmware
-        self.model = MODEL
+        self.firmware_version = firmware
+        self.model_number = MODEL
         self._port = port
         self._log = log
         self._name = name
@@ -239,10 +232,33 @@ class Gsv8:
         indices = np.arange(first + 1, self._sent + 1, dtype=np.float64)
         return self._frames(self._origin_us * 1e-6 + indices * self._period_s)
 
+    def wire_dialect(self) -> WireDialect:
+        """Return how its responses state errors."""
+        return GSV_DIALECT
+
     def disturb(self, kind: Literal["saturated", "frozen"], begin_s: float, for_s: float) -> None:
         """A fault plan's doing: from this World time on, the z channel's converter stands at its
         end, or all of them give what they gave last."""
         self._disturbed.append((kind, begin_s, begin_s + for_s))
+
+    def bench_settings(self, where: str) -> dict[str, Any]:
+        """Return the keys of a bench file's table for the driver."""
+        return {
+            "port": where,
+            "nominal_force_N": 50.0,
+            "max_force_N": 40.0,
+            "matrix_N_mV_V": [list(row) for row in self.sensor.matrix],
+        }
+
+    @property
+    def matrix(self) -> tuple[tuple[float, ...], ...]:
+        """The sensor's matrix, force in N by bridge output in mV/V."""
+        return self.sensor.matrix
+
+    @property
+    def zero(self) -> tuple[float, float, float]:
+        """The bridges' output in mV/V without force."""
+        return self.sensor.zero_mV_V
 
     @property
     def streaming(self) -> bool:
@@ -311,7 +327,7 @@ class Gsv8:
             0x24: Command(self._start_transmission),
             0x26: Command(lambda _: (DONE, struct.pack(">I", self.memory.mode))),
             0x27: Command(self._set_mode, (4,)),
-            0x2B: Command(lambda _: (DONE, struct.pack(">HH", *self.firmware))),
+            0x2B: Command(lambda _: (DONE, struct.pack(">HH", *self.firmware_version))),
             0x3A: Command(self._get_raw_value, (1,)),
             0x3B: Command(lambda _: None),
             0x42: Command(lambda _: (DONE, struct.pack(">I", self._last_error)), (0, 1)),
@@ -367,7 +383,7 @@ class Gsv8:
                 self._stream(flags & 3 == 2, request.by)
             self._crc16 = bool(flags & 8)
         state = self.memory.values - 1 << 4 | self._streaming << 3 | self.memory.data_type
-        return DONE, bytes((self.model, state, 0, 0))
+        return DONE, bytes((self.model_number, state, 0, 0))
 
     def _set_zero(self, request: Request) -> Answer:
         """The mean since the last frame becomes zero; channel 0 means all."""

@@ -1,27 +1,24 @@
-"""The registry: for every installed driver, how its simulator is put on its real transport.
+"""The registry: for every driver of this project, how its simulator is put on its real transport.
 
-To bring a driver under the contract, write a subclass of `Case` that starts its simulator and tells
-the truth about it, and add it to `CASES`. Everything in ``test_every_driver.py`` then applies.
+To bring a driver under the contract, write a subclass of `SimulatedCase` that starts its simulator
+and tells the truth about it, and add it to `CASES`. Every check of ``rig.testing`` then applies.
 """
 
 from __future__ import annotations
 
-import os
-import threading
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
-from importlib.metadata import entry_points
-from pathlib import Path
 from typing import Any
 
 from simulated.axis_bench import AxisBench
 from simulated.ideal import IdealBench, serving
 
-from drivers.simulated.faults.plan import FaultPlan, ReplyFault
-from drivers.simulated.faults.wire import FaultyLink, WireFaults
+from drivers.simulated.bench.alone import CountedFaults, clients_of
+from drivers.simulated.faults.plan import FaultPlan
+from drivers.simulated.faults.wire import WireFaults
 from drivers.simulated.instruments.festo_cmmt import CmmtDrive, SimulatedCmmtSettings
 from drivers.simulated.instruments.keysight_33500b import Keysight33500B
 from drivers.simulated.instruments.keysight_u2300a import KeysightU2300A
@@ -35,142 +32,38 @@ from drivers.simulated.transports.scpi_servers import HislipServer, ScpiSocketSe
 from drivers.simulated.transports.serial_server import PtyServer
 from drivers.simulated.transports.serial_tcp import SerialTcpServer
 from drivers.simulated.world.axis import Mechanics
-from rig.core.clock import Clock
-
-from .roles import carried, pressed
-
-TIMEOUT_S = 0.1
-STRANGER = ("ACME", "T-1000", "77", "0.1")
+from rig.testing import TIMEOUT_S, BenchClock, Case, Service
+from rig.testing.core_case import CoreCase
+from rig.testing.signals import carried
 
 
-class BenchClock(Clock):
-    """The clock of an ideal bench: time passes when somebody sleeps, and only then."""
-
-    def __init__(self, bench: IdealBench):
-        super().__init__()
-        self._bench = bench
-
-    def now(self) -> float:
-        """Bench time in seconds."""
-        return self._bench.now_us * 1e-6
-
-    def _pass(self, seconds: float) -> None:
-        self._bench.now_us += max(1, round(seconds * 1e6))
-
-
-class CountedFaults(WireFaults):
-    """Faults that remember which requests there were."""
-
-    def __init__(self, plan: FaultPlan, device: str):
-        super().__init__(plan, device)
-        self.heard: list[bytes] = []
-
-    @property
-    def requests(self) -> int:
-        """How many there were."""
-        return len(self.heard)
-
-    def fault_for(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
-        """Count a request; the fault that befalls it."""
-        self.heard.append(request)
-        return super().fault_for(request, reply)
-
-
-class Service(ABC):
-    """A simulator that is running on its transport."""
+class SimulatedService(Service):
+    """A simulator on an ideal bench."""
 
     def __init__(self, faults: CountedFaults, bench: IdealBench | None = None):
         self.bench = bench if bench is not None else IdealBench(wave=carried)
-        self.clock: Clock = BenchClock(self.bench)
+        self.clock = BenchClock(self.bench)
         self.faults = faults
-        self.settings: dict[str, Any] = {}
-        """A bench file's table for the driver."""
+        self.settings = {}
         self.place = ""
-        """How messages name where the instrument is."""
 
-    def now_s(self) -> float:
-        """Bench time in seconds."""
-        return self.clock.now()
 
-    def sleep(self, seconds: float) -> None:
-        """Let bench time pass."""
-        self.clock.sleep(seconds)
+class SimulatedCase(Case):
+    """A driver of this project against one of its own simulators."""
 
-    def in_real_time(self) -> AbstractContextManager[None]:
-        """Meanwhile time goes by itself, for a module's `make_safe` that waits on the wall clock;
-        most need not."""
-        return nullcontext()
+    def _serve(
+        self, faults: Sequence[Mapping[str, Any]], identity: tuple[str, str, str, str] | None
+    ) -> AbstractContextManager[Any]:
+        plan = FaultPlan.model_validate({"fault": list(faults)})
+        return self._served(CountedFaults(plan, "it"), identity)
 
     @abstractmethod
-    def truth(self, what: str) -> Any:
-        """What the simulated instrument really does, by the role's quantity."""
-
-    @abstractmethod
-    def at_rest(self) -> bool:
-        """Whether the instrument does nothing that has to be stopped."""
-
-    @abstractmethod
-    def connections(self) -> int:
-        """How many connections clients hold open."""
+    def _served(
+        self, faults: CountedFaults, identity: tuple[str, str, str, str] | None
+    ) -> AbstractContextManager[Any]: ...
 
 
-class Case(ABC):
-    """One driver on one transport."""
-
-    name: str
-    driver: str
-    """Entry point of group ``rig.drivers``."""
-    every_fault = True
-    """False where another case has the same driver on the same transport: the walk of all faults
-    over all requests takes seconds."""
-    alike: tuple[bytes, ...] = ()
-    """Beginnings of requests that a driver says many times over, such as a poll or the reading of
-    one parameter like another: the walk of faults visits the first of each in every step. All
-    other requests are visited every one."""
-    exclusive_link = ""
-    """Why nothing can be connected beside a live connection, where that is so."""
-    deaf_greeting = ""
-    """Why nobody misses the answer to the very first request, where that is so."""
-    drives_nothing = ""
-    """Why the module's `make_safe` has nothing to do, where that is so."""
-    anonymous = ""
-    """Why the instrument cannot say that it is simulated, where that is so."""
-    stranger_told = "ACME T-1000"
-    """How another instrument than the expected one is named in the refusal."""
-
-    def __repr__(self) -> str:
-        return self.name
-
-    def module(self) -> Any:
-        """The driver, found as the program finds it."""
-        (entry,) = entry_points(group="rig.drivers", name=self.driver)
-        return entry.load()
-
-    def serve(
-        self, *fault: dict[str, Any], identity: tuple[str, str, str, str] | None = None
-    ) -> Any:
-        """A context manager that gives a running `Service`; `identity` makes it a stranger."""
-        plan = FaultPlan.model_validate({"fault": [{"device": "it", **one} for one in fault]})
-        return self._serve(self.faults(plan), identity)
-
-    def faults(self, plan: FaultPlan) -> CountedFaults:
-        """The plan's faults, as this case's transport meets them."""
-        return CountedFaults(plan, "it")
-
-    @abstractmethod
-    def _serve(self, faults: CountedFaults, identity: tuple[str, str, str, str] | None) -> Any: ...
-
-
-def clients_of(pty: str) -> int:
-    """Descriptors of this process on a pseudo-terminal, without the server's own."""
-    line, found = str(Path(pty).resolve()), 0
-    for descriptor in os.listdir("/proc/self/fd"):  # noqa: PTH208 - names only
-        with suppress(OSError):
-            found += str(Path(f"/proc/self/fd/{descriptor}").readlink()) == line
-    return found - 1
-
-
-class ScpiService(Service):
+class ScpiService(SimulatedService):
     """A SCPI core behind one of the TCP servers."""
 
     core: ScpiInstrument
@@ -213,7 +106,7 @@ class DaqService(ScpiService):
         return not happened or happened[-1] != "run"
 
 
-class ScpiCase(Case):
+class ScpiCase(SimulatedCase):
     """A SCPI instrument on a raw socket or HiSLIP."""
 
     def __init__(self, name: str, driver: str, link: str, settings: dict[str, Any]):
@@ -226,9 +119,9 @@ class ScpiCase(Case):
     def _service(self, faults: CountedFaults) -> ScpiService: ...
 
     @contextmanager
-    def _serve(
+    def _served(
         self, faults: CountedFaults, identity: tuple[str, str, str, str] | None
-    ) -> Iterator[Service]:
+    ) -> Iterator[SimulatedService]:
         service = self._service(faults)
         if identity is not None:
             service.core.identity = identity
@@ -301,7 +194,7 @@ class FreeBench(AxisBench):
             self._at_us, self._free_from_ns = self.now_us, None
 
 
-class AxisService(Service):
+class AxisService(SimulatedService):
     """A simulated CMMT; fast, so that a walk of faults over all its motions is."""
 
     bench: FreeBench
@@ -337,7 +230,7 @@ class AxisService(Service):
         return len(self.server.transports)
 
 
-class AxisCase(Case):
+class AxisCase(SimulatedCase):
     """The CMMT. Every image that is written meets the faults; of the polls of the drive's status
     (FC3 100) and of the mailbox accesses, which are many times the rest, the first of a step."""
 
@@ -346,9 +239,9 @@ class AxisCase(Case):
     alike = (b"FC3 100", b"FC6 50", b"FC3 50", b"FC3 510", b"FC16 510")
 
     @contextmanager
-    def _serve(
+    def _served(
         self, faults: CountedFaults, identity: tuple[str, str, str, str] | None
-    ) -> Iterator[Service]:
+    ) -> Iterator[SimulatedService]:
         service = AxisService(faults)
         if identity is not None:
             vendor, model, _, revision = identity
@@ -375,7 +268,7 @@ class AxisCase(Case):
 # --- a rotary stage on a serial line or TCP --------------------------------------------------
 
 
-class RotaryService(Service):
+class RotaryService(SimulatedService):
     """A simulated X-RST; it homes fast, so that a walk of faults over all its motions is."""
 
     bench: FreeBench
@@ -416,7 +309,7 @@ class RotaryService(Service):
         return clients_of(self.place)
 
 
-class RotaryCase(Case):
+class RotaryCase(SimulatedCase):
     """The X-RST. Of the polls of angle and status, many times the rest, and of the set points of a
     stream, the first of a step meets the faults."""
 
@@ -432,9 +325,9 @@ class RotaryCase(Case):
             self.exclusive_link = "a serial port belongs to the one who has opened it"
 
     @contextmanager
-    def _serve(
+    def _served(
         self, faults: CountedFaults, identity: tuple[str, str, str, str] | None
-    ) -> Iterator[Service]:
+    ) -> Iterator[SimulatedService]:
         service = RotaryService(faults, self._link)
         if identity is not None:
             _, model, number, firmware = identity
@@ -465,7 +358,7 @@ class RotaryCase(Case):
 # --- an axis on a serial line ----------------------------------------------------------------
 
 
-class LineAxisService(Service):
+class LineAxisService(SimulatedService):
     """A simulated AZ drive, as fast as the CMMT above, on a line with another drive."""
 
     bench: FreeBench
@@ -510,7 +403,7 @@ class LineAxisService(Service):
         return clients_of(self.place)
 
 
-class LineAxisCase(Case):
+class LineAxisCase(SimulatedCase):
     """The AZ. Polls of state and position meet the faults once in a step."""
 
     name = "az-rtu"
@@ -520,9 +413,9 @@ class LineAxisCase(Case):
     stranger_told = "has no register 00F8h"
 
     @contextmanager
-    def _serve(
+    def _served(
         self, faults: CountedFaults, identity: tuple[str, str, str, str] | None
-    ) -> Iterator[Service]:
+    ) -> Iterator[SimulatedService]:
         service = LineAxisService(faults)
         if identity is not None:
             service.drive.read = stranger_to_registers  # type: ignore[method-assign]
@@ -554,110 +447,19 @@ def stranger_to_registers(address: int, count: int, by: str) -> Sequence[int]:
 # --- a force sensor on a serial line ---------------------------------------------------------
 
 
-class PressedBench(IdealBench):
-    """A bench that presses on a force sensor."""
+class AmplifierCase(CoreCase):
+    """The GSV-8."""
 
-    noise_key = (3, 0, 0)
-
-    def force_N(self, times_s: Any) -> Any:  # noqa: N802 - the unit keeps its capital
-        """The true force."""
-        return pressed(times_s)
-
-
-class LineFaults(CountedFaults):
-    """Faults of a serial line: answers and stream are counted together and keep their order."""
-
-    def __init__(self, plan: FaultPlan, device: str):
-        super().__init__(plan, device)
-        self._line = FaultyLink(self)
-
-    def link(self) -> FaultyLink:
-        """The one line."""
-        return self._line
-
-
-class LineClock(BenchClock):
-    """Time passes in the server's thread, which sends what falls due, as a control server does."""
-
-    def __init__(self, bench: IdealBench, server: PtyServer):
-        super().__init__(bench)
-        self._server = server
-
-    def _pass(self, seconds: float) -> None:
-        def advance() -> None:
-            super(LineClock, self)._pass(seconds)
-            self._server.pump()
-            done.set()
-
-        done = threading.Event()
-        loop = self._server._loop
-        assert loop is not None, "the server has been started"
-        loop.call_soon_threadsafe(advance)
-        assert done.wait(5)
-
-
-class AmplifierService(Service):
-    """A simulated GSV-8 on a pseudo-terminal."""
-
-    bench: PressedBench
-
-    def __init__(self, faults: CountedFaults):
-        super().__init__(faults, PressedBench())
-        self.core = Gsv8(self.bench, self.bench)
-        self.server = PtyServer(
-            self.core, self.bench, slaved=True, faults=faults, stream_faults=faults
-        )
-        self.clock = LineClock(self.bench, self.server)
-
-    def truth(self, what: str) -> Any:
-        """The stream, and what the sensor is."""
-        return {
-            "rate": self.core.rate,
-            "streaming": self.core.streaming,
-            "bytes": self.server.bytes_sent,
-            "matrix": self.core.sensor.matrix,
-            "zero": self.core.sensor.zero_mV_V,
-        }[what]
-
-    def at_rest(self) -> bool:
-        """Silent."""
-        return not self.core.streaming
-
-    def connections(self) -> int:
-        """Who has the line open."""
-        return clients_of(self.place)
-
-
-class AmplifierCase(Case):
-    """The GSV-8. Its three channels are set up alike, and so one of them meets the faults."""
-
-    name = "gsv8-serial"
-    driver = "me-gsv8"
-    alike = (b"A2 ", b"14 ")
-    exclusive_link = "a serial port belongs to the one who has opened it"
-    deaf_greeting = "it ends a stream whose frames and answers are dropped, its own among them"
-    drives_nothing = "a sensor drives nothing, and its stream guards the rest of the bench"
     stranger_told = "model number 06, serial 00000077"  # it tells no name
 
-    def faults(self, plan: FaultPlan) -> CountedFaults:
-        """Those of one line."""
-        return LineFaults(plan, "it")
+    def __init__(self) -> None:
+        streams = "it ends a stream whose frames and answers are dropped, its own among them"
+        super().__init__("me-gsv8", Gsv8, {}, silent_first_request=streams)
+        self.name = "gsv8-serial"
 
-    @contextmanager
-    def _serve(
-        self, faults: CountedFaults, identity: tuple[str, str, str, str] | None
-    ) -> Iterator[Service]:
-        service = AmplifierService(faults)
-        if identity is not None:
-            service.core.model, service.core.serial_number = 0x06, identity[2].zfill(8)
-        with serving(service.server):
-            service.place = service.server.path
-            service.settings = {
-                "driver": self.driver,
-                "port": service.place,
-                "timeout_s": TIMEOUT_S,
-            }
-            yield service
+    def disguise(self, core: Any, identity: tuple[str, str, str, str]) -> None:
+        """Give it the model number of another amplifier."""
+        core.model_number, core.serial_number = 0x06, identity[2].zfill(8)
 
 
 CASES: tuple[Case, ...] = (

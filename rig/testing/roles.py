@@ -12,10 +12,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
-import pytest
 
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, LimitError
 from rig.instruments.roles import (
@@ -29,6 +29,8 @@ from rig.instruments.roles import (
     RotaryStage,
     SignalGenerator,
 )
+from rig.testing.raising import raising
+from rig.testing.signals import LEVEL_N, SLOPE_N_s, carried
 
 
 @dataclass(frozen=True)
@@ -109,12 +111,6 @@ GENERATOR = Role(
 CHANNELS = (InputChannel("film", 10.0), InputChannel("load_cell", 5.0))
 SINGLE = Acquisition(CHANNELS, 10_000.0, 300)
 BLOCKS = Acquisition(CHANNELS, 1_000.0, 20)
-
-
-def carried(terminal: int, time_s: Any) -> Any:
-    """What a terminal carries: each its own level, rising with time, so that every record of
-    every instant is different from every other."""
-    return 0.5 * (terminal - 101) + 0.2 * time_s
 
 
 def _check_record(record: Record, wanted: Acquisition, service: Any, since_s: float) -> None:
@@ -297,9 +293,10 @@ def _rest_stage(stage: Any, service: Any) -> None:
 
 
 def _refused(stage: Any, service: Any, act: Callable[[], None], words: str) -> None:
-    with pytest.raises(InstrumentError, match=words) as caught:
+    with raising(InstrumentError) as caught:
         act()
-    assert caught.value.hint
+    assert words in caught.error.message
+    assert caught.error.hint
     service.sleep(0.2)
     assert service.at_rest()
 
@@ -307,7 +304,7 @@ def _refused(stage: Any, service: Any, act: Callable[[], None], words: str) -> N
 def _move_unhomed(stage: Any, service: Any) -> None:
     assert not service.truth("homed")
     for act in (stage.start_move, stage.move_to):
-        _refused(stage, service, lambda act=act: act(10.0, 10.0), "homed")
+        _refused(stage, service, partial(act, 10.0, 10.0), "homed")
 
 
 def _move_after_make_safe(stage: Any, service: Any) -> None:
@@ -456,7 +453,7 @@ def _turn_beyond(stage: Any, service: Any) -> None:
         (10.0, 1.0, 0.0),
         (float("nan"), 1.0, 100.0),
     ):
-        with pytest.raises(LimitError):
+        with raising(LimitError):
             stage.start_turn(*asked)
     assert service.at_rest()
 
@@ -472,7 +469,7 @@ def _turn_unhomed(stage: Any, service: Any) -> None:
     assert not service.truth("homed")
     assert not stage.homed()
     for act in (stage.start_turn, stage.turn_to):
-        _refused(stage, service, lambda act=act: act(10.0, 10.0, 100.0), "homed")
+        _refused(stage, service, partial(act, 10.0, 10.0, 100.0), "homed")
 
 
 def _turn_after_make_safe(stage: Any, service: Any) -> None:
@@ -523,13 +520,36 @@ ROTARY = Role(
 # --- force sensor ----------------------------------------------------------------------------
 
 RATE_S_s = 1000.0
-SLICE_s = 0.02
-LEVEL_N, SLOPE_N_s = np.array([2.0, -3.0, 5.0]), np.array([10.0, -15.0, 20.0])
+"""The frame rate asked for, or the nearest one that the sensor's `reach` has."""
+SLICE_FRAMES = 20.1
+"""Frames that fall due between two looks: whole ones, and a rest that stays below half a frame over
+three looks, so that how many are due is beyond doubt at any rate."""
+SETTLES_S = 1.0
+"""Wall time within which a command that is not acknowledged has to take effect."""
 
 
-def pressed(time_s: Any) -> Any:
-    """The force on the sensor (n, 3): rising, so that every frame tells its instant."""
-    return LEVEL_N + np.asarray(time_s)[:, None] * SLOPE_N_s
+def _usual_rate(sensor: Any) -> float:
+    limits = sensor.reach()["rate"]
+    return float(min(max(RATE_S_s, limits.low), limits.high))
+
+
+def _slice_s(service: Any) -> float:
+    return SLICE_FRAMES / float(service.truth("rate"))
+
+
+def _soon(holds: Callable[[], bool]) -> bool:
+    """Return whether something holds now or shortly: the instrument may not acknowledge."""
+    deadline = time.monotonic() + SETTLES_S
+    while not (held := holds()) and time.monotonic() < deadline:
+        time.sleep(0.001)
+    return held
+
+
+def _columns(service: Any) -> tuple[list[int], list[int]]:
+    """Return the columns of the axes that the sensor has, and of those that it has not."""
+    axes = service.truth("axes")
+    there = ["xyz".index(axis) for axis in axes]
+    return there, [column for column in range(3) if column not in there]
 
 
 def _collected(sensor: Any, service: Any) -> list[ForceFrames]:
@@ -548,29 +568,45 @@ def _collected(sensor: Any, service: Any) -> list[ForceFrames]:
 
 
 def _check_frames(pieces: list[ForceFrames], service: Any, first: int, since_s: float) -> int:
-    """Frames from index `first` on show what pressed on the sensor, one after the other, none
-    twice and none left out, at instants after `since_s`; the next index."""
+    """Check that the frames from index `first` on show what pressed on the sensor, one after the
+    other, none twice and none left out, at instants after `since_s`; return the next index. Axes
+    that the sensor lacks are 0."""
+    there, missing = _columns(service)
     for piece in pieces:
-        assert piece.first_index == first
-        assert piece.raw.shape == piece.force_N.shape == (len(piece), 3)
+        assert piece.first_index == first, "frames are counted from 0 since start(), without a gap"
+        assert piece.raw.shape == piece.force_N.shape == (len(piece), 3), "(n, 3) with any axes"
+        assert not piece.raw[:, missing].any(), "axes that the sensor lacks are 0 in raw"
+        assert not piece.force_N[:, missing].any(), "axes that the sensor lacks are 0 in force_N"
         assert not piece.saturated.any()
         period = 1 / service.truth("rate")
         middles = (first + 0.5 + np.arange(len(piece))) * period
-        begun = ((piece.force_N - LEVEL_N) / SLOPE_N_s - middles[:, None]).ravel()
-        assert np.abs(begun - np.median(begun)).max() < 0.9 * period
-        assert since_s - 0.5 * period <= np.median(begun) <= service.now_s() + 0.5 * period
+        rise_s = (piece.force_N - LEVEL_N)[:, there] / SLOPE_N_s[there]
+        begun = (rise_s - middles[:, None]).ravel()
+        assert np.abs(begun - np.median(begun)).max() < 0.9 * period, (
+            f"forces {piece.force_N[:, there]} N do not rise from frame to frame as the true force "
+            "does: unit, sign, axis or order is wrong"
+        )
+        assert since_s - 0.5 * period <= np.median(begun) <= service.now_s() + 0.5 * period, (
+            "frames of another time"
+        )
         first += len(piece)
     return first
 
 
-def _begin(sensor: Any, service: Any) -> float:
-    """A stream of calibrated forces; when it began."""
+def _begin(sensor: Any, service: Any, rate_S_s: float | None = None) -> float:
+    """Start a stream of calibrated forces; return when it began."""
     sensor.stop()
     sensor.calibrate(service.truth("matrix"))
     sensor.tare(service.truth("zero"))
     since: float = service.now_s()
-    assert sensor.start(RATE_S_s) == RATE_S_s == service.truth("rate")
-    assert service.truth("streaming")
+    asked = _usual_rate(sensor) if rate_S_s is None else rate_S_s
+    rate = sensor.start(asked)
+    assert _soon(lambda: bool(service.truth("streaming"))), "the sensor does not stream"
+    assert rate == service.truth("rate"), "start() returns the rate that the sensor has"
+    has = service.truth("rates")
+    nearest = min(has, key=lambda one: abs(one - asked)) if has else asked
+    assert rate == nearest, f"asked for {asked:g} frames/s, the sensor's nearest is {nearest:g}"
+    assert sensor.reach()["rate"].holds(rate)
     return since
 
 
@@ -580,62 +616,76 @@ def _force_stream(sensor: Any, service: Any) -> None:
     assert sensor.read() is None, "no time has passed"
     index = 0
     for _ in range(3):
-        service.sleep(SLICE_s)
+        service.sleep(_slice_s(service))
         index = _check_frames(_collected(sensor, service), service, index, since)
-    assert index == round(3 * SLICE_s * RATE_S_s)
-    assert sensor.bytes_consumed - taken == service.truth("bytes") - sent
+    assert index == int(3 * SLICE_FRAMES), "every frame that was due has come"
+    assert sensor.bytes_consumed - taken == service.truth("bytes") - sent, (
+        "bytes_consumed counts every byte that was taken off the link"
+    )
     sensor.stop()
-    assert service.at_rest()
+    assert _soon(service.at_rest), "the sensor goes on streaming"
     assert sensor.frames_behind == 0
 
 
 def _calibrated(sensor: Any, service: Any) -> None:
-    """Matrix and tare count from the next read on, and only for the forces."""
+    """Matrix and tare apply from the next read on, and only to the forces."""
     _begin(sensor, service)
+    _, missing = _columns(service)
     matrix, zero = np.array([[1.0, 2.0, 3.0], [0.0, 4.0, 5.0], [6.0, 0.0, 7.0]]), (0.1, -0.2, 0.3)
     for _ in range(2):
-        service.sleep(SLICE_s)
-        sensor.calibrate(matrix.tolist())
-        sensor.tare(zero)
+        own = matrix.copy()
+        own[missing], own[:, missing] = 0.0, 0.0  # what no axis measures has no force
+        tare = tuple(0.0 if axis in missing else zero[axis] for axis in range(3))
+        service.sleep(_slice_s(service))
+        sensor.calibrate(own.tolist())
+        told = sensor.tare(tare)
+        assert np.allclose(told, own @ tare), "tare() returns the force that the reading would be"
         pieces = _collected(sensor, service)
         assert pieces
         for piece in pieces:
-            assert np.allclose(piece.force_N, (piece.raw - np.array(zero)) @ matrix.T, atol=1e-6)
+            assert np.allclose(piece.force_N, (piece.raw - np.array(tare)) @ own.T, atol=1e-6)
         matrix, zero = 2 * matrix.T, (0.0, 0.5, 0.0)
     sensor.stop()
 
 
 def _dropped(sensor: Any, service: Any) -> None:
-    """What nobody read before `stop` is not in the next stream."""
+    """What was not read before `stop` is not in the next stream."""
     _begin(sensor, service)
-    service.sleep(SLICE_s)
-    assert round(sensor.frames_behind) == round(SLICE_s * RATE_S_s)
+    service.sleep(_slice_s(service))
+    assert round(sensor.frames_behind) == int(SLICE_FRAMES)
     sensor.stop()
-    service.sleep(SLICE_s)
+    service.sleep(_slice_s(service))
     assert sensor.read() is None
     _force_stream(sensor, service)
 
 
 def _other_rate(sensor: Any, service: Any) -> None:
-    sensor.stop()
-    rate = sensor.start(500.0)
-    assert rate == service.truth("rate") == 500.0
-    service.sleep(SLICE_s)
-    assert sum(map(len, _collected(sensor, service))) == round(SLICE_s * rate)
+    """The other rate is half of the usual one, or what the sensor has that is nearest: the same
+    where its rate is fixed."""
+    half = max(_usual_rate(sensor) / 2, sensor.reach()["rate"].low)
+    since = _begin(sensor, service, half)
+    service.sleep(_slice_s(service))
+    index = _check_frames(_collected(sensor, service), service, 0, since)
+    assert index == int(SLICE_FRAMES)
     sensor.stop()
 
 
 def _undisturbed(sensor: Any, service: Any) -> None:
     """Making a sensor safe leaves its stream, which guards the rest of the bench, alone."""
     since = _begin(sensor, service)
-    service.sleep(SLICE_s)
+    service.sleep(_slice_s(service))
     sensor.make_safe()
     sensor.make_safe()
-    service.sleep(SLICE_s)
+    service.sleep(_slice_s(service))
     index = _check_frames(_collected(sensor, service), service, 0, since)
-    assert index == round(2 * SLICE_s * RATE_S_s)
+    assert index == int(2 * SLICE_FRAMES)
     sensor.stop()
-    assert service.at_rest()
+    assert _soon(service.at_rest), "the sensor goes on streaming"
+
+
+def _excite_sensor(sensor: Any, service: Any) -> None:
+    sensor.start(_usual_rate(sensor))
+    assert _soon(lambda: bool(service.truth("streaming"))), "the sensor does not stream"
 
 
 FORCE_SENSOR = Role(
@@ -647,7 +697,7 @@ FORCE_SENSOR = Role(
         Step("start() at another rate", _other_rate),
         Step("make_safe() of a stream", _undisturbed),
     ),
-    excite=lambda sensor, service: sensor.start(RATE_S_s),
+    excite=_excite_sensor,
     apart=(Step("stop() with frames unread", _dropped),),
 )
 

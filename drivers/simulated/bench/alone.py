@@ -1,0 +1,160 @@
+"""One simulated instrument on its own transport, without a World: what a driver is tested against.
+
+Its time is set by hand, and nothing is random. The contract of the roles (``rig.testing``) finds it
+through the entry point of the simulated bench.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy.typing as npt
+
+from drivers.simulated.faults.plan import FaultPlan, ReplyFault
+from drivers.simulated.faults.wire import FaultyLink, WireFaults
+from drivers.simulated.instruments.force_sensor import ForceSensorCore
+from drivers.simulated.task_log import TaskLog
+from drivers.simulated.transports.serial_server import PtyServer
+from drivers.simulated.transports.serial_tcp import InstrumentTcpServer
+
+LOOP_TIMEOUT_S = 10.0
+"""Wall time that the servers' thread may take for one thing."""
+
+ForceLaw = Callable[[Any], npt.NDArray[Any]]
+"""The force in N along x, y, z, (n, 3), at bench times (n,) in seconds."""
+
+
+class CountedFaults(WireFaults):
+    """Faults of a device that remember which requests there were."""
+
+    def __init__(self, plan: FaultPlan, device: str):
+        super().__init__(plan, device)
+        self.heard: list[bytes] = []
+        self.answered: list[bool] = []
+        """Whether each of them has an answer."""
+
+    @property
+    def requests(self) -> int:
+        """How many requests there were."""
+        return len(self.heard)
+
+    def fault_for(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
+        """Count a request; return the fault that disturbs its reply, or None."""
+        self.heard.append(request)
+        self.answered.append(reply is not None)
+        return super().fault_for(request, reply)
+
+
+class LineFaults(CountedFaults):
+    """Faults of one line: answers and stream are counted together and keep their order."""
+
+    def __init__(self, plan: FaultPlan, device: str):
+        super().__init__(plan, device)
+        self._line = FaultyLink(self)
+
+    def link(self) -> FaultyLink:
+        """Return the one line."""
+        return self._line
+
+
+class LoneBench:
+    """A bench whose time is set by hand and on which a known force acts."""
+
+    noise_key = (3, 0, 0)
+
+    def __init__(self, force_law: ForceLaw):
+        self.now_us = 0
+        self.entries: list[tuple[str, str, object, str]] = []
+        self.tasks = TaskLog()
+        self._force_law = force_law
+
+    def force_N(self, times_s: Any) -> npt.NDArray[Any]:  # noqa: N802 - the unit keeps its capital
+        """Return the true force (n, 3) in N."""
+        return self._force_law(times_s)
+
+    def log(self, device: str, what: str, value: object, by: str) -> None:
+        """Write down who commanded what."""
+        self.entries.append((device, what, value, by))
+
+
+class LoneInstrument:
+    """A core on its transport, and what a test asks of it."""
+
+    def __init__(
+        self, core: Callable[..., ForceSensorCore], force_law: ForceLaw, faults: FaultPlan
+    ):
+        self.bench = LoneBench(force_law)
+        self.core = core(self.bench, self.bench, "force_sensor")
+        self.faults = LineFaults(faults, "it")
+        kind = PtyServer if self.core.link == "serial" else InstrumentTcpServer
+        self.server: Any = kind(
+            self.core, self.bench, slaved=True, faults=self.faults, stream_faults=self.faults
+        )
+        self.loop = asyncio.new_event_loop()
+
+    @property
+    def place(self) -> str:
+        """Where the instrument is, as its core's `bench_settings` takes it."""
+        if self.core.link == "serial":
+            path: str = self.server.path
+            return path
+        return f"socket://127.0.0.1:{self.server.port}"
+
+    def connections(self) -> int:
+        """Return how many connections clients hold open."""
+        if self.core.link == "serial":
+            return clients_of(self.place)
+        return len(self.server.transports)
+
+    def in_loop(self, act: Callable[[], None]) -> None:
+        """Do something in the servers' thread, once they have dealt with all that has been sent to
+        them, and then send what has fallen due."""
+        done = threading.Event()
+
+        def acted() -> None:
+            act()
+            self.server.pump()
+            done.set()
+
+        # In the turn after the next: in the next one the servers read what was sent before.
+        self.loop.call_soon_threadsafe(self.loop.call_soon, acted)
+        assert done.wait(LOOP_TIMEOUT_S), "the thread of the simulated instrument stands"
+
+
+@contextmanager
+def alone(
+    core: Callable[..., ForceSensorCore], force_law: ForceLaw, faults: Sequence[Mapping[str, Any]]
+) -> Iterator[LoneInstrument]:
+    """Serve one core until the block ends; `faults` are entries of a fault plan for the device
+    "it"."""
+    instrument = LoneInstrument(core, force_law, FaultPlan.model_validate({"fault": list(faults)}))
+    thread = threading.Thread(target=instrument.loop.run_forever)
+    thread.start()
+
+    def run(coroutine: Any) -> None:
+        asyncio.run_coroutine_threadsafe(coroutine, instrument.loop).result(LOOP_TIMEOUT_S)
+
+    try:
+        run(instrument.server.start())
+        yield instrument
+    finally:
+        run(instrument.server.close())
+        instrument.loop.call_soon_threadsafe(instrument.loop.stop)
+        thread.join()
+        instrument.loop.close()
+
+
+def clients_of(pty: str) -> int:
+    """Return how many descriptors of this process are open on a pseudo-terminal, without the
+    server's own."""
+    line, found = str(Path(pty).resolve()), 0
+    for descriptor in os.listdir("/proc/self/fd"):  # noqa: PTH208 - names only
+        with suppress(OSError):
+            found += str(Path(f"/proc/self/fd/{descriptor}").readlink()) == line
+    return found - 1

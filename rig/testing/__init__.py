@@ -1,0 +1,77 @@
+"""The contract of the roles as a test kit for drivers, in whatever package they are.
+
+A test module of a driver's package needs two lines beside its imports::
+
+    from rig.testing import driver_contract
+
+    test_acme_f10 = driver_contract("acme-f10", core=F10Core, settings={"max_force_N": 20.0})
+
+pytest then runs every check of the contract against the driver, which talks over its real link to
+its own simulator. `driver_contract` serves simulators of force sensors. A driver of another role,
+or one with a simulator that needs more, has a subclass of `Case` and `contract_of`.
+
+The kit is used inside a pytest run and nowhere else: it knows no driver and no simulator of its
+own, and nothing of the program imports it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rig.testing.case import STRANGER, TIMEOUT_S, BenchClock, Case, Service
+
+__all__ = [
+    "STRANGER",
+    "TIMEOUT_S",
+    "BenchClock",
+    "Case",
+    "Service",
+    "contract_of",
+    "driver_contract",
+]
+
+ContractTest = Callable[..., None]
+"""A test function: pytest collects it where its name in the module begins with ``test_``."""
+
+
+def driver_contract(
+    driver: str,
+    *,
+    core: Any,
+    settings: Mapping[str, Any] | None = None,
+    silent_first_request: str = "",
+) -> ContractTest:
+    """Return a pytest test that puts the installed driver `driver` through its role's contract.
+
+    `core` is the class of its simulator, a `ForceSensorCore`; `settings` are the keys of the bench
+    file's table for the driver beyond its address. `silent_first_request` is the reason why a lost
+    answer to the very first request may go unnoticed, where a driver has such a reason.
+    """
+    from rig.testing.core_case import CoreCase
+
+    return contract_of(CoreCase(driver, core, dict(settings or {}), silent_first_request))
+
+
+def contract_of(*cases: Case) -> ContractTest:
+    """Return a pytest test that puts each case's driver through every check of the contract.
+
+    The test has one parameter set for each check of each case, named ``case-check``.
+    """
+    import pytest
+
+    # Before they are imported: their plain assertions then show the values in question.
+    pytest.register_assert_rewrite("rig.testing.checks", "rig.testing.roles")
+    from rig.testing.checks import checks_of
+
+    each = [
+        pytest.param(case, check, id=f"{case}-{name}")
+        for case in cases
+        for name, check in checks_of(case).items()
+    ]
+
+    @pytest.mark.parametrize(("case", "check"), each)
+    def contract(case: Case, check: Callable[[Case], None]) -> None:
+        check(case)
+
+    return contract

@@ -1,0 +1,135 @@
+"""What the contract needs to know of a driver: a `Case`, and the running simulator behind it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, Protocol
+
+from rig.core.clock import Clock
+from rig.core.entry_points import DRIVERS, load
+
+TIMEOUT_S = 0.1
+"""The time-out that a driver gets during the checks."""
+STRANGER = ("ACME", "T-1000", "77", "0.1")
+"""Vendor, model, serial number and firmware of an instrument that no driver expects."""
+
+
+class SettableTime(Protocol):
+    """A bench whose time is set by hand."""
+
+    now_us: int
+
+
+class BenchClock(Clock):
+    """The clock of such a bench: time passes while something sleeps on it, and only then."""
+
+    def __init__(self, bench: SettableTime):
+        super().__init__()
+        self._bench = bench
+
+    def now(self) -> float:
+        """Bench time in seconds."""
+        return self._bench.now_us * 1e-6
+
+    def _pass(self, seconds: float) -> None:
+        self._bench.now_us += max(1, round(seconds * 1e6))
+
+
+class HeardRequests(Protocol):
+    """The requests that reached a simulated instrument, and whether each has an answer."""
+
+    heard: list[bytes]
+    answered: list[bool]
+
+    @property
+    def requests(self) -> int:
+        """How many requests there were."""
+        ...
+
+
+class Service(ABC):
+    """A simulator that is running on its transport."""
+
+    clock: Clock
+    """The clock to connect the driver with."""
+    faults: HeardRequests
+    settings: dict[str, Any]
+    """A bench file's table for the driver."""
+    place: str
+    """How messages name where the instrument is."""
+
+    def now_s(self) -> float:
+        """Return the bench time in seconds."""
+        return self.clock.now()
+
+    def sleep(self, seconds: float) -> None:
+        """Let bench time pass."""
+        self.clock.sleep(seconds)
+
+    def in_real_time(self) -> AbstractContextManager[None]:
+        """Let time pass by itself meanwhile, for a module's `make_safe` that waits on the wall
+        clock; most do not."""
+        return nullcontext()
+
+    @abstractmethod
+    def truth(self, what: str) -> Any:
+        """Return what the simulated instrument really does, by the role's quantity."""
+
+    @abstractmethod
+    def at_rest(self) -> bool:
+        """Return whether the instrument does nothing that has to be stopped."""
+
+    @abstractmethod
+    def connections(self) -> int:
+        """Return how many connections clients hold open."""
+
+
+class Case(ABC):
+    """One driver on one transport."""
+
+    name: str
+    driver: str
+    """Entry point of group ``rig.drivers``."""
+    every_fault = True
+    """False where another case has the same driver on the same transport: the walk of all faults
+    over all requests takes seconds."""
+    alike: tuple[bytes, ...] = ()
+    """Beginnings of requests that a driver sends many times over, such as a poll or the reading of
+    one parameter like another: the walk of faults visits the first of each in every step. All
+    other requests are visited every one."""
+    exclusive_link = ""
+    """Why nothing can be connected beside a live connection, where that is so."""
+    deaf_greeting = ""
+    """Why a lost answer to the very first request goes unnoticed, where that is so."""
+    drives_nothing = ""
+    """Why the module's `make_safe` has nothing to do, where that is so."""
+    anonymous = ""
+    """Why the instrument cannot say that it is simulated, where that is so."""
+    stranger_told = "ACME T-1000"
+    """How another instrument than the expected one is named in the refusal."""
+
+    def __repr__(self) -> str:
+        return self.name
+
+    def module(self) -> Any:
+        """Return the driver's module, found as the program finds it; ConfigurationError where it is
+        not installed or lacks something."""
+        return load(DRIVERS, self.driver)
+
+    def serve(
+        self, *fault: Mapping[str, Any], identity: tuple[str, str, str, str] | None = None
+    ) -> AbstractContextManager[Any]:
+        """Return a context manager that gives a running `Service`.
+
+        `fault` are entries of a fault plan without their device; `identity` makes the instrument a
+        stranger.
+        """
+        return self._serve([{"device": "it", **one} for one in fault], identity)
+
+    @abstractmethod
+    def _serve(
+        self, faults: Sequence[Mapping[str, Any]], identity: tuple[str, str, str, str] | None
+    ) -> AbstractContextManager[Any]:
+        """Start the simulator on its transport, with these faults of a device named "it"."""

@@ -1,0 +1,357 @@
+"""One contract for all drivers: every role method, every documented error, no wrong value ever."""
+
+from __future__ import annotations
+
+import inspect
+import time
+from bisect import bisect_right
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from pydantic import ValidationError
+
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.testing.case import STRANGER, TIMEOUT_S, Case, Service
+from rig.testing.raising import raising
+from rig.testing.roles import ROLES, Role
+
+Check = Callable[[Case], None]
+KINDS = ("silence", "garbage", "close", "truncate", "stale")
+PATIENCE_S = 20.0
+PATIENT_S = 4 * TIMEOUT_S
+"""The time-out with which a place of the walk is tried again where an answer did not come that no
+fault has taken: a computer that is busy with other things lets client or server stand for longer
+than TIMEOUT_S now and then. Measured with three busy processes beside the walk on two cores: when
+this happened, a process that only sleeps, and has nothing to do with the drivers, had been standing
+for 0.08 to 0.14 s at that very time; a walk over all 790 places with PATIENT_S met as many stalls
+and no such time-out. A driver that goes wrong at a place does so with any time-out."""
+
+
+def checks_of(case: Case) -> dict[str, Check]:
+    """Return every check that applies to a case, by its name."""
+    each: dict[str, Check] = {}
+    for name, check in globals().items():
+        if not name.startswith("check_"):
+            continue
+        if check is not check_one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over:
+            each[name.removeprefix("check_")] = check
+        elif case.every_fault:
+            walk = name.removeprefix("check_")
+            each |= {f"{walk}-{kind}": partial(check, kind=kind) for kind in KINDS}
+    return each
+
+
+def role_of(case: Case) -> Role:
+    return ROLES[case.module().ROLES[0]]
+
+
+def connect(case: Case, service: Service) -> Any:
+    module = case.module()
+    instrument = module.connect(module.Settings.model_validate(service.settings), service.clock)
+    role_of(case).attend(instrument, service)
+    return instrument
+
+
+def members(protocol: type) -> dict[str, Any]:
+    """Public members of a protocol, inherited ones included."""
+    return {
+        name: member
+        for base in reversed(protocol.__mro__[:-1])
+        for name, member in vars(base).items()
+        if not name.startswith("_") and (callable(member) or isinstance(member, property))
+    }
+
+
+class Remembering:
+    """An instrument that remembers which of its members were used."""
+
+    def __init__(self, inner: Any):
+        self._inner = inner
+        self.used: set[str] = set()
+
+    def __getattr__(self, name: str) -> Any:
+        self.used.add(name)
+        return getattr(self._inner, name)
+
+
+# --- what a driver is ------------------------------------------------------------------------
+
+
+def check_the_module_has_what_an_entry_point_names(case: Case) -> None:
+    module = case.module()
+    assert set(module.ROLES) <= set(ROLES), "write the role's script into rig/testing/roles.py"
+    assert {name for name in ("Settings", "connect", "make_safe") if hasattr(module, name)} == {
+        "Settings",
+        "connect",
+        "make_safe",
+    }
+    assert list(inspect.signature(module.connect).parameters) == ["settings", "clock"]
+    assert list(inspect.signature(module.make_safe).parameters) == ["settings"]
+
+
+def check_settings_refuse_an_unknown_key_and_name_it(case: Case) -> None:
+    with case.serve() as service:
+        settings = case.module().Settings
+        settings.model_validate(service.settings)
+        message = "an unknown key was not refused"
+        try:
+            settings.model_validate({**service.settings, "colour": "red"})
+        except ValidationError as error:
+            message = str(error)
+        assert "colour" in message
+
+
+def check_the_instrument_has_every_member_of_its_role(case: Case) -> None:
+    with case.serve() as service:
+        instrument = connect(case, service)
+        for name, member in members(role_of(case).protocol).items():
+            own = getattr(instrument, name)
+            if callable(member):
+                wanted = list(inspect.signature(member).parameters)[1:]
+                assert list(inspect.signature(own).parameters) == wanted, name
+        instrument.close()
+
+
+def check_a_whole_experiment_works_and_calls_every_method(case: Case) -> None:
+    role = role_of(case)
+    with case.serve() as service:
+        instrument = Remembering(connect(case, service))
+        assert instrument.identity.simulated is not bool(case.anonymous)
+        reach = instrument.reach()
+        assert set(reach) == role.quantities
+        for quantity, limits in reach.items():
+            fixed = quantity == "rate"  # one that cannot be set has no width
+            assert limits.low < limits.high or (fixed and limits.low == limits.high), quantity
+            assert instrument.identity.model in limits.owner
+        for step in role.script:
+            step.act(instrument, service)
+        instrument.close()
+        assert instrument.used >= set(members(role.protocol))
+
+
+def check_connecting_leaves_the_instrument_at_rest(case: Case) -> None:
+    with case.serve() as service:
+        first = connect(case, service)
+        role_of(case).excite(first, service)
+        assert not service.at_rest()
+        if case.exclusive_link:
+            with raising(InstrumentError) as caught:
+                connect(case, service)
+            assert service.place in caught.error.one_line()
+            assert not service.at_rest(), "the first is none the worse"
+            first.close()
+        second = connect(case, service)
+        assert service.at_rest()
+        first.close()
+        second.close()
+
+
+def check_what_can_only_be_tried_without_faults_works(case: Case) -> None:
+    for step in role_of(case).apart:
+        with case.serve() as service:
+            instrument = connect(case, service)
+            step.act(instrument, service)
+            instrument.close()
+
+
+# --- what goes wrong -------------------------------------------------------------------------
+
+
+def check_one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over(
+    case: Case, kind: str
+) -> None:
+    """The fault befalls each request of a whole experiment in turn, but of those that
+    `Case.alike` names only the first in a step.
+
+    Every step either does what it says or raises an InstrumentError that tells what to do; never
+    does a late, broken or foreign reply become a value. What failed once works when repeated.
+    """
+    places = places_of_faults(case, kind)
+    assert places, f"{kind}: the experiment has no request that could meet the fault"
+    for at in places:
+        failures, heard, unexplained = faulty_experiment(case, kind, at, TIMEOUT_S)
+        if unexplained:
+            failures, heard, unexplained = faulty_experiment(case, kind, at, PATIENT_S)
+            assert not unexplained, f"{kind} at request {at} ({heard}): {unexplained}"
+        where = f"{kind} at request {at} ({heard})"
+        assert len(failures) <= 1, f"{where}: {[str(f) for f in failures]}"
+        for failure in failures:
+            assert failure.device, where
+            assert failure.command, where
+            assert failure.hint, where
+        if kind == "silence" and not (at == 1 and case.deaf_greeting):
+            assert failures, f"{where}: nobody noticed"
+            assert isinstance(failures[0], InstrumentTimeoutError), where
+
+
+def faulty_experiment(
+    case: Case, kind: str, at: int, timeout_s: float
+) -> tuple[list[InstrumentError], str, str]:
+    """What was told during an experiment with one fault, what the fault befell, and the time-outs
+    that one fault does not explain: one besides another error, or of a step that was repeated."""
+    with case.serve({"kind": kind, "at": at}) as service:
+        service.settings["timeout_s"] = timeout_s
+        failures: list[InstrumentError] = []
+        unexplained = ""
+        try:
+            experiment_with_retries(case, service, failures)
+            assert service.faults.requests >= at, "an experiment says the same every time"
+        except InstrumentTimeoutError as again:
+            unexplained = again.one_line()
+        if failures[1:] and any(isinstance(one, InstrumentTimeoutError) for one in failures):
+            unexplained = "; ".join(one.one_line() for one in failures)
+        heard = service.faults.heard[at - 1] if service.faults.requests >= at else b"nothing"
+        return failures, heard[:40].decode("ascii", "replace"), unexplained
+
+
+def places_of_faults(case: Case, kind: str) -> list[int]:
+    """Return which requests of an experiment without faults the walk visits, counted from 1.
+
+    A request that has no answer can lose none: only a broken connection disturbs it.
+    """
+    with case.serve() as service:
+        steps: list[int] = []
+        failures: list[InstrumentError] = []
+        experiment_with_retries(case, service, failures, steps)
+        assert failures == []
+        heard, answered = service.faults.heard, service.faults.answered
+    seen: set[tuple[int, bytes]] = set()
+    places = []
+    for index, request in enumerate(heard):
+        if kind != "close" and not answered[index]:
+            continue
+        said = {(bisect_right(steps, index), one) for one in case.alike if request.startswith(one)}
+        if not said or said - seen:
+            places.append(index + 1)
+        seen |= said
+    return places
+
+
+def experiment_with_retries(
+    case: Case,
+    service: Service,
+    failures: list[InstrumentError],
+    begins: list[int] | None = None,
+) -> None:
+    """The role's script, each step repeated once where it failed, which goes to `failures`;
+    `begins` is told how many requests there had been before each step."""
+    try:
+        instrument = connect(case, service)
+    except InstrumentError as failure:
+        failures.append(failure)
+        instrument = connect(case, service)
+    for step in role_of(case).script:
+        if begins is not None:
+            begins.append(service.faults.requests)
+        try:
+            step.act(instrument, service)
+        except InstrumentError as failure:
+            failures.append(failure)
+            step.act(instrument, service)
+    instrument.close()
+
+
+def check_silence_is_told_with_device_command_time_and_remedy_and_charged(case: Case) -> None:
+    with case.serve({"kind": "silence", "count": 0}) as service:
+        before = service.now_s()
+        with raising(InstrumentTimeoutError) as caught:
+            connect(case, service)
+        error = caught.error
+        assert error.device == case.module().ROLES[0]
+        assert error.command in error.message
+        assert f"no answer within {TIMEOUT_S:g} s" in error.message
+        assert error.hint is not None
+        assert service.place in error.hint
+        charged_s = service.now_s() - before
+        assert abs(charged_s - TIMEOUT_S) <= 1e-3, (
+            f"a time-out of {TIMEOUT_S:g} s let {charged_s:g} s of bench time pass: the driver has "
+            "to charge it to the clock, once"
+        )
+
+
+def check_an_instrument_that_is_not_there_is_told(case: Case) -> None:
+    with case.serve() as service:
+        pass  # its port is closed again
+    with raising(InstrumentError) as caught:
+        connect(case, service)
+    assert caught.error.device == case.module().ROLES[0]
+    assert service.place in str(caught.error.hint)
+
+
+def check_an_instrument_that_goes_away_and_comes_back_works_again(case: Case) -> None:
+    step = role_of(case).script[-1]
+    with case.serve({"kind": "close", "at": 1, "command": ""}) as service:
+        with raising(InstrumentError):
+            connect(case, service)
+        instrument = connect(case, service)
+        step.act(instrument, service)
+        instrument.close()
+
+
+def check_another_instrument_is_refused_with_both_names_and_let_go(case: Case) -> None:
+    with case.serve(identity=STRANGER) as service:
+        with raising(InstrumentError) as caught:
+            connect(case, service)
+        told = caught.error.one_line()
+        assert case.stranger_told in told
+        assert service.place in told
+        assert "expected" in told
+        deadline = time.monotonic() + PATIENCE_S
+        while service.connections() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert service.connections() == 0
+
+
+# --- making safe and letting go --------------------------------------------------------------
+
+
+def check_make_safe_of_the_module_gets_in_beside_a_live_connection(case: Case) -> None:
+    module = case.module()
+    dies = bool(case.exclusive_link and not case.drives_nothing)
+    """Who has it to himself has to be gone before somebody else can come."""
+    with case.serve() as service:
+        settings = module.Settings.model_validate(service.settings)
+        instrument = connect(case, service)
+        role_of(case).excite(instrument, service)
+        assert not service.at_rest()
+        if dies:
+            instrument.close()
+        for _ in range(2):
+            said = service.faults.requests
+            with service.in_real_time():
+                module.make_safe(settings)
+            if case.drives_nothing:
+                assert not service.at_rest(), case.drives_nothing
+                assert service.faults.requests == said
+            else:
+                assert service.at_rest()
+        if dies:
+            instrument = connect(case, service)
+        for step in role_of(case).script:  # the live connection is none the worse
+            step.act(instrument, service)
+        instrument.close()
+
+
+def check_make_safe_of_a_silent_instrument_is_an_error_not_a_hope(case: Case) -> None:
+    module = case.module()
+    with case.serve({"kind": "silence", "count": 0}) as service:
+        settings = module.Settings.model_validate(service.settings)
+        if case.drives_nothing:
+            module.make_safe(settings)
+            assert service.faults.requests == 0, case.drives_nothing
+            return
+        with raising(InstrumentTimeoutError):
+            module.make_safe(settings)
+
+
+def check_close_lets_go_however_often(case: Case) -> None:
+    with case.serve() as service:
+        instrument = connect(case, service)
+        assert service.connections() > 0
+        instrument.close()
+        instrument.close()
+        deadline = time.monotonic() + PATIENCE_S
+        while service.connections() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert service.connections() == 0
