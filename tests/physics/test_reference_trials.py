@@ -11,15 +11,15 @@ from rig.physics.trials import (
     PressSettings,
     RollSettings,
     SampleSettings,
+    SkinTrial,
     SlideSettings,
-    Trial,
     high_frequency,
     roll,
     slide,
 )
 
 
-def hf_peak(trial: Trial, ridge: int = 3) -> float:
+def hf_peak(trial: SkinTrial, ridge: int = 3) -> float:
     """Largest |v_d| in mV above 100 Hz from the shear's beginning until the ridge has slipped."""
     rate = 1 / (trial.time_s[1] - trial.time_s[0])
     fast = np.abs(high_frequency(trial.filtered_v_d, rate))
@@ -28,23 +28,23 @@ def hf_peak(trial: Trial, ridge: int = 3) -> float:
     return float(fast[window].max() * 1e3)
 
 
-def v_d_between(trial: Trial, start: float, end: float) -> np.ndarray:
+def v_d_between(trial: SkinTrial, start: float, end: float) -> np.ndarray:
     """Sampled v_d in mV."""
     inside = (trial.sample_time_s > start) & (trial.sample_time_s <= end)
     return trial.v_d[inside] * 1e3
 
 
-def test_ridges_slip_in_the_order_of_the_reference_case(reference_slide: Trial):
+def test_ridges_slip_in_the_order_of_the_reference_case(reference_slide: SkinTrial):
     assert reference_slide.truth.slip_order() == [1, 9, 2, 3, 8, 4, 7, 5, 6]
 
 
-def test_every_ridge_slips_partly_before_it_slips_whole(reference_slide: Trial):
+def test_every_ridge_slips_partly_before_it_slips_whole(reference_slide: SkinTrial):
     truth = reference_slide.truth
     assert (truth.first_slip_s[1:8] < truth.whole_slip_s[1:8] - 0.01).all()
     assert truth.gross_slip_s == pytest.approx(np.max(truth.whole_slip_s))
 
 
-def test_shear_raises_a_hump_of_3_to_4_millivolts(reference_slide: Trial):
+def test_shear_raises_a_hump_of_3_to_4_millivolts(reference_slide: SkinTrial):
     """Seen between the end of the speed's ramp and the neighbour's slip."""
     hump = v_d_between(reference_slide, 0.52, reference_slide.truth.whole_slip_s[1] - 0.02)
     assert 3.0 <= np.median(hump) <= 4.0
@@ -52,7 +52,7 @@ def test_shear_raises_a_hump_of_3_to_4_millivolts(reference_slide: Trial):
 
 
 def test_the_neighbours_slip_is_a_small_pulse_with_the_humps_sign_then_a_small_drop(
-    reference_slide: Trial,
+    reference_slide: SkinTrial,
 ):
     """+1..+2 mV over the level that follows, and that level is lower (decision 0020)."""
     at = reference_slide.truth.whole_slip_s[1]
@@ -66,7 +66,7 @@ def test_the_neighbours_slip_is_a_small_pulse_with_the_humps_sign_then_a_small_d
     assert level(-0.02, -0.005) - 0.8 < level(0.01, 0.02) < level(-0.02, -0.005) - 0.2
 
 
-def test_the_slip_of_ridge_3_is_a_short_impulse_against_the_hump(reference_slide: Trial):
+def test_the_slip_of_ridge_3_is_a_short_impulse_against_the_hump(reference_slide: SkinTrial):
     at = reference_slide.truth.whole_slip_s[2]
     impulse = v_d_between(reference_slide, at - 0.01, at + 0.02).min()
     assert -32 <= impulse <= -28
@@ -76,7 +76,7 @@ def test_the_slip_of_ridge_3_is_a_short_impulse_against_the_hump(reference_slide
     assert 1.5 <= width_ms <= 2.5
 
 
-def test_the_impulse_has_a_high_frequency_part_and_the_hump_has_none(reference_slide: Trial):
+def test_the_impulse_has_a_high_frequency_part_and_the_hump_has_none(reference_slide: SkinTrial):
     """Reference: 37 % above 100 Hz around the slip, 2 % before; windows of 64 ms and 95 ms."""
     at = reference_slide.truth.whole_slip_s[2]
     around = share_above(v_d_between(reference_slide, at - 0.032, at + 0.032), 1000.0, 100.0)
@@ -85,7 +85,7 @@ def test_the_impulse_has_a_high_frequency_part_and_the_hump_has_none(reference_s
     assert before <= 0.02
 
 
-def test_the_hf_peak_is_that_of_the_converged_mesh(reference_slide: Trial):
+def test_the_hf_peak_is_that_of_the_converged_mesh(reference_slide: SkinTrial):
     """16.3 mV here; the reference's 18.7 mV is one sampling phase on a mesh that is not converged
     (decision 0020)."""
     assert hf_peak(reference_slide) == pytest.approx(16.3, rel=0.03)
@@ -163,7 +163,7 @@ def test_a_sphere_rolls_with_the_signs_of_a_cylinder(skin6: CondensedSkin):
     assert sphere.block.normal_force_N[-1] == pytest.approx(4.0, rel=1e-9)
 
 
-def test_gross_slip_takes_a_travel_of_0_15_mm(reference_slide: Trial):
+def test_gross_slip_takes_a_travel_of_0_15_mm(reference_slide: SkinTrial):
     at = np.searchsorted(reference_slide.time_s, reference_slide.truth.gross_slip_s)
     assert reference_slide.block.position_mm[at] == pytest.approx(0.15, abs=0.01)
 

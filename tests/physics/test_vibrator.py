@@ -7,7 +7,7 @@ from rig.physics import pvdf
 from rig.physics.front_end import FrontEndSettings, mains_hum, noise_rms
 from rig.physics.pvdf import SWEEP_FILM
 from rig.physics.vibrator import (
-    Output,
+    VibratorOutput,
     VibratorSettings,
     drawn_film,
     true_response,
@@ -21,9 +21,9 @@ def decibels(response):
 
 def test_the_generator_can_hold_10_newton_from_2_to_20000_hertz():
     line = vibrator_line(VibratorSettings(), SWEEP_FILM)
-    load = np.abs(line.steady_state(np.geomspace(2, 20000, 400))[:, Output.LOAD])
+    load = np.abs(line.steady_state(np.geomspace(2, 20000, 400))[:, VibratorOutput.LOAD])
     assert load.min() > 1.0, "10 V peak from the generator give at least 10 N peak"
-    assert load.min() > 0.2 * np.abs(line.steady_state(1000.0)[Output.LOAD])
+    assert load.min() > 0.2 * np.abs(line.steady_state(1000.0)[VibratorOutput.LOAD])
     assert load.max() < 4.0
 
 
@@ -32,9 +32,9 @@ def test_film_over_load_is_the_truth_at_every_frequency():
         vibrator, film = drawn_film(seed)
         f = np.geomspace(2, 20000, 200)
         columns = vibrator_line(vibrator, film).steady_state(f)
-        ratio = columns[:, Output.FILM] / columns[:, Output.LOAD]
+        ratio = columns[:, VibratorOutput.FILM] / columns[:, VibratorOutput.LOAD]
         assert ratio == pytest.approx(true_response(f, vibrator, film), rel=1e-8)
-        cell = columns[:, Output.CELL] / columns[:, Output.LOAD]
+        cell = columns[:, VibratorOutput.CELL] / columns[:, VibratorOutput.LOAD]
         assert cell == pytest.approx(np.full(f.shape, 0.1), rel=1e-12)
 
 
@@ -44,14 +44,18 @@ def test_drops_are_in_the_film_force_and_not_in_the_load():
     for drop in vibrator.drops:
         load, _, film_force, _ = line.steady_state(drop.frequency_Hz)
         assert -14.0 < decibels(film_force / load) < -12.5
-        around = line.steady_state(drop.frequency_Hz * np.array([0.97, 1.0, 1.03]))[:, Output.LOAD]
+        around = line.steady_state(drop.frequency_Hz * np.array([0.97, 1.0, 1.03]))[
+            :, VibratorOutput.LOAD
+        ]
         assert np.ptp(decibels(around)) < 0.6
 
 
 def test_a_slow_load_cell_bends_what_it_reports():
     slow = VibratorSettings(cell_bandwidth_Hz=20e3)
     columns = vibrator_line(slow, SWEEP_FILM).steady_state(20e3)
-    assert decibels(columns[Output.CELL] / columns[Output.LOAD]) == pytest.approx(-23.01, abs=0.01)
+    assert decibels(columns[VibratorOutput.CELL] / columns[VibratorOutput.LOAD]) == pytest.approx(
+        -23.01, abs=0.01
+    )
 
 
 def test_films_are_drawn_over_the_whole_of_their_ranges_and_no_further():
