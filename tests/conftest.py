@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 from benches import Bench
+from compiled_kernels import ensure_compiled
 from hypothesis import settings
 
 from rig.core.cache import DiskCache
@@ -35,6 +36,12 @@ SIMULATING = ("sweep", "slip-trial", "roll-trial", "jog", "simulate")
 """Commands that simulate a bench where they are given none."""
 PATIENCE_S = 120.0
 GUARD_PATIENCE_S = 30.0
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the kernels before there are workers, so that no two of them compile the same."""
+    if not hasattr(config, "workerinput") and not config.option.collectonly:
+        ensure_compiled()
 
 
 @dataclass

@@ -19,9 +19,19 @@ from rig.files.runfile.reader import RunFile
 from rig.files.verify import safe_verdict
 
 FORMER = (
-    Column("trial", "trial", "", "Trial"),
-    Column("normal_force_set", "normal_force_set_N", "N", "Normal force asked for (N)"),
-    Column("normal_force", "normal_force_N", "N", "Mean normal force in the motion (N)"),
+    Column("trial", key="trial", long_name="Trial"),
+    Column(
+        "normal_force_set",
+        "N",
+        key="normal_force_set_N",
+        long_name="Normal force asked for (N)",
+    ),
+    Column(
+        "normal_force",
+        "N",
+        key="normal_force_N",
+        long_name="Mean normal force in the motion (N)",
+    ),
 )
 STREAM = {
     "name": "signals", "device": "computed", "channels": ["v_d", "v_1", "v_2"], "dtype": "<f8",

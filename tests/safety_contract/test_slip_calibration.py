@@ -15,8 +15,8 @@ from drivers.simulated.bench.start import start
 from procedures.slip_trial import SlipTrial
 from rig.bench.bench import parse_bench
 from rig.core.clock import ControlLink, SlavedClock
+from rig.files.hdf5.safe_reading import text_of
 from rig.files.runfile.reader import RunFile
-from rig.files.runfile.write_entry import text_of
 from rig.instruments.calibration import FilmCalibration, make_record, write_calibration
 from rig.physics.pvdf import level_at_one_hertz
 from rig.physics.transducer import TransducerSettings
