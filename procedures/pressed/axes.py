@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from rig.bench.bench import require
+from rig.bench.limits import require
 
 if TYPE_CHECKING:
     from procedures.pressed.links import TrialLinks

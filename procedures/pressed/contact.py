@@ -15,7 +15,8 @@ from rig.core.errors import ConfigurationError, InstrumentError, LimitError, Uns
 from rig.files.journal.layout import Column
 
 if TYPE_CHECKING:
-    from rig.bench.bench import Bench, FixtureSettings
+    from rig.bench.connected import Bench
+    from rig.bench.settings import FixtureSettings
     from rig.run.context import Run
     from rig.run.points import Reading
 

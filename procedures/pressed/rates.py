@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from procedures.pressed.settings import DELAY_S, LINK_S, POLL_RATE_Hz, PressedSettings, TICK_Hz
 
 if TYPE_CHECKING:
-    from rig.bench.bench import Bench
+    from rig.bench.connected import Bench
     from rig.run.context import Run
 
 

@@ -16,7 +16,7 @@ from procedures.pressed.settings import AFTER_S, PressedSettings
 from rig.analysis.trial.clock_offset import clock_offset
 from rig.analysis.trial.touch_down import TouchDownError, TouchRecord
 from rig.analysis.trial.touch_gain import touch_gain
-from rig.bench.bench import STRIPS
+from rig.bench.settings import STRIPS
 
 if TYPE_CHECKING:
     import numpy.typing as npt

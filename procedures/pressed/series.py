@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from rig.analysis.trial.load_rate import LoadScale, amplifier_dB, load_scale, load_scale_of_record
-from rig.bench.bench import STRIPS
+from rig.bench.settings import STRIPS
 
 if TYPE_CHECKING:
     from procedures.pressed.rates import ServoRates

@@ -24,7 +24,7 @@ from procedures.pressed.contact import (
     travel_s,
     unload,
 )
-from rig.bench.bench import STRIPS, FixtureSettings
+from rig.bench.settings import STRIPS, FixtureSettings
 from rig.core.errors import RigError
 from rig.core.settings import Settings as BaseSettings
 from rig.instruments.roles import Acquisition, InputChannel

@@ -10,7 +10,7 @@ import numpy as np
 
 from procedures.pressed.reading import DECIMATED_Hz, TrialRecord
 from rig.analysis.trial.decimation import Decimator
-from rig.bench.bench import STRIPS
+from rig.bench.settings import STRIPS
 from rig.run.sample_stream import SampleStream
 
 if TYPE_CHECKING:

@@ -34,14 +34,14 @@ from procedures.roll_trial.settings import (
     SETTLED_S,
     RollTrialSettings,
 )
-from rig.bench.bench import FixtureSettings
+from rig.bench.settings import FixtureSettings
 from rig.core.errors import ConfigurationError, LimitError
 from rig.run.points import Move, Point, Reading, as_option, remedy
 from rig.run.procedure import Procedure
 
 if TYPE_CHECKING:
     from procedures.roll_trial.trial import RollSeries
-    from rig.bench.bench import Bench
+    from rig.bench.connected import Bench
     from rig.run.context import Run
 
 
@@ -128,7 +128,7 @@ class RollTrial(Procedure):
 
     def _require(self, bench: Bench, quantity: str, value: float, given: str) -> None:
         """LimitError that names what was `given` unless the bench can reach a value."""
-        from rig.bench.bench import require
+        from rig.bench.limits import require
 
         try:
             require(quantity.replace(".", " "), value, bench.reach()[quantity])

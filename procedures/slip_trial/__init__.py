@@ -30,13 +30,13 @@ from procedures.pressed.settings import (
 )
 from procedures.slip_trial import layout as slip_layout
 from procedures.slip_trial.settings import SlipTrialSettings
-from rig.bench.bench import FixtureSettings
+from rig.bench.settings import FixtureSettings
 from rig.run.points import Move, Point, Reading
 from rig.run.procedure import Procedure
 
 if TYPE_CHECKING:
     from procedures.slip_trial.trial import SlipSeries
-    from rig.bench.bench import Bench
+    from rig.bench.connected import Bench
     from rig.run.context import Run
 
 

@@ -29,7 +29,7 @@ from procedures.sweep.settings import (
     SweepCondition,
     SweepSettings,
 )
-from rig.bench.bench import FixtureSettings
+from rig.bench.settings import FixtureSettings
 from rig.instruments.roles import Acquisition, InputChannel
 from rig.run.points import Move, Point, Reading
 from rig.run.procedure import DriftFigure, Procedure, StreamPlan
@@ -37,7 +37,7 @@ from rig.run.procedure import DriftFigure, Procedure, StreamPlan
 if TYPE_CHECKING:
     from procedures.sweep.memory import SweepMemory
     from rig.analysis.film.frequency_plan import FrequencyPlanSettings
-    from rig.bench.bench import Bench
+    from rig.bench.connected import Bench
     from rig.run.context import Run
 
 # --- what a point is expected to take, measured on the simulated film ---

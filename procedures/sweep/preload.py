@@ -30,7 +30,8 @@ from procedures.pressed.contact import (
     travel_s,
     unload,
 )
-from rig.bench.bench import FixtureSettings, require
+from rig.bench.limits import require
+from rig.bench.settings import FixtureSettings
 from rig.core.errors import InstrumentError, LimitError
 from rig.run.trip import TripError
 

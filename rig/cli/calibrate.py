@@ -28,7 +28,7 @@ from rig.core.errors import (
 
 if TYPE_CHECKING:
     from rig.analysis.weighing import CellFit, ForceFit
-    from rig.bench.bench import Bench
+    from rig.bench.connected import Bench
     from rig.cli.weigh import Person
     from rig.instruments.calibration import Kind, Record
     from rig.instruments.roles import Reach
@@ -333,11 +333,11 @@ def _at_the_bench(
         plan, clock, started = bench.plan, bench.clock, bench.started
         if started is not None:
             at_the_end.callback(started.wait)
-        from rig.bench import bench as benches
+        from rig.bench.connect import connect
 
         needed = tuple(part for part in plan.instruments if part.role in roles)
         try:
-            connected = benches.connect(replace(plan, instruments=needed), clock)
+            connected = connect(replace(plan, instruments=needed), clock)
         except BaseException:
             clock.close()
             raise

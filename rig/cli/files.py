@@ -228,7 +228,7 @@ def _world_of(bench_toml: str, source: str) -> Iterator[tuple[Path | None, str |
 
     None for any other bench: that one's file is read from where it was.
     """
-    from rig.bench.bench import parse_bench
+    from rig.bench.plan import parse_bench
     from rig.core.toml_files import toml_value
 
     plan = parse_bench(bench_toml, f"{source}: its bench file")

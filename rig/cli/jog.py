@@ -153,7 +153,8 @@ def _at_the_bench(
     could not be stopped."""
     from datetime import datetime
 
-    from rig.bench import bench as benches
+    from rig.bench.apply_calibrations import apply_calibrations
+    from rig.bench.connect import connect
     from rig.cli.terminal import HELP
     from rig.jog.session import AXES, JogSession
     from rig.run.guard import GuardLink, report_path
@@ -161,12 +162,12 @@ def _at_the_bench(
     plan, clock = chosen.plan, chosen.clock
     needed = tuple(p for p in plan.instruments if p.role in (*AXES, "force_sensor"))
     try:
-        connected = benches.connect(replace(plan, instruments=needed), clock, stop.check)
+        connected = connect(replace(plan, instruments=needed), clock, stop.check)
     except RigError:
         clock.close()
         raise
     at_the_end.callback(connected.close)
-    _, warnings = benches.apply_calibrations(connected, datetime.now().astimezone(), True)
+    _, warnings = apply_calibrations(connected, datetime.now().astimezone(), True)
     for warning in warnings:
         say(f"warning: {warning}")
     session = JogSession(connected, settings, axis, stop, terminal)

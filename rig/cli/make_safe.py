@@ -28,7 +28,7 @@ def make_safe(
     from rig.run.stopping import StopFlag
 
     with reported(debug), StopFlag():
-        from rig.bench.bench import parse_to_make_safe
+        from rig.bench.plan import parse_to_make_safe
         from rig.core.toml_files import MAX_TOML_BYTES, read_text
         from rig.run.guard import make_bench_safe, report_path
         from rig.run.lock import in_use

@@ -13,7 +13,7 @@ from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from rig.bench.bench import BenchFactory
+    from rig.bench.simulated import BenchFactory
 
 
 def simulate(

@@ -16,7 +16,9 @@ from typing import Protocol
 
 from pydantic import Field
 
-from rig.bench.bench import Bench, longest_call_s, require
+from rig.bench.connected import Bench
+from rig.bench.limits import require
+from rig.bench.plan import longest_call_s
 from rig.core.errors import ConfigurationError, ExitCode, LimitError, RigError
 from rig.core.settings import Settings
 from rig.instruments.roles import LinearStage, Reach, RotaryStage

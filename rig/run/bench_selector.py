@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING
 from rig.core.entry_points import BENCHES, load
 
 if TYPE_CHECKING:
-    from rig.bench.bench import BenchFactory, BenchPlan, Fixture, RunningBench
+    from rig.bench.plan import BenchPlan
+    from rig.bench.settings import Fixture
+    from rig.bench.simulated import BenchFactory, RunningBench
     from rig.core.clock import Clock
     from rig.run.lock import BenchLock
 
@@ -86,7 +88,7 @@ class BenchSelector:
         """The bench file's plan with a wall clock, locked until `at_the_end`; or a simulated bench,
         on which `fixture` is mounted, with its own clock: one that was `started` ahead for this
         request, or its own."""
-        from rig.bench.bench import read_bench
+        from rig.bench.plan import read_bench
 
         if request.bench is not None and not request.dry_run:
             return self._of_file(request, at_the_end, request.bench)
@@ -101,7 +103,7 @@ class BenchSelector:
             raise
 
     def _of_file(self, request: BenchRequest, at_the_end: ExitStack, path: Path) -> ChosenBench:
-        from rig.bench.bench import read_bench
+        from rig.bench.plan import read_bench
         from rig.core.clock import WallClock
         from rig.run.guard import refuse_unsafe, report_path
         from rig.run.lock import BenchLock
@@ -120,7 +122,7 @@ class BenchSelector:
     def _simulated(
         self, request: BenchRequest, started: RunningBench, real: BenchPlan | None
     ) -> ChosenBench:
-        from rig.bench.bench import parse_bench, rehearsal
+        from rig.bench.plan import parse_bench, rehearsal
         from rig.core.clock import ControlLink, PacedClock, SlavedClock
         from rig.run.guard import GUARD_SUFFIX
 

@@ -20,7 +20,8 @@ from rig.core.errors import LONGEST_REASON, ConfigurationError, ExitCode, RigErr
 from rig.run.points import Point, Reading
 
 if TYPE_CHECKING:
-    from rig.bench.bench import Bench, FixtureSettings
+    from rig.bench.connected import Bench
+    from rig.bench.settings import FixtureSettings
     from rig.files.journal.layout import Column, Layout
     from rig.run.context import Run
     from rig.run.procedure import Procedure

@@ -6,7 +6,8 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rig.bench.bench import Bench, longest_call_s
+from rig.bench.connected import Bench
+from rig.bench.plan import longest_call_s
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentTimeoutError, RigError
 from rig.files.journal.recorder import Recorder

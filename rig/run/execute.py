@@ -19,8 +19,10 @@ import time
 from collections.abc import Iterator
 from datetime import datetime
 
-from rig.bench import bench as benches
-from rig.bench.bench import Bench, BenchPlan
+from rig.bench.apply_calibrations import apply_calibrations
+from rig.bench.connect import connect
+from rig.bench.connected import Bench
+from rig.bench.plan import BenchPlan
 from rig.core.clock import Clock
 from rig.core.errors import ExitCode, RigError
 from rig.files.journal.reader import read_journal
@@ -62,7 +64,7 @@ def execute(
         outcome.points_done = len(recorded)
         outcome.points_planned = len({point.id for point in points} | recorded.keys())
         require_roles(points, plan)
-        bench = benches.connect(plan, clock, stop.check)
+        bench = connect(plan, clock, stop.check)
     except RigError as error:
         clock.close()
         return _failed(outcome, error)
@@ -70,7 +72,7 @@ def execute(
     with contextlib.closing(bench):
         try:
             now = datetime.now().astimezone()
-            job.calibrations, warnings = benches.apply_calibrations(bench, now, job.allow_expired)
+            job.calibrations, warnings = apply_calibrations(bench, now, job.allow_expired)
             check_points(points, bench, settings=job.settings)
             procedure.check(bench)
             stop.check()

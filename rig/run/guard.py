@@ -31,7 +31,7 @@ from rig.core.atomic import write_text
 from rig.core.errors import RigError
 
 if TYPE_CHECKING:
-    from rig.bench.bench import BenchPlan
+    from rig.bench.plan import BenchPlan
 
 
 GUARD_SUFFIX = ".guard.json"
@@ -251,7 +251,7 @@ def make_bench_safe(bench_toml: str, source: str) -> dict[str, str]:
     An instrument whose driver or settings cannot be used is among what failed; the others are made
     safe. ConfigurationError where the text describes no instrument at all.
     """
-    from rig.bench.bench import WAITS_PER_CALL, parse_to_make_safe
+    from rig.bench.plan import WAITS_PER_CALL, parse_to_make_safe
     from rig.run.arming import Arming
 
     described = parse_to_make_safe(bench_toml, source)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import rig
-from rig.bench.bench import Bench
+from rig.bench.connected import Bench
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings, fingerprint, leaves
 from rig.files.journal.reader import JournalContents

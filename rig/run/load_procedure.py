@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from types import FunctionType
 from typing import Any, get_args
 
-from rig.bench.bench import Fixture
+from rig.bench.settings import Fixture
 from rig.core.entry_points import PROCEDURES, load
 from rig.core.settings import Settings, option_name
 from rig.core.units import is_unit

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Self
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from rig.bench.bench import BenchPlan, Restable
+    from rig.bench.plan import BenchPlan, Restable
 
 ADDRESS = ("resource", "host", "port", "unit_id")
 """Settings of a driver that tell one instrument from another."""

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rig.bench.bench import Bench, BenchPlan, require
+from rig.bench.connected import Bench
+from rig.bench.limits import require
+from rig.bench.plan import BenchPlan
 from rig.core.errors import ConfigurationError, LimitError, RigError
 from rig.core.settings import Settings, option_name, unit_of
 from rig.instruments.roles import Acquisition

@@ -38,7 +38,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from rig.bench.bench import Bench, Fixture, FixtureSettings
+from rig.bench.connected import Bench
+from rig.bench.settings import Fixture, FixtureSettings
 from rig.core.settings import Settings as BaseSettings
 from rig.files.journal.layout import Layout
 from rig.run.points import Point, Reading

@@ -17,7 +17,8 @@ from rig.batch.plan.conditions import BatchPlan
 from rig.batch.plan.estimate import ExpectedRun, expect, forecast, homing_s
 from rig.batch.plan.expand import expand
 from rig.batch.plan.settings import BatchFile, BatchSettings
-from rig.bench.bench import BenchPlan, FixtureSettings, parse_bench
+from rig.bench.plan import BenchPlan, parse_bench
+from rig.bench.settings import FixtureSettings
 
 NOW = datetime(2026, 11, 22, 20, 0, tzinfo=UTC)
 PLATE = FixtureSettings(mounted="plate", contact_from_mm=12.0, contact_to_mm=13.0)

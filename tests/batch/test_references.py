@@ -20,7 +20,7 @@ from rig.batch.execute.drift import (
     watched_figures,
     zero_drift,
 )
-from rig.bench.bench import BenchSettings
+from rig.bench.settings import BenchSettings
 from rig.instruments.calibration import Record
 
 GAIN = "gain_near_200_Hz_dB"

@@ -10,7 +10,7 @@ from procedures.roll_trial import RollTrial
 from procedures.slip_trial import SlipTrial
 from procedures.sweep import Sweep
 from rig.batch.execute.drift import ReferenceRun, judge, part_names, zero_drift
-from rig.bench.bench import BenchSettings
+from rig.bench.settings import BenchSettings
 
 PARTS = part_names(BenchSettings(name="b", fixture={"mounted": "plate"}, film={"name": "F12"}))
 PROCEDURES = {one.name: one for one in (Sweep, SlipTrial, RollTrial)}

@@ -15,7 +15,9 @@ from rig.batch.plan.expand import expand
 from rig.batch.plan.findings import RefusedBatchError
 from rig.batch.plan.settings import BatchFile
 from rig.batch.plan.validate import BenchConnector, ValidationResult, validate
-from rig.bench.bench import Bench, BenchPlan, Fixture, InstrumentPlan, parse_bench
+from rig.bench.connected import Bench
+from rig.bench.plan import BenchPlan, InstrumentPlan, parse_bench
+from rig.bench.settings import Fixture
 from rig.core.clock import WallClock
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import Settings

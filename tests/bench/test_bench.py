@@ -12,18 +12,11 @@ from typing import Any
 
 import pytest
 
-from rig.bench import bench as benches
-from rig.bench.bench import (
-    Bench,
-    GuardedGenerator,
-    InstrumentPlan,
-    connect,
-    parse_bench,
-    read_bench,
-    rehearsal,
-    require,
-)
+from rig.bench.connect import connect
+from rig.bench.connected import Bench
+from rig.bench.limits import GuardedGenerator, require
 from rig.bench.link_worker import LinkWorkers
+from rig.bench.plan import BenchPlan, InstrumentPlan, parse_bench, read_bench, rehearsal
 from rig.core.clock import WallClock
 from rig.core.errors import ConfigurationError, ExitCode, InstrumentError, LimitError, RigError
 from rig.instruments.roles import Identity, Reach
@@ -205,7 +198,7 @@ class Fake:
         return lambda *arguments: self.calls.append((name, *arguments))
 
 
-def plan_with(*drivers: Any) -> benches.BenchPlan:
+def plan_with(*drivers: Any) -> BenchPlan:
     """The good file's plan with other drivers behind its roles."""
     plan = parse_bench(GOOD, "bench.toml")
     parts = [

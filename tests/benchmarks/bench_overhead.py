@@ -28,7 +28,7 @@ from drivers.simulated.world.world import World, WorldSettings
 from procedures.sweep import Sweep
 from rig.analysis.response import complex_response as response
 from rig.analysis.response import sine_fit
-from rig.bench.bench import parse_bench, read_bench
+from rig.bench.plan import parse_bench, read_bench
 from rig.core.clock import ControlLink, SlavedClock, WallClock
 from rig.core.errors import ExitCode
 from rig.core.settings import Settings

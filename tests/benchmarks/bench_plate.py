@@ -12,7 +12,8 @@ import pytest
 from measured import heading, row, target
 
 from drivers.simulated.bench.start import StartedBench, start
-from rig.bench.bench import connect, parse_bench
+from rig.bench.connect import connect
+from rig.bench.plan import parse_bench
 from rig.core.clock import ControlLink, SlavedClock
 from rig.instruments.roles import Acquisition, InputChannel
 from rig.run.force_monitor import ForceMonitor

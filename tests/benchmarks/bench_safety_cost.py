@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 from measured import heading, row, target
 
-from rig.bench.bench import GuardedGenerator, read_bench
+from rig.bench.limits import GuardedGenerator
+from rig.bench.plan import read_bench
 from rig.control.tick_loop import tick_loop
 from rig.core.clock import WallClock
 from rig.core.errors import ExitCode

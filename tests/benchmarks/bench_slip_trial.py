@@ -19,7 +19,7 @@ from measured import heading, row, target
 
 from procedures.pressed import trial as pressed_trial
 from procedures.slip_trial import SlipTrial
-from rig.bench.bench import read_bench
+from rig.bench.plan import read_bench
 from rig.control import tick_loop as loop
 from rig.core.clock import WallClock
 from rig.files.runfile.reader import RunFile

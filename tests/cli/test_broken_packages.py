@@ -268,7 +268,7 @@ def acme(rig: Any, tmp_path: Path) -> Iterator[Path]:
 
 def switch_on(rig: Any) -> None:
     """Switch the generator's output on, as a run that nobody guards would leave it."""
-    from rig.bench.bench import parse_to_make_safe
+    from rig.bench.plan import parse_to_make_safe
     from rig.core.clock import WallClock
 
     text = (rig.folder / "sim.toml").read_text()

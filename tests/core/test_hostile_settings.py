@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from drivers.simulated.faults.plan import FaultPlan
 from drivers.simulated.world.world import read_world
-from rig.bench.bench import parse_bench, read_bench
+from rig.bench.plan import parse_bench, read_bench
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 from rig.core.toml_files import MAX_TOML_BYTES, MAX_TOML_LINE
 from rig.instruments.calibration import (

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from rig.bench.bench import BenchPlan, BenchSettings, InstrumentPlan
+from rig.bench.plan import BenchPlan, InstrumentPlan
+from rig.bench.settings import BenchSettings
 from rig.core.clock import WallClock
 from rig.core.settings import Settings
 from rig.files.journal.layout import Column, Layout, Plot

@@ -29,7 +29,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 
-from rig.bench.bench import BenchPlan, BenchSettings, InstrumentPlan
+from rig.bench.plan import BenchPlan, InstrumentPlan
+from rig.bench.settings import BenchSettings
 from rig.core.clock import WAIT_SLICE_S, Clock
 from rig.core.errors import ExitCode, InstrumentError, InstrumentTimeoutError, LimitError
 from rig.core.settings import Settings

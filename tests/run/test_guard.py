@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from drivers.simulated.bench.start import start
-from rig.bench.bench import BenchPlan, parse_bench
+from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.clock import ControlLink, WallClock
 from rig.core.errors import InstrumentError, UnsafeError
 from rig.run.guard import GuardLink, act, make_bench_safe, refuse_unsafe, report_path
@@ -227,7 +227,7 @@ def test_an_instrument_that_hangs_keeps_no_other_from_being_made_safe(
         part("stage_z", lambda settings: done.append("stage_z")),
     )
     described = SimpleNamespace(instruments=parts, failures={})
-    monkeypatch.setattr("rig.bench.bench.parse_to_make_safe", lambda *_: described)
+    monkeypatch.setattr("rig.bench.plan.parse_to_make_safe", lambda *_: described)
     monkeypatch.setattr("rig.run.guard.REST_S", 0.03)
     failures = make_bench_safe("", "bench.toml")
     release.set()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.bench.bench import BenchPlan, parse_bench
+from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.run.lock import BenchLock, in_use, lock_files
 
@@ -29,7 +29,7 @@ port = "{port}"
 HOLDER = """
 import sys
 from pathlib import Path
-from rig.bench.bench import read_bench
+from rig.bench.plan import read_bench
 from rig.run.lock import BenchLock
 lock = BenchLock(read_bench(Path(sys.argv[1])))
 lock.tell_run(Path("/data/run.rigj"))

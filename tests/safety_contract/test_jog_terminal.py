@@ -16,7 +16,7 @@ import time
 
 import pytest
 
-from rig.bench.bench import read_bench
+from rig.bench.plan import read_bench
 from rig.core.clock import WallClock
 from rig.jog.keys import SILENCE_S
 

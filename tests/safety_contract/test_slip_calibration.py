@@ -13,7 +13,7 @@ import pytest
 
 from drivers.simulated.bench.start import start
 from procedures.slip_trial import SlipTrial
-from rig.bench.bench import parse_bench
+from rig.bench.plan import parse_bench
 from rig.core.clock import ControlLink, SlavedClock
 from rig.files.hdf5.safe_reading import text_of
 from rig.files.runfile.reader import RunFile

@@ -13,7 +13,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
 
-from rig.bench.bench import STRIPS, BenchSettings
+from rig.bench.settings import STRIPS, BenchSettings
 from rig.core.settings import name_without_unit, unit_of
 from rig.instruments.calibration import COMMANDS, Record
 from rig.run.procedure import DriftFigure

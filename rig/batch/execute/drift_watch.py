@@ -21,7 +21,8 @@ from rig.batch.plan.estimate import records_of
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchFile
 from rig.batch.queue import AttemptResult, Claim, Queue
-from rig.bench.bench import BenchPlan, BenchSettings, read_bench
+from rig.bench.plan import BenchPlan, read_bench
+from rig.bench.settings import BenchSettings
 
 ZERO = "force_zero_N"
 """The figure of a summary that holds the force sensor's reading in free air, before taring."""

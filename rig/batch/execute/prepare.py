@@ -22,8 +22,10 @@ from rig.batch.plan.settings import BatchFile
 from rig.batch.plan.validate import BenchConnector, ValidationResult, validate
 from rig.batch.queue import RunEstimate
 from rig.batch.report.notify import require_usable
-from rig.bench import bench as benches
-from rig.bench.bench import Bench, BenchPlan, Fixture, read_bench
+from rig.bench.connect import connect
+from rig.bench.connected import Bench
+from rig.bench.plan import BenchPlan, read_bench
+from rig.bench.settings import Fixture
 from rig.core.errors import ConfigurationError
 from rig.instruments.calibration import require_valid
 from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file, simulated_variant_for
@@ -98,7 +100,7 @@ def rehearsed(request: BenchRequest, say: Callable[[str], None]) -> BenchConnect
             assert chosen.started is not None, "a rehearsal starts its bench"
             at_the_end.callback(chosen.started.wait)
             try:
-                bench = benches.connect(chosen.plan.on(fixture), chosen.clock)
+                bench = connect(chosen.plan.on(fixture), chosen.clock)
             except BaseException:
                 chosen.clock.close()
                 raise

@@ -43,7 +43,8 @@ from rig.run.stopping import StopFlag, StopRequestedError
 
 if TYPE_CHECKING:
     from rig.batch.execute.drift import HoldReason
-    from rig.bench.bench import BenchSettings, Fixture, RunningBench
+    from rig.bench.settings import BenchSettings, Fixture
+    from rig.bench.simulated import RunningBench
     from rig.run.outcome import RunOutcome
     from rig.run.points import Point, Reading
     from rig.run.procedure import Procedure

@@ -20,7 +20,8 @@ from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
 from rig.batch.plan.policy import window
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchSettings
-from rig.bench.bench import BenchPlan, FixtureSettings
+from rig.bench.plan import BenchPlan
+from rig.bench.settings import FixtureSettings
 from rig.instruments.calibration import (
     FilmCalibration,
     ForceCalibration,

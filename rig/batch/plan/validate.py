@@ -15,7 +15,9 @@ from dataclasses import dataclass, field
 from rig.batch.plan.conditions import BatchCondition, BatchPlan
 from rig.batch.plan.findings import KeyPath, PlanFinding
 from rig.batch.plan.procedures import installed
-from rig.bench.bench import Bench, BenchPlan, Fixture, FixtureSettings
+from rig.bench.connected import Bench
+from rig.bench.plan import BenchPlan
+from rig.bench.settings import Fixture, FixtureSettings
 from rig.core.errors import RigError
 from rig.run.checked_procedure import CheckedProcedure
 from rig.run.points import refusals, require_roles

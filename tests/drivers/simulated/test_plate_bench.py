@@ -19,7 +19,9 @@ from drivers.simulated.bench.options import Options
 from drivers.simulated.bench.start import start
 from drivers.simulated.instruments.me_gsv8 import NOISE_MV_V, Sensor
 from drivers.simulated.world.axis import AxisCommand, Mechanics, SimulatedAxis
-from rig.bench.bench import Bench, connect, parse_bench
+from rig.bench.connect import connect
+from rig.bench.connected import Bench
+from rig.bench.plan import parse_bench
 from rig.core.cache import DiskCache
 from rig.core.clock import ControlLink, SlavedClock
 from rig.core.errors import ConfigurationError, InstrumentError

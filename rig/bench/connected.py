@@ -1,0 +1,138 @@
+"""The connected bench: its instruments by role, their limits and their links."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from rig.bench.link_worker import LinkWorkers
+from rig.bench.plan import BenchPlan
+from rig.bench.settings import BenchSettings, FilmSettings, LoadCellSettings, MountedSkinSettings, Strip
+from rig.core.clock import Clock
+from rig.core.errors import (
+    ConfigurationError,
+    RigError,
+)
+from rig.instruments.calibration import (
+    FilmCalibration,
+)
+from rig.instruments.roles import (
+    DataAcquisition,
+    ForceSensor,
+    Instrument,
+    LinearStage,
+    Reach,
+    RotaryStage,
+    SignalGenerator,
+)
+
+T = TypeVar("T")
+
+
+@dataclass
+class Bench:
+    """Connected instruments and what is known of the bench around them."""
+
+    plan: BenchPlan
+    clock: Clock
+    instruments: dict[str, Instrument]
+    links: LinkWorkers
+    """A worker for each instrument's link."""
+    strip_calibrations: dict[Strip, FilmCalibration] = field(default_factory=dict)
+    """Records in use for the skin's strips."""
+
+    @property
+    def settings(self) -> BenchSettings:
+        """The bench file's own part."""
+        return self.plan.settings
+
+    @property
+    def generator(self) -> SignalGenerator:
+        """The signal generator; ConfigurationError where the bench has none."""
+        return self._role("generator")  # type: ignore[return-value]
+
+    @property
+    def daq(self) -> DataAcquisition:
+        """The DAQ; ConfigurationError where the bench has none."""
+        return self._role("daq")  # type: ignore[return-value]
+
+    @property
+    def stage_z(self) -> LinearStage:
+        """The z stage; ConfigurationError where the bench has none."""
+        return self._role("stage_z")  # type: ignore[return-value]
+
+    @property
+    def stage_x(self) -> LinearStage:
+        """The x stage; ConfigurationError where the bench has none."""
+        return self._role("stage_x")  # type: ignore[return-value]
+
+    @property
+    def rotary(self) -> RotaryStage:
+        """The rotary stage; ConfigurationError where the bench has none."""
+        return self._role("rotary")  # type: ignore[return-value]
+
+    @property
+    def force_sensor(self) -> ForceSensor:
+        """The force sensor; ConfigurationError where the bench has none."""
+        return self._role("force_sensor")  # type: ignore[return-value]
+
+    @property
+    def film(self) -> FilmSettings:
+        """The film; ConfigurationError where the bench file describes none."""
+        return self._part("film", self.settings.film)
+
+    @property
+    def load_cell(self) -> LoadCellSettings:
+        """The load cell; ConfigurationError where the bench file describes none."""
+        return self._part("load_cell", self.settings.load_cell)
+
+    @property
+    def skin(self) -> MountedSkinSettings:
+        """The skin; ConfigurationError where the bench file describes none."""
+        return self._part("skin", self.settings.skin)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether anything of this bench is simulated: declared, or admitted by an instrument."""
+        admitted = any(i.identity.simulated for i in self.instruments.values())
+        return self.settings.simulation is not None or admitted
+
+    def reach(self) -> dict[str, Reach]:
+        """Every instrument's limits as ``role.quantity``, and the load cell's."""
+        limits = {
+            f"{role}.{quantity}": reach
+            for role, instrument in self.instruments.items()
+            for quantity, reach in instrument.reach().items()
+        }
+        if self.settings.load_cell is not None:
+            largest = self.settings.load_cell.max_load_N
+            limits["load_cell.load"] = Reach(0.0, largest, "N", "load cell")
+        return limits
+
+    def close(self) -> None:
+        """Let go of every link, each in isolation."""
+        self.links.close()
+        close_all(self.instruments)
+        self.clock.close()
+
+    def _role(self, role: str) -> Instrument:
+        if role not in self.instruments:
+            raise ConfigurationError(
+                f"{self.plan.source}: the bench has no {role}", f"add a [{role}] table"
+            )
+        return self.instruments[role]
+
+    def _part(self, name: str, part: T | None) -> T:
+        if part is None:
+            raise ConfigurationError(
+                f"{self.plan.source}: the bench file describes no {name}", f"add a [{name}] table"
+            )
+        return part
+
+
+def close_all(instruments: Mapping[str, Instrument]) -> None:
+    for instrument in instruments.values():
+        with contextlib.suppress(RigError, OSError):
+            instrument.close()

@@ -1,0 +1,65 @@
+"""Limits that are checked at every call, before anything is sent to an instrument."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rig.core.errors import (
+    LimitError,
+)
+from rig.instruments.roles import (
+    Identity,
+    Reach,
+    SignalGenerator,
+)
+
+
+class GuardedGenerator:
+    """A signal generator that refuses values outside the bench's limits at every call."""
+
+    def __init__(self, inner: SignalGenerator):
+        self._inner = inner
+
+    @property
+    def identity(self) -> Identity:
+        """Who the generator is."""
+        return self._inner.identity
+
+    def reach(self) -> Mapping[str, Reach]:
+        """The generator's limits."""
+        return self._inner.reach()
+
+    def sine(self, frequency_Hz: float, amplitude_V: float) -> None:
+        """A sine within the limits; LimitError before anything is sent otherwise."""
+        limits = self._inner.reach()
+        require("frequency", frequency_Hz, limits["frequency"])
+        require("amplitude", amplitude_V, limits["amplitude"])
+        self._inner.sine(frequency_Hz, amplitude_V)
+
+    def output(self, on: bool) -> None:
+        """Switch the output."""
+        self._inner.output(on)
+
+    def output_is_on(self) -> bool:
+        """The output's state."""
+        return self._inner.output_is_on()
+
+    def make_safe(self) -> None:
+        """Output off."""
+        self._inner.make_safe()
+
+    def close(self) -> None:
+        """Let go of the link."""
+        self._inner.close()
+
+
+def require(what: str, value: float, reach: Reach, where: str = "") -> None:
+    """Raise LimitError that names value, unit, limit, device and place unless `reach` holds it."""
+    if reach.holds(value):
+        return
+    place = f"{where}: " if where else ""
+    raise LimitError(
+        f"{place}{what} {value:g} {reach.unit} is outside {reach.low:g} to {reach.high:g} "
+        f"{reach.unit} of the {reach.owner}",
+        "choose a value inside, or correct the bench file if the limit is wrong",
+    )

@@ -1,0 +1,245 @@
+"""A bench file, read and checked: settings of the bench, and of a driver for each role.
+
+The driver modules come from the entry-point group ``rig.drivers``, so a laboratory adds its own
+without touching this package. All errors of a file are shown at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from rig.bench.settings import ROLES, STRIPS, BenchSettings, Fixture
+from rig.core.entry_points import DRIVERS, load
+from rig.core.errors import (
+    ConfigurationError,
+    RigError,
+)
+from rig.core.settings import Settings
+from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
+from rig.instruments.calibration import (
+    CalibrationFiles,
+)
+from rig.instruments.roles import (
+    DriverModule,
+)
+
+WIRING = (
+    *("resource", "timeout_s", "channels", "host", "port", "unit_id", "matrix_N_mV_V"),
+    *("parity", "steps_per_mm", "device", "axis", "microstep_deg", "resolution"),
+)
+"""Settings of a driver that say where and how an instrument is reached, what is wired to it and how
+it counts."""
+
+
+WAITS_PER_CALL = 2
+"""A call on an instrument may wait twice for its time-out: to reconnect, and for the answer."""
+
+
+@dataclass(frozen=True)
+class InstrumentPlan:
+    """One role's driver and settings, validated but not connected."""
+
+    role: str
+    driver_name: str
+    driver: DriverModule
+    settings: Settings
+
+
+@dataclass(frozen=True)
+class BenchPlan:
+    """A validated bench file."""
+
+    settings: BenchSettings
+    instruments: tuple[InstrumentPlan, ...]
+    text: str
+    """The file verbatim."""
+    source: str
+    """Where it came from, for messages and the run file."""
+
+    @property
+    def mounted(self) -> tuple[Fixture, ...]:
+        """The fixtures on the bench, that of [fixture] first."""
+        return tuple(fixture.mounted for fixture in self.settings.fixtures)
+
+    def require_fixture(self, *accepted: Fixture) -> BenchPlan:
+        """The plan on the first mounted fixture of those `accepted`; ConfigurationError, which
+        refuses the run, where none is."""
+        for mounted in self.mounted:
+            if mounted in accepted:
+                return self.on(mounted)
+        raise ConfigurationError(
+            f"the bench has the {' and the '.join(self.mounted)} mounted, this procedure needs "
+            f"{' or '.join(accepted)}",
+            f"mount it and correct [fixture] in {self.source}",
+        )
+
+    def on(self, fixture: Fixture) -> BenchPlan:
+        """The plan with one of the mounted fixtures as that of [fixture], which a run works on."""
+        if fixture == self.settings.fixture.mounted:
+            return self
+        fixtures = self.settings.fixtures
+        chosen = next(one for one in fixtures if one.mounted == fixture)
+        others = tuple(one for one in fixtures if one.mounted != fixture)
+        changed = {"fixture": chosen, "also_mounted": others}
+        return replace(self, settings=self.settings.model_copy(update=changed))
+
+
+def longest_call_s(settings: Settings) -> float:
+    """The longest that a call on an instrument with these settings may wait for its link, in s."""
+    return WAITS_PER_CALL * float(getattr(settings, "timeout_s", 0.0))
+
+
+def read_bench(path: Path) -> BenchPlan:
+    """Read and validate a bench file; ConfigurationError tells all that is wrong with it."""
+    hint = "give the file with --bench, or leave it out for the simulated bench"
+    return parse_bench(read_text(path, "bench file", MAX_TOML_BYTES, hint), str(path))
+
+
+def parse_bench(text: str, source: str) -> BenchPlan:
+    """Validate the text of a bench file, all errors at once."""
+    tables = parse_toml(text, source)
+    findings: list[ConfigurationError] = []
+    plans = []
+    described = [role for role in ROLES if role in tables]
+    for role in described:
+        with _collect(findings):
+            plans.append(_plan_instrument(role, tables.pop(role), source))
+    settings = None
+    with _collect(findings):
+        settings = _settings(tables, source)
+    if settings is not None and ("daq" not in described or any(p.role == "daq" for p in plans)):
+        findings += map(ConfigurationError, _wiring_errors(settings, plans, source))
+    if settings is not None:
+        findings += map(ConfigurationError, _impatience(settings, plans, source))
+    if findings or settings is None:
+        hints = dict.fromkeys(finding.hint or "correct the bench file" for finding in findings)
+        raise ConfigurationError("; ".join(f.message for f in findings), "; ".join(hints))
+    return BenchPlan(settings, tuple(plans), text, source)
+
+
+@dataclass(frozen=True)
+class Restable:
+    """What of a bench file can be made safe, and why the rest cannot."""
+
+    instruments: tuple[InstrumentPlan, ...]
+    failures: dict[str, str]
+    """By role, why an instrument is out of reach; under "bench file" what is wrong with the rest of
+    the file."""
+    settings: BenchSettings | None
+    """None where the rest of the file is wrong."""
+
+
+def parse_to_make_safe(text: str, source: str) -> Restable:
+    """What a bench file says of its instruments, for making them safe.
+
+    What is wrong with one instrument or its driver keeps no other from being made safe, so it is
+    returned and not raised. ConfigurationError where the text describes no instrument at all.
+    """
+    tables = parse_toml(text, source)
+    described = [role for role in ROLES if role in tables]
+    instruments = []
+    failures: dict[str, str] = {}
+    for role in described:
+        try:
+            instruments.append(_plan_instrument(role, tables.pop(role), source))
+        except RigError as error:
+            failures[role] = error.one_line()
+        except Exception as error:  # noqa: BLE001 - a driver's settings must not stop the others
+            failures[role] = f"{type(error).__name__}: {error}"
+    settings = None
+    try:
+        settings = _settings(tables, source)
+    except ConfigurationError as error:
+        if not described:
+            raise
+        failures["bench file"] = error.one_line()
+    return Restable(tuple(instruments), failures, settings)
+
+
+def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
+    """The simulated bench under a real bench file's limits: its fixture, its load limit and its
+    drivers' settings, except for where an instrument is and what is wired to it."""
+    own = {(part.role, part.driver_name): part.settings for part in real.instruments}
+    instruments = []
+    for part in simulated.instruments:
+        which = (part.role, part.driver_name)
+        if which in own:
+            kept = {k: v for k, v in part.settings if k in WIRING}
+            part = replace(part, settings=own[which].model_copy(update=kept))
+        instruments.append(part)
+    limits: dict[str, Any] = {
+        "fixture": real.settings.fixture,
+        "also_mounted": real.settings.also_mounted,
+        "calibrations": CalibrationFiles(),  # those of real sensors are nothing to simulated ones
+    }
+    if real.settings.load_cell is not None and simulated.settings.load_cell is not None:
+        kept = {"sensitivity_V_N": simulated.settings.load_cell.sensitivity_V_N}
+        limits["load_cell"] = real.settings.load_cell.model_copy(update=kept)
+    settings = simulated.settings.model_copy(update=limits)
+    return replace(simulated, settings=settings, instruments=tuple(instruments))
+
+
+def _settings(tables: dict[str, Any], source: str) -> BenchSettings:
+    """A bench file's own part, what is left of it without its instruments."""
+    try:
+        return BenchSettings.model_validate(tables)
+    except ValidationError as error:
+        raise ConfigurationError.from_validation(error, source) from error
+
+
+@contextlib.contextmanager
+def _collect(findings: list[ConfigurationError]) -> Iterator[None]:
+    try:
+        yield
+    except ConfigurationError as error:
+        findings.append(error)
+
+
+def _plan_instrument(role: str, table: Any, source: str) -> InstrumentPlan:
+    where = f"{source}: [{role}]"
+    if not isinstance(table, dict) or not isinstance(table.get("driver"), str):
+        raise ConfigurationError(f"{where}: names no driver")
+    name = table["driver"]
+    try:
+        module: DriverModule = load(DRIVERS, name)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{where}: {error.message}", error.hint) from error
+    if role not in module.ROLES:
+        roles = " or ".join(module.ROLES)
+        raise ConfigurationError(f"{where}: driver {name!r} is for the role {roles}")
+    try:
+        settings = module.Settings.model_validate(table)
+    except ValidationError as error:
+        raise ConfigurationError.from_validation(error, where) from error
+    if (own := getattr(settings, "role", role)) != role:
+        raise ConfigurationError(f"{where}: its settings are those of the {own}")
+    return InstrumentPlan(role, name, module, settings)
+
+
+def _wiring_errors(
+    settings: BenchSettings, plans: list[InstrumentPlan], source: str
+) -> Iterator[str]:
+    """Parts that the bench file describes but whose signal no terminal of the DAQ carries."""
+    wired = next((getattr(p.settings, "channels", {}) for p in plans if p.role == "daq"), {})
+    carriers = {"film": ("film",), "load_cell": ("load_cell",), "skin": STRIPS}
+    for name, channels in carriers.items():
+        for channel in channels:
+            if getattr(settings, name) is not None and channel not in wired:
+                yield f"{source}: [{name}] is described, but [daq.channels] wires no {channel}"
+
+
+def _impatience(settings: BenchSettings, plans: list[InstrumentPlan], source: str) -> Iterator[str]:
+    """A run that waits for an instrument must not be taken for one that hangs."""
+    for plan in plans:
+        longest_s = longest_call_s(plan.settings)
+        if longest_s >= settings.heartbeat_timeout_s:
+            yield (
+                f"{source}: heartbeat_timeout_s {settings.heartbeat_timeout_s:g} is not above "
+                f"{longest_s:g} s, which one call of the {plan.role} may take with its timeout_s"
+            )
