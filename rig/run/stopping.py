@@ -26,7 +26,7 @@ WORDS = {
     signal.SIGINT: "Ctrl-C",
     signal.SIGQUIT: "Ctrl-\\",
     signal.SIGTERM: "SIGTERM",
-    signal.SIGHUP: "SIGHUP (its terminal was closed)",
+    signal.SIGHUP: "SIGHUP",
 }
 """What a person calls each signal, most of which come from a key."""
 NOTICE = "stopping: making the bench safe, then saving the data ..."

@@ -282,7 +282,7 @@ def test_what_cannot_be_weighed_is_refused_before_the_first_weight(
     (error,) = ended.errors
     for words in told:
         assert words in error
-    assert "1/" not in ended.stderr
+    assert "\n1/" not in ended.stderr
     assert not list(rig.folder.rglob("*.json"))
 
 

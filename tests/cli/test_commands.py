@@ -211,7 +211,7 @@ def test_a_bench_in_real_time_is_driven_made_safe_and_ended(rig: Any) -> None:
     assert done.code == 0, done.stderr
     assert done.object["simulated"] is True
     assert done.object["points_done"] == 2
-    assert "SIMULATED sweep: complete" in done.stderr
+    assert "Finished: " in done.stderr
     file = rig.folder / done.object["file"]
     assert verify(file) == []
     with RunFile.open(file) as run:

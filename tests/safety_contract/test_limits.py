@@ -17,6 +17,11 @@ REFUSED = {
         4,
         "point 20Hz-19N: force_sensor force 44 N is outside -40 to 40 N of the force_sensor GSV-8",
     ),
+    "load and preload, with the options they come from": (
+        ("--load", "19N"),
+        4,
+        "(from --preload 25 N and --load 19 N); choose a value inside",
+    ),
     "load that could lift the indentor off": (
         ("--load", "8N", "--preload", "10N"),
         4,

@@ -24,7 +24,7 @@ CALLED = {
     signal.SIGINT: "Ctrl-C",
     signal.SIGQUIT: "Ctrl-\\",
     signal.SIGTERM: "SIGTERM",
-    signal.SIGHUP: "SIGHUP (its terminal was closed)",
+    signal.SIGHUP: "SIGHUP",
 }
 
 
