@@ -30,9 +30,9 @@ LAYOUT = Layout(
     definition="NXrig_noop",
     version="1",
     columns=(
-        Column("x", "x_V", "V", "x (V)"),
-        Column("y", "y_mm_s", "mm/s", "y (mm/s)"),
-        Column("note", "note", "", "Note", "text"),
+        Column("x", "V", "x"),
+        Column("y", "mm/s", "y"),
+        Column("note", "", "Note", "text"),
     ),
     plots=(Plot("data", "y", ("x",)),),
 )

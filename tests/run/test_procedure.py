@@ -22,7 +22,7 @@ from rig.run.checked_procedure import reading_fault
 from rig.run.load_procedure import COMMON_OPTIONS, fault_of, load_procedure
 from rig.run.procedure import Procedure, StreamPlan
 
-X = Column("x", "x_V", "V", "x (V)")
+X = Column("x", "V", "x")
 
 
 def made(**members: Any) -> type[Example]:
@@ -84,20 +84,20 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     "Settings of another kind": ({"Settings": dict}, "has Settings that are not a subclass"),
     "a layout of another kind": ({"layout": {}}, "has a layout that is not a"),
     "two columns of one key": (
-        {"layout": of_columns(X, Column("y", "x_V", "V", "y"))},
+        {"layout": of_columns(X, Column("y", "V", "y", key="x_V"))},
         "whose columns 'x' and 'y' show the same key 'x_V'",
     ),
     "an unknown unit": (
-        {"layout": of_columns(X, Column("y", "y", "furlong/blink", "y"))},
+        {"layout": of_columns(X, Column("y", "furlong/blink", "y"))},
         "whose column 'y' has the unknown unit 'furlong/blink'",
     ),
     "a trace of no stream": (
-        {"layout": of_columns(X, Column("y", "y", "", "y"), traces=(Trace("t", "ticks", "a"),))},
+        {"layout": of_columns(X, Column("y", "", "y"), traces=(Trace("t", "ticks", "a"),))},
         "whose trace 't' shows the stream 'ticks', which is not one of its streams",
     ),
     "a trace of no channel": (
         {
-            "layout": of_columns(X, Column("y", "y", "", "y"), traces=(Trace("t", "ticks", "a"),)),
+            "layout": of_columns(X, Column("y", "", "y"), traces=(Trace("t", "ticks", "a"),)),
             "streams": (StreamPlan("ticks", "clock", ("b",), "Ticks"),),
         },
         "whose trace 't' shows the channel 'a', which the stream 'ticks' has not",
