@@ -128,7 +128,7 @@ def child_of(pid: int) -> int | None:
     """Of a process, once it runs its own program."""
     with contextlib.suppress(OSError):
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-        if children and b"afterwork" in Path(f"/proc/{children[0]}/cmdline").read_bytes():
+        if children and b"postprocess_worker" in Path(f"/proc/{children[0]}/cmdline").read_bytes():
             return int(children[0])
     return None
 
