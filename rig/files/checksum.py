@@ -14,7 +14,7 @@ MAX_CHECKSUM_CHARACTERS = 4096
 
 
 def sha256_of(path: Path) -> str:
-    """The file's SHA-256 in hexadecimal. Raises OSError."""
+    """Return the file's SHA-256 in hexadecimal. Raises OSError."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -29,7 +29,7 @@ def write_checksum(path: Path, sha256: str) -> None:
 
 
 def checksum_findings(file: Path) -> Iterator[str]:
-    """What is wrong with a file according to the SHA-256 beside it, one sentence each.
+    """Yield what is wrong with a file according to the SHA-256 beside it, one sentence each.
 
     Nothing is yielded if the file is, byte by byte, the one that was written. A missing checksum
     is a finding too: the file may be sound, but nothing shows it. Raises OSError for a file that

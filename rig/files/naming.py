@@ -14,7 +14,7 @@ _RUN = re.compile(r"_r(\d+)\.(?:h5|rigj)\Z")
 
 
 def next_run_path(results: Path | str, procedure: str, when: datetime) -> Path:
-    """Where the next run's file goes: ``2026-11-21/2026-11-21T22-00-00_sweep_r017.h5``.
+    """Return the next run's path: ``2026-11-21/2026-11-21T22-00-00_sweep_r017.h5``.
 
     Makes the day's folder. Two processes can be given the same number: the exclusive
     ``JournalWriter.create`` decides, and the loser (FileExistsError) asks again.

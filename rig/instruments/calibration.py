@@ -251,11 +251,13 @@ def read_calibration(path: Path, kind: type[_Kind]) -> _Kind:
         check_nesting(content)
     except (ValueError, RecursionError) as error:
         raise ConfigurationError(
-            f"{path} is no calibration record: {_first_line(error)}", hint
+            f"{path} is not a calibration record: {_first_line(error)}", hint
         ) from error
     found = content.get("kind") if isinstance(content, dict) else None
     if not isinstance(found, str) or found not in VALID_DAYS:
-        raise ConfigurationError(f"{path} is no calibration record: it names no kind of one", hint)
+        raise ConfigurationError(
+            f"{path} is not a calibration record: it names no kind of one", hint
+        )
     if found != expected:
         raise ConfigurationError(
             f"{path} is a record of kind {found}, here one of kind {expected} belongs", hint

@@ -39,7 +39,7 @@ def completed(
     processes: int,
     scheduler: str | None = None,
 ) -> Iterator[tuple[int, Result | RigError]]:
-    """Number and result of each item, as they come; a RigError where its computer failed.
+    """Yield number and result of each item as they come; a RigError where its process failed.
 
     Processes are forked, which is what makes them worth it: new ones would import for longer than
     they work. What the function needs is therefore best imported before. With `scheduler` the

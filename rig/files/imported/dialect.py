@@ -71,8 +71,9 @@ class TextDialect:
         return float(cell.replace(",", ".") if self.decimal == "comma" else cell)
 
     def row_pattern(self, width: int, wanted: Sequence[int]) -> re.Pattern[str]:
-        """What a row of `width` cells looks like that has no quotes, with a group for each wanted
-        cell, in their order in the row."""
+        """Return a pattern for rows of `width` cells without quotes, with a group for each wanted
+        cell, in their order in the row.
+        """
         number = f"({_NUMBER[self.decimal]})"
         if self.delimiter == "space":
             cells = [number if k in wanted else r"[^ \t]+" for k in range(width)]
@@ -111,7 +112,7 @@ class Shape:
 def recognised(
     lines: Sequence[str], delimiter: Delimiter | None = None, decimal: Decimal | None = None
 ) -> Shape | None:
-    """The dialect in which the last lines are rows of two numbers or more; None if they are none.
+    """Return the dialect in which the last lines are rows of two numbers or more, or None.
 
     Of several, the one that makes numbers of the most lines, then of the most cells of a line.
     """

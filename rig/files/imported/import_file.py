@@ -112,7 +112,7 @@ def write_import(
     results: Path,
     program: Program,
 ) -> tuple[Path, Recording]:
-    """The run file, in the folder of today below `results`, and what it holds.
+    """Write the run file into today's folder below `results`; return its path and what it holds.
 
     ForeignFileError if the file does not agree with what was stated (nothing was begun),
     RecordingError where the run file cannot be written (nothing is left).

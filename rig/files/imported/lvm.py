@@ -105,7 +105,7 @@ class LvmTable(TextTable):
 
 
 def read_lvm(content: bytes, name: str) -> LvmTable:
-    """The one segment of an LVM file.
+    """Return the one segment of an LVM file.
 
     ForeignFileError for several segments, special blocks, channels of different rates or starts,
     and rows that are not as many as the header says.

@@ -49,8 +49,9 @@ class MatlabTable:
         """Variable and its column (from 0), in the order in which they were asked for."""
 
     def column(self, wanted: str) -> int:
-        """A vector by its variable's name, or ``NAME:COLUMN``; a bare column (from 1) of the only
-        numeric variable."""
+        """Return the index of a column: a vector by its variable's name, or ``NAME:COLUMN``; a bare
+        number (from 1) is a column of the only numeric variable.
+        """
         numeric = [name for name, (kind, _) in self._variables.items() if kind in NUMERIC]
         if wanted.isdecimal() and len(numeric) == 1:
             wanted = f"{numeric[0]}:{wanted}"

@@ -179,7 +179,7 @@ def _check_rate(whose: str, rate_Hz: float, name: str) -> None:
 
 
 def uniform_rate(times_s: NDArray[np.float64], source: ImportSource, name: str) -> float:
-    """The rate of evenly spaced times, the roundest that agrees with them.
+    """Return the rate of evenly spaced times, the roundest that agrees with them.
 
     ForeignFileError names the row where they are not even: STEP_TOLERANCE and LINE_TOLERANCE.
     """

@@ -39,7 +39,7 @@ UNITS = {
 
 
 def lines_of(content: bytes, name: str) -> list[str]:
-    """The lines of a text, without their ends: UTF-8, UTF-16 with its mark, or Latin-1.
+    """Return the lines of a text, without their ends: UTF-8, UTF-16 with its mark, or Latin-1.
 
     ForeignFileError for what is empty, no text, or has lines beyond LONGEST_LINE.
     """
@@ -208,7 +208,7 @@ def read_text(
     decimal: Decimal | None = None,
     header_lines: int | None = None,
 ) -> TextTable:
-    """The table in a text file; what is not given is recognised.
+    """Return the table in a text file; what is not given is recognised.
 
     ForeignFileError where there are no rows of two numbers at least, or where a line above them
     looks like a row with something wrong.

@@ -175,7 +175,7 @@ def block_record(stream: int, first_index: int, host_time: float, data: memoryvi
 
 
 def decode(payload: bytes, header: RunHeader | None) -> JournalRecord:
-    """The record of a payload whose checksum is right; BadRecord if it makes no sense.
+    """Return the record of a payload whose checksum is right. BadRecord if it makes no sense.
 
     Without a header only a HEADER is accepted, and with one everything but a HEADER.
     """

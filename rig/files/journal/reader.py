@@ -233,7 +233,7 @@ class _Reader:
         self.offset = len(MAGIC)
 
     def payloads(self) -> Iterator[bytes]:
-        """The next payloads until the end of the file; BadRecord where one is damaged."""
+        """Yield the next payloads until the end of the file. BadRecord if one is damaged."""
         while prefix := self.file.read(PREFIX.size):
             if len(prefix) < PREFIX.size:
                 raise BadRecord(f"torn: {len(prefix)} of {PREFIX.size} bytes of its prefix")

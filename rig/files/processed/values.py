@@ -72,7 +72,7 @@ class DetectedTrial:
 def processed_path(
     run_file: Path, settings: DetectorSettings, version: str, folder: Path | None = None
 ) -> Path:
-    """Where the result belongs: in `folder`, or in ``processed`` beside the run file.
+    """Return where the result belongs: in `folder`, or in ``processed`` beside the run file.
 
     ``<run>.<detector>-<version>-<hash of the parameters>.h5``
     """

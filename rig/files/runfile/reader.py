@@ -179,8 +179,11 @@ class RunFile(OpenFile):
     def waveforms(
         self, point: str | None = None, status: str = "kept", stream: str | None = None
     ) -> Iterator[Waveform]:
-        """The samples of a point, or of all with that status, one segment at a time; of a stream,
-        or of all."""
+        """Yield samples, one segment at a time: of one point or all, of one stream or all.
+
+        `status` is kept, discarded, unfinished or between (recorded while no point was open).
+        RunFileError if the file is damaged there.
+        """
         places = {"kept": "waveforms", "between": "between_points"}
         place = places.get(status, "discarded")
         with _naming(self.path):

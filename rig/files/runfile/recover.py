@@ -22,7 +22,7 @@ def recover(file: Path | str) -> Path:
 
 
 def interrupted(file: Path | str) -> JournalContents:
-    """The journal of an interrupted run, from itself or from its run file, ready to be continued.
+    """Return the journal of an interrupted run, from itself or its run file, to be continued.
 
     JournalError for a run that is complete, for a journal that is damaged before its end, and for
     whatever else the file is.
