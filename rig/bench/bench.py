@@ -26,7 +26,7 @@ from rig.core.errors import (
     RigError,
     SeveralFailuresError,
 )
-from rig.core.settings import Settings
+from rig.core.settings import Settings, wiring_of
 from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
 from rig.instruments.calibration import (
     CalibrationFiles,
@@ -50,13 +50,6 @@ from rig.instruments.roles import (
 )
 
 ROLES = ("generator", "daq", "stage_z", "stage_x", "rotary", "force_sensor")
-
-WIRING = (
-    *("resource", "timeout_s", "channels", "host", "port", "unit_id", "matrix_N_mV_V"),
-    *("parity", "steps_per_mm", "device", "axis", "microstep_deg", "resolution"),
-)
-"""Settings of a driver that say where and how an instrument is reached, what is wired to it and how
-it counts."""
 
 WAITS_PER_CALL = 2
 """A call on an instrument may wait twice for its time-out: to reconnect, and for the answer."""
@@ -201,6 +194,8 @@ class BenchPlan:
     """The file verbatim."""
     source: str
     """Where it came from, for messages and the run file."""
+    stand_ins: tuple[str, ...] = ()
+    """What a dry run has to say of instruments that stand in for those of the bench file."""
 
     @property
     def mounted(self) -> tuple[Fixture, ...]:
@@ -455,15 +450,21 @@ def _settings(tables: dict[str, Any], source: str) -> BenchSettings:
         raise ConfigurationError.from_validation(error, source) from error
 
 
-def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
+def rehearsal(
+    real: BenchPlan, simulated: BenchPlan, models: Mapping[str, str] | None = None
+) -> BenchPlan:
     """The simulated bench under a real bench file's limits: its fixture, its load limit and its
-    drivers' settings, except for where an instrument is and what is wired to it."""
+    drivers' settings, except for those that a driver marks as `Wiring`.
+
+    `models` names the simulated instruments by role, for the lines about those that stand in for
+    an instrument of which there is no simulator.
+    """
     own = {(part.role, part.driver_name): part.settings for part in real.instruments}
     instruments = []
     for part in simulated.instruments:
         which = (part.role, part.driver_name)
         if which in own:
-            kept = {k: v for k, v in part.settings if k in WIRING}
+            kept = {k: v for k, v in part.settings if k in wiring_of(type(part.settings))}
             part = replace(part, settings=own[which].model_copy(update=kept))
         instruments.append(part)
     limits: dict[str, Any] = {
@@ -475,7 +476,25 @@ def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
         kept = {"sensitivity_V_N": simulated.settings.load_cell.sensitivity_V_N}
         limits["load_cell"] = real.settings.load_cell.model_copy(update=kept)
     settings = simulated.settings.model_copy(update=limits)
-    return replace(simulated, settings=settings, instruments=tuple(instruments))
+    return replace(
+        simulated,
+        settings=settings,
+        instruments=tuple(instruments),
+        stand_ins=tuple(_stand_ins(real, simulated, models or {})),
+    )
+
+
+def _stand_ins(real: BenchPlan, simulated: BenchPlan, models: Mapping[str, str]) -> Iterator[str]:
+    """A line for each role that another model plays on the simulated bench than on the real one."""
+    wanted = {part.role: part.driver_name for part in real.instruments}
+    for part in simulated.instruments:
+        driver = wanted.get(part.role, part.driver_name)
+        if driver != part.driver_name:
+            model = models.get(part.role, f"instrument of driver {part.driver_name!r}")
+            yield (
+                f"{part.role}: no simulator for driver {driver!r} is installed; the dry run uses "
+                f"the simulated {model} in its place"
+            )
 
 
 def connect(plan: BenchPlan, clock: Clock, before_each: Callable[[], None] = lambda: None) -> Bench:
@@ -631,6 +650,11 @@ class BenchFactory(Protocol):
         have their limits. None where it has none for them."""
         ...
 
+    def options_for(self, drivers: Mapping[str, str]) -> dict[str, Any]:
+        """Options for `start` that give the bench the simulators of these drivers (names by role),
+        as far as they are installed."""
+        ...
+
     def begin(self) -> RunningBench:
         """Begin to start the bench as a process of its own, its time slaved to the caller, before
         anybody knows how it is to be."""
@@ -649,8 +673,8 @@ class RunningBench(Protocol):
     """A simulated bench that was started for one run."""
 
     def ready(self) -> dict[str, Any]:
-        """Wait until it listens: ``control_port``, ``bench_toml`` and ``recorded_toml``, the same
-        text without the process's port numbers."""
+        """Wait until it listens: ``control_port``, ``bench_toml``, ``recorded_toml``, the same text
+        without the process's port numbers, and ``models``, the instruments' by role."""
         ...
 
     def wait(self, timeout_s: float = 5.0) -> None:

@@ -1,4 +1,4 @@
-"""What installed packages register with this one: procedures, drivers and simulated benches.
+"""What installed packages register with this one: procedures, drivers, simulators and benches.
 
 A package names its modules in the entry-point groups below. `load` is the one place where such a
 module is imported: it checks that the module has everything that its group demands, and names the
@@ -24,19 +24,27 @@ from rig.core.errors import LONGEST_REASON, ConfigurationError, ExitCode, shorte
 PROCEDURES = "rig.procedures"
 DRIVERS = "rig.drivers"
 BENCHES = "rig.benches"
+SIMULATORS = "rig.simulators"
 
-KINDS = {PROCEDURES: "procedure", DRIVERS: "driver", BENCHES: "simulated bench"}
+KINDS = {
+    PROCEDURES: "procedure",
+    DRIVERS: "driver",
+    BENCHES: "simulated bench",
+    SIMULATORS: "simulator",
+}
 """What an entry point of each group is called in a message."""
 DATA = {
     PROCEDURES: ("NAME", "FIXTURES", "Settings", "LAYOUT", "STREAMS", "FIGURE"),
     DRIVERS: ("ROLES", "Settings"),
     BENCHES: (),
+    SIMULATORS: ("link", "axes", "rates"),
 }
 """Members, not functions, that a module of each group must have."""
 FUNCTIONS = {
     PROCEDURES: ("points", "arm", "take", "summarise"),
     DRIVERS: ("connect", "make_safe"),
     BENCHES: ("begin", "start", "serve"),
+    SIMULATORS: ("bench_settings", "exchanges", "frames_until"),
 }
 """Functions that a module of each group must have."""
 

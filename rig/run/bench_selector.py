@@ -100,12 +100,18 @@ class Choosing:
             if self.begun is not None:
                 self.begun.abandon()
             return self._of_file(request, at_the_end, request.bench)
+        try:
+            real = read_bench(request.bench) if request.bench is not None else None
+        except BaseException:
+            for bench in (started, self.begun):
+                if bench is not None:
+                    bench.abandon()
+            raise
         if started is None:
             self.say(f"starting the simulated bench ({STARTING[fixture]}) ...")
             # It boots while this process imports.
-            started = start_simulated(request, fixture, self.begun)
+            started = start_simulated(request, fixture, self.begun, real)
         try:
-            real = read_bench(request.bench) if request.bench is not None else None
             return self._simulated(request, started, real)
         except BaseException:
             started.abandon()
@@ -143,7 +149,9 @@ class Choosing:
         self.say(f"SIMULATED bench ({why}, seed {request.seed}): nothing here is measured")
         plan = parse_bench(ready["bench_toml"], "the simulated bench")
         if real is not None:
-            plan = rehearsal(real, plan)
+            plan = rehearsal(real, plan, ready.get("models"))
+            for line in plan.stand_ins:
+                self.say(line)
         control = ControlLink(ready["control_port"])
         clock = PacedClock(control) if self.paced else SlavedClock(control)
         return ChosenBench(plan, clock, None, started, ready["recorded_toml"])
@@ -171,12 +179,21 @@ def begin_simulated() -> RunningBench:
 
 
 def start_simulated(
-    request: BenchRequest, fixture: Fixture, begun: RunningBench | None = None
+    request: BenchRequest,
+    fixture: Fixture,
+    begun: RunningBench | None = None,
+    real: BenchPlan | None = None,
 ) -> RunningBench:
-    """Start a simulated bench as a command wants it, or go on with one that has `begun`."""
+    """Start a simulated bench as a command wants it, or go on with one that has `begun`.
+
+    In a dry run of the bench `real` it has the simulators of that bench's drivers, as far as they
+    are installed; stages that the command names come before them.
+    """
+    drivers = {} if real is None else {part.role: part.driver_name for part in real.instruments}
     return _simulated_benches().start(
         {
             "fixture": fixture,
+            **_simulated_benches().options_for(drivers),
             **({} if request.stages is None else {"stages": request.stages}),
             "seed": request.seed,
             "world": _text(request.world),

@@ -100,6 +100,8 @@ def execute(job: Job, plan: BenchPlan, clock: Clock, stop: StopFlag, reporter: R
         loop = _Loop(job, bench, points, journal, stop, reporter, outcome)
         for warning in warnings:
             loop.run.event("warning", "calibration", warning)
+        for line in plan.stand_ins:
+            loop.run.event("warning", "stand-in", line)
         loop.go()
     return outcome
 

@@ -19,7 +19,14 @@ from pathlib import Path
 from typing import Any, get_args
 
 from drivers.simulated.bench.bench_file import bench_toml
-from drivers.simulated.bench.options import Fixture, Options, Stages, fault_plan, world_settings
+from drivers.simulated.bench.options import (
+    Fixture,
+    Options,
+    Stages,
+    check_replaced,
+    fault_plan,
+    world_settings,
+)
 from rig.core.errors import ConfigurationError, InstrumentError, RigError
 from rig.core.imports import importing
 
@@ -28,13 +35,15 @@ SETTLE_EVERY_S = 0.02
 
 
 async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> None:
-    """Until it is stopped; `ready` gets ``control_port``, ``bench_toml`` and ``recorded_toml``."""
+    """Be a bench until it is stopped; `ready` gets ``control_port``, ``bench_toml``,
+    ``recorded_toml`` and the ``models`` of its instruments by role."""
     for asked, known in ((options.fixture, Fixture), (options.stages, Stages)):
         if asked not in get_args(known):
             raise ConfigurationError(
                 f"the simulated bench has no {asked} to mount",
                 f"it has {' and '.join(get_args(known))}",
             )
+    check_replaced(options.replace)
     _import_what_every_bench_needs()
     from drivers.simulated.bench.control import ControlServer
     from drivers.simulated.bench.mounted import Instruments
@@ -105,6 +114,7 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
                 "control_port": port,
                 "bench_toml": bench_toml(options, overrides, bench.listening()),
                 "recorded_toml": bench_toml(options, overrides, bench.anywhere()),
+                "models": bench.models,
             }
         )
         await ended.wait()
