@@ -4,7 +4,7 @@ A test module of a driver's package needs two lines beside its imports::
 
     from rig.testing import driver_contract
 
-    test_acme_f10 = driver_contract("acme-f10", core=F10Core, settings={"max_force_N": 20.0})
+    test_acme_f10 = driver_contract("acme-f10", core=F10Core, settings={"max_force_N": 40.0})
 
 pytest then runs every check of the contract against the driver, which talks over its real link to
 its own simulator. `driver_contract` serves simulators of force sensors. A driver of another role,

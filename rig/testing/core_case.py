@@ -13,7 +13,7 @@ from typing import Any
 from rig.core.entry_points import BENCHES, load
 from rig.core.errors import ConfigurationError
 from rig.testing.case import TIMEOUT_S, BenchClock, Case, Service
-from rig.testing.signals import USUAL_RATE_S_s, ForceLaw
+from rig.testing.signals import ForceLaw, USUAL_RATE_S_s
 
 SERVED_ROLES = ("force_sensor",)
 

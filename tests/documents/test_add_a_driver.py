@@ -42,7 +42,7 @@ max_speed_mm_s = 20.0
 [force_sensor]
 driver = "acme-f10"
 port = "/dev/ttyUSB0"
-max_force_N = 15.0
+max_force_N = 30.0
 """
 
 
@@ -144,7 +144,8 @@ def test_a_dry_run_says_which_model_stands_in(rig: Any, site: Path) -> None:
         "force_sensor: no simulator for driver 'acme-f10' is installed; the dry run uses the "
         "simulated ME GSV-8 in its place"
     )
-    assert line in done.stderr
+    assert done.stderr.index(line) < done.stderr.index("dry run: 2 of 2 points")
+    assert line in done.object["warnings"]
 
 
 def test_a_bench_in_real_time_has_the_simulator_of_the_page(rig: Any, site: Path) -> None:
