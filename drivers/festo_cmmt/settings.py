@@ -13,7 +13,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from drivers.festo_cmmt.frames import FULL_SCALE
-from rig.core.settings import Settings
+from rig.core.settings import Settings, Wiring
 
 LARGEST_COUNT = 2**31 - 1
 """Positions travel as signed 32-bit integers; speeds are held to the same."""
@@ -57,15 +57,15 @@ class FestoCmmtSettings(Settings):
     """Where the drive is, what its numbers mean and what the axis may do."""
 
     driver: Literal["festo-cmmt"] = "festo-cmmt"
-    axis: Literal["z", "x"]
+    axis: Wiring[Literal["z", "x"]]
     """Which axis of the bench it moves."""
-    host: str = Field(min_length=1)
+    host: Wiring[str] = Field(min_length=1)
     """Address or name of the drive."""
-    port: int = Field(default=502, ge=1, le=65535)
+    port: Wiring[int] = Field(default=502, ge=1, le=65535)
     """Modbus TCP port."""
-    unit_id: int = Field(default=1, ge=0, le=255)
+    unit_id: Wiring[int] = Field(default=1, ge=0, le=255)
     """Modbus unit identifier."""
-    timeout_s: float = Field(default=0.5, gt=0, le=10)
+    timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=10)
     """Longest wait for an answer."""
     position_unit_mm: float = Field(default=0.001, gt=0, le=1)
     """What one count of position is in the drive's parametrisation."""

@@ -18,6 +18,7 @@ from drivers.shared.visa_link import VisaLink
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError
 from rig.core.settings import Settings as BaseSettings
+from rig.core.settings import Wiring
 from rig.instruments.roles import Identity, Reach
 
 ROLES = ("generator",)
@@ -35,9 +36,9 @@ class Keysight33500BSettings(BaseSettings):
     """Where the generator is and what it may put out."""
 
     driver: Literal["keysight-33500b"] = "keysight-33500b"
-    resource: str
+    resource: Wiring[str]
     """VISA resource, for example TCPIP::192.168.0.12::5025::SOCKET."""
-    timeout_s: float = Field(default=2.0, gt=0, le=60)
+    timeout_s: Wiring[float] = Field(default=2.0, gt=0, le=60)
     """Longest wait for an answer."""
     channel: Literal[1, 2] = 1
     """Output that drives the vibrator."""

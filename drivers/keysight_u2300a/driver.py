@@ -20,6 +20,7 @@ from drivers.shared.visa_link import VisaLink
 from rig.core.clock import Clock, WallClock
 from rig.core.errors import InstrumentError, LimitError
 from rig.core.settings import Settings as BaseSettings
+from rig.core.settings import Wiring
 from rig.instruments.roles import Acquisition, Identity, InputChannel, Reach, Record, Scaling
 
 if TYPE_CHECKING:
@@ -67,11 +68,11 @@ class KeysightU2300ASettings(BaseSettings):
     """Where the DAQ is and what is wired to it."""
 
     driver: Literal["keysight-u2300a"] = "keysight-u2300a"
-    resource: str
+    resource: Wiring[str]
     """VISA resource, for example USB0::0x0957::0x1518::TW12345678::INSTR."""
-    timeout_s: float = Field(default=2.0, gt=0, le=60)
+    timeout_s: Wiring[float] = Field(default=2.0, gt=0, le=60)
     """Longest wait for an answer."""
-    channels: dict[str, int] = Field(min_length=1)
+    channels: Wiring[dict[str, int]] = Field(min_length=1)
     """Terminal by signal name, for example load_cell = 101."""
 
     @field_validator("channels")

@@ -37,6 +37,7 @@ from drivers.me_gsv8.frames import Layout, Measurements, Response
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.core.settings import Settings as BaseSettings
+from rig.core.settings import Wiring
 from rig.instruments.roles import ForceFrames, Identity, Reach
 
 ROLES = ("force_sensor",)
@@ -63,11 +64,11 @@ class Settings(BaseSettings):
     """Where the amplifier is, and what its sensor is."""
 
     driver: Literal["me-gsv8"] = "me-gsv8"
-    port: str = Field(min_length=1)
+    port: Wiring[str] = Field(min_length=1)
     """Serial port, for example /dev/ttyACM0 or COM5."""
     baudrate: int = Field(default=230_400, ge=19_200, le=3_500_000)
     """Bits a second; without meaning over USB."""
-    timeout_s: float = Field(default=0.5, gt=0, le=60)
+    timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=60)
     """Longest wait for an answer."""
     rate_S_s: float = Field(default=1000.0, ge=1, le=12_000)
     """Frames a second that `connect` sets; `start` may ask for others."""
@@ -75,7 +76,7 @@ class Settings(BaseSettings):
     """The sensor's nominal force on each axis."""
     rated_output_mV_V: float = Field(default=0.6, gt=0)
     """Bridge output at the nominal force; 0.6 is typical of a K3D40 [unconfirmed for 50 N]."""
-    matrix_N_mV_V: Matrix | None = None
+    matrix_N_mV_V: Wiring[Matrix | None] = None
     """The calibration sheet's matrix, force in N by bridge output in mV/V; without one, nominal
     force by rated output on the diagonal, which neglects 0.4 to 2 % of crosstalk."""
     max_force_N: float | None = Field(default=None, gt=0)

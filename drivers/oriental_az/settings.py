@@ -12,7 +12,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from rig.core.settings import Settings
+from rig.core.settings import Settings, Wiring
 
 LARGEST_STEP = 2**31 - 1
 """Positions travel as signed 32-bit integers."""
@@ -71,19 +71,19 @@ class OrientalAzSettings(Settings):
     """Where the drive is, what its numbers mean and what the axis may do."""
 
     driver: Literal["oriental-az"] = "oriental-az"
-    axis: Literal["z", "x"]
+    axis: Wiring[Literal["z", "x"]]
     """Which axis of the bench it moves."""
-    port: str = Field(min_length=1)
+    port: Wiring[str] = Field(min_length=1)
     """Serial port of the RS-485 line, for example /dev/ttyUSB0; both axes may share it."""
     baudrate: Literal[9600, 19_200, 38_400, 57_600, 115_200, 230_400] = 230_400
     """As the drive's BAUD switch says; a servo wants the fastest."""
-    parity: Literal["E", "O", "N"] = "E"
+    parity: Wiring[Literal["E", "O", "N"]] = "E"
     """Even, odd or none, with one stop bit."""
-    unit_id: int = Field(ge=1, le=31)
+    unit_id: Wiring[int] = Field(ge=1, le=31)
     """The drive's address on the line, as its ID switch says."""
-    timeout_s: float = Field(default=0.5, gt=0, le=10)
+    timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=10)
     """Longest wait for an answer."""
-    steps_per_mm: float = Field(gt=0, le=100_000)
+    steps_per_mm: Wiring[float] = Field(gt=0, le=100_000)
     """Resolution in steps a revolution by lead in mm. The drive cannot be asked for it."""
     low_limit_mm: float
     """Lowest position allowed, set in the drive too."""

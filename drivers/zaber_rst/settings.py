@@ -26,7 +26,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from rig.core.settings import Settings
+from rig.core.settings import Settings, Wiring
 
 SPEED_DATA = 1.6384
 """Speed in the stage's numbers, by microsteps/s (zaber.com/w, A and X series)."""
@@ -114,19 +114,19 @@ class ZaberRstSettings(Settings):
     """Where the stage is, what its numbers mean and what it may do."""
 
     driver: Literal["zaber-rst"] = "zaber-rst"
-    port: str = Field(min_length=1)
+    port: Wiring[str] = Field(min_length=1)
     """Serial port, for example /dev/ttyUSB0, or socket://HOST:55550 for a chain on the network."""
     baudrate: int = Field(default=115_200, ge=9_600, le=921_600)
     """Bits a second; without meaning over USB and TCP."""
-    device: int = Field(default=1, ge=1, le=99)
+    device: Wiring[int] = Field(default=1, ge=1, le=99)
     """The device's number on its chain."""
-    axis: int = Field(default=1, ge=1, le=9)
+    axis: Wiring[int] = Field(default=1, ge=1, le=9)
     """The axis of that device."""
-    timeout_s: float = Field(default=0.5, gt=0, le=10)
+    timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=10)
     """Longest wait for an answer."""
-    microstep_deg: float = Field(gt=0, le=0.01)
+    microstep_deg: Wiring[float] = Field(gt=0, le=0.01)
     """What one microstep turns at `resolution`, from the stage's data sheet."""
-    resolution: int = Field(default=64, ge=1, le=256)
+    resolution: Wiring[int] = Field(default=64, ge=1, le=256)
     """Microsteps in a full step; the stage has to be set so."""
     low_limit_deg: float
     """Lowest angle allowed, set in the stage too."""

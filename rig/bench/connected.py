@@ -9,7 +9,13 @@ from typing import TypeVar
 
 from rig.bench.link_worker import LinkWorkers
 from rig.bench.plan import BenchPlan
-from rig.bench.settings import BenchSettings, FilmSettings, LoadCellSettings, MountedSkinSettings, Strip
+from rig.bench.settings import (
+    BenchSettings,
+    FilmSettings,
+    LoadCellSettings,
+    MountedSkinSettings,
+    Strip,
+)
 from rig.core.clock import Clock
 from rig.core.errors import (
     ConfigurationError,

@@ -7,7 +7,7 @@ without touching this package. All errors of a file are shown at once.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from rig.core.errors import (
     ConfigurationError,
     RigError,
 )
-from rig.core.settings import Settings
+from rig.core.settings import Settings, wiring_of
 from rig.core.toml_files import MAX_TOML_BYTES, parse_toml, read_text
 from rig.instruments.calibration import (
     CalibrationFiles,
@@ -28,14 +28,6 @@ from rig.instruments.calibration import (
 from rig.instruments.roles import (
     DriverModule,
 )
-
-WIRING = (
-    *("resource", "timeout_s", "channels", "host", "port", "unit_id", "matrix_N_mV_V"),
-    *("parity", "steps_per_mm", "device", "axis", "microstep_deg", "resolution"),
-)
-"""Settings of a driver that say where and how an instrument is reached, what is wired to it and how
-it counts."""
-
 
 WAITS_PER_CALL = 2
 """A call on an instrument may wait twice for its time-out: to reconnect, and for the answer."""
@@ -61,6 +53,8 @@ class BenchPlan:
     """The file verbatim."""
     source: str
     """Where it came from, for messages and the run file."""
+    stand_ins: tuple[str, ...] = ()
+    """What a dry run has to say of instruments that stand in for those of the bench file."""
 
     @property
     def mounted(self) -> tuple[Fixture, ...]:
@@ -162,15 +156,21 @@ def parse_to_make_safe(text: str, source: str) -> Restable:
     return Restable(tuple(instruments), failures, settings)
 
 
-def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
+def rehearsal(
+    real: BenchPlan, simulated: BenchPlan, models: Mapping[str, str] | None = None
+) -> BenchPlan:
     """The simulated bench under a real bench file's limits: its fixture, its load limit and its
-    drivers' settings, except for where an instrument is and what is wired to it."""
+    drivers' settings, except for those that a driver marks as `Wiring`.
+
+    `models` names the simulated instruments by role, for the lines about those that stand in for
+    an instrument of which there is no simulator.
+    """
     own = {(part.role, part.driver_name): part.settings for part in real.instruments}
     instruments = []
     for part in simulated.instruments:
         which = (part.role, part.driver_name)
         if which in own:
-            kept = {k: v for k, v in part.settings if k in WIRING}
+            kept = {k: v for k, v in part.settings if k in wiring_of(type(part.settings))}
             part = replace(part, settings=own[which].model_copy(update=kept))
         instruments.append(part)
     limits: dict[str, Any] = {
@@ -182,7 +182,25 @@ def rehearsal(real: BenchPlan, simulated: BenchPlan) -> BenchPlan:
         kept = {"sensitivity_V_N": simulated.settings.load_cell.sensitivity_V_N}
         limits["load_cell"] = real.settings.load_cell.model_copy(update=kept)
     settings = simulated.settings.model_copy(update=limits)
-    return replace(simulated, settings=settings, instruments=tuple(instruments))
+    return replace(
+        simulated,
+        settings=settings,
+        instruments=tuple(instruments),
+        stand_ins=tuple(_stand_ins(real, simulated, models or {})),
+    )
+
+
+def _stand_ins(real: BenchPlan, simulated: BenchPlan, models: Mapping[str, str]) -> Iterator[str]:
+    """A line for each role that another model plays on the simulated bench than on the real one."""
+    wanted = {part.role: part.driver_name for part in real.instruments}
+    for part in simulated.instruments:
+        driver = wanted.get(part.role, part.driver_name)
+        if driver != part.driver_name:
+            model = models.get(part.role, f"instrument of driver {part.driver_name!r}")
+            yield (
+                f"{part.role}: no simulator for driver {driver!r} is installed; the dry run uses "
+                f"the simulated {model} in its place"
+            )
 
 
 def _settings(tables: dict[str, Any], source: str) -> BenchSettings:

@@ -19,6 +19,11 @@ class BenchFactory(Protocol):
         have their limits. None where it has none for them."""
         ...
 
+    def options_for(self, drivers: Mapping[str, str]) -> dict[str, Any]:
+        """Options for `start` that give the bench the simulators of these drivers (names by role),
+        as far as they are installed."""
+        ...
+
     def start(self, options: dict[str, Any]) -> RunningBench:
         """Start the bench as a process of its own, its time slaved to the caller."""
         ...
@@ -32,8 +37,8 @@ class RunningBench(Protocol):
     """A simulated bench that was started for one run."""
 
     def ready(self) -> dict[str, Any]:
-        """Wait until it listens: ``control_port``, ``bench_toml`` and ``recorded_toml``, the same
-        text without the process's port numbers."""
+        """Wait until it listens: ``control_port``, ``bench_toml``, ``recorded_toml``, the same text
+        without the process's port numbers, and ``models``, the instruments' by role."""
         ...
 
     def wait(self, timeout_s: float = 5.0) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -22,6 +22,13 @@ def simulate(
         typer.Option(help="What is mounted."),
     ] = "film-clamp",
     stages: SimulatedStages = None,
+    replace: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ROLE=DRIVER",
+            help="Use the installed simulator of another driver, such as force_sensor=acme-f10.",
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of films and noise.", min=0)] = 0,
     world: Annotated[Path | None, typer.Option(help="World settings (TOML).")] = None,
     fault: Annotated[Path | None, typer.Option(help="Fault plan (TOML).")] = None,
@@ -45,10 +52,25 @@ def simulate(
 
         options = {"world": world, "fault": fault, "world_log": world_log}
         paths = {name: None if path is None else str(path) for name, path in options.items()}
-        chosen = {} if stages is None else {"stages": stages}
+        chosen: dict[str, Any] = {} if stages is None else {"stages": stages}
         factory: BenchFactory = load(BENCHES, "simulated")
+        chosen["replace"] = _replaced(replace or [])
         factory.serve({"fixture": fixture, **chosen, "seed": seed, **paths}, ready)
         say("the simulated bench has ended")
+
+
+def _replaced(given: list[str]) -> dict[str, str]:
+    """The drivers of ``--replace`` by role."""
+    replaced: dict[str, str] = {}
+    for text in given:
+        role, equals, driver = text.partition("=")
+        if not (role and equals and driver) or role in replaced:
+            raise ConfigurationError(
+                f"--replace {text!r} does not name a role and a driver, each role once",
+                "write for example --replace force_sensor=acme-f10",
+            )
+        replaced[role] = driver
+    return replaced
 
 
 def _write_bench_file(path: Path, text: str) -> None:

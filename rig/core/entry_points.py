@@ -1,4 +1,4 @@
-"""What installed packages register with this one: procedures, drivers and simulated benches.
+"""What installed packages register with this one: procedures, drivers, simulators and benches.
 
 A package names modules, and for a procedure a class (``module:Class``), in the entry-point groups
 below. `load` is the one place where they are imported: it checks that what is registered has
@@ -26,14 +26,24 @@ from rig.core.errors import LONGEST_REASON, ConfigurationError, ExitCode, shorte
 PROCEDURES = "rig.procedures"
 DRIVERS = "rig.drivers"
 BENCHES = "rig.benches"
+SIMULATORS = "rig.simulators"
 
-KINDS = {PROCEDURES: "procedure", DRIVERS: "driver", BENCHES: "simulated bench"}
+KINDS = {
+    PROCEDURES: "procedure",
+    DRIVERS: "driver",
+    BENCHES: "simulated bench",
+    SIMULATORS: "simulator",
+}
 """What an entry point of each group is called in a message."""
-DATA: dict[str, tuple[str, ...]] = {DRIVERS: ("ROLES", "Settings")}
+DATA: dict[str, tuple[str, ...]] = {
+    DRIVERS: ("ROLES", "Settings"),
+    SIMULATORS: ("link", "axes", "rates"),
+}
 """Members, not functions, that a module of each group must have."""
 FUNCTIONS: dict[str, tuple[str, ...]] = {
     DRIVERS: ("connect", "make_safe"),
-    BENCHES: ("start", "serve", "variants", "variant_for"),
+    BENCHES: ("start", "serve", "variants", "variant_for", "options_for"),
+    SIMULATORS: ("bench_settings", "exchanges", "frames_until"),
 }
 """Functions that a module of each group must have. What a procedure's class must have is checked by
 `rig.run.load_procedure`."""

@@ -15,9 +15,9 @@ import json
 import textwrap
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 if TYPE_CHECKING:
     from pydantic import GetJsonSchemaHandler
@@ -71,6 +71,15 @@ UNIT_BY_SUFFIX: dict[str, str] = {
 _SUFFIXES_LONGEST_FIRST = sorted(UNIT_BY_SUFFIX, key=len, reverse=True)
 
 
+T = TypeVar("T")
+WIRING = "wiring"
+
+Wiring = Annotated[T, Field(json_schema_extra={WIRING: True})]
+"""Type of a driver's setting that says where its instrument is, what is wired to it or how it
+counts: ``port: Wiring[str]``. A dry run takes these from the simulated instrument and all others
+from the bench file."""
+
+
 class Settings(BaseModel):
     """Base of every settings object: unknown keys refused, frozen, finite numbers only."""
 
@@ -120,6 +129,15 @@ def _attribute_docstrings(cls: type[Settings]) -> dict[str, str]:
         if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
         if isinstance(text.value.value, str)
     }
+
+
+def wiring_of(model: type[Settings]) -> frozenset[str]:
+    """Return the names of the settings whose type is marked as `Wiring`."""
+    return frozenset(
+        name
+        for name, field in model.model_fields.items()
+        if isinstance(field.json_schema_extra, dict) and field.json_schema_extra.get(WIRING)
+    )
 
 
 def unit_of(field_name: str) -> str | None:

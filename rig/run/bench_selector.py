@@ -92,11 +92,16 @@ class BenchSelector:
 
         if request.bench is not None and not request.dry_run:
             return self._of_file(request, at_the_end, request.bench)
-        if started is None:
-            self.say(f"starting the simulated bench ({STARTING[fixture]}) ...")
-            started = start_simulated(request, fixture)
         try:
             real = read_bench(request.bench) if request.bench is not None else None
+        except BaseException:
+            if started is not None:
+                started.abandon()
+            raise
+        if started is None:
+            self.say(f"starting the simulated bench ({STARTING[fixture]}) ...")
+            started = start_simulated(request, fixture, real)
+        try:
             return self._simulated(request, started, real)
         except BaseException:
             started.abandon()
@@ -132,7 +137,9 @@ class BenchSelector:
         self.say(f"SIMULATED bench ({why}; seed {request.seed}). {NOT_MEASURED}")
         plan = parse_bench(ready["bench_toml"], "the simulated bench")
         if real is not None:
-            plan = rehearsal(real, plan)
+            plan = rehearsal(real, plan, ready.get("models"))
+            for line in plan.stand_ins:
+                self.say(line)
         control = ControlLink(ready["control_port"])
         clock = PacedClock(control) if self.paced else SlavedClock(control)
         return ChosenBench(plan, clock, None, started, ready["recorded_toml"])
@@ -145,15 +152,19 @@ class BenchSelector:
                 self.say(told)
 
 
-def start_simulated(request: BenchRequest, fixture: Fixture) -> RunningBench:
-    """Start a simulated bench as a command wants it."""
-    from importlib.metadata import entry_points
+def start_simulated(
+    request: BenchRequest, fixture: Fixture, real: BenchPlan | None = None
+) -> RunningBench:
+    """Start a simulated bench as a command wants it.
 
-    (entry,) = entry_points(group="rig.benches", name="simulated")
-    factory: BenchFactory = entry.load()
-    return factory.start(
+    In a dry run of the bench `real` it has the simulators of that bench's drivers, as far as they
+    are installed; stages that the command names come before them.
+    """
+    drivers = {} if real is None else {part.role: part.driver_name for part in real.instruments}
+    return _simulated_benches().start(
         {
             "fixture": fixture,
+            **_simulated_benches().options_for(drivers),
             **({} if request.stages is None else {"stages": request.stages}),
             "seed": request.seed,
             "world": _text(request.world),

@@ -82,6 +82,8 @@ def execute(
             return _failed(outcome, error)
         for warning in warnings:
             execution.run.event("warning", "calibration", warning)
+        for line in plan.stand_ins:
+            execution.run.event("warning", "stand-in", line)
         execution.go(points)
     return outcome
 

@@ -4,7 +4,7 @@ A test module of a driver's package needs two lines beside its imports::
 
     from rig.testing import driver_contract
 
-    test_acme_f10 = driver_contract("acme-f10", core=F10Core, settings={"max_force_N": 20.0})
+    test_acme_f10 = driver_contract("acme-f10", core=F10Core, settings={"max_force_N": 40.0})
 
 pytest then runs every check of the contract against the driver, which talks over its real link to
 its own simulator. `driver_contract` serves simulators of force sensors. A driver of another role,
@@ -41,16 +41,20 @@ def driver_contract(
     core: Any,
     settings: Mapping[str, Any] | None = None,
     silent_first_request: str = "",
+    force_scale: float = 1.0,
 ) -> ContractTest:
     """Return a pytest test that puts the installed driver `driver` through its role's contract.
 
     `core` is the class of its simulator, a `ForceSensorCore`; `settings` are the keys of the bench
     file's table for the driver beyond its address. `silent_first_request` is the reason why a lost
-    answer to the very first request may go unnoticed, where a driver has such a reason.
+    answer to the very first request may go unnoticed, where a driver has such a reason. The checks
+    press with 5 N along z and rise to about 10 N; `force_scale` scales that for another range.
     """
     from rig.testing.core_case import CoreCase
 
-    return contract_of(CoreCase(driver, core, dict(settings or {}), silent_first_request))
+    return contract_of(
+        CoreCase(driver, core, dict(settings or {}), silent_first_request, force_scale)
+    )
 
 
 def contract_of(*cases: Case) -> ContractTest:

@@ -13,7 +13,7 @@ from typing import Any
 from rig.core.entry_points import BENCHES, load
 from rig.core.errors import ConfigurationError
 from rig.testing.case import TIMEOUT_S, BenchClock, Case, Service
-from rig.testing.signals import pressed
+from rig.testing.signals import ForceLaw, USUAL_RATE_S_s
 
 SERVED_ROLES = ("force_sensor",)
 
@@ -32,19 +32,19 @@ class _LineClock(BenchClock):
 class CoreService(Service):
     """A core behind the server of its link, on a bench that presses by a known law."""
 
-    def __init__(self, lone: Any, settings: dict[str, Any]):
+    def __init__(self, lone: Any, settings: dict[str, Any], force_law: ForceLaw):
         self.core = lone.core
         self.faults = lone.faults
         self.clock = _LineClock(lone)
         self.place = lone.place
         self.settings = settings
-        self._lone = lone
+        self._lone, self._force_law = lone, force_law
 
     def truth(self, what: str) -> Any:
         """Return the stream's state, or a property of the sensor."""
         if what == "bytes":
             return self._lone.server.bytes_sent
-        return getattr(self.core, what)
+        return self._force_law if what == "force law" else getattr(self.core, what)
 
     def at_rest(self) -> bool:
         """Return whether the sensor is silent."""
@@ -63,7 +63,12 @@ class CoreCase(Case):
     stranger_told = "T-1000"
 
     def __init__(
-        self, driver: str, core: Any, settings: Mapping[str, Any], silent_first_request: str = ""
+        self,
+        driver: str,
+        core: Any,
+        settings: Mapping[str, Any],
+        silent_first_request: str = "",
+        force_scale: float = 1.0,
     ):
         self.name = f"{driver}-{core.link}"
         self.driver = driver
@@ -73,6 +78,8 @@ class CoreCase(Case):
             self.exclusive_link = "a serial port belongs to the one who has opened it"
         if not core.serial_number.startswith("SIM"):
             self.anonymous = "its serial number does not begin with SIM, or it has none"
+        slow = [rate for rate in core.rates if rate <= USUAL_RATE_S_s]
+        self._force_law = ForceLaw(max(slow, default=USUAL_RATE_S_s), force_scale)
         self._core, self._settings = core, settings
 
     def module(self) -> Any:
@@ -94,7 +101,7 @@ class CoreCase(Case):
     def _serve(
         self, faults: Sequence[Mapping[str, Any]], identity: tuple[str, str, str, str] | None
     ) -> Iterator[CoreService]:
-        with load(BENCHES, "simulated").alone(self._core, pressed, list(faults)) as lone:
+        with load(BENCHES, "simulated").alone(self._core, self._force_law, list(faults)) as lone:
             if identity is not None:
                 self.disguise(lone.core, identity)
             table = {
@@ -103,4 +110,4 @@ class CoreCase(Case):
                 "timeout_s": TIMEOUT_S,
                 **self._settings,
             }
-            yield CoreService(lone, table)
+            yield CoreService(lone, table, self._force_law)

@@ -30,7 +30,7 @@ from rig.instruments.roles import (
     SignalGenerator,
 )
 from rig.testing.raising import raising
-from rig.testing.signals import LEVEL_N, SLOPE_N_s, carried
+from rig.testing.signals import USUAL_RATE_S_s, carried
 
 
 @dataclass(frozen=True)
@@ -519,8 +519,6 @@ ROTARY = Role(
 
 # --- force sensor ----------------------------------------------------------------------------
 
-RATE_S_s = 1000.0
-"""The frame rate asked for, or the nearest one that the sensor's `reach` has."""
 SLICE_FRAMES = 20.1
 """Frames that fall due between two looks: whole ones, and a rest that stays below half a frame over
 three looks, so that how many are due is beyond doubt at any rate."""
@@ -529,8 +527,9 @@ SETTLES_S = 1.0
 
 
 def _usual_rate(sensor: Any) -> float:
+    """Return the frame rate asked for, or the nearest one that the sensor's `reach` has."""
     limits = sensor.reach()["rate"]
-    return float(min(max(RATE_S_s, limits.low), limits.high))
+    return float(min(max(USUAL_RATE_S_s, limits.low), limits.high))
 
 
 def _slice_s(service: Any) -> float:
@@ -580,7 +579,8 @@ def _check_frames(pieces: list[ForceFrames], service: Any, first: int, since_s: 
         assert not piece.saturated.any()
         period = 1 / service.truth("rate")
         middles = (first + 0.5 + np.arange(len(piece))) * period
-        rise_s = (piece.force_N - LEVEL_N)[:, there] / SLOPE_N_s[there]
+        law = service.truth("force law")
+        rise_s = (piece.force_N - law.level_N)[:, there] / law.slope_N_s[there]
         begun = (rise_s - middles[:, None]).ravel()
         assert np.abs(begun - np.median(begun)).max() < 0.9 * period, (
             f"forces {piece.force_N[:, there]} N do not rise from frame to frame as the true force "

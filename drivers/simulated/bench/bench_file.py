@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,18 +28,18 @@ class Endpoints:
     daq: str
     stages: tuple[int | str, ...]
     """Of z and x: ports of drives on TCP, or the serial line that both are on."""
-    force_sensor: str
+    force_sensor: dict[str, Any]
+    """Its whole table."""
     generator: str = ""
     rotary: str = ""
 
 
 def bench_toml(options: Options, world: dict[str, Any], endpoints: Endpoints) -> str:
     """The bench file that drives this bench."""
-    from drivers.simulated.instruments.me_gsv8 import Sensor
-
     stages = {} if options.stages == "festo" else {"stages": options.stages}
     simulation = {"seed": options.seed, **stages, **world}
     lines = "".join(f"{key} = {toml_value(value)}\n" for key, value in simulation.items())
+    sensor = "".join(f"{k} = {toml_value(v)}\n" for k, v in endpoints.force_sensor.items())
     own = _film_tables if options.fixture == "film-clamp" else _skin_tables
     return f"""# A simulated bench: whatever is measured on it is computed, not measured.
 name = "simulated"
@@ -54,13 +53,7 @@ contact_to_mm = {13.6 if options.fixture == HEAD else 13.0}
 {_head_lines(options)}
 {own(options, endpoints)}
 [force_sensor]
-driver = "me-gsv8"
-port = "{endpoints.force_sensor}"
-timeout_s = {LINK_TIMEOUT_S}
-nominal_force_N = 50.0
-max_force_N = 40.0
-matrix_N_mV_V = {json.dumps(Sensor().matrix)}
-"""
+{sensor}"""
 
 
 def _head_lines(options: Options) -> str:

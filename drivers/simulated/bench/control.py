@@ -121,8 +121,11 @@ class _Peer(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         *lines, self._received = (self._received + data).split(b"\n")
-        for line in lines:
-            self._transport.write(json.dumps(self._server.answer(line)).encode() + b"\n")
+        for line in lines:  # in the next turn: what instruments were sent before is read in this
+            asyncio.get_running_loop().call_soon(self._answer, line)
+
+    def _answer(self, line: bytes) -> None:
+        self._transport.write(json.dumps(self._server.answer(line)).encode() + b"\n")
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._owner:

@@ -7,18 +7,33 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from drivers.simulated.bench.bench_file import AZ_STEPS_PER_MM, SKIN_UNIT_MM, Endpoints
-from drivers.simulated.bench.options import HEAD, Options, Stages, drive_kind
+from drivers.simulated.bench.bench_file import (
+    AZ_STEPS_PER_MM,
+    LINK_TIMEOUT_S,
+    SKIN_UNIT_MM,
+    Endpoints,
+)
+from drivers.simulated.bench.options import (
+    HEAD,
+    USUAL_FORCE_SENSOR,
+    Options,
+    Stages,
+    drive_kind,
+)
 from drivers.simulated.faults.plan import FORCE_SENSOR
+from rig.core.entry_points import SIMULATORS, load
+from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from drivers.simulated.faults.plan import FaultPlan
+    from drivers.simulated.faults.plan import FaultPlan, SensorFault
     from drivers.simulated.faults.wire import WireDialect, WireFaults
     from drivers.simulated.instruments.festo_cmmt import CmmtDrive
+    from drivers.simulated.instruments.force_sensor import ForceSensorCore
     from drivers.simulated.instruments.oriental_az import AzDrive
     from drivers.simulated.instruments.zaber_rst import SimulatedRotaryStage
     from drivers.simulated.transports.scpi_servers import HislipServer, ScpiSocketServer
     from drivers.simulated.transports.serial_server import PtyServer
+    from drivers.simulated.transports.serial_tcp import InstrumentTcpServer
     from drivers.simulated.world.contact_geometry import Where
     from drivers.simulated.world.monitor import Monitor, WatchSettings
     from drivers.simulated.world.world import World
@@ -49,11 +64,9 @@ class Instruments:
         )
         from drivers.simulated.faults.wire import WireFaults
         from drivers.simulated.instruments.keysight_u2300a import KeysightU2300A
-        from drivers.simulated.instruments.me_gsv8 import GSV_DIALECT, Gsv8, Sensor
         from drivers.simulated.instruments.zaber_rst import ZABER_DIALECT
         from drivers.simulated.transports.scpi_servers import SCPI_DIALECT, HislipServer
         from drivers.simulated.transports.serial_server import PtyServer
-        from drivers.simulated.world.monitor import WatchedLine
 
         def wire(device: str, dialect: WireDialect) -> WireFaults:
             tell = partial(world.log, device, "injected", by="plan")
@@ -69,7 +82,7 @@ class Instruments:
         )
         self.daq = HislipServer(daq, faults=wire(DAQ, SCPI_DIALECT))
         world.on_fault(DAQ, lambda fault, t_us: daq.overrun())
-        self.serial: list[PtyServer] = []
+        self.serial: list[PtyServer | InstrumentTcpServer] = []
         """Servers that need be told when nobody owns the time any more."""
         self.rotary = _rotary(world, faults) if options.fixture == HEAD else None
         self.turning: PtyServer | None = None
@@ -86,21 +99,17 @@ class Instruments:
         mount = partial(_skin_drives, turned) if skin else _clamp_drives
         self.drives = mount(world, partial(_drive, options.stages, world, faults, skin))
         self.stages = self._serve_stages(options, wire)
-        sensor = Sensor(zero_mV_V=settings.force_sensor_zero_mV_V)
-        amplifier = Gsv8(world, world, FORCE_SENSOR, sensor)
-        tell = partial(world.log, FORCE_SENSOR, by="monitor")
-        self.force = PtyServer(
-            amplifier if settings.watch is None else WatchedLine(amplifier, tell),
-            world,
-            slaved=options.slaved,
-            faults=wire(FORCE_SENSOR, GSV_DIALECT),
-            stream_faults=wire(FORCE_STREAM, GSV_DIALECT),
-            name=FORCE_SENSOR,
+        self.sensor_driver = options.replace.get(FORCE_SENSOR, USUAL_FORCE_SENSOR)
+        self.sensor = sensor = _force_sensor(world, self.sensor_driver)
+        _refuse_impossible(sensor, self.sensor_driver, faults.of(SensorFault, FORCE_SENSOR))
+        dialect = sensor.wire_dialect()
+        self.force = _serve_sensor(
+            sensor, world, options.slaved, wire(FORCE_SENSOR, dialect), wire(FORCE_STREAM, dialect)
         )
 
         def disturb(fault: TimedFault, t_us: int) -> None:
             assert isinstance(fault, SensorFault), "the World keeps the others to itself"
-            amplifier.disturb(fault.kind, t_us * 1e-6, fault.for_s)
+            sensor.disturb(fault.kind, t_us * 1e-6, fault.for_s)
 
         world.on_fault(FORCE_SENSOR, disturb)
         self.serial.append(self.force)
@@ -160,12 +169,27 @@ class Instruments:
         last = [] if self.turning is None else [self.turning]
         return [*first, self.daq, *self.stages, *last, self.force]
 
+    @property
+    def models(self) -> dict[str, str]:
+        """Maker and model of each simulated instrument, by role."""
+        from drivers.simulated.instruments.oriental_az import AzDrive
+
+        models = {"daq": f"Keysight {self._world.settings.daq_model}"}
+        if self.generator is not None:
+            models["generator"] = "Keysight 33500B"
+        if self.rotary is not None:
+            models["rotary"] = "Zaber X-RST"
+        for drive in self.drives:
+            az = isinstance(drive, AzDrive)
+            models[drive.settings.name] = "Oriental Motor AZ" if az else "Festo CMMT"
+        return {**models, FORCE_SENSOR: self.sensor.title or self.sensor_driver}
+
     def listening(self) -> Endpoints:
         """Where each listens."""
         generator = 0 if self.generator is None else self.generator.port
         stages = [getattr(stage, "port", None) or stage.path for stage in self.stages]
         rotary = "" if self.turning is None else self.turning.path
-        return self._endpoints(generator, self.daq.port, stages, self.force.path, rotary)
+        return self._endpoints(generator, self.daq.port, stages, place_of(self.force), rotary)
 
     def anywhere(self) -> Endpoints:
         """The same without this process's port numbers, for a text that is only recorded."""
@@ -182,10 +206,66 @@ class Instruments:
         return Endpoints(
             daq=f"TCPIP::127.0.0.1::hislip0,{daq}::INSTR",
             stages=(stages[0], stages[-1]),
-            force_sensor=force,
+            force_sensor={
+                "driver": self.sensor_driver,
+                **self.sensor.bench_settings(force),
+                "timeout_s": LINK_TIMEOUT_S,
+            },
             generator=by_link[self._link],
             rotary=rotary,
         )
+
+
+def place_of(server: PtyServer | InstrumentTcpServer) -> str:
+    """Return where a force sensor is served, as its core's `bench_settings` takes it."""
+    port = getattr(server, "port", None)
+    return server.path if port is None else f"socket://127.0.0.1:{port}"  # type: ignore[union-attr]
+
+
+def _force_sensor(world: World, driver: str) -> ForceSensorCore:
+    """The simulator that is registered for a driver, in the World."""
+    from drivers.simulated.instruments.me_gsv8 import Gsv8, Sensor
+
+    made: ForceSensorCore = load(SIMULATORS, driver)(world, world, FORCE_SENSOR)
+    if isinstance(made, Gsv8):
+        made.sensor = Sensor(zero_mV_V=world.settings.force_sensor_zero_mV_V)
+    return made
+
+
+def _refuse_impossible(
+    sensor: ForceSensorCore, driver: str, faults: tuple[SensorFault, ...]
+) -> None:
+    """ConfigurationError where a fault plan disturbs a sensor as its simulator cannot be."""
+    for fault in faults:
+        if fault.kind not in sensor.disturbances:
+            can = ", ".join(sensor.disturbances) or "none"
+            raise ConfigurationError(
+                f"the fault plan has a fault of kind {fault.kind} for the {FORCE_SENSOR}, which "
+                f"the simulator of {driver!r} does not have (it has: {can})",
+                "leave that fault out of the plan",
+            )
+
+
+def _serve_sensor(
+    sensor: ForceSensorCore,
+    world: World,
+    slaved: bool,
+    faults: WireFaults,
+    stream_faults: WireFaults,
+) -> PtyServer | InstrumentTcpServer:
+    """In front of a force sensor the server of its link; its frames are watched where the World's
+    settings ask for that and the monitor knows them."""
+    from drivers.simulated.instruments.me_gsv8 import Gsv8
+    from drivers.simulated.transports.serial_server import PtyServer
+    from drivers.simulated.transports.serial_tcp import InstrumentTcpServer
+    from drivers.simulated.world.monitor import WatchedLine
+
+    line: ForceSensorCore | WatchedLine = sensor
+    if world.settings.watch is not None and isinstance(sensor, Gsv8):
+        line = WatchedLine(sensor, partial(world.log, FORCE_SENSOR, by="monitor"))
+    if sensor.link == "tcp":
+        return InstrumentTcpServer(line, world, slaved, faults, stream_faults)
+    return PtyServer(line, world, slaved, faults, stream_faults, name=FORCE_SENSOR)
 
 
 def _drive(

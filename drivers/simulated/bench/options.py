@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from rig.core.entry_points import SIMULATORS, find
+from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from drivers.simulated.faults.plan import FaultPlan
@@ -19,6 +22,11 @@ HEAD: Fixture = "semi-spherical-object"
 Stages = Literal["festo", "az", "festo-az", "az-festo"]
 """Drives on Modbus TCP, on one Modbus RTU line, or z of the first kind and x of the second."""
 
+REPLACEABLE = ("force_sensor",)
+"""Roles whose simulated instrument may be another one of the entry-point group
+``rig.simulators``."""
+USUAL_FORCE_SENSOR = "me-gsv8"
+
 DRIVES = {"festo-cmmt": "festo", "oriental-az": "az"}
 """The kind of drive that a driver controls, by the driver's name."""
 
@@ -31,6 +39,8 @@ class Options:
     """What is mounted: the film in its clamp, or the skin above a plate or a head that rolls."""
     stages: Stages = "festo"
     """What moves it."""
+    replace: dict[str, str] = field(default_factory=dict)
+    """By role, the driver whose simulator takes the place of the usual one."""
     seed: int = 0
     slaved: bool = False
     world: str | None = None
@@ -42,6 +52,30 @@ class Options:
     linger_s: float = LINGER_S
     results: str | None = None
     """Folder in which the owner records: where the fault plan's disk is."""
+
+
+def check_replaced(replace: Mapping[str, str]) -> None:
+    """ConfigurationError for a role whose instrument cannot be replaced."""
+    for role in replace:
+        if role not in REPLACEABLE:
+            raise ConfigurationError(
+                f"the {role} of the simulated bench cannot be replaced",
+                f"what can be replaced: {', '.join(REPLACEABLE)}",
+            )
+
+
+def options_for(drivers: Mapping[str, str]) -> dict[str, Any]:
+    """Return the fields of `Options` that give the bench the simulators of these drivers, which are
+    given by role, as far as it has them."""
+    chosen: dict[str, Any] = {}
+    if (stages := variant_for(drivers)) is not None:
+        chosen["stages"] = stages
+    own = {
+        role: drivers[role]
+        for role in REPLACEABLE
+        if role in drivers and find(SIMULATORS, drivers[role]) is not None
+    }
+    return {**chosen, "replace": own} if own else chosen
 
 
 def variant_for(drivers: Mapping[str, str]) -> Stages | None:

@@ -20,7 +20,14 @@ from typing import Any, get_args
 from drivers.simulated.bench.bench_file import bench_toml
 from drivers.simulated.bench.control import ControlServer
 from drivers.simulated.bench.mounted import Instruments
-from drivers.simulated.bench.options import Fixture, Options, Stages, fault_plan, world_settings
+from drivers.simulated.bench.options import (
+    Fixture,
+    Options,
+    Stages,
+    check_replaced,
+    fault_plan,
+    world_settings,
+)
 from drivers.simulated.faults.plan import FORCE_SENSOR, TimedFault
 from drivers.simulated.world.world import World
 from rig.core.errors import ConfigurationError, InstrumentError, RigError
@@ -30,13 +37,15 @@ SETTLE_EVERY_S = 0.02
 
 
 async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> None:
-    """Until it is stopped; `ready` gets ``control_port``, ``bench_toml`` and ``recorded_toml``."""
+    """Be a bench until it is stopped; `ready` gets ``control_port``, ``bench_toml``,
+    ``recorded_toml`` and the ``models`` of its instruments by role."""
     for asked, known in ((options.fixture, Fixture), (options.stages, Stages)):
         if asked not in get_args(known):
             raise ConfigurationError(
                 f"the simulated bench has no {asked} to mount",
                 f"it has {' and '.join(get_args(known))}",
             )
+    check_replaced(options.replace)
     settings = world_settings(options)
     faults = fault_plan(options)
     log = Path(options.world_log) if options.world_log else None
@@ -100,6 +109,7 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
                 "control_port": port,
                 "bench_toml": bench_toml(options, overrides, bench.listening()),
                 "recorded_toml": bench_toml(options, overrides, bench.anywhere()),
+                "models": bench.models,
             }
         )
         await ended.wait()

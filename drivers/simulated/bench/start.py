@@ -18,13 +18,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from drivers.simulated.bench.options import Options, Stages, fault_plan, variant_for
+from drivers.simulated.bench.options import Options, Stages, fault_plan, options_for, variant_for
 from rig.core.errors import ConfigurationError, InstrumentError
 
 if TYPE_CHECKING:
     from drivers.simulated.faults.disk import FaultyDisk
 
-__all__ = ["StartedBench", "alone", "serve", "start", "variant_for", "variants"]
+__all__ = ["StartedBench", "alone", "options_for", "serve", "start", "variant_for", "variants"]
 
 ABANDONED_S = 0.5
 """How long a bench that nobody has connected to may take to end by itself."""

@@ -36,9 +36,9 @@ class ForceSensorCore(ABC):
     """The axes that the sensor has, such as "z"."""
     rates: ClassVar[tuple[float, ...]] = ()
     """All frame rates that it has, in frames/s; empty where any rate within a range can be set."""
-    alike: ClassVar[tuple[bytes, ...]] = ()
+    alike: ClassVar[tuple[bytes, ...]] = (b"STREAM",)
     """Beginnings of requests that are like one another: of each, the contract's walk of faults
-    visits the first in a step."""
+    visits the first in a step. STREAM is what the sensor sends without being asked."""
     disturbances: ClassVar[tuple[str, ...]] = ()
     """Kinds of a fault plan that `disturb` takes."""
     vendor: str = ""

@@ -1,0 +1,172 @@
+"""docs/add-a-driver.md can be followed literally: its package is built from the page and used."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import packages
+import pytest
+
+PAGE = Path(__file__).parents[2] / "docs" / "add-a-driver.md"
+SHORT = ("--frequencies", "200,1000", "--no-figures", "--json")
+BENCH = """
+name = "real"
+[fixture]
+mounted = "film-clamp"
+contact_from_mm = 12.0
+contact_to_mm = 13.0
+[film]
+[load_cell]
+sensitivity_V_N = 0.1
+[generator]
+driver = "keysight-33500b"
+resource = "TCPIP::127.0.0.1::1::SOCKET"
+max_amplitude_V = 5.0
+[daq]
+driver = "keysight-u2300a"
+resource = "TCPIP::127.0.0.1::hislip0,1::INSTR"
+channels = { load_cell = 101, film = 102 }
+[stage_z]
+driver = "festo-cmmt"
+axis = "z"
+host = "127.0.0.1"
+low_limit_mm = 0.0
+high_limit_mm = 20.0
+max_speed_mm_s = 20.0
+[force_sensor]
+driver = "acme-f10"
+port = "/dev/ttyUSB0"
+max_force_N = 30.0
+"""
+
+
+def files_of_the_page() -> dict[str, str]:
+    """The code blocks of the page that begin with a file's name, by that name."""
+    blocks = re.findall(r"```\w+\n# (\S+)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    return dict(blocks)
+
+
+def entry_points(pyproject: str) -> str:
+    """The text of a package's entry points, as an installation writes it."""
+    groups = tomllib.loads(pyproject)["project"]["entry-points"]
+    lines = []
+    for group, entries in groups.items():
+        lines += [f"[{group}]", *(f"{name} = {value}" for name, value in entries.items())]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    """A folder in which the page's package is installed."""
+    files = files_of_the_page()
+    modules = {name: text for name, text in files.items() if name != "pyproject.toml"}
+    modules["acme_f10/__init__.py"] = ""
+    return packages.install(
+        tmp_path / "site", "acme-f10", entry_points(files["pyproject.toml"]), modules
+    )
+
+
+def test_the_page_has_every_file_that_it_lists() -> None:
+    assert set(files_of_the_page()) == {
+        "pyproject.toml",
+        "acme_f10/driver.py",
+        "acme_f10/simulator.py",
+        "tests/test_contract.py",
+    }
+
+
+def run_contract(site: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    """Run the page's contract test as its author would, in a pytest of its own."""
+    start = [sys.executable, "-m", "pytest", "-q", "-c", os.devnull, "-p", "no:cacheprovider"]
+    return subprocess.run(
+        [*start, *options, str(site / "tests" / "test_contract.py")],
+        env={**os.environ, "PYTHONPATH": str(site), "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def passed(ended: subprocess.CompletedProcess[str]) -> int:
+    """How many checks have passed; an AssertionError shows the output where any has failed."""
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    found = re.search(r"\b(\d+) passed", ended.stdout)
+    assert found is not None, ended.stdout
+    return int(found[1])
+
+
+def test_the_driver_of_the_page_fulfils_the_contract(site: Path) -> None:
+    assert passed(run_contract(site)) >= 18
+
+
+def test_it_does_so_on_tcp_as_well(site: Path) -> None:
+    """Without the walk of all faults: pyserial waits for 0.3 s whenever it closes a socket."""
+    simulator = site / "acme_f10" / "simulator.py"
+    text = simulator.read_text()
+    assert '"serial"' in text
+    simulator.write_text(text.replace('"serial"', '"tcp"'))
+    assert passed(run_contract(site, "-k", "not one_fault_anywhere")) >= 13
+
+
+def test_a_defect_of_a_driver_is_shown_with_its_values(site: Path) -> None:
+    """Without anything that the package would have to set up for it."""
+    driver = site / "acme_f10" / "driver.py"
+    text = driver.read_text()
+    assert "float(line)" in text
+    driver.write_text(text.replace("float(line)", "-float(line)"))
+    ended = run_contract(site, "-k", "whole_experiment")
+    assert ended.returncode == 1
+    assert "unit, sign, axis or order is wrong" in ended.stdout
+
+
+def test_a_dry_run_has_the_simulator_of_the_page_in_its_world(rig: Any, site: Path) -> None:
+    packages.on_path(rig, site)
+    (rig.folder / "bench.toml").write_text(BENCH)
+    done = rig.run("sweep", *SHORT, "--dry-run")
+    assert done.code == 0, done.stderr
+    assert "in its place" not in done.stderr
+
+
+def test_a_dry_run_says_which_model_stands_in(rig: Any, site: Path) -> None:
+    info = next(site.glob("*.dist-info")) / "entry_points.txt"
+    info.write_text(info.read_text().split("[rig.simulators]")[0])
+    packages.on_path(rig, site)
+    (rig.folder / "bench.toml").write_text(BENCH)
+    done = rig.run("sweep", *SHORT, "--dry-run")
+    assert done.code == 0, done.stderr
+    line = (
+        "force_sensor: no simulator for driver 'acme-f10' is installed; the dry run uses the "
+        "simulated ME GSV-8 in its place"
+    )
+    assert done.stderr.index(line) < done.stderr.index("dry run: 2 of 2 points")
+    assert line in done.object["warnings"]
+
+
+def test_a_bench_in_real_time_has_the_simulator_of_the_page(rig: Any, site: Path) -> None:
+    packages.on_path(rig, site)
+    replaced = ("--replace", "force_sensor=acme-f10")
+    simulator = rig.start("simulate", *replaced, "--write", "sim.toml")
+    simulator.wait_for(r"drive it with --bench sim\.toml")
+    bench = tomllib.loads((rig.folder / "sim.toml").read_text())
+    assert bench["force_sensor"]["driver"] == "acme-f10"
+    assert Path(bench["force_sensor"]["port"]).name == "force_sensor"
+    done = rig.run("sweep", *SHORT, "--bench", "sim.toml")
+    assert done.code == 0, done.stderr
+    assert done.object["points_done"] > 0
+
+
+def test_what_cannot_be_replaced_is_refused(rig: Any) -> None:
+    for given, named in (
+        ("daq=keysight-u2300a", "daq"),
+        ("force_sensor", "'force_sensor'"),
+        ("force_sensor=acme-f11", "'acme-f11' is unknown"),
+    ):
+        refused = rig.run("simulate", "--replace", given)
+        assert refused.code == 2
+        assert named in refused.errors[0]
