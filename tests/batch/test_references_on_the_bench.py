@@ -10,6 +10,8 @@ from procedures import roll_trial, slip_trial, sweep
 from rig.batch.execute.drift import ReferenceRun, judge, part_names, zero_drift
 from rig.bench.bench import BenchSettings
 
+pytestmark = pytest.mark.thorough
+
 PARTS = part_names(BenchSettings(name="b", fixture={"mounted": "plate"}, film={"name": "F12"}))
 PROCEDURES = {module.NAME: module for module in (sweep, slip_trial, roll_trial)}
 

@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.settings import named_detectors
 from rig.evaluation.labelled_trials import (
-    FrontEndSettings,
+    StripFrontEndSettings,
     PopulationSettings,
     Range,
     labelled_trial,
@@ -41,7 +41,7 @@ def recording(seconds: float) -> np.ndarray:
     for seed in range(12):
         for kind in ("slide", "roll", "hold", "tap"):
             trial = labelled_trial(skin, kind, seed, population)
-            front_end = FrontEndSettings(noise_mV=Range(low=0.3, high=0.3))
+            front_end = StripFrontEndSettings(noise_mV=Range(low=0.3, high=0.3))
             pieces.append(through_front_end(trial, front_end)[0])
     once = np.concatenate(pieces)
     return np.resize(once, (round(seconds * RATE_Hz), 2))
