@@ -17,9 +17,9 @@ from scipy.signal import lfilter
 from rig.detector.detector import IncipientSlipDetector
 from rig.detector.settings import named_detectors
 from rig.evaluation.labelled_trials import (
-    StripFrontEndSettings,
     PopulationSettings,
     Range,
+    StripFrontEndSettings,
     labelled_trial,
     through_front_end,
 )
