@@ -72,11 +72,13 @@ def recovered():
     return cases
 
 
+@pytest.mark.thorough
 def test_the_interval_of_the_load_covers_it_in_95_percent(recovered):
     covered = sum(found.amplitude.covers(abs(load)) for found, load in recovered)
     assert 183 <= covered <= 200, covered
 
 
+@pytest.mark.thorough
 def test_the_interval_of_the_phase_covers_it_in_95_percent(recovered):
     covered = 0
     for found, load in recovered:
@@ -85,6 +87,7 @@ def test_the_interval_of_the_phase_covers_it_in_95_percent(recovered):
     assert 183 <= covered <= 200, covered
 
 
+@pytest.mark.thorough
 def test_the_load_is_known_to_a_percent_and_its_interval_is_no_excuse(recovered):
     errors = [abs(abs(found.phasor) / abs(load) - 1) for found, load in recovered]
     widths = [found.amplitude.standard_error / abs(load) for found, load in recovered]

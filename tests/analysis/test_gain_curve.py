@@ -47,6 +47,7 @@ def curve_of(response, frequencies=SCAN, error_dB=0.05, seed=0, scatter=0.0):
     return frequencies, moved, variances[:, None, None] * np.eye(2)
 
 
+@pytest.mark.thorough
 def test_every_quantity_of_drawn_films_is_near_the_truth(judged):
     for film in judged:
         errors = {name: e.value - truth for name, (e, truth) in film.estimates.items()}
@@ -57,6 +58,7 @@ def test_every_quantity_of_drawn_films_is_near_the_truth(judged):
         assert corner.value == pytest.approx(truth, rel=0.05)
 
 
+@pytest.mark.thorough
 def test_intervals_of_drawn_films_cover_the_truth(judged):
     """Fewer than 8 of 12 has a chance below 1e-4 where 95 % is right."""
     for quantity in judged[0].estimates:
@@ -68,12 +70,14 @@ def test_intervals_of_drawn_films_cover_the_truth(judged):
     assert 0.90 <= np.mean(every) <= 0.99
 
 
+@pytest.mark.thorough
 def test_every_drop_is_found_and_none_invented(judged):
     assert [(film.seed, film.missed, film.invented) for film in judged] == [
         (seed, (), ()) for seed in SEEDS
     ]
 
 
+@pytest.mark.thorough
 def test_the_withdrawn_claim_is_refuted_on_first_order_films(judged):
     assert {film.analysis.stress_jerk.verdict for film in judged} == {"refuted"}
 
@@ -186,6 +190,7 @@ def crept():
     return films
 
 
+@pytest.mark.thorough
 def test_what_the_preload_does_to_the_gain_is_found_and_taken_out(crept):
     effects, slopes = [], []
     for points, degrees, preloads, truth in crept:
@@ -199,6 +204,7 @@ def test_what_the_preload_does_to_the_gain_is_found_and_taken_out(crept):
     assert analysis.as_dict()["preload_effect"]["unit"] == "dB/N"
 
 
+@pytest.mark.thorough
 def test_without_the_preloads_it_would_pass_for_slope(crept):
     covered = 0
     for points, degrees, _, truth in crept:
@@ -233,6 +239,7 @@ def test_a_sweep_above_the_band_has_no_slope():
     assert "No slope" in analysis.sentences()[0]
 
 
+@pytest.mark.thorough
 def test_points_that_follow_no_circuit_are_refused():
     random = np.random.default_rng(8)
     gains = 10 ** (random.uniform(-40, 20, SCAN.size) / 20)

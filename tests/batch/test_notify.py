@@ -80,6 +80,7 @@ def test_a_command_that_hangs_is_killed_with_what_it_has_started(tmp_path: Path)
     assert not marks.exists()
 
 
+@pytest.mark.thorough
 def test_telling_does_not_wait_and_what_is_not_delivered_in_time_is_given_up() -> None:
     notifier = Notifier(command("import time; time.sleep(20)"), longest_s=20.0)
     for number in range(notification.MOST_WAITING + 5):
@@ -92,6 +93,7 @@ def test_telling_does_not_wait_and_what_is_not_delivered_in_time_is_given_up() -
     assert all("given up after 0.1 s" in warning for warning in given_up)
 
 
+@pytest.mark.thorough
 def test_one_that_hangs_and_one_that_floods_do_not_stop_later_messages(tmp_path: Path) -> None:
     """Each costs its own time limit; what it writes is read up to a bound."""
     arrived = tmp_path / "arrived"

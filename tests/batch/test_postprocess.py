@@ -64,6 +64,7 @@ def test_a_journal_is_compiled_judged_and_drawn(tmp_path: Path) -> None:
     assert found.file == result.processed
 
 
+@pytest.mark.thorough
 def test_a_job_that_is_given_again_changes_nothing(tmp_path: Path) -> None:
     journal = recorded(tmp_path, "a", procedure="import")
     first = make_files(PostprocessJob(journal))
@@ -91,6 +92,7 @@ def test_what_is_not_asked_for_is_not_done(tmp_path: Path) -> None:
     assert names(tmp_path) == {"a.rigj", "a.h5", "a.h5.sha256"}
 
 
+@pytest.mark.thorough
 def test_a_figure_that_fails_is_told_and_the_rest_is_done(tmp_path: Path) -> None:
     result = make_files(PostprocessJob(recorded(tmp_path, "a", procedure="slip-trial")))
     assert result.processed is not None
@@ -166,6 +168,7 @@ def test_runs_are_worked_on_in_turn_and_one_that_fails_does_not_end_the_others(
     assert all(result.processed for result in found if not result.error)
 
 
+@pytest.mark.thorough
 def test_nothing_is_begun_while_the_bench_is_in_use_and_what_is_under_way_is_finished(
     queue: PostprocessQueue, tmp_path: Path
 ) -> None:
@@ -187,6 +190,7 @@ def test_nothing_is_begun_while_the_bench_is_in_use_and_what_is_under_way_is_fin
     assert len(queue) == 1
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not Path("/proc").exists(), reason="looks at processes in /proc")
 def test_the_process_has_the_lowest_priority_and_one_thread(
     queue: PostprocessQueue, tmp_path: Path
@@ -197,6 +201,7 @@ def test_the_process_has_the_lowest_priority_and_one_thread(
     assert b"OPENBLAS_NUM_THREADS=1" in Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
 
 
+@pytest.mark.thorough
 def test_a_process_that_is_killed_costs_the_files_of_its_run(
     queue: PostprocessQueue, tmp_path: Path
 ) -> None:
@@ -210,6 +215,7 @@ def test_a_process_that_is_killed_costs_the_files_of_its_run(
     assert done.file == tmp_path / "b.h5"
 
 
+@pytest.mark.thorough
 def test_a_process_that_hangs_is_killed_at_its_time_limit(log: IO[bytes], tmp_path: Path) -> None:
     """Stopped by a signal, as one that waits for a dead disk: it never ends by itself."""
     queue = PostprocessQueue(log, longest_s=1.0)
@@ -219,6 +225,7 @@ def test_a_process_that_hangs_is_killed_at_its_time_limit(log: IO[bytes], tmp_pa
     assert "no end after 1 s, killed" in result.error
 
 
+@pytest.mark.thorough
 def test_close_begins_nothing_more_and_waits_for_the_files_under_way(
     queue: PostprocessQueue, tmp_path: Path
 ) -> None:
@@ -232,6 +239,7 @@ def test_close_begins_nothing_more_and_waits_for_the_files_under_way(
     assert not (tmp_path / "b.h5").exists()
 
 
+@pytest.mark.thorough
 def test_close_kills_what_takes_too_long(queue: PostprocessQueue, tmp_path: Path) -> None:
     queue.add(PostprocessJob(recorded(tmp_path, "a"), figures=False))
     pid = begun(queue)
@@ -241,6 +249,7 @@ def test_close_kills_what_takes_too_long(queue: PostprocessQueue, tmp_path: Path
         os.kill(pid, 0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seen", ["a.h5", "processed", "a.png"])
 def test_a_process_that_is_killed_leaves_whole_files_only(
     queue: PostprocessQueue, tmp_path: Path, seen: str
@@ -263,6 +272,7 @@ def test_a_process_that_is_killed_leaves_whole_files_only(
     assert len(result.figures) == 2
 
 
+@pytest.mark.thorough
 def test_by_hand_it_reports_on_one_line(tmp_path: Path) -> None:
     journal = recorded(tmp_path, "a")
     done = subprocess.run(

@@ -12,6 +12,8 @@ from procedures.sweep import Sweep
 from rig.batch.execute.drift import ReferenceRun, judge, part_names, zero_drift
 from rig.bench.settings import BenchSettings
 
+pytestmark = pytest.mark.thorough
+
 PARTS = part_names(BenchSettings(name="b", fixture={"mounted": "plate"}, film={"name": "F12"}))
 PROCEDURES = {one.name: one for one in (Sweep, SlipTrial, RollTrial)}
 

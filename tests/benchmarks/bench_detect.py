@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
 
 import recorded_trials as trials
 
-pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.benchmark, pytest.mark.short, pytest.mark.timeout(900)]
 
 RUN = str(Path(__file__).parents[2] / "run")
 FILES, ROWS, REPEATS = 24, 60_000, 3

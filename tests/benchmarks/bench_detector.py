@@ -25,7 +25,7 @@ from rig.evaluation.labelled_trials import (
 )
 from rig.physics.skin.condensed import build_skin
 
-pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
+pytestmark = [pytest.mark.benchmark, pytest.mark.short, pytest.mark.timeout(3600)]
 
 RATE_Hz = 1000.0
 NAMES = ("rig", "paper-hp", "paper-literal")

@@ -19,7 +19,7 @@ from rig.instruments.roles import Acquisition, InputChannel
 from rig.run.force_monitor import ForceMonitor
 from rig.run.holds import Holds
 
-pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1200)]
+pytestmark = [pytest.mark.benchmark, pytest.mark.short, pytest.mark.timeout(1200)]
 
 TICK_S = 0.01
 TICKS_PER_S = 100

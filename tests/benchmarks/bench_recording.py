@@ -19,7 +19,7 @@ from rig.files.verify import verify
 sys.path.insert(0, str(Path(__file__).parents[1] / "files"))
 import recorded_run as run
 
-pytestmark = pytest.mark.benchmark
+pytestmark = [pytest.mark.benchmark, pytest.mark.short]
 
 READING = {f"quantity_{k}": 1.0 / (k + 3) for k in range(20)}
 

@@ -14,7 +14,7 @@ from rig.analysis.response.sine_fit import fit_sine, mains_lines, record_length
 from rig.physics.modal import SineDrive
 from rig.physics.vibrator import VibratorOutput, drawn_film, vibrator_line
 
-pytestmark = pytest.mark.benchmark
+pytestmark = [pytest.mark.benchmark, pytest.mark.short]
 
 
 def median_ms(act, repeats=30):

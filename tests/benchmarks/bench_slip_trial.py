@@ -27,7 +27,7 @@ from rig.run.execute import execute
 from rig.run.job import RunJob
 from rig.run.stopping import StopFlag
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "contract"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "safety_contract"))
 from slip_model import compare
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(7200)]

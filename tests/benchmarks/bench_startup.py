@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from measured import heading, row, target
 
-pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.benchmark, pytest.mark.short, pytest.mark.timeout(600)]
 
 RUN = str(Path(__file__).parents[2] / "run")
 

@@ -25,8 +25,10 @@ def test_from_overload_to_the_command_on_the_wire(rig, blocked):
     )
     if blocked:
         plan += '[[fault]]\ndevice = "daq"\nkind = "silence"\nat = 4\ncommand = "WAV:DATA"\n'
-    delays = []
-    for repeat in range(16 if not blocked else 12):
+    delays: list[float] = []
+    repeats = 12 if blocked else 16
+    for repeat in range(repeats):
+        before = len(delays)
         path = rig.folder / f"{blocked}{repeat}.toml"
         rig.world_log.unlink(missing_ok=True)
         serving = rig.start(
@@ -47,6 +49,8 @@ def test_from_overload_to_the_command_on_the_wire(rig, blocked):
             on_before = [x for x in log if x["what"] == "ch1.on" and x["t_us"] < begin_us]
             if off and on_before and on_before[-1]["value"]:
                 delays.append((off[0] - begin_us) * 1e-3)
+        found = ", ".join(f"{delay_ms:.2f}" for delay_ms in delays[before:])
+        print(f"run {repeat + 1} of {repeats}: {found or 'no trip'} ms", flush=True)
     row("overload to generator off", delays, "ms", 2)
     p50, p99 = np.quantile(delays, [0.5, 0.99])
     print(f"p50 {p50:.2f} ms, p99 {p99:.2f} ms, largest {max(delays):.2f} ms (n = {len(delays)})")

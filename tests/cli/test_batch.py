@@ -104,6 +104,7 @@ def test_a_worker_that_is_killed_is_followed_by_another(
     same(taken(folder), uninterrupted)
 
 
+@pytest.mark.thorough
 def test_with_its_supervisor_killed_the_worker_stops_in_order_and_resume_goes_on(
     rig, uninterrupted: dict[int, Taken]
 ) -> None:
@@ -119,6 +120,7 @@ def test_with_its_supervisor_killed_the_worker_stops_in_order_and_resume_goes_on
     same(taken(folder), uninterrupted)
 
 
+@pytest.mark.thorough
 def test_ctrl_c_stops_a_batch_safely_and_resume_goes_on_at_the_point(
     rig, uninterrupted: dict[int, Taken]
 ) -> None:
@@ -153,6 +155,7 @@ def test_files_that_are_missing_are_shown_and_made_by_resume(
     assert json.loads(made)["file"] == "r00002_sweep.h5"
 
 
+@pytest.mark.thorough
 def test_ctrl_backslash_stops_a_batch_as_ctrl_c_does(rig) -> None:
     running = begin(rig, SIX_POINTS)
     folder = folder_of(rig.results)
@@ -164,6 +167,7 @@ def test_ctrl_backslash_stops_a_batch_as_ctrl_c_does(rig) -> None:
     assert ask(folder, "SELECT ending, code FROM attempt WHERE run = 1") == [("stopped", 131)]
 
 
+@pytest.mark.thorough
 def test_other_terminals_pause_it_let_it_go_on_and_stop_it_after_a_point(rig) -> None:
     running = begin(rig, SIX_POINTS + "repeat = 50\n")
     folder = folder_of(rig.results)
@@ -184,6 +188,7 @@ def test_other_terminals_pause_it_let_it_go_on_and_stop_it_after_a_point(rig) ->
     assert "is not running" in refused.stderr
 
 
+@pytest.mark.thorough
 def test_a_time_out_is_tried_again_and_a_limit_never(rig) -> None:
     (rig.folder / "silence.toml").write_text(
         '[[fault]]\ndevice = "daq"\nkind = "silence"\nat = 40\n'
@@ -223,6 +228,7 @@ def test_a_time_out_is_tried_again_and_a_limit_never(rig) -> None:
     assert "2 runs queued again" in again.stderr
 
 
+@pytest.mark.thorough
 def test_what_changed_since_the_beginning_is_told_and_refused(rig) -> None:
     running = begin(rig, SIX_POINTS)
     running.send(signal.SIGTERM)
@@ -234,6 +240,7 @@ def test_what_changed_since_the_beginning_is_told_and_refused(rig) -> None:
     assert rig.run("batch", "resume", "--despite-changes").code == 0
 
 
+@pytest.mark.thorough
 def test_a_second_supervisor_is_refused(rig) -> None:
     running = begin(rig, SIX_POINTS)
     folder = folder_of(rig.results)
@@ -248,6 +255,7 @@ def test_where_no_batch_is_says_so(rig) -> None:
     assert "there is no batch in results; name its folder" in ended.stderr
 
 
+@pytest.mark.thorough
 def test_a_run_whose_worker_died_before_it_could_say_so_is_done_and_not_taken_again(
     uninterrupted: dict[int, Taken], rig_of_the_module
 ) -> None:

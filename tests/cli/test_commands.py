@@ -202,6 +202,7 @@ def test_a_dry_run_under_a_bench_file_keeps_that_benchs_limits(rig: Any) -> None
     assert re.search(r"0\.\d+ V is outside 0\.001 to 0\.5 V", refused.errors[0])
 
 
+@pytest.mark.thorough
 def test_a_bench_in_real_time_is_driven_made_safe_and_ended(rig: Any) -> None:
     log = ("--world-log", str(rig.world_log))
     simulator = rig.start("simulate", "--write", "sim.toml", "--seed", "5", *log)

@@ -218,6 +218,7 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
         process.wait(60)
 
 
+@pytest.mark.thorough
 def test_a_cluster_gives_the_same_bytes(rig: Any, runs: list[str], scheduler: str) -> None:
     here = rig.run("detect", *HP, "--to", "here", *runs)
     there = rig.run("detect", *HP, "--scheduler", scheduler, "--to", "there", *runs, "none.h5")

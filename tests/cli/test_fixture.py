@@ -23,6 +23,7 @@ def cached(monkeypatch: pytest.MonkeyPatch, skin_cache: DiskCache, skin6: Conden
     monkeypatch.setenv("RIG_CACHE", str(skin_cache.folder))
 
 
+@pytest.mark.thorough
 def test_the_plates_bench_runs_in_real_time_and_is_made_safe(rig: Any) -> None:
     world = rig.world(SMALL)
     simulator = rig.start("simulate", "--fixture", "plate", "--world", world, "--write", "sim.toml")

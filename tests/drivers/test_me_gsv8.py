@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from patience import TIMEOUT_S
 from pydantic import ValidationError
 from simulated.ideal import serving
 
@@ -105,7 +106,7 @@ OLD = (
 
 
 def settings(port: str, **more: object) -> Settings:
-    return Settings.model_validate({"port": port, "timeout_s": 0.3, **more})
+    return Settings.model_validate({"port": port, "timeout_s": TIMEOUT_S, **more})
 
 
 def connected(port: str, clock: Clock | None = None, **more: object) -> ForceAmplifier:
@@ -274,7 +275,8 @@ def test_a_late_answer_is_never_taken_for_the_next_one() -> None:
     lost, token = (RATE_IS_1000[0], ""), (SERIAL[0], late + SERIAL[1])
     with playing(*OLD, lost, token, RATE_IS_1000, (START, OK)) as port:
         amplifier = connected(port)
-        with pytest.raises(InstrumentTimeoutError, match=r"ReadDataRate: no answer within 0\.3 s"):
+        told = f"ReadDataRate: no answer within {TIMEOUT_S:g} s"
+        with pytest.raises(InstrumentTimeoutError, match=told):
             amplifier.start(1000)
         assert amplifier.start(1000) == 1000
         amplifier.close()

@@ -237,6 +237,7 @@ def findings_or_death(file: Path) -> list[str]:
         return [error.reason]
 
 
+@pytest.mark.thorough
 def test_a_file_on_which_hdf5_hangs_is_told_so(tmp_path: Path, sound: bytes) -> None:
     """As damage at random brings it about: texts whose heap leads in a circle."""
     file = tmp_path / "a.h5"

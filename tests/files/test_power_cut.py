@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import power_cut
+import pytest
 from power_cut import JournalStates, Sync, Write, hdf5_power_cuts, trace_rig
 
 
+@pytest.mark.thorough
 def test_no_power_cut_loses_or_invents_a_sample_of_a_real_sweep(rig: Any, tmp_path: Path) -> None:
     """HDF5 files of the same samples fail beside it: the cuts are ones that hurt."""
     run = trace_rig(rig, "sweep", "--no-figures", "--frequencies", "5,300")

@@ -168,6 +168,7 @@ def test_gross_slip_takes_a_travel_of_0_15_mm(reference_slide: SkinTrial):
     assert reference_slide.block.position_mm[at] == pytest.approx(0.15, abs=0.01)
 
 
+@pytest.mark.thorough
 def test_what_the_strips_read_does_not_hang_on_the_mesh(skin_cache, skin6, reference_slide):
     """From 6 to 12 elements a ridge: HF peak within 15 %, whole slips within 1 ms.
 

@@ -678,8 +678,17 @@ class Ending(RuleBasedStateMachine):
         assert self.story.index(("guard", "safe")) > last_off
 
 
-TestEveryEnding = Ending.TestCase
-TestEveryEnding.settings = settings(max_examples=60, stateful_step_count=12, deadline=None)
+class TestEveryEnding(Ending.TestCase):
+    """A few random stories."""
+
+    settings = settings(max_examples=8, stateful_step_count=12, deadline=None)
+
+
+@pytest.mark.thorough
+class TestManyMoreEndings(Ending.TestCase):
+    """Many random stories."""
+
+    settings = settings(max_examples=60, stateful_step_count=12, deadline=None)
 
 
 def test_a_hold_between_two_trips_buys_no_further_retake() -> None:

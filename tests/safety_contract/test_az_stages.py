@@ -47,6 +47,7 @@ def assert_told_to_stop(rig):
     assert said[-2:] == ["stop", "at-rest"]
 
 
+@pytest.mark.thorough
 def test_a_trial_holds_the_force_at_fifty_ticks_a_second_and_says_so(rig):
     ended = take(rig)
     assert ended.code == 0, ended.stderr
@@ -72,6 +73,7 @@ def test_more_ticks_than_the_line_has_time_for_are_refused_before_anything_moves
     assert not [e for e in rig.log() if e["what"] == "move"]
 
 
+@pytest.mark.thorough
 def test_an_alarm_in_the_slide_is_told_with_its_remedy_and_the_skin_lifted(rig):
     plan = '[[fault]]\ndevice = "stage_x"\nkind = "drive-fault"\ncode = 48\nmove = 2\nafter_s = 0.3'
     ended = take(rig, plan)
@@ -92,6 +94,7 @@ def test_a_drive_that_falls_silent_beside_the_other_is_told_and_the_skin_lifted(
     assert_told_to_stop(rig)
 
 
+@pytest.mark.thorough
 def test_a_drive_that_answers_nothing_any_more_is_not_safe_and_the_skin_is_lifted(rig):
     plan = '[[fault]]\ndevice = "stage_x"\nkind = "silence"\n'
     ended = take(rig, plan + SLIDING, *LONG)
@@ -103,6 +106,7 @@ def test_a_drive_that_answers_nothing_any_more_is_not_safe_and_the_skin_is_lifte
     assert_told_to_stop(rig)
 
 
+@pytest.mark.thorough
 def test_a_killed_run_is_stopped_by_the_drives_own_time_out_and_the_guard(rig):
     running = rig.start(
         "slip-trial", "--stages", "az", "--no-figures", "--distance", "5mm", "--speed", "0.3mm/s",
@@ -120,6 +124,7 @@ def test_a_killed_run_is_stopped_by_the_drives_own_time_out_and_the_guard(rig):
         assert last[-1]["what"] == "at-rest", stage
 
 
+@pytest.mark.thorough
 def test_a_sweep_runs_on_a_bench_file_with_an_az_stage_in_real_time(rig):
     simulator = rig.start(
         "simulate", "--stages", "az", "--write", "az.toml", "--world-log", str(rig.world_log)

@@ -40,6 +40,7 @@ def spikes(*acquisitions, force_N=30.0, after_s=0.0):
     )
 
 
+@pytest.mark.thorough
 def test_a_sweep_presses_holds_and_parks(rig):
     ended = rig.sweep(*SHORT)
     assert ended.code == 0, ended.stderr
@@ -50,6 +51,7 @@ def test_a_sweep_presses_holds_and_parks(rig):
         assert run.column("load_amplitude") == pytest.approx(1.0, rel=0.01)
 
 
+@pytest.mark.thorough
 @pytest.mark.stages("festo", because="the push has to fall into the approach")
 def test_a_push_in_free_air_is_no_contact_and_the_stage_does_not_hunt_for_the_preload(rig):
     push = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nafter_s = 3.0\n'
@@ -90,6 +92,7 @@ def test_a_second_trip_ends_the_run(rig):
     assert rest(rig) == pytest.approx(5.0, abs=0.02)
 
 
+@pytest.mark.thorough
 def test_points_kept_before_a_force_trip_survive_a_second_trip(rig):
     frequencies = [300 + 100 * k for k in range(10)]
     asked = ("--frequencies", ",".join(map(str, frequencies)))
@@ -110,6 +113,7 @@ def test_points_kept_before_a_force_trip_survive_a_second_trip(rig):
         assert b"trip" in run.entry["events/code"][()].tolist()
 
 
+@pytest.mark.thorough
 def test_a_trip_acts_while_the_procedure_sits_in_a_blocking_read(rig):
     """In real time: the DAQ's answer is lost, its reader waits 2 s; the force rises meanwhile."""
     path = rig.folder / "a-bench.toml"
@@ -156,6 +160,7 @@ def be_patient(bench_file):
     bench_file.write_text(text)
 
 
+@pytest.mark.thorough
 def test_a_hold_makes_safe_and_the_point_is_retaken_when_it_is_over(rig):
     """Ctrl-Z pauses; the same again lets it go on."""
     path = rig.folder / "a-bench.toml"
@@ -213,6 +218,7 @@ SILENT = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", SILENT)
 def test_a_force_sensor_that_is_silent_for_a_while_is_a_hold(rig, case):
     moment, for_s, outputs = SILENT[case]
@@ -235,6 +241,7 @@ def test_a_force_sensor_that_is_silent_for_a_while_is_a_hold(rig, case):
         assert run.column("preload").min() > 24, "pressed anew, though it creeps"
 
 
+@pytest.mark.thorough
 def test_a_force_sensor_that_is_silent_while_the_stage_is_homed_is_a_hold(rig):
     """There is no way back yet to a place that nobody knows, and nothing is pressed."""
     ended = rig.sweep(*SHORT, "--fault", rig.fault(silence("at = 3\n", 0.6)))
@@ -292,8 +299,13 @@ def test_a_hold_that_came_and_went_within_one_blocking_call_is_acted_on(rig):
         assert held(run) >= 1
 
 
+@pytest.mark.thorough
 def test_a_hold_that_came_and_went_while_a_call_timed_out_has_the_point_retaken(rig):
-    """In real time: the DAQ's answer is lost; Ctrl-Z twice while its reader waits for it."""
+    """In real time: the DAQ's answer is lost; Ctrl-Z twice while its reader waits for it.
+
+    A busy computer may deliver two Ctrl-Z as one, which pauses. The SIGCONT afterwards lets a
+    paused run continue and changes nothing otherwise.
+    """
     path = rig.folder / "a-bench.toml"
     lost = (
         f'[[fault]]\ndevice = "daq"\nkind = "silence"\nat = {LISTENING + 1}\ncommand = "WAV:DATA"\n'
@@ -304,14 +316,15 @@ def test_a_hold_that_came_and_went_while_a_call_timed_out_has_the_point_retaken(
     )  # fmt: skip
     serving.wait_for("Ctrl-C ends it")
     be_patient(path)
-    impatient = re.sub(r"(\[daq\][^[]*timeout_s = )[0-9.]+", r"\g<1>3.0", path.read_text())
+    impatient = re.sub(r"(\[daq\][^[]*timeout_s = )[0-9.]+", r"\g<1>6.0", path.read_text())
     path.write_text(impatient)
     sweep = rig.start("sweep", "--bench", str(path), "--json", "--no-figures", *SHORT)
-    rig.await_world("acquisition", "digitize", count=LISTENING + 1)
-    time.sleep(1.0)
+    rig.await_world("injected", "silence")  # the reader waits from now on, for 6 s
     for _ in range(2):
         sweep.send(signal.SIGTSTP)
         time.sleep(0.2)
+    sweep.wait_for("(?i)paused")
+    sweep.send(signal.SIGCONT)
     ended = sweep.finish()
     serving.send(signal.SIGINT)
     serving.finish()
@@ -328,12 +341,17 @@ def test_a_hold_that_came_and_went_while_a_call_timed_out_has_the_point_retaken(
     ("world", "options", "code", "told"),
     [
         ("clamp.contact_mm = 13.5", (), 3, "no contact is felt down to 13 mm"),
-        ("clamp.contact_mm = 11.0", (), 3, "before any contact can be (contact_from_mm = 12 mm)"),
-        ("clamp.stiffness_N_mm = 10.0", (), 4, "outside 0 to 14 mm"),
-        ("force_sensor_zero_mV_V = [0.0, 0.0, 3.7]", (), 3, "are saturated"),
-        ("", ("--load", "20N"), 4, "not below 0.8 of the preload of 25 N"),
-        ("", ("--preload", "60N"), 4, "outside -40 to 40 N"),
-        ("", ("--load", "19N", "--preload", "30N"), 4, "outside -40 to 40 N"),
+        *(
+            pytest.param(*case, marks=pytest.mark.thorough)
+            for case in (
+                ("clamp.contact_mm = 11.0", (), 3, "before any contact can be (contact_from_mm"),
+                ("clamp.stiffness_N_mm = 10.0", (), 4, "outside 0 to 14 mm"),
+                ("force_sensor_zero_mV_V = [0.0, 0.0, 3.7]", (), 3, "are saturated"),
+                ("", ("--load", "20N"), 4, "not below 0.8 of the preload of 25 N"),
+                ("", ("--preload", "60N"), 4, "outside -40 to 40 N"),
+                ("", ("--load", "19N", "--preload", "30N"), 4, "outside -40 to 40 N"),
+            )
+        ),
     ],
     ids=[
         "never felt", "in mid-air", "beyond the stage", "saturated",
@@ -348,6 +366,7 @@ def test_what_is_wrong_with_the_preload_ends_in_one_line(rig, world, options, co
     assert True not in rig.outputs()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "told"),
     [("drive-fault", "the axis did not follow"), ("reference-lost", "lost its reference")],
@@ -361,6 +380,7 @@ def test_a_drive_that_fails_on_the_way_to_the_preload_is_told_in_one_line(rig, k
     assert True not in rig.outputs()
 
 
+@pytest.mark.thorough
 def test_a_drive_that_fails_while_the_film_vibrates_is_noticed_within_a_record(rig):
     """The procedure sits in a record of a second and asks the stage nothing."""
     plan = f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\n{MEASURING}'
@@ -377,6 +397,7 @@ def test_a_drive_that_fails_while_the_film_vibrates_is_noticed_within_a_record(r
     assert verify(rig.only("*.h5")) == []
 
 
+@pytest.mark.thorough
 def test_a_sensor_that_freezes_while_the_film_is_pressed_ends_the_run_at_once(rig):
     """Without it the stage would press on, to the drive's torque limit."""
     lasting = SEARCHING + "after_s = 2.1\nfor_s = 2.0\n"
@@ -392,6 +413,7 @@ def test_a_sensor_that_freezes_while_the_film_is_pressed_ends_the_run_at_once(ri
     assert rest(rig) == pytest.approx(5.0, abs=0.02)
 
 
+@pytest.mark.thorough
 def test_what_trips_on_the_way_up_is_told_and_the_way_up_gone_on_with(rig):
     """The points are taken, the stage is half way up: stopping there would leave the film pressed
     where it cannot be seen why."""
@@ -408,6 +430,7 @@ def test_what_trips_on_the_way_up_is_told_and_the_way_up_gone_on_with(rig):
     assert rest(rig) == pytest.approx(5.0, abs=0.02)
 
 
+@pytest.mark.thorough
 def test_a_gap_in_the_force_stream_ends_the_run(rig):
     ended = rig.sweep("--frequencies", "2,3,4", "--fault", rig.fault(silence(SEARCHING, 0.08)))
     assert ended.code == 3, ended.stderr
@@ -416,6 +439,7 @@ def test_a_gap_in_the_force_stream_ends_the_run(rig):
     assert rest(rig) == pytest.approx(5.0, abs=0.02)
 
 
+@pytest.mark.thorough
 def test_the_wrong_fixture_is_refused_before_any_motion(rig):
     path = rig.folder / "bench.toml"
     serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))

@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 
 import pytest
+from tiers import mostly_thorough
 
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
 FREQUENCIES = ("--frequencies", "20,210,310,410,510")
+KINDS = ("silence", "garbage", "close", "truncate", "stale")
 IN_THE_MIDDLE = 14
 """Of the records of this sweep, and so of every command of a record, one after its first point and
 before its last."""
@@ -31,8 +33,8 @@ def assert_points_are_kept(rig, ended):
         assert list(run.point_ids()) == told
 
 
-@pytest.mark.parametrize("kind", ["silence", "garbage", "close", "truncate", "stale"])
-@pytest.mark.parametrize("command", ["WAV:DATA", "DIG", "WAV:COMP"])
+@pytest.mark.parametrize("kind", mostly_thorough(KINDS, ["silence"]))
+@pytest.mark.parametrize("command", mostly_thorough(["WAV:DATA", "DIG", "WAV:COMP"], ["WAV:DATA"]))
 def test_a_daq_that_fails_once_ends_the_run_safely(rig, kind, command):
     plan = f'[[fault]]\ndevice = "daq"\nkind = "{kind}"\ncommand = "{command}"\n'
     plan += f"at = {IN_THE_MIDDLE}\n"
@@ -47,7 +49,7 @@ def test_a_daq_that_fails_once_ends_the_run_safely(rig, kind, command):
     assert_points_are_kept(rig, ended)
 
 
-@pytest.mark.parametrize("kind", ["silence", "garbage", "close", "truncate"])
+@pytest.mark.parametrize("kind", mostly_thorough(KINDS[:4], ["garbage"]))
 def test_a_generator_that_fails_once_is_still_switched_off(rig, kind):
     plan = f'[[fault]]\ndevice = "generator"\nkind = "{kind}"\ncommand = "SOUR1:FREQ"\nat = 4\n'
     ended = rig.sweep(*FREQUENCIES, "--fault", rig.fault(plan))
@@ -94,13 +96,14 @@ def assert_ended_safely(rig, ended, device, points=SLOW_POINTS, least=1):
         assert sorted(run.point_ids()) == sorted(told)
 
 
-@pytest.mark.parametrize("kind", ["silence", "garbage", "close", "truncate", "stale"])
+@pytest.mark.parametrize("kind", mostly_thorough(KINDS, ["close"]))
 def test_a_stage_that_fails_once_ends_the_run_safely(rig, kind):
     plan = plan_of("stage_z", kind, **WHILE_TAKING)
     ended = rig.sweep(*SLOW, "--fault", rig.fault(plan))
     assert_ended_safely(rig, ended, "stage_z")
 
 
+@pytest.mark.thorough
 def test_a_stage_whose_connection_breaks_on_the_way_back_is_at_rest_when_that_is_told(rig):
     ended = rig.sweep(*SLOW, "--fault", rig.fault(plan_of("stage_z", "close", **ON_THE_WAY_BACK)))
     assert "the stage stands and the film may still be pressed: stage_z: " in ended.stderr
@@ -110,6 +113,7 @@ def test_a_stage_whose_connection_breaks_on_the_way_back_is_at_rest_when_that_is
     assert [what for what in stage if what in ("move", "at-rest")][-2:] == ["move", "at-rest"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "lasting"),
     [("garbage", {}), ("close", {}), ("silence", {"for_s": 0.08}), ("truncate", {"for_s": 0.08})],
@@ -125,6 +129,7 @@ def test_a_force_stream_that_breaks_ends_the_run_safely_with_the_film_unloaded(r
     assert "may still be pressed" not in ended.stderr
 
 
+@pytest.mark.thorough
 def test_frames_that_come_late_disturb_nothing(rig):
     plan = plan_of("force_sensor.stream", "stale", **WHILE_TAKING, count=5)
     ended = rig.sweep(*SLOW, "--fault", rig.fault(plan))
@@ -137,6 +142,7 @@ START, STOP = "24", "23"
 """Requests to the amplifier that begin and end its stream."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["silence", "garbage", "close", "truncate", "stale"])
 def test_a_force_sensor_that_fails_to_start_ends_the_run_before_any_motion(rig, kind):
     ended = rig.sweep(*SLOW, "--fault", rig.fault(plan_of("force_sensor", kind, START)))
@@ -145,6 +151,7 @@ def test_a_force_sensor_that_fails_to_start_ends_the_run_before_any_motion(rig, 
     assert "move" not in {entry["what"] for entry in rig.log()}
 
 
+@pytest.mark.thorough
 def test_a_force_stream_that_cannot_be_ended_is_told_but_leaves_nothing_unsafe(rig):
     """A sensor drives nothing. The stream is ended when it is connected, and at the end."""
     ended = rig.sweep(
@@ -176,6 +183,7 @@ def test_an_off_that_fails_too_is_told_after_the_first_cause(rig):
     assert_points_are_kept(rig, ended)
 
 
+@pytest.mark.thorough
 def test_an_off_that_fails_once_is_done_by_the_guard(rig):
     plan = (
         f'[[fault]]\ndevice = "daq"\nkind = "silence"\ncommand = "DIG"\n'
@@ -193,6 +201,7 @@ def test_an_off_that_fails_once_is_done_by_the_guard(rig):
 DEVICES = ("generator", "daq", "stage_z", "force_sensor")
 
 
+@pytest.mark.thorough
 def test_a_bench_that_does_not_answer_at_all_is_told_with_every_device(rig):
     plan = "".join(
         f'[[fault]]\ndevice = "{device}"\nkind = "silence"\ncount = 0\n' for device in DEVICES
@@ -206,6 +215,7 @@ def test_a_bench_that_does_not_answer_at_all_is_told_with_every_device(rig):
     assert not list(rig.results.rglob("*.h5"))
 
 
+@pytest.mark.thorough
 def test_a_film_that_is_not_connected_is_told(rig):
     unconnected = rig.world('film = "open-circuit"\n')
     ended = rig.sweep(*FREQUENCIES, "--longest-point", "2s", "--world", unconnected)
@@ -217,6 +227,7 @@ def test_a_film_that_is_not_connected_is_told(rig):
     assert rig.outputs() == [True, False]
 
 
+@pytest.mark.thorough
 def test_a_load_that_is_never_steady_is_told_when_the_time_of_its_point_is_over(rig):
     """The load cell's channel also carries 0.3 N at 283 Hz: a beat no two short records agree on,
     for as long as hundreds of them take."""
@@ -231,6 +242,7 @@ def test_a_load_that_is_never_steady_is_told_when_the_time_of_its_point_is_over(
     assert rig.outputs() == [True, False]
 
 
+@pytest.mark.thorough
 def test_a_saturated_input_is_told_and_the_points_before_it_are_kept(rig):
     ended = rig.sweep(*FREQUENCIES, "--world", rig.world("film_gain = 500\n"))
 

@@ -9,6 +9,8 @@ from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 from rig.physics.vibrator import drawn_film, true_response
 
+pytestmark = pytest.mark.thorough
+
 FREQUENCIES = "20,210,2100,15000"
 
 

@@ -132,6 +132,7 @@ def stage_log(rig, *whats):
     return [e for e in rig.log() if e["device"] == "stage_z" and e["what"] in whats]
 
 
+@pytest.mark.thorough
 def test_a_held_key_moves_an_axis_up_to_a_limit_and_letting_go_stops_it(rig, jogs):
     """On the command's own bench, where the World keeps the time."""
     typist = jogs("--world-log", str(rig.world_log), "--step", "5mm", "--speed", "3mm/s")
@@ -162,6 +163,7 @@ def test_a_held_key_moves_an_axis_up_to_a_limit_and_letting_go_stops_it(rig, jog
     assert termios.tcgetattr(typist.slave) == typist.before
 
 
+@pytest.mark.thorough
 def test_force_over_the_limit_stops_everything_and_leaves_only_the_way_off(rig, jogs, bench_file):
     typist = jogs("--bench", bench_file, "--largest-force", "4N")
     typist.sees(r"stage_z 10\.000 mm \|")
@@ -184,6 +186,7 @@ def test_force_over_the_limit_stops_everything_and_leaves_only_the_way_off(rig, 
     assert "(tripped)" in log
 
 
+@pytest.mark.thorough
 def test_a_second_trip_on_the_way_off_ends_it(rig, jogs):
     """The sensor's zero is over this limit from the beginning; then something pushes."""
     fault = rig.fault(
@@ -196,6 +199,7 @@ def test_a_second_trip_on_the_way_off_ends_it(rig, jogs):
     assert "every axis is at rest" in shown
 
 
+@pytest.mark.thorough
 def test_a_key_stops_homing(rig, jogs):
     fault = rig.fault('[[fault]]\ndevice = "stage_z"\nkind = "slow"\nafter_s = 0.1\nshare = 0.02\n')
     typist = jogs("--fault", fault)
@@ -231,6 +235,7 @@ def test_ctrl_c_at_a_held_key_ends_in_order_and_a_second_owner_is_refused(rig, j
     assert stage_log(rig, "move", "at-rest")[-1]["what"] == "at-rest"
 
 
+@pytest.mark.thorough
 def test_ctrl_backslash_at_a_held_key_ends_in_order(rig, jogs, bench_file):
     """The terminal turns it into SIGQUIT for every process of its foreground group."""
     typist = jogs("--bench", bench_file, "--largest-force", "30N")
@@ -246,6 +251,7 @@ def test_ctrl_backslash_at_a_held_key_ends_in_order(rig, jogs, bench_file):
     assert stage_log(rig, "move", "at-rest")[-1]["what"] == "at-rest"
 
 
+@pytest.mark.thorough
 def test_a_killed_program_leaves_at_most_a_step_and_the_guard_tells(rig, jogs, bench_file):
     typist = jogs("--bench", bench_file, "--largest-force", "30N")
     typist.sees(r"stage_z 10\.000 mm \|")
@@ -273,6 +279,7 @@ def test_a_killed_program_leaves_at_most_a_step_and_the_guard_tells(rig, jogs, b
     assert "rig resume" not in shown
 
 
+@pytest.mark.thorough
 def test_a_terminal_that_goes_away_ends_it(rig, jogs, bench_file):
     typist = jogs("--bench", bench_file)
     typist.sees(r"stage_z 10\.000 mm \|")

@@ -12,6 +12,8 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
+import pytest
+
 from drivers.simulated.bench.options import Options
 from rig.files.journal.reader import read_journal
 from rig.files.runfile.reader import RunFile
@@ -64,6 +66,7 @@ def test_a_run_that_hangs_is_ended_and_made_safe_by_the_guard(rig):
     assert 10 <= len(journal.kept_ids()) < 60  # what was put last may not have been written
 
 
+@pytest.mark.thorough
 def test_the_drive_of_a_run_that_hangs_stops_by_itself_before_the_guard_comes(rig):
     """In real time, on the longest way there is in free air: nobody talks to the drive any more."""
     path = rig.folder / "a-bench.toml"
@@ -121,6 +124,7 @@ def await_report(path):
     raise AssertionError("the guard never reported")
 
 
+@pytest.mark.thorough
 def test_a_run_whose_guard_was_killed_says_so_and_goes_on(rig):
     running = rig.start_sweep(*SIXTY_POINTS)
     running.wait_for(r"^5/60 ")
@@ -146,6 +150,7 @@ def children_named(module, parent):
     return found
 
 
+@pytest.mark.thorough
 def test_the_bench_ends_by_itself_after_its_run_was_killed(rig):
     running = rig.start_sweep(*SIXTY_POINTS)
     running.wait_for(r"^10/60 ")
@@ -157,6 +162,7 @@ def test_the_bench_ends_by_itself_after_its_run_was_killed(rig):
     assert rig.outputs()[-1] is False
 
 
+@pytest.mark.thorough
 def test_a_run_killed_while_it_starts_leaves_no_bench_behind(rig):
     running = rig.start_sweep()
     while not rig.world_log.exists():
@@ -169,6 +175,7 @@ def test_a_run_killed_while_it_starts_leaves_no_bench_behind(rig):
     assert rig.outputs()[-1:] in ([], [False])
 
 
+@pytest.mark.thorough
 def test_a_bench_whose_owner_died_before_it_listened_ends_by_itself(rig):
     options = Options(slaved=True, world_log=str(rig.world_log), linger_s=0.1)
     bench = subprocess.Popen(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+from tiers import mostly_thorough
 
 REFUSED = {
     "load beyond the load cell": (
@@ -53,9 +54,14 @@ REFUSED = {
     "wrong unit": (("--load", "3V"), 2, "--load 3V: 'V' does not convert to N"),
     "rate too low": (("--rate", "40"), 2, "cannot carry"),
 }
+REFUSED_BY_DEFAULT = (
+    "load and preload beyond the force sensor",
+    "drive beyond the generator",
+    "wrong unit",
+)
 
 
-@pytest.mark.parametrize("case", REFUSED)
+@pytest.mark.parametrize("case", mostly_thorough(REFUSED, REFUSED_BY_DEFAULT))
 def test_refused_before_anything_is_switched_on(rig, case):
     arguments, code, words = REFUSED[case]
     given = arguments if "--frequencies" in arguments[0] else ("--frequencies", "20", *arguments)
@@ -85,7 +91,7 @@ TRIPPED = {
 retake, which is then right; a force sensor that trips tells nothing of the drive."""
 
 
-@pytest.mark.parametrize("sensor", TRIPPED)
+@pytest.mark.parametrize("sensor", mostly_thorough(TRIPPED, ["load cell"]))
 def test_a_load_over_the_limit_trips_and_is_retried_once(rig, sensor):
     """A first drive that is far too strong."""
     frequency, world, preload, words, code = TRIPPED[sensor]
@@ -104,6 +110,7 @@ def test_a_load_over_the_limit_trips_and_is_retried_once(rig, sensor):
     assert f"retaking point {frequency}Hz-1N once" in ended.stderr
 
 
+@pytest.mark.thorough
 def test_a_drive_that_the_sweep_computes_beyond_the_generator_is_refused_with_its_point(rig):
     """The load cell shows a hundredth of the load: the drive is raised until the guarded generator
     refuses it. At 3 kHz the force sensor feels nothing of that."""

@@ -6,6 +6,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from tiers import mostly_thorough
 
 LISTENING = "0A"
 """State of a socket in /proc/net/tcp."""
@@ -29,7 +30,7 @@ def listening_addresses(pid: int) -> list[str]:
     return addresses
 
 
-@pytest.mark.parametrize("link", ["socket", "hislip"])
+@pytest.mark.parametrize("link", mostly_thorough(["socket", "hislip"], ["socket"]))
 def test_every_server_listens_on_127_0_0_1_only(rig, link):
     world = rig.world(f'generator_link = "{link}"\n')
     running = rig.start("simulate", "--write", "bench.toml", "--world", world)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 
 import pytest
+from tiers import mostly_thorough
 
 INSIDE = """
 name = "real"
@@ -50,7 +51,7 @@ def violations(rig):
     return [entry["value"] for entry in rig.log() if entry["what"] == "violation"]
 
 
-@pytest.mark.parametrize("what", OBJECTS)
+@pytest.mark.parametrize("what", mostly_thorough(OBJECTS, ["film"]))
 def test_a_trip_on_the_way_to_a_parking_place_inside_the_object_goes_back_not_deeper(rig, what):
     """Parking itself presses: z is stopped, and goes back to where it came from."""
     contact_mm = OBJECTS[what][3]
@@ -70,6 +71,7 @@ def test_a_trip_on_the_way_to_a_parking_place_inside_the_object_goes_back_not_de
     assert story[-1][1] < contact_mm
 
 
+@pytest.mark.thorough
 def test_a_stop_on_the_way_down_to_the_parking_place_does_not_continue_down(rig):
     """In free air, in a trial's first way to where it parks: back, though nothing is pressed."""
     plan = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 30.0\nfor_s = 0.02\n'
@@ -91,7 +93,7 @@ def test_a_stop_on_the_way_down_to_the_parking_place_does_not_continue_down(rig)
 STILL_PRESSED = {"a little": (3.0, 3, "error: stage_z: unload: "), "over the limit": (60.0, 7, "")}
 
 
-@pytest.mark.parametrize("how", STILL_PRESSED)
+@pytest.mark.parametrize("how", mostly_thorough(STILL_PRESSED, ["a little"]))
 def test_what_is_still_pressed_after_the_last_way_up_is_reported(rig, how):
     """Something lies on the sensor while the stage goes up after the last point."""
     force_N, code, begins = STILL_PRESSED[how]
@@ -107,7 +109,7 @@ def test_what_is_still_pressed_after_the_last_way_up_is_reported(rig, how):
     assert motion(rig)[-1] == ("at-rest", pytest.approx(5.0, abs=0.02))
 
 
-@pytest.mark.parametrize("parked_mm", [11.8, 12.9])
+@pytest.mark.parametrize("parked_mm", mostly_thorough([11.8, 12.9], [11.8]))
 def test_a_parking_place_that_is_not_clear_is_refused_and_the_bench_can_be_made_safe(
     rig, parked_mm
 ):

@@ -24,6 +24,7 @@ def bench_file(rig):
     assert ended.code == 0, ended.stderr
 
 
+@pytest.mark.thorough
 def test_the_same_sweep_runs_on_a_bench_file_in_real_time(rig, bench_file):
     ended = rig.run(
         "sweep", "--bench", str(bench_file), "--json", "--no-figures", "--frequencies", "210,2100"
@@ -40,6 +41,7 @@ def test_the_same_sweep_runs_on_a_bench_file_in_real_time(rig, bench_file):
         assert run.header.bench_toml == bench_file.read_text()
 
 
+@pytest.mark.thorough
 def test_a_simulated_bench_whose_file_hides_it_is_still_marked(rig, bench_file):
     """The instruments admit it themselves: their serial numbers begin with SIM."""
     text = bench_file.read_text()
@@ -54,6 +56,7 @@ def test_a_simulated_bench_whose_file_hides_it_is_still_marked(rig, bench_file):
         assert run.outcome.simulated
 
 
+@pytest.mark.thorough
 def test_an_amplitude_that_the_generator_clips_is_a_failure(rig, bench_file):
     """-222 means that the instrument applied another value than it was asked for."""
     import pyvisa
@@ -80,6 +83,7 @@ def test_an_amplitude_that_the_generator_clips_is_a_failure(rig, bench_file):
     assert verify(rig.only("*.h5")) == []
 
 
+@pytest.mark.thorough
 def test_a_bench_that_disappears_is_told_and_the_next_start_is_refused(rig, bench_file):
     """The output could not be switched off: exit 7, and nobody starts before somebody looked."""
     text = bench_file.read_text()
@@ -97,6 +101,7 @@ def test_a_bench_that_disappears_is_told_and_the_next_start_is_refused(rig, benc
     assert can.code == 0
 
 
+@pytest.mark.thorough
 def test_a_killed_run_leaves_a_bench_that_the_guard_made_safe(rig, bench_file):
     running = rig.start(
         "sweep", "--bench", str(bench_file), "--no-figures",
@@ -128,6 +133,7 @@ def test_an_unsafe_report_keeps_the_next_run_from_starting(rig, bench_file):
     assert rig.run("sweep", "--bench", str(bench_file), "--frequencies", "210").code == 0
 
 
+@pytest.mark.thorough
 def test_a_second_run_on_the_bench_is_refused_and_disturbs_nothing(rig, bench_file):
     many = ",".join(str(f) for f in range(300, 6300, 100))
     running = rig.start(

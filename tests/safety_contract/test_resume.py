@@ -6,6 +6,7 @@ import re
 import signal
 
 import numpy as np
+import pytest
 
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
@@ -16,6 +17,7 @@ SIXTY_POINTS = ("--frequencies", ",".join(f"{300 * 1.05**k:.6g}" for k in range(
 """No round numbers: what remains of mains and ringing would be alike at all of them."""
 
 
+@pytest.mark.thorough
 def test_a_resumed_sweep_equals_an_uninterrupted_one(rig):
     whole = rig.sweep(*SIXTY_POINTS)
     assert whole.code == 0, whole.stderr
@@ -52,6 +54,7 @@ GRID = ("--lowest", "200", "--fine-per-decade", "20", "--highest", "12000", *SET
 """A grid of its own, with two drops that a second plan looks at."""
 
 
+@pytest.mark.thorough
 def test_a_sweep_interrupted_in_its_second_plan_goes_on_there(rig):
     running = rig.start_sweep(*GRID)
     second = running.wait_for(r"^sweep: \d+ further points \(\d+ done\), about ")
@@ -77,6 +80,7 @@ def test_a_sweep_interrupted_in_its_second_plan_goes_on_there(rig):
     assert sorted(taken) == sorted(after), "every point exactly once, those of both plans"
 
 
+@pytest.mark.thorough
 def test_a_complete_run_is_not_resumed(rig):
     done = rig.sweep("--frequencies", "20")
     again = rig.run("resume", done.object["file"])
@@ -102,6 +106,7 @@ def test_a_journal_that_was_edited_is_not_resumed(rig):
     assert "journal" in again.errors[0] or "rigj" in again.errors[0]
 
 
+@pytest.mark.thorough
 def test_a_simulated_run_is_resumed_on_a_simulated_bench_whatever_lies_beside(rig):
     running = rig.start_sweep("--frequencies", "300,400,500,600,700,800", *SETTLING)
     running.wait_for(r"^1/6 ")
@@ -114,6 +119,7 @@ def test_a_simulated_run_is_resumed_on_a_simulated_bench_whatever_lies_beside(ri
     assert resumed.object["points_done"] == 6
 
 
+@pytest.mark.thorough
 def test_a_run_whose_bench_is_gone_has_lost_nothing(rig):
     """What an earlier attempt has kept is told, though nothing answers."""
     path = rig.folder / "bench.toml"

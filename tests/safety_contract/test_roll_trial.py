@@ -52,6 +52,7 @@ def the_reading(rig):
         return reading
 
 
+@pytest.mark.thorough
 @pytest.mark.stages("festo", because="its servo does not hold the force at the speed of Figure 19")
 @pytest.mark.parametrize(
     ("start", "v_1", "v_2"), [("-5", 5.7, -3.8), ("-6.5", -11.7, -14.3)], ids=["19b", "19a"]
@@ -87,6 +88,7 @@ def test_both_patterns_of_a_roll(rig, start, v_1, v_2):
     assert "SIMULATED" in file.with_suffix(".svg").read_text("utf-8")
 
 
+@pytest.mark.thorough
 def test_x_takes_back_what_the_axis_is_off(rig):
     ended = roll(rig, roller(2.0))
     assert ended.code == 0, ended.stderr
@@ -98,6 +100,7 @@ def test_x_takes_back_what_the_axis_is_off(rig):
     assert_off_the_object(rig)
 
 
+@pytest.mark.thorough
 def test_an_offset_that_nothing_takes_back_is_refused(rig):
     ended = roll(rig, roller(2.0), "--alignment", "measure")
     assert ended.code == 4, ended.stderr
@@ -128,6 +131,7 @@ TROUBLES = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", TROUBLES)
 def test_a_rotary_stage_that_fails_in_the_roll_is_told_and_the_skin_lifted(rig, what):
     kind, words = TROUBLES[what]
@@ -141,6 +145,7 @@ def test_a_rotary_stage_that_fails_in_the_roll_is_told_and_the_skin_lifted(rig, 
     assert touched == ["touch-down", "lift-off"]
 
 
+@pytest.mark.thorough
 def test_ctrl_c_in_a_roll_stops_it_and_lifts_off_and_a_resume_rolls_again(rig):
     running = rig.start(
         "roll-trial", "--no-figures", "--world-log", str(rig.world_log), "--alignment", "none",
@@ -162,10 +167,10 @@ def test_ctrl_c_in_a_roll_stops_it_and_lifts_off_and_a_resume_rolls_again(rig):
 
 REFUSED = [
     (("--angle", "80"), "angle of the roll"),
-    (("--start", "-80"), "start of the roll"),
+    pytest.param(("--start", "-80"), "start of the roll", marks=pytest.mark.thorough),
     (("--turn-speed", "90"), "90 deg/s is outside"),
-    (("--profile-times", "0,1"), "each time needs its angle"),
-    (("--tick", "600"), "500"),
+    pytest.param(("--profile-times", "0,1"), "needs its angle", marks=pytest.mark.thorough),
+    pytest.param(("--tick", "600"), "500", marks=pytest.mark.thorough),
 ]
 
 

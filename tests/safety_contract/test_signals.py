@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from tiers import mostly_thorough
 
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
@@ -28,7 +29,11 @@ CALLED = {
 }
 
 
-@pytest.mark.parametrize("number", STOPS, ids=lambda number: number.name)
+@pytest.mark.parametrize(
+    "number",
+    mostly_thorough(STOPS, [signal.SIGINT, signal.SIGTERM]),
+    ids=lambda number: number.name,
+)
 def test_a_signal_in_the_middle_ends_the_run_in_order(rig, number):
     running = rig.start_sweep(*SIXTY_POINTS)
     running.wait_for(r"^5/60 ")
@@ -53,6 +58,7 @@ def test_a_signal_in_the_middle_ends_the_run_in_order(rig, number):
         assert len(run.point_ids()) == told["points_done"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGQUIT], ids=lambda number: number.name)
 def test_what_a_key_of_the_terminal_sends_ends_neither_the_bench_nor_the_guard(rig, number):
     running = rig.start_sweep(*SIXTY_POINTS)
@@ -71,6 +77,7 @@ def test_what_a_key_of_the_terminal_sends_ends_neither_the_bench_nor_the_guard(r
     assert ended.object["points_done"] == 60
 
 
+@pytest.mark.thorough
 def test_a_signal_before_the_bench_is_connected_switches_nothing_on(rig):
     running = rig.start_sweep()
     rig.await_world("ch1.load_ohm")
@@ -97,6 +104,7 @@ def test_further_signals_do_not_disturb_the_clean_up(rig):
     assert verify(rig.only("*.h5")) == []
 
 
+@pytest.mark.thorough
 def test_a_stop_while_waiting_is_seen_within_the_wait(rig):
     """A sweep that settles for an hour at its only point stops at once, not after the hour."""
     running = rig.start_sweep("--frequencies", "20", "--settling", "60")
@@ -124,7 +132,9 @@ def assert_stopped_in_order(rig, ended, number):
     assert verify(rig.only("*.h5")) == []
 
 
-@pytest.mark.parametrize("number", STOPS, ids=lambda number: number.name)
+@pytest.mark.parametrize(
+    "number", mostly_thorough(STOPS, [signal.SIGINT]), ids=lambda number: number.name
+)
 def test_a_signal_while_paused_ends_the_run_in_order(rig, number):
     running = rig.start_sweep(*SIXTY_POINTS)
     running.wait_for(r"^5/60 ")
@@ -135,6 +145,7 @@ def test_a_signal_while_paused_ends_the_run_in_order(rig, number):
     assert rig.outputs() == [True, False]
 
 
+@pytest.mark.thorough
 def test_a_signal_while_a_pause_makes_the_bench_safe_waits_for_that_and_ends_the_run(rig):
     """The generator is off already, the stage on its way up: it gets there."""
     running = rig.start_sweep(*SIXTY_POINTS)
@@ -145,6 +156,7 @@ def test_a_signal_while_a_pause_makes_the_bench_safe_waits_for_that_and_ends_the
     assert_stopped_in_order(rig, running.finish(), signal.SIGINT)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", STOPS, ids=lambda number: number.name)
 def test_a_signal_while_the_program_starts_has_the_same_exit_code(rig, number):
     running = rig.start_sweep()
@@ -167,6 +179,7 @@ def names_log(rig, cmdline):
         return False
 
 
+@pytest.mark.thorough
 def test_a_run_outlasts_the_terminal_that_it_speaks_to(rig):
     """Nobody reads stderr or stdout any more; only the run file can tell how it ended."""
     running = subprocess.Popen(
@@ -188,6 +201,7 @@ def test_a_run_outlasts_the_terminal_that_it_speaks_to(rig):
         assert run.outcome.status == "complete"
 
 
+@pytest.mark.thorough
 def test_a_stop_is_acknowledged_and_the_last_line_says_how_to_resume(rig):
     running = rig.start_sweep(*SIXTY_POINTS)
     running.wait_for(r"^5/60 ")
@@ -206,6 +220,7 @@ def test_a_usage_error_gives_an_object_too(rig):
         assert wrong.split("=")[0] in ended.object["errors"][0]
 
 
+@pytest.mark.thorough
 def test_a_log_that_cannot_be_written_disturbs_no_run(rig):
     (rig.results / "rig.log").mkdir(parents=True)
     ended = rig.sweep("--load=1000N", "--frequencies", "210")

@@ -82,6 +82,7 @@ def take_on_a_slaved_bench(folder, stages, world, records):
     (folder / "outcome.json").write_text(json.dumps(told))
 
 
+@pytest.mark.thorough
 def test_calibrated_strips_are_told_as_load_rates_with_their_error(rig, tmp_path):
     files = {
         "strip_1": write_calibration(record("film 7", days=5.0), tmp_path),
@@ -140,6 +141,7 @@ def test_records_that_do_not_serve_are_refused_in_one_line_before_any_motion(rig
     assert "move" not in {entry["what"] for entry in rig.log()}
 
 
+@pytest.mark.thorough
 def test_strips_without_a_record_are_said_to_have_none(rig):
     given = ("--world-log", str(rig.world_log), "--no-figures", "--json")
     ended = rig.run("slip-trial", *given, *SHORT)

@@ -70,6 +70,7 @@ X_TROUBLES = {
 """Kinds of fault, and words for them; empty: the model's own."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", X_TROUBLES)
 def test_a_stage_that_fails_in_the_slide_is_told_and_the_skin_lifted(rig, what):
     kind, words = X_TROUBLES[what]
@@ -80,6 +81,7 @@ def test_a_stage_that_fails_in_the_slide_is_told_and_the_skin_lifted(rig, what):
     assert_kept_until_sliding(rig)
 
 
+@pytest.mark.thorough
 def test_a_stage_that_is_held_before_contact_is_told_with_where_it_stands(rig):
     """Small targets ahead of it never make it lag: that it does not come there must be noticed."""
     ended = take(
@@ -90,6 +92,7 @@ def test_a_stage_that_is_held_before_contact_is_told_with_where_it_stands(rig):
     last_of(rig, "stage_z")
 
 
+@pytest.mark.thorough
 def test_a_lift_that_fails_leaves_both_stages_at_rest_and_says_so(rig):
     ended = take(rig, "", f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\n{SLIDING}')
     assert_told(ended, 3, f"stage_z: {rig.bench.z.fault}")
@@ -114,6 +117,7 @@ def test_a_drive_that_goes_away_in_the_slide_does_not_keep_the_skin_pressed(rig)
     assert_kept_until_sliding(rig)
 
 
+@pytest.mark.thorough
 def test_a_force_channel_that_saturates_ends_the_trial(rig):
     """3.5 mV/V are 290 N along z: somebody hits the plate."""
     hit = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 500.0\nfor_s = 0.02\n'
@@ -129,6 +133,7 @@ FRAMES = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", FRAMES)
 def test_bytes_lost_on_the_serial_line_end_the_trial(rig, what):
     """What is lost without a trace is missed by counting against time, half a second later."""
@@ -140,6 +145,7 @@ def test_bytes_lost_on_the_serial_line_end_the_trial(rig, what):
     assert_kept_until_sliding(rig)
 
 
+@pytest.mark.thorough
 def test_a_daq_whose_buffer_overruns_ends_the_trial(rig):
     ended = take(rig, "", f'[[fault]]\ndevice = "daq"\nkind = "overrun"\n{SLIDING}')
     assert_told(ended, 3, "daq: WAV:STAT?: its buffer overran after row")
@@ -151,6 +157,7 @@ def test_a_daq_whose_buffer_overruns_ends_the_trial(rig):
     assert f"after row {rows};" in ended.errors[0], "all that came before is kept, no more"
 
 
+@pytest.mark.thorough
 def test_short_blocks_are_taken_as_fast_as_they_come(rig):
     """The DAQ's buffer holds two strips for 0.3 s, looks at it are at most 40 ms apart."""
     ended = take(rig, "daq_buffer_samples = 6000\n", "", "--block", "2ms")
@@ -158,6 +165,7 @@ def test_short_blocks_are_taken_as_fast_as_they_come(rig):
     assert "overrun" not in [e["value"] for e in rig.log() if e["what"] == "acquisition"]
 
 
+@pytest.mark.thorough
 def test_a_block_of_samples_that_is_lost_on_the_wire_ends_the_trial(rig):
     fault = '[[fault]]\ndevice = "daq"\nkind = "truncate"\ncommand = "WAV:DATA"\n'
     ended = take(rig, "", fault + SLIDING)

@@ -90,6 +90,7 @@ def touch_downs(rig):
     return [entry["what"] for entry in rig.log()].count("touch-down")
 
 
+@pytest.mark.thorough
 def test_fast_slides_are_rehearsed_and_a_series_begins_near_the_known_contact(rig):
     """As much friction as the stages allow at 6 mm/s: the servo alone misses 5 % by far (decision
     0035)."""
@@ -118,6 +119,7 @@ def test_fast_slides_are_rehearsed_and_a_series_begins_near_the_known_contact(ri
         assert run.column("contact") == pytest.approx(12.405, abs=0.01)
 
 
+@pytest.mark.thorough
 def test_a_tangential_force_rises_evenly_until_the_skin_slips(rig):
     """4 N/s at 100 ticks a second; what takes its time is judged in ticks."""
     tick_s = 1 / rig.bench.both_Hz
@@ -146,6 +148,7 @@ def test_a_tangential_force_rises_evenly_until_the_skin_slips(rig):
     )
 
 
+@pytest.mark.thorough
 def test_the_same_seed_gives_the_same_samples(rig):
     found = []
     for _ in range(2):
@@ -161,7 +164,7 @@ def test_the_same_seed_gives_the_same_samples(rig):
 
 @pytest.mark.parametrize(
     ("number", "code"),
-    [(signal.SIGINT, 130), (signal.SIGQUIT, 131)],
+    [(signal.SIGINT, 130), pytest.param(signal.SIGQUIT, 131, marks=pytest.mark.thorough)],
     ids=["ctrl-c", "ctrl-backslash"],
 )
 def test_a_key_that_ends_it_in_a_slide_lifts_off_and_keeps_what_was_recorded(rig, number, code):
@@ -185,6 +188,7 @@ def test_a_key_that_ends_it_in_a_slide_lifts_off_and_keeps_what_was_recorded(rig
     assert kept["force"].values("F_n").max() > 3.5
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("contact_mm", "said"),
     [(13.6, "no contact is felt down to 13 mm"), (11.85, "before any contact can be")],
@@ -203,6 +207,7 @@ def test_contact_in_the_wrong_place_ends_in_one_line(rig, contact_mm, said):
 STANDS = "the stage stands and the skin may still be pressed: stage_z: "
 
 
+@pytest.mark.thorough
 def test_a_drive_that_fails_on_the_last_way_up_fails_the_run(rig):
     """Its tasks: parked twice, close to the plate, pressed, lifted; the sixth makes the bench safe.
     The trial was over by then and is kept."""
@@ -221,6 +226,7 @@ def test_a_drive_that_fails_on_the_last_way_up_fails_the_run(rig):
         assert run.point_ids() == ["trial-001"]
 
 
+@pytest.mark.thorough
 def test_a_drive_that_fails_in_a_slide_leaves_the_skin_pressed_and_says_so(rig):
     """The cause first; that the skin may still be pressed is what came of it."""
     sliding = 'move = 2\nof = "stage_x"\nafter_s = 3.0\n'
@@ -243,6 +249,7 @@ def test_a_drive_that_fails_in_a_slide_leaves_the_skin_pressed_and_says_so(rig):
     assert "lift-off" not in story
 
 
+@pytest.mark.thorough
 def test_a_force_over_the_limit_lifts_off_and_ends_the_run_after_one_retake(rig):
     ended = rig.run(*arguments(rig, *SHORT, "--largest-force", "4.01N"))
     assert ended.code == 4, ended.stderr
@@ -250,6 +257,7 @@ def test_a_force_over_the_limit_lifts_off_and_ends_the_run_after_one_retake(rig)
     assert_off_the_plate(rig)
 
 
+@pytest.mark.thorough
 def test_trials_that_do_not_count_are_made_again_kept_and_told(rig):
     hard = ("--force-error-rms", "0.001percent", "--overshoot", "0.002percent")
     hard += ("--retry-invalid", "1")
@@ -271,11 +279,16 @@ def test_trials_that_do_not_count_are_made_again_kept_and_told(rig):
     ("given", "code", "said"),
     [
         (("--normal-force", "20N"), 2, "is not below"),
-        (("--loading", "ramp", "--ramp-to", "16N"), 2, "--ramp-to 16 is not below --largest-force"),
         (("--distance", "45mm"), 4, "stage_x position 55 mm is outside 0 to 40 mm"),
-        (("--speed", "90mm/s"), 4, "stage_x speed 90 mm/s is outside"),
-        (("--rate", "10500"), 2, "not a whole multiple of 1000"),
-        (("--direction", "up"), 2, "direction"),
+        *(
+            pytest.param(*case, marks=pytest.mark.thorough)
+            for case in (
+                (("--loading", "ramp", "--ramp-to", "16N"), 2, "16 is not below --largest-force"),
+                (("--speed", "90mm/s"), 4, "stage_x speed 90 mm/s is outside"),
+                (("--rate", "10500"), 2, "not a whole multiple of 1000"),
+                (("--direction", "up"), 2, "direction"),
+            )
+        ),
     ],
 )
 def test_what_cannot_be_done_is_refused_before_anything_moves(rig, given, code, said):
@@ -285,6 +298,7 @@ def test_what_cannot_be_done_is_refused_before_anything_moves(rig, given, code, 
     assert not [e for e in rig.log() if e["what"] == "move"] if rig.world_log.exists() else True
 
 
+@pytest.mark.thorough
 def test_the_film_clamp_is_the_wrong_fixture(rig):
     simulator = rig.start("simulate", "--write", "sim.toml")
     simulator.wait_for("sim.toml")
@@ -295,6 +309,7 @@ def test_the_film_clamp_is_the_wrong_fixture(rig):
     simulator.finish()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("tick_Hz", [100, 500])
 def test_what_a_stalled_computer_keeps_from_its_ticks_is_left_out_and_nothing_is_lost(rig, tick_Hz):
     """Bench time goes on for 0.1 s without the run, in the slide: the servo takes the force up

@@ -45,6 +45,7 @@ def test_a_disk_that_fills_up_ends_the_run_safely(rig):
     assert rig.run("verify", recovered.stdout.strip()).code == 0
 
 
+@pytest.mark.thorough
 def test_a_results_folder_that_cannot_be_written_is_told_before_anything_moves(rig):
     (rig.folder / "results").write_text("a file where a folder should be")
     ended = rig.sweep("--frequencies", "20")
@@ -73,6 +74,7 @@ def disk(kind, **keys):
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "cause"), [("disk-full", "No space left"), ("read-only", "Read-only file system")]
 )
@@ -91,6 +93,7 @@ def test_a_disk_that_gives_out_in_the_run_ends_it_safely_with_what_it_had_taken(
     assert rig.run("verify", recovered.stdout.strip()).code == 0
 
 
+@pytest.mark.thorough
 def test_a_disk_that_is_read_only_from_the_start_is_told_before_anything_moves(rig):
     ended = rig.sweep("--frequencies", "300", "--fault", rig.fault(disk("read-only")))
     assert ended.code == 1, ended.stderr
@@ -99,6 +102,7 @@ def test_a_disk_that_is_read_only_from_the_start_is_told_before_anything_moves(r
     assert True not in rig.outputs()
 
 
+@pytest.mark.thorough
 def test_a_slow_disk_only_costs_time(rig):
     ended = rig.sweep(
         "--frequencies", "300,600", "--fault", rig.fault(disk("slow-sync", delay_s=0.6))
@@ -108,6 +112,7 @@ def test_a_slow_disk_only_costs_time(rig):
     assert verify(rig.only("*.h5")) == []
 
 
+@pytest.mark.thorough
 def test_a_bench_that_others_record_from_has_no_disk_to_fail(rig):
     ended = rig.run("simulate", "--fault", rig.fault(disk("read-only")))
     assert ended.code == 2

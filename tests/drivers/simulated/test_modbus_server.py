@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from patience import TIMEOUT_S
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
@@ -27,8 +28,6 @@ from drivers.simulated.transports.modbus_tcp import (
 )
 
 from .ideal import serving
-
-TIMEOUT_S = 0.15
 
 
 class Registers:

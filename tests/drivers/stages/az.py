@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from patience import TIMEOUT_S
 from simulated.axis_bench import AxisBench
 from simulated.ideal import serving
 
@@ -21,7 +22,6 @@ from drivers.simulated.transports.serial_server import PtyServer
 
 from .clock import BenchClock
 
-TIMEOUT_S = 0.15
 STEPS = 1000
 OWN: dict[str, Any] = {
     "parity": "N",

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from patience import TIMEOUT_S
 from simulated.axis_bench import AxisBench
 from simulated.ideal import serving
 
@@ -19,7 +20,6 @@ from drivers.simulated.transports.modbus_tcp import ModbusTcpServer
 
 from .clock import BenchClock
 
-TIMEOUT_S = 0.15
 OWN: dict[str, Any] = {
     "axis": "z",
     "host": "127.0.0.1",

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from patience import TIMEOUT_S, UNDISTURBED_S
 from simulated.ideal import IdealBench, serving
 
 from drivers.simulated.faults.plan import FaultPlan, RotaryFault
@@ -24,7 +25,6 @@ from drivers.zaber_rst.settings import ZaberRstSettings
 
 from .clock import BenchClock
 
-TIMEOUT_S = 0.3
 OWN: dict[str, Any] = {
     "timeout_s": TIMEOUT_S,
     "microstep_deg": 0.00015625,
@@ -81,7 +81,8 @@ class Service:
         plan = FaultPlan.model_validate({"fault": [{"device": "it", **fault}] if fault else []})
         faults = WireFaults(plan, "it", ZABER_DIALECT)
         self.server = PtyServer(self.wire, self.bench, slaved=True, faults=faults)
-        self._own = {**OWN, **own}
+        patience = {} if fault or stage.get("faults") else {"timeout_s": UNDISTURBED_S}
+        self._own = {**OWN, **patience, **own}
         self.axes: list[ZaberAxis] = []
 
     @property
