@@ -58,8 +58,10 @@ def test_a_journal_is_compiled_judged_and_drawn(tmp_path: Path) -> None:
     assert result.figures == (tmp_path / "a.png", tmp_path / "a.svg")
     assert all(figure.stat().st_size > 1000 for figure in result.figures)
     assert result.processed is not None
-    found = detection.detect_file(detection.Job(result.file, named_detectors()["paper-hp"]))
-    assert isinstance(found, detection.Found)
+    found = detection.detect_file(
+        detection.DetectionJob(result.file, named_detectors()["paper-hp"])
+    )
+    assert isinstance(found, detection.DetectionResult)
     assert found.kept, "as `rig detect` makes it"
     assert found.file == result.processed
 
@@ -98,7 +100,7 @@ def test_a_figure_that_fails_is_told_and_the_rest_is_done(tmp_path: Path) -> Non
     assert result.processed is not None
     assert result.figures == ()
     (warning,) = result.warnings
-    assert warning.startswith("a.h5: not drawn: ")
+    assert warning.startswith("a.h5: the figure slip-trial (")
 
 
 def test_a_journal_that_is_none_is_told(tmp_path: Path) -> None:

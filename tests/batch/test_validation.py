@@ -16,6 +16,7 @@ from rig.batch.plan.findings import RefusedBatchError
 from rig.batch.plan.settings import BatchFile
 from rig.batch.plan.validate import BenchConnector, ValidationResult, validate
 from rig.bench.connected import Bench
+from rig.bench.link_worker import LinkWorkers
 from rig.bench.plan import BenchPlan, InstrumentPlan, parse_bench
 from rig.bench.settings import Fixture
 from rig.core.clock import WallClock
@@ -92,7 +93,9 @@ def benches() -> tuple[BenchConnector, list[Fixture]]:
     def connected(fixture: Fixture) -> Iterator[Bench]:
         asked.append(fixture)
         text = BENCH.replace("plate", fixture) + LOAD_CELL
-        yield Bench(equipped(parse_bench(text, "simulated")), WallClock(), INSTRUMENTS)
+        clock = WallClock()
+        plan = equipped(parse_bench(text, "simulated"))
+        yield Bench(plan, clock, INSTRUMENTS, LinkWorkers(clock))
 
     return connected, asked
 

@@ -70,7 +70,7 @@ def test_a_sensor_that_is_too_slow_is_refused_before_anything_moves(
     run, least_S_s = SlowSensor(rate_S_s), max(tick_Hz, MIN_FORCE_RATE_S_S)
     words = rf"sends {rate_S_s:g} frames/s, .* at {tick_Hz:g} Hz needs {least_S_s:g} or more"
     with pytest.raises(LimitError, match=words):
-        arm_pressed(run, "slide", _move, _move, tick_Hz)  # type: ignore[arg-type]
+        arm_pressed(run, "slide", _move, _move, "x stage stopped", tick_Hz)  # type: ignore[arg-type]
 
 
 def _move() -> None:
