@@ -109,7 +109,7 @@ def test_help_lists_every_other_procedure_and_what_is_unavailable(rig: Any, brok
     assert shown.stderr == ""
     text = " ".join(shown.stdout.split())
     assert " sweep " in text
-    assert " make-safe Bring every instrument" in text
+    assert " make-safe Put every instrument" in text
     if broken in SEEN_IN_SOURCE:
         assert "creep (unavailable: lab-creep: " in text
     else:
