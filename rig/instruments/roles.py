@@ -292,9 +292,10 @@ class ForceFrames:
     first_index: int
     """Index of the first frame since the stream was started."""
     raw: npt.NDArray[np.float32]
-    """As the sensor sent them: (n, 3), in `raw_unit`."""
+    """As the sensor sent them: (n, 3), in `raw_unit`; 0 on axes that the sensor lacks."""
     force_N: npt.NDArray[np.float64]
-    """(n, 3): forces along the sensor's x, y, z after matrix and tare."""
+    """(n, 3): forces along the sensor's x, y, z after matrix and tare, 0 on axes that it lacks.
+    What presses on the sensor is positive along z."""
     saturated: npt.NDArray[np.bool_]
     """(n,): the amplifier's converter was at its end."""
     raw_unit: str = "mV/V"
@@ -305,9 +306,11 @@ class ForceFrames:
 
 
 class ForceSensor(Instrument, Protocol):
-    """A three-axis force sensor that streams. Its link is owned by one reader thread.
+    """A force sensor with up to three axes that streams. One reader thread calls `read`, others
+    call the rest meanwhile.
 
-    `reach` holds ``rate`` in frames/s and ``force`` in N.
+    `reach` holds ``rate`` in frames/s, with twice the same value where it is fixed, and ``force``
+    in N.
     """
 
     @property
@@ -321,7 +324,7 @@ class ForceSensor(Instrument, Protocol):
         ...
 
     def start(self, rate_S_s: float) -> float:
-        """Begin to stream; returns the rate that the amplifier reports."""
+        """Begin to stream at the nearest rate that the sensor has; returns that rate."""
         ...
 
     def read(self) -> ForceFrames | None:
@@ -336,7 +339,7 @@ class ForceSensor(Instrument, Protocol):
         ...
 
     def calibrate(self, matrix_N_mV_V: Sequence[Sequence[float]]) -> None:
-        """Use this matrix, force in N by bridge output in mV/V, from the next `read` on."""
+        """Use this matrix, force in N by `raw` (mV/V, or N), from the next `read` on."""
         ...
 
     def tare(self, zero_mV_V: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -81,6 +81,14 @@ def test_the_page_has_every_file_that_it_lists() -> None:
     }
 
 
+def put_on_tcp(site: Path) -> None:
+    """Give the page's simulator a TCP port instead of a serial one."""
+    simulator = site / "acme_f10" / "simulator.py"
+    text = simulator.read_text()
+    assert '"serial"' in text
+    simulator.write_text(text.replace('"serial"', '"tcp"'))
+
+
 def run_contract(site: Path, *options: str) -> subprocess.CompletedProcess[str]:
     """Run the page's contract test as its author would, in a pytest of its own."""
     start = [sys.executable, "-m", "pytest", "-q", "-c", os.devnull, "-p", "no:cacheprovider"]
@@ -107,10 +115,7 @@ def test_the_driver_of_the_page_fulfils_the_contract(site: Path) -> None:
 
 def test_it_does_so_on_tcp_as_well(site: Path) -> None:
     """Without the walk of all faults: pyserial waits for 0.3 s whenever it closes a socket."""
-    simulator = site / "acme_f10" / "simulator.py"
-    text = simulator.read_text()
-    assert '"serial"' in text
-    simulator.write_text(text.replace('"serial"', '"tcp"'))
+    put_on_tcp(site)
     assert passed(run_contract(site, "-k", "not one_fault_anywhere")) >= 13
 
 
@@ -148,14 +153,15 @@ def test_a_dry_run_says_which_model_stands_in(rig: Any, site: Path) -> None:
     assert line in done.object["warnings"]
 
 
-def test_a_bench_in_real_time_has_the_simulator_of_the_page(rig: Any, site: Path) -> None:
+def test_a_bench_in_real_time_has_the_simulator_of_the_page_on_tcp(rig: Any, site: Path) -> None:
+    put_on_tcp(site)
     packages.on_path(rig, site)
     replaced = ("--replace", "force_sensor=acme-f10")
     simulator = rig.start("simulate", *replaced, "--write", "sim.toml")
     simulator.wait_for(r"drive it with --bench sim\.toml")
     bench = tomllib.loads((rig.folder / "sim.toml").read_text())
     assert bench["force_sensor"]["driver"] == "acme-f10"
-    assert Path(bench["force_sensor"]["port"]).name == "force_sensor"
+    assert bench["force_sensor"]["port"].startswith("socket://127.0.0.1:")
     done = rig.run("sweep", *SHORT, "--bench", "sim.toml")
     assert done.code == 0, done.stderr
     assert done.object["points_done"] > 0
