@@ -35,3 +35,18 @@ def test_every_row_of_contract_and_limits_names_one() -> None:
         rows = [line for line in table.splitlines() if line.startswith("| ")][1:]
         assert len(rows) >= 7
         assert [row for row in rows if not NAMED.search(row)] == []
+
+
+def test_every_row_of_the_contract_has_a_test_in_the_default_tier() -> None:
+    (contract,) = re.findall(r"## The contract.*?\n\n(?=[^|\n]|\Z)", TABLE, re.S)
+    rows = [line for line in contract.splitlines() if line.startswith("| ")][1:]
+    thorough = {
+        f"{path}::{node.name}"
+        for path, _ in NAMED.findall(contract)
+        for node in ast.parse((REPOSITORY / path).read_text()).body
+        if isinstance(node, ast.FunctionDef)
+        and any(ast.unparse(one) == "pytest.mark.thorough" for one in node.decorator_list)
+    }
+    assert thorough
+    named = [{f"{path}::{name}" for path, name in NAMED.findall(row)} for row in rows]
+    assert [row for row, tests in zip(rows, named, strict=True) if tests <= thorough] == []
