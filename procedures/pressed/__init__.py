@@ -1,1 +1,11 @@
-"""What slip and roll trials share: a skin pressed on an object at a controlled normal force."""
+"""What every procedure shares that presses the skin on an object at a controlled normal force.
+
+`PressedProcedure` is the base class for a procedure of your own: docs/add-a-procedure.md.
+"""
+
+from __future__ import annotations
+
+from procedures.pressed.procedure import PressedProcedure
+from procedures.pressed.settings import PressedSettings
+
+__all__ = ["PressedProcedure", "PressedSettings"]

@@ -9,11 +9,14 @@ from rig.bench.limits import require
 
 if TYPE_CHECKING:
     from procedures.pressed.links import TrialLinks
+    from rig.control.tick_loop import Tick
     from rig.instruments.roles import LinearStage
     from rig.run.context import Run
 
 SLOWEST_mm_s = 0.01
 """Slowest speed that z is commanded to move at."""
+ARRIVED_EVERY_S = 0.05
+"""From one question whether x has arrived to the next."""
 
 
 @dataclass(frozen=True)
@@ -99,3 +102,27 @@ class PressingStage(PolledStage):
             self.target_late_s = begun_s - asked_s + beyond_s / 2
 
         self.links.ask(self.role, "target", move)
+
+
+class ArrivalWatch:
+    """Asks a stage under way, now and then, whether it has arrived."""
+
+    def __init__(self, stage: PolledStage, tick_Hz: float):
+        self._stage = stage
+        self._every = max(1, round(tick_Hz * ARRIVED_EVERY_S))
+        """Ticks from one question to the next."""
+        self._asked = 0
+        """Number of the latest question."""
+        self.arrived = False
+        """Whether the stage has answered that it stands."""
+
+    def under_way(self, tick: Tick) -> bool:
+        """Return whether the stage has not arrived, as far as is known; ask if it is time to."""
+        number = (tick.number + 1) // self._every
+        due, self._asked = number != self._asked, number
+        if due:
+            self._stage.links.ask(self._stage.role, "arrived", self._ask)
+        return not self.arrived
+
+    def _ask(self) -> None:
+        self.arrived = not self._stage.stage.moving()

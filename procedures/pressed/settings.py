@@ -201,11 +201,6 @@ def pressed_overhead_s(
     return ready_s + presses * ways_s + back_s + searches_s + 2 * SETTLED_S
 
 
-def why_invalid(settings: PressedSettings, reading: Reading) -> str:
-    """Why a trial does not count; empty where it does."""
-    return str(reading.get("invalid") or "")
-
-
 def summary_of(readings: Sequence[Reading], names: Sequence[str]) -> dict[str, Any]:
     """How many trials count; of those the means of what is named, and its standard deviations."""
     counting = [r for r in readings if not r["invalid"]]

@@ -3,7 +3,9 @@
     trial.make_ready(start_mm)     # z up, x to the start, force zeroed, close to the object
     trial.start_recording()
     trial.press()                  # down, normal force, tap, rest under the servo
-    trial.hold(seconds)            # or a motion: begin_motion(), run_ticks(...), end_motion()
+    trial.begin_motion()
+    trial.hold(seconds)            # or trial.move_x(to_mm, speed_mm_s), or run_ticks(...)
+    trial.end_motion()
     trial.stop_recording()
     trial.lift()
 
@@ -19,15 +21,18 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from procedures.pressed.axes import PolledStage, PressingStage
+from procedures.pressed.axes import ArrivalWatch, PolledStage, PressingStage
 from procedures.pressed.contact import TRAVEL_mm_s, come_close, tare_in_free_air
 from procedures.pressed.hold import ForceHold
 from procedures.pressed.links import TrialLinks
 from procedures.pressed.press import press_down, tap
 from procedures.pressed.reading import CONTACT_N, DECIMATED_Hz
 from procedures.pressed.recorder import TickRecorder
+from procedures.pressed.settings import AFTER_S
+from rig.bench.limits import require
 from rig.control.force_servo import ForceServo, settings_from
 from rig.control.tick_loop import tick_loop
+from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
     from procedures.pressed.reading import TrialRecord
@@ -37,6 +42,9 @@ if TYPE_CHECKING:
     from rig.control.tick_loop import Tick
     from rig.run.context import Run
     from rig.run.points import Reading
+
+LATE_ARRIVAL_S = 1.0
+"""How much later than computed x may arrive: it is asked every 0.05 s, on a link that may wait."""
 
 
 class PressedTrial:
@@ -124,6 +132,46 @@ class PressedTrial:
     def end_motion(self) -> None:
         """Note that the motion is over."""
         self.record.motion_to_s = self.since_s()
+
+    def move_x(self, to_mm: float, speed_mm_s: float) -> None:
+        """Move x to a position at a speed, under the held normal force, and wait until it is there.
+
+        LimitError, before x moves, for a position or a speed outside the stage's limits;
+        InstrumentError where x has not arrived in more time than it needs.
+        """
+        reach, x = self.x.stage.reach(), self.x
+        require("stage_x position", to_mm, reach["position"])
+        require("stage_x speed", speed_mm_s, reach["speed"])
+        way_s = abs(to_mm - x.commanded_mm) / speed_mm_s
+        longest_s = way_s + 2 * speed_mm_s / self.settings.acceleration_mm_s2 + LATE_ARRIVAL_S
+        arrival = ArrivalWatch(x, self.series.rates.tick_Hz)
+        x.in_motion = True
+
+        def move(tick: Tick) -> bool:
+            self.hold_tick(tick)
+            if tick.number == 0:
+                x.start_move(to_mm, speed_mm_s)
+            return arrival.under_way(tick)
+
+        self.run_ticks(longest_s, move)
+        if not arrival.arrived:
+            x.stage.stop()
+            raise InstrumentError(
+                "stage_x",
+                "move",
+                f"it has not come to {to_mm:g} mm at {speed_mm_s:g} mm/s within {longest_s:.3g} s",
+                "look what holds the stage; then start again",
+            )
+
+    def complete_motion(self, least_s: float) -> None:
+        """End the motion, no sooner than `least_s` after its begin; stop x and hold the force a
+        moment longer, for what is judged after it."""
+        if (missing_s := self.record.motion_from_s + least_s - self.since_s()) > 0:
+            self.hold(missing_s)
+        self.end_motion()
+        self.x.stage.stop()
+        self.hold(AFTER_S)
+        self.x.in_motion = False
 
     def stop_recording(self) -> None:
         """Record what has still come, and end the acquisition."""

@@ -14,18 +14,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from procedures.pressed.contact import contact_range_mm
-from procedures.pressed.rates import rates_for, warn_of_slow_links
 from procedures.pressed.settings import (
-    TOUCH_DRIFT,
     arm_pressed,
-    import_what_a_trial_needs,
     pressed_overhead_s,
     pressing_s,
-    summary_of,
     trial_points,
-    why_invalid,
 )
+from procedures.pressed.trial_procedure import TrialProcedure
 from procedures.roll_trial import layout as roll_layout
 from procedures.roll_trial.settings import (
     HOMING_ROTARY_S,
@@ -37,15 +32,16 @@ from procedures.roll_trial.settings import (
 from rig.bench.settings import FixtureSettings
 from rig.core.errors import ConfigurationError, LimitError
 from rig.run.points import Move, Point, Reading, as_option, remedy
-from rig.run.procedure import Procedure
 
 if TYPE_CHECKING:
+    from procedures.pressed.rates import ServoRates
     from procedures.roll_trial.trial import RollSeries
+    from rig.analysis.trial.load_rate import LoadScale
     from rig.bench.connected import Bench
     from rig.run.context import Run
 
 
-class RollTrial(Procedure):
+class RollTrial(TrialProcedure):
     """Roll of an object with a head over the artificial skin at constant normal force: paper 5."""
 
     name = "roll-trial"
@@ -53,21 +49,24 @@ class RollTrial(Procedure):
     Settings = RollTrialSettings
     layout = roll_layout.LAYOUT
     streams = roll_layout.STREAMS
-    drift = TOUCH_DRIFT
-    point_name = ("trial", "trials")
+    summary_keys = (
+        "peak_1_mV",
+        "peak_2_mV",
+        "above_100_Hz_percent",
+        "largest_tangential_N",
+        "angle_error_deg",
+        "force_error_rms_percent",
+        "force_error_peak_percent",
+    )
 
     settings: RollTrialSettings
-
-    def __init__(self, settings: RollTrialSettings):
-        super().__init__(settings)
-        self._series: RollSeries | None = None
-        """What the trials have taught the ones that follow; None before the first arming."""
+    _series: RollSeries | None
 
     # --- what will be done ----------------------------------------------------------------------
 
     def import_ahead(self) -> None:
         """Import what a trial needs: never while something is switched on."""
-        import_what_a_trial_needs()
+        super().import_ahead()
         import procedures.roll_trial.trial  # noqa: F401 - with numpy: not for `rig --help`
 
     def points(self) -> tuple[Point, ...]:
@@ -97,7 +96,7 @@ class RollTrial(Procedure):
     def check(self, bench: Bench) -> None:
         """Refuse a fixture that does not say where the object is, or a roll beyond a stage's
         limits."""
-        contact_range_mm(bench)
+        super().check(bench)
         fixture, settings = bench.settings.fixture, self.settings
         if fixture.centre_mm is None or fixture.upright_deg is None:
             raise ConfigurationError(
@@ -136,23 +135,13 @@ class RollTrial(Procedure):
             message = f"{error.message} (from {given})"
             raise LimitError(message, remedy(error, bench)) from None
 
-    def why_invalid(self, reading: Reading) -> str:
-        """Why a trial is invalid; "" for a valid one."""
-        return why_invalid(self.settings, reading)
-
     # --- doing it -------------------------------------------------------------------------------
 
     def arm(self, run: Run) -> None:
         """Watch the force; register the end of everything before it begins; park, then find the
         object's reference, the skin being clear of it."""
-        # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
-        from procedures.pressed.series import load_scales_for
-        from procedures.roll_trial.trial import RollSeries
-
-        if self._series is None:
-            rates = rates_for(run.bench, self.settings)
-            warn_of_slow_links(run, rates)
-            self._series = RollSeries(rates, load_scales_for(run))
+        self.start_series(run)
+        assert self._series is not None
         if self.settings.alignment == "none":
             run.event("warning", "alignment", "how far the rotary axis is off is not known")
         rotary, x, tick_Hz = run.bench.rotary, run.bench.stage_x, self._series.rates.tick_Hz
@@ -162,10 +151,17 @@ class RollTrial(Procedure):
         if not rotary.homed():  # the skin is clear of the object
             rotary.home()
 
+    def new_series(self, rates: ServoRates, scales: dict[str, LoadScale]) -> RollSeries:
+        """Return what the trials share: the offset of the rotary axis."""
+        # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
+        from procedures.roll_trial.trial import RollSeries
+
+        return RollSeries(rates, scales)
+
     def take(self, run: Run, point: Point) -> Reading:
         """One trial: down, hold, rest, roll there and back, up; then its results. Before the first
         the axis is measured."""
-        # As in arm().
+        # As in new_series().
         from procedures.roll_trial.trial import AlignmentTrial, RollTrialRun
 
         series = self._series
@@ -186,16 +182,7 @@ class RollTrial(Procedure):
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
         """Patterns, forces and angle: means of the valid trials, and how many are valid."""
-        names = (
-            "peak_1_mV",
-            "peak_2_mV",
-            "above_100_Hz_percent",
-            "largest_tangential_N",
-            "angle_error_deg",
-            "force_error_rms_percent",
-            "force_error_peak_percent",
-        )
-        found = summary_of(readings, names)
+        found = dict(super().summarise(readings))
         if readings:
             found["axis_offset_mm"] = readings[-1]["axis_offset_mm"]
             found["axis_offset_error_mm"] = readings[-1]["axis_offset_error_mm"]

@@ -14,55 +14,49 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from procedures.pressed import layout as pressed_layout
-from procedures.pressed.contact import contact_range_mm
-from procedures.pressed.rates import rates_for, warn_of_slow_links
 from procedures.pressed.settings import (
     AFTER_S,
-    TOUCH_DRIFT,
     arm_pressed,
-    import_what_a_trial_needs,
     pressed_overhead_s,
     pressing_s,
-    summary_of,
     trial_points,
-    why_invalid,
 )
+from procedures.pressed.trial_procedure import TrialProcedure
 from procedures.slip_trial import layout as slip_layout
 from procedures.slip_trial.settings import SlipTrialSettings
 from rig.bench.settings import FixtureSettings
 from rig.run.points import Move, Point, Reading
-from rig.run.procedure import Procedure
 
 if TYPE_CHECKING:
+    from procedures.pressed.rates import ServoRates
     from procedures.slip_trial.trial import SlipSeries
-    from rig.bench.connected import Bench
+    from rig.analysis.trial.load_rate import LoadScale
     from rig.run.context import Run
 
 
-class SlipTrial(Procedure):
+class SlipTrial(TrialProcedure):
     """Slide of the artificial skin on a plate at constant normal force: paper 4.1."""
 
     name = "slip-trial"
     fixtures = ("plate",)
     Settings = SlipTrialSettings
     layout = slip_layout.LAYOUT
-    streams = pressed_layout.STREAMS
-    drift = TOUCH_DRIFT
-    point_name = ("trial", "trials")
+    summary_keys = (
+        "static_friction",
+        "kinetic_friction",
+        "force_error_rms_percent",
+        "force_error_peak_percent",
+        "overshoot_percent",
+    )
 
     settings: SlipTrialSettings
-
-    def __init__(self, settings: SlipTrialSettings):
-        super().__init__(settings)
-        self._series: SlipSeries | None = None
-        """What the trials have taught the ones that follow; None before the first arming."""
+    _series: SlipSeries | None
 
     # --- what will be done ----------------------------------------------------------------------
 
     def import_ahead(self) -> None:
         """Import what a trial needs: never while something is switched on."""
-        import_what_a_trial_needs()
+        super().import_ahead()
         import procedures.slip_trial.trial  # noqa: F401 - with numpy: not for `rig --help`
 
     def points(self) -> tuple[Point, ...]:
@@ -86,32 +80,25 @@ class SlipTrial(Procedure):
             settings, fixture, homed, presses, settings.start_mm, settings.distance_mm
         )
 
-    def check(self, bench: Bench) -> None:
-        """Refuse a fixture that does not say where contact has to be felt."""
-        contact_range_mm(bench)
-
-    def why_invalid(self, reading: Reading) -> str:
-        """Why a trial is invalid; "" for a valid one."""
-        return why_invalid(self.settings, reading)
-
     # --- doing it -------------------------------------------------------------------------------
 
     def arm(self, run: Run) -> None:
         """Watch the force; register the end of everything before it begins; park."""
-        # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
-        from procedures.pressed.series import load_scales_for
-        from procedures.slip_trial.trial import SlipSeries
-
-        if self._series is None:
-            rates = rates_for(run.bench, self.settings)
-            warn_of_slow_links(run, rates)
-            self._series = SlipSeries(rates, load_scales_for(run))
+        self.start_series(run)
+        assert self._series is not None
         x, tick_Hz = run.bench.stage_x, self._series.rates.tick_Hz
         arm_pressed(run, "slide", x.stop, x.make_safe, "x stage stopped", tick_Hz)
 
+    def new_series(self, rates: ServoRates, scales: dict[str, LoadScale]) -> SlipSeries:
+        """Return what the trials share: the first slide teaches the servo."""
+        # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
+        from procedures.slip_trial.trial import SlipSeries
+
+        return SlipSeries(rates, scales)
+
     def take(self, run: Run, point: Point) -> Reading:
         """One trial: down, hold, rest, slide, up; then its results."""
-        # As in arm().
+        # As in new_series().
         from procedures.slip_trial.trial import SlipTrialRun
 
         series = self._series
@@ -133,14 +120,7 @@ class SlipTrial(Procedure):
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
         """Friction and servo: means and standard deviations of the valid trials, how many are
         valid, and why trials have no friction coefficients."""
-        names = (
-            "static_friction",
-            "kinetic_friction",
-            "force_error_rms_percent",
-            "force_error_peak_percent",
-            "overshoot_percent",
-        )
-        found = summary_of(readings, names)
+        found = dict(super().summarise(readings))
         reasons = [str(why) for r in readings if (why := r.get("no_friction"))]
         if reasons:
             found["no_friction"] = [

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from procedures.pressed.axes import ArrivalWatch
 from procedures.pressed.series import PressedSeries
 from procedures.pressed.settings import AFTER_S
 from procedures.pressed.trial import PressedTrial
@@ -15,14 +16,10 @@ from rig.control.force_ramp import ForceRamp
 from rig.control.force_servo import ContactShift
 
 if TYPE_CHECKING:
-    from procedures.pressed.axes import PolledStage
     from procedures.slip_trial.settings import SlipTrialSettings
     from rig.control.tick_loop import Tick
     from rig.run.context import Run
     from rig.run.points import Reading
-
-ARRIVED_EVERY_S = 0.05
-"""From one question whether x has arrived to the next."""
 
 
 @dataclass
@@ -31,29 +28,6 @@ class SlipSeries(PressedSeries):
 
     shift: ContactShift | None = None
     """What the first slide has shown, in which the servo had no such knowledge."""
-
-
-class ArrivalWatch:
-    """Asks a stage under way, now and then, whether it has arrived."""
-
-    def __init__(self, stage: PolledStage, tick_Hz: float):
-        self._stage = stage
-        self._every = max(1, round(tick_Hz * ARRIVED_EVERY_S))
-        """Ticks from one question to the next."""
-        self._asked = 0
-        """Number of the latest question."""
-        self._arrived = False
-
-    def under_way(self, tick: Tick) -> bool:
-        """Return whether the stage has not arrived, as far as is known; ask if it is time to."""
-        number = (tick.number + 1) // self._every
-        due, self._asked = number != self._asked, number
-        if due:
-            self._stage.links.ask(self._stage.role, "arrived", self._ask)
-        return not self._arrived
-
-    def _ask(self) -> None:
-        self._arrived = not self._stage.stage.moving()
 
 
 class SlipTrialRun(PressedTrial):

@@ -1,0 +1,95 @@
+"""What was recorded of a motion under the held force, as plain arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Set
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from procedures.pressed.reading import DECIMATED_Hz
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from procedures.pressed.reading import TrialRecord
+    from rig.run.points import Reading
+
+    Values = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MotionRecord:
+    """What was recorded from the begin of a motion to its end: arrays of float64, shape (n,).
+
+    Positions, forces and signals are sampled by three instruments. Each group has its own n and its
+    own times, in s since the motion began.
+    """
+
+    position_t_s: Values
+    """Times of `z_mm` and `x_mm`: 100 a second at most, not equally spaced."""
+    z_mm: Values
+    """Position of z; larger is deeper, towards the object."""
+    x_mm: Values
+    """Position of x."""
+    force_t_s: Values
+    """Times of `normal_N` and `tangential_N`: equally spaced, 1000 a second unless the force sensor
+    is slower."""
+    normal_N: Values
+    """Normal force, positive where it presses."""
+    tangential_N: Values
+    """Force along x."""
+    signal_t_s: Values
+    """Times of the strips' signals: equally spaced, 1000 a second, corrected for the delay of the
+    anti-alias filter."""
+    v_1: Values
+    """Signal of strip 1 in V."""
+    v_2: Values
+    """Signal of strip 2 in V."""
+    v_d: Values
+    """v_1 - v_2 in V."""
+
+
+def motion_record(record: TrialRecord) -> MotionRecord:
+    """Return the part of a trial's record that belongs to its motion."""
+    rows = np.array(record.position)
+    position_s, force_s = rows[:, 0], record.frame_times_s()
+    volts = np.concatenate(record.volts)
+    signal_s = np.arange(len(volts)) / DECIMATED_Hz - record.filter_delay_s
+
+    def within(times_s: Values) -> npt.NDArray[np.bool_]:
+        return (times_s >= record.motion_from_s) & (times_s <= record.motion_to_s)
+
+    moved, felt, seen = within(position_s), within(force_s), within(signal_s)
+    forces_N, volts = record.forces_N()[felt], volts[seen]
+    return MotionRecord(
+        position_t_s=position_s[moved] - record.motion_from_s,
+        z_mm=rows[moved, 1],
+        x_mm=rows[moved, 2],
+        force_t_s=force_s[felt] - record.motion_from_s,
+        normal_N=forces_N[:, 0],
+        tangential_N=forces_N[:, 1],
+        signal_t_s=signal_s[seen] - record.motion_from_s,
+        v_1=volts[:, 0],
+        v_2=volts[:, 1],
+        v_d=volts[:, 0] - volts[:, 1],
+    )
+
+
+def plain(own: Mapping[str, Any], declared: Set[str], name: str) -> Reading:
+    """Return what `reading` of a procedure returned with numpy's numbers as Python's.
+
+    TypeError where it is not a mapping, and ValueError for a key that is not one of the procedure's
+    columns: a column of every trial must not be replaced.
+    """
+    if not isinstance(own, Mapping):
+        raise TypeError(f"reading() of {name} returned {type(own).__name__}, not a dict")
+    if strangers := [key for key in own if key not in declared]:
+        raise ValueError(
+            f"reading() of {name} returned {strangers[0]!r}, which is not the key of one of its "
+            f"columns ({', '.join(sorted(declared)) or 'it has none'})"
+        )
+    return {
+        key: value.item() if isinstance(value, np.generic) else value for key, value in own.items()
+    }

@@ -1,0 +1,232 @@
+"""The base class of a procedure of your own that presses the skin on an object.
+
+    class Creep(PressedProcedure):
+        \"\"\"Hold a force and watch the skin creep.\"\"\"
+
+        name, fixtures = "creep", ("plate",)
+        columns = (Column("creep", "um", "Way of z during the hold"),)
+
+        class Settings(PressedSettings):
+            hold_s: float = 10.0
+            \"\"\"How long the force is held.\"\"\"
+
+        def motion_s(self):
+            return self.settings.hold_s
+
+        def under_force(self, trial):
+            trial.hold(self.settings.hold_s)
+
+        def reading(self, record):
+            return {"creep_um": 1e3 * (record.z_mm[-1] - record.z_mm[0])}
+
+The base class finds the object, presses it with ``--normal-force``, calls `under_force` while the
+strips, the forces and the positions are recorded, and lifts. Whatever ends a trial, x stops first,
+then z goes up: a subclass cannot leave that out. docs/add-a-procedure.md shows the whole package.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from procedures.pressed.layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED
+from procedures.pressed.settings import (
+    PressedSettings,
+    arm_pressed,
+    pressed_overhead_s,
+    trial_points,
+)
+from procedures.pressed.trial_procedure import TrialProcedure
+from rig.bench.limits import require
+from rig.core.errors import ConfigurationError
+from rig.files.journal.layout import Column, Layout, Plot, Trace
+
+if TYPE_CHECKING:
+    from procedures.pressed.motion import MotionRecord
+    from procedures.pressed.trial import PressedTrial
+    from rig.bench.connected import Bench
+    from rig.bench.settings import FixtureSettings
+    from rig.run.context import Run
+    from rig.run.points import Move, Point, Reading
+
+LEAST_MOTION_S = 0.1
+"""Shortest motion that is judged: ten ticks of the servo, ten positions."""
+START_mm = 10.0
+"""Position of x at which a trial begins where the fixture has no middle, as in a slip trial."""
+
+MOTION = (
+    Column("motion_from", "s", "Begin of the motion, since the record's begin"),
+    Column("motion_to", "s", "End of the motion, since the record's begin"),
+)
+TRACES = (
+    Trace("data", "signals", "v_d", ("v_1", "v_2"), title="Differential PVDF signal"),
+    Trace("force", "force", "F_n", ("F_t",), title="Forces"),
+    Trace("position", "position", "z", ("z_commanded", "x"), title="Positions"),
+)
+
+
+class PressedProcedure(TrialProcedure):
+    """A procedure that presses the skin on an object, holds a force, does something, and lifts.
+
+    A subclass has a `name`, `fixtures`, `columns` and the methods `motion_s`, `under_force` and
+    `reading`. Everything else has a default. Do not override `arm` or `take`: they keep the bench
+    safe.
+    """
+
+    Settings = PressedSettings
+    columns: ClassVar[tuple[Column, ...]] = ()
+    """The columns that `reading` fills, besides those that every trial has. The run file gets a
+    plot over the trials for each number, and the summary its mean and standard deviation."""
+
+    settings: Any
+
+    def __init_subclass__(cls, **keywords: Any):
+        """Check the class where it is defined, and derive its layout and summary.
+
+        TypeError for a method with the wrong arguments, ValueError for columns that cannot be.
+        """
+        super().__init_subclass__(**keywords)
+        for hook in ("motion_s", "moves", "start_mm", "under_force", "reading"):
+            arguments = tuple(inspect.signature(getattr(PressedProcedure, hook)).parameters)
+            try:
+                inspect.signature(getattr(cls, hook)).bind(*arguments)
+            except TypeError:
+                raise TypeError(
+                    f"{cls.__name__}.{hook} has to be {hook}({', '.join(arguments)})"
+                ) from None
+        if "layout" not in vars(cls):
+            cls.layout = layout_of(cls)
+        if "summary_keys" not in vars(cls):
+            own = tuple(column.key for column in cls.columns if column.kind == "number")
+            cls.summary_keys = (*own, *TrialProcedure.summary_keys)
+
+    # --- the hooks of a subclass ----------------------------------------------------------------
+
+    @abstractmethod
+    def motion_s(self) -> float:
+        """Return the bench time in s that `under_force` is expected to take, from the settings.
+
+        Progress and the estimates of a batch depend on it; it must be at least 0.1 s.
+        """
+
+    @abstractmethod
+    def under_force(self, trial: PressedTrial) -> None:
+        """Do what the procedure is about. The skin is pressed and the normal force is held.
+
+        Use `trial.hold(seconds)` and `trial.move_x(to_mm, speed_mm_s)`; the force is held during
+        both, and everything is recorded. Do not wait in any other way: outside of them nothing
+        controls the force. An exception ends the run; the skin is lifted all the same.
+        """
+
+    @abstractmethod
+    def reading(self, record: MotionRecord) -> Mapping[str, Any]:
+        """Return the value of every one of the `columns`, by its key; None for no value.
+
+        `record` has what was recorded during `under_force`. The skin has been lifted already. An
+        exception ends the run; what was recorded is saved as a discarded attempt.
+        """
+
+    def moves(self) -> tuple[Move, ...]:
+        """Return what `under_force` will ask of the instruments, to be checked before the run.
+
+        For instance ``Move("stage_x.position", 12.0, ("distance_mm",))``, where the last part names
+        the settings that the value comes from, for the message that refuses it.
+        """
+        return ()
+
+    def start_mm(self, fixture: FixtureSettings) -> float:
+        """Return the position of x in mm at which a trial begins.
+
+        The default is the middle of the object, ``centre_mm`` of the bench file's [fixture], or
+        10 mm where the fixture has none.
+        """
+        return START_mm if fixture.centre_mm is None else fixture.centre_mm
+
+    # --- what the base class does with them -----------------------------------------------------
+
+    def import_ahead(self) -> None:
+        """Import what a trial needs: never while something is switched on."""
+        super().import_ahead()
+        import procedures.pressed.motion
+        import procedures.pressed.trial  # noqa: F401 - with numpy: not for `rig --help`
+
+    def points(self) -> tuple[Point, ...]:
+        """Return one point for each trial."""
+        motion_s = float(self.motion_s())
+        if not (math.isfinite(motion_s) and motion_s >= LEAST_MOTION_S):
+            raise ConfigurationError(
+                f"{self.name}: what is done under the force would take {motion_s:g} s; a trial "
+                f"needs at least {LEAST_MOTION_S:g} s",
+                "ask for a longer one",
+            )
+        return trial_points(self.settings, self.moves(), motion_s, 0.0)
+
+    def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
+        """Return the bench time in s that the ways in z, homing and parking are expected to
+        take."""
+        trials, x_mm = self.settings.trials, self.start_mm(fixture)
+        return pressed_overhead_s(self.settings, fixture, homed, trials, x_mm)
+
+    def check(self, bench: Bench) -> None:
+        """Refuse a fixture that does not state where contact is, or a begin that x cannot reach."""
+        super().check(bench)
+        begin_mm = self.start_mm(bench.settings.fixture)
+        require("stage_x position", begin_mm, bench.reach()["stage_x.position"])
+
+    def arm(self, run: Run) -> None:
+        """Watch the force; register the end of everything before it begins; park."""
+        self.start_series(run)
+        assert self._series is not None
+        x, tick_Hz = run.bench.stage_x, self._series.rates.tick_Hz
+        arm_pressed(run, "motion", x.stop, x.make_safe, "x stage stopped", tick_Hz)
+
+    def take(self, run: Run, point: Point) -> Reading:
+        """Make ready, press, do what the subclass does under the force, lift; then its reading."""
+        # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
+        from procedures.pressed.motion import motion_record, plain
+        from procedures.pressed.reading import TrialRecord, reading_of
+        from procedures.pressed.trial import PressedTrial
+
+        series = self._series
+        assert series is not None, "arm() comes first"
+        record = TrialRecord(int(point.condition), series.rates.tick_Hz, run.force.rate_S_s)
+        trial = PressedTrial(run, series, record)
+        trial.make_ready(self.start_mm(run.bench.settings.fixture))
+        trial.start_recording()
+        trial.press()
+        trial.begin_motion()
+        self.under_force(trial)
+        trial.complete_motion(LEAST_MOTION_S)
+        trial.stop_recording()
+        trial.lift()
+        reading = reading_of(run, record) | trial.record_load_rates()
+        reading |= {"motion_from_s": record.motion_from_s, "motion_to_s": record.motion_to_s}
+        own = self.reading(motion_record(record))
+        run.check_stop()  # computing takes a while: still alive
+        return reading | plain(own, {column.key for column in self.columns}, self.name)
+
+
+def layout_of(procedure: type[PressedProcedure]) -> Layout:
+    """Return the layout of a procedure: the columns of every trial and its own, a plot over the
+    trials for each of its numbers, and signals, forces and positions over time. ValueError for a
+    column that every trial has already."""
+    common = (*ASKED, *HELD, *TOUCHED, *CALIBRATED, *MOTION, *RECORDED)
+    names = {column.name for column in common}
+    if taken := [column.name for column in procedure.columns if column.name in names]:
+        raise ValueError(
+            f"the column {taken[0]!r} is one that every trial has; choose another name"
+        )
+    return Layout(
+        definition=f"NXrig_{getattr(procedure, 'name', 'pressed').replace('-', '_')}",
+        version="1",
+        columns=(*ASKED, *HELD, *procedure.columns, *TOUCHED, *CALIBRATED, *MOTION, *RECORDED),
+        plots=tuple(
+            Plot(f"{column.name}_by_trial", column.name, ("trial",), title=column.meaning)
+            for column in procedure.columns
+            if column.kind == "number"
+        ),
+        traces=TRACES,
+    )

@@ -1,0 +1,81 @@
+"""What the procedures of this project have in common whose points are trials with a pressed skin.
+
+A procedure of your own begins with `procedures.pressed.PressedProcedure`, which decides more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from procedures.pressed.contact import contact_range_mm
+from procedures.pressed.layout import STREAMS
+from procedures.pressed.rates import ServoRates, rates_for, warn_of_slow_links
+from procedures.pressed.settings import (
+    TOUCH_DRIFT,
+    PressedSettings,
+    import_what_a_trial_needs,
+    summary_of,
+)
+from rig.run.points import Reading
+from rig.run.procedure import DriftFigure, Procedure, StreamPlan
+
+if TYPE_CHECKING:
+    from procedures.pressed.series import PressedSeries
+    from rig.analysis.trial.load_rate import LoadScale
+    from rig.bench.connected import Bench
+    from rig.run.context import Run
+
+
+class TrialProcedure(Procedure):
+    """A procedure whose points are trials with the skin pressed on an object."""
+
+    streams: ClassVar[tuple[StreamPlan, ...]] = STREAMS
+    drift: ClassVar[Mapping[str, DriftFigure]] = TOUCH_DRIFT
+    point_name = ("trial", "trials")
+    summary_keys: ClassVar[tuple[str, ...]] = (
+        "force_error_rms_percent",
+        "force_error_peak_percent",
+    )
+    """Keys of the reading whose mean and standard deviation the summary has."""
+
+    settings: PressedSettings
+    _series: PressedSeries | None
+
+    def __init__(self, settings: Any):
+        super().__init__(settings)
+        self._series = None
+        """What the trials have taught the ones that follow; None before the first arming."""
+
+    def import_ahead(self) -> None:
+        """Import what a trial needs: never while something is switched on."""
+        import_what_a_trial_needs()
+
+    def check(self, bench: Bench) -> None:
+        """Refuse a fixture that does not state where contact has to be felt."""
+        contact_range_mm(bench)
+
+    def why_invalid(self, reading: Reading) -> str:
+        """Return why a trial is invalid; "" for a valid one."""
+        return str(reading.get("invalid") or "")
+
+    def start_series(self, run: Run) -> None:
+        """Make the series at the first arming; it lasts through holds and trips."""
+        # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
+        from procedures.pressed.series import load_scales_for
+
+        if self._series is None:
+            rates = rates_for(run.bench, self.settings)
+            warn_of_slow_links(run, rates)
+            self._series = self.new_series(rates, load_scales_for(run))
+
+    def new_series(self, rates: ServoRates, scales: dict[str, LoadScale]) -> PressedSeries:
+        """Return what the trials of a run share, before the first one."""
+        from procedures.pressed.series import PressedSeries
+
+        return PressedSeries(rates, scales)
+
+    def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
+        """Return how many trials are valid, and the means and standard deviations of the
+        `summary_keys` over the valid ones."""
+        return summary_of(readings, self.summary_keys)
