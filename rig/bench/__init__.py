@@ -1,1 +1,1 @@
-"""The bench: from a bench file to connected instruments that refuse what exceeds their limits."""
+"""The bench: from a bench file to connected instruments that refuse values outside their limits."""

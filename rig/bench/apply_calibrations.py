@@ -1,4 +1,4 @@
-"""The calibration records that a bench file names, checked and given to the bench."""
+"""Check the calibration records that a bench file names, and apply them to the bench."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ R = TypeVar("R", FilmCalibration, ForceCalibration, LoadCellCalibration)
 def apply_calibrations(
     bench: Bench, now: datetime, allow_expired: bool = False
 ) -> tuple[list[dict[str, Any]], list[str]]:
-    """Use the calibration records that the bench file names, each checked against its sensor.
+    """Check each calibration record of the bench file against its sensor and apply it to the bench.
 
-    Returns the records as a run's header carries them, and warnings. ConfigurationError for one
-    that is expired (unless told), another sensor's, or a simulated one on a real bench.
+    Returns the records in the form of a run's header, and warnings. Raises ConfigurationError for a
+    record that has expired (unless `allow_expired`), that belongs to another sensor, or that was
+    made on a simulated bench and is used on a real one.
     """
     files, plan = bench.settings.calibrations, bench.plan
     folder = Path(plan.source).parent

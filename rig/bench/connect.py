@@ -1,4 +1,4 @@
-"""Connecting: every instrument of a plan, or one report of all failures."""
+"""Connect to every instrument of a bench plan, or report all failures together."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ from rig.instruments.roles import (
 
 
 def connect(plan: BenchPlan, clock: Clock, before_each: Callable[[], None] = lambda: None) -> Bench:
-    """Connect to every instrument; where some fail, all failures are told and none stays open.
+    """Connect to every instrument; if some fail, report all failures and leave none connected.
 
-    What `before_each` raises, before an instrument is connected, ends it at once. Each instrument
-    has its worker as soon as it is connected: a drive is fed while the next one takes its time.
+    `before_each` is called before each instrument; an exception from it ends the connecting at
+    once. Each instrument gets its link worker as soon as it is connected, so that a drive's
+    keep-alive runs while the next instrument is still connecting.
     """
     instruments: dict[str, Instrument] = {}
     failures: list[RigError] = []
     links = LinkWorkers(clock)
-    unregister = clock.each_slice(links.look)
+    unregister = clock.each_slice(links.poll)
     try:
         for part in plan.instruments:
             before_each()

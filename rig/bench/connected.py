@@ -39,7 +39,7 @@ T = TypeVar("T")
 
 @dataclass
 class Bench:
-    """Connected instruments and what is known of the bench around them."""
+    """The connected instruments of a bench, with its plan, limits and calibrations."""
 
     plan: BenchPlan
     clock: Clock
@@ -47,66 +47,67 @@ class Bench:
     links: LinkWorkers
     """A worker for each instrument's link."""
     strip_calibrations: dict[Strip, FilmCalibration] = field(default_factory=dict)
-    """Records in use for the skin's strips."""
+    """Calibration records in use, by strip of the skin."""
 
     @property
     def settings(self) -> BenchSettings:
-        """The bench file's own part."""
+        """The settings of the bench itself, without those of its instruments."""
         return self.plan.settings
 
     @property
     def generator(self) -> SignalGenerator:
-        """The signal generator; ConfigurationError where the bench has none."""
+        """The signal generator. Raises ConfigurationError if the bench has none."""
         return self._role("generator")  # type: ignore[return-value]
 
     @property
     def daq(self) -> DataAcquisition:
-        """The DAQ; ConfigurationError where the bench has none."""
+        """The DAQ. Raises ConfigurationError if the bench has none."""
         return self._role("daq")  # type: ignore[return-value]
 
     @property
     def stage_z(self) -> LinearStage:
-        """The z stage; ConfigurationError where the bench has none."""
+        """The z stage. Raises ConfigurationError if the bench has none."""
         return self._role("stage_z")  # type: ignore[return-value]
 
     @property
     def stage_x(self) -> LinearStage:
-        """The x stage; ConfigurationError where the bench has none."""
+        """The x stage. Raises ConfigurationError if the bench has none."""
         return self._role("stage_x")  # type: ignore[return-value]
 
     @property
     def rotary(self) -> RotaryStage:
-        """The rotary stage; ConfigurationError where the bench has none."""
+        """The rotary stage. Raises ConfigurationError if the bench has none."""
         return self._role("rotary")  # type: ignore[return-value]
 
     @property
     def force_sensor(self) -> ForceSensor:
-        """The force sensor; ConfigurationError where the bench has none."""
+        """The force sensor. Raises ConfigurationError if the bench has none."""
         return self._role("force_sensor")  # type: ignore[return-value]
 
     @property
     def film(self) -> FilmSettings:
-        """The film; ConfigurationError where the bench file describes none."""
+        """The film. Raises ConfigurationError if the bench file describes none."""
         return self._part("film", self.settings.film)
 
     @property
     def load_cell(self) -> LoadCellSettings:
-        """The load cell; ConfigurationError where the bench file describes none."""
+        """The load cell. Raises ConfigurationError if the bench file describes none."""
         return self._part("load_cell", self.settings.load_cell)
 
     @property
     def skin(self) -> MountedSkinSettings:
-        """The skin; ConfigurationError where the bench file describes none."""
+        """The skin. Raises ConfigurationError if the bench file describes none."""
         return self._part("skin", self.settings.skin)
 
     @property
     def simulated(self) -> bool:
-        """Whether anything of this bench is simulated: declared, or admitted by an instrument."""
+        """True if any part of this bench is simulated, by its bench file or by an instrument's
+        identity."""
         admitted = any(i.identity.simulated for i in self.instruments.values())
         return self.settings.simulation is not None or admitted
 
     def reach(self) -> dict[str, Reach]:
-        """Every instrument's limits as ``role.quantity``, and the load cell's."""
+        """Return the limits of every instrument and of the load cell, by ``role.quantity``."""
         limits = {
             f"{role}.{quantity}": reach
             for role, instrument in self.instruments.items()
@@ -118,7 +119,7 @@ class Bench:
         return limits
 
     def close(self) -> None:
-        """Let go of every link, each in isolation."""
+        """Close every instrument; a failure of one does not prevent closing the others."""
         self.links.close()
         close_all(self.instruments)
         self.clock.close()

@@ -1,4 +1,4 @@
-"""Limits that are checked at every call, before anything is sent to an instrument."""
+"""Checks of limits at every call, before anything is sent to an instrument."""
 
 from __future__ import annotations
 
@@ -22,39 +22,40 @@ class GuardedGenerator:
 
     @property
     def identity(self) -> Identity:
-        """Who the generator is."""
+        """The generator's identity as read when it was connected."""
         return self._inner.identity
 
     def reach(self) -> Mapping[str, Reach]:
-        """The generator's limits."""
+        """Return the generator's limits."""
         return self._inner.reach()
 
     def sine(self, frequency_Hz: float, amplitude_V: float) -> None:
-        """A sine within the limits; LimitError before anything is sent otherwise."""
+        """Set a sine. Raises LimitError for a value outside the limits, before anything is sent."""
         limits = self._inner.reach()
         require("frequency", frequency_Hz, limits["frequency"])
         require("amplitude", amplitude_V, limits["amplitude"])
         self._inner.sine(frequency_Hz, amplitude_V)
 
     def output(self, on: bool) -> None:
-        """Switch the output."""
+        """Switch the output on or off."""
         self._inner.output(on)
 
     def output_is_on(self) -> bool:
-        """The output's state."""
+        """Return whether the output is on."""
         return self._inner.output_is_on()
 
     def make_safe(self) -> None:
-        """Output off."""
+        """Switch the output off."""
         self._inner.make_safe()
 
     def close(self) -> None:
-        """Let go of the link."""
+        """Close the link."""
         self._inner.close()
 
 
 def require(what: str, value: float, reach: Reach, where: str = "") -> None:
-    """Raise LimitError that names value, unit, limit, device and place unless `reach` holds it."""
+    """Raise LimitError, which names value, unit, limit, device and place, unless `reach` holds
+    `value`."""
     if reach.holds(value):
         return
     place = f"{where}: " if where else ""

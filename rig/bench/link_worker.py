@@ -1,11 +1,11 @@
-"""One thread for each instrument's link: it feeds the drive, and does what a tick asks for.
+"""One thread for each instrument's link: it sends keep-alives and makes the calls of control ticks.
 
-A transaction takes as long as a link, an instrument and the computer's scheduler take; a tick
-that waited for three of them would be late whenever one of them is, and a drive that is fed by
-whoever waits for another instrument starves when that one is slow. In real time each instrument
-therefore has a thread of its own, from connecting to closing. Where a simulated bench's time stops
-while an instrument answers there is no such thread: everything is done where it is asked for, in
-the order in which it is asked for, and a run is repeatable to the byte.
+A transaction takes as long as a link, an instrument and the computer's scheduler take; a tick that
+waited for three of them would be late whenever one of them is, and a drive whose keep-alive is sent
+by a thread that also waits for another instrument would stop when that one is slow. In real time
+each instrument therefore has a thread of its own, from connecting to closing. In virtual time,
+which stops while an instrument answers, there is no such thread: every call is made by the thread
+that asks for it, in the order of asking, so that a run is repeatable to the byte.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from rig.core.errors import InstrumentTimeoutError
 from rig.core.threads import start_thread
 
 FEED_EVERY_S = 0.02
-"""Wall time between two looks of a thread whether its drive has to be fed; how often it then is,
-the driver decides."""
+"""Wall time between two calls of a drive's keep-alive; the driver decides how often it then sends a
+message."""
 OVERDUE_S = 0.1
-"""A link with so much to do that it has not looked for longer looks between two pieces of work."""
+"""Time after which a busy link calls the keep-alive between two pieces of work."""
 SPARE_S = 1.0
-"""What `settle` waits beyond the longest that one call may take."""
+"""Time that `settle` waits beyond the longest time that one call may take."""
 
 Work = Callable[[], None]
 
 
 class LinkWorker:
-    """Talks on the link of one instrument, `role`.
+    """The one user of the link of the instrument `role`: makes calls and sends keep-alives.
 
-    Within ``with``, as long as a tick loop runs, it alone does: what is asked for is done by its
-    thread, one thing after the other. Outside, and in virtual time, `ask` does it itself. Leaving
-    ``with`` waits for what was asked, unless something is raised there: then what has not begun is
-    dropped and what is under way is left to end. A stop that follows has to hold against it
+    Within ``with``, as long as a tick loop runs, its thread makes the calls that are asked for, one
+    after the other. Outside, and in virtual time, `ask` makes the call itself. Leaving ``with``
+    waits for the calls, unless an exception leaves it: then calls that have not begun are dropped
+    and the one under way is left to end. A stop that follows must take effect despite that call
     (`rig.instruments.roles.LinearStage.stop`).
 
     `feed` is the instrument's keep-alive, if it has one. The thread calls it for as long as the
@@ -53,16 +53,18 @@ class LinkWorker:
         self._clock, self._feed, self._patience_s = clock, feed, patience_s
         self._changed = threading.Condition()
         self._asked: dict[str, Work] = {}
-        """What has not begun, in the order in which it will be done."""
+        """Calls that have not begun, in the order in which they will be made."""
         self._working = self._in_loop = self._closing = False
         self._loops = 0
-        """How many loops have begun: what an earlier one left behind concerns no later one."""
+        """Number of tick loops begun so far: a failure of an earlier loop does not concern a later
+        one."""
         self._failure: BaseException | None = None
-        """What work asked for by the loop under way has met."""
+        """Exception raised by a call of the present tick loop."""
         self._feed_failure: Exception | None = None
-        """What a keep-alive has met and the procedure has not yet been shown."""
+        """Exception raised by a keep-alive that has not been raised in the procedure's thread
+        yet."""
         self._begun_s: float | None = None
-        """When what is under way on the link began, in wall time."""
+        """Wall time at which the present call on the link began."""
         self._fed_s = 0.0
         self._making_safe = self._given_up = False
         self._thread: threading.Thread | None = None
@@ -70,15 +72,15 @@ class LinkWorker:
     # --- its life -------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start the thread; RigError where there is none to be had. Nothing in virtual time."""
+        """Start the thread, except in virtual time. Raises RigError if it cannot be started."""
         if self._clock.is_virtual:
             return
         self._thread = threading.Thread(target=self._run, name=f"link {self.role}", daemon=True)
         start_thread(self._thread)
 
     def close(self) -> None:
-        """End the thread: nobody is fed afterwards. Waits for what is under way on the link, no
-        longer than one call may take."""
+        """End the thread, and with it the keep-alives. Waits for a call under way on the link, but
+        no longer than one call may take."""
         with self._changed:
             self._closing = True
             self._asked.clear()
@@ -86,7 +88,7 @@ class LinkWorker:
         if self._thread is not None and self._thread.ident is not None:
             self._thread.join(self._patience_s + SPARE_S)
 
-    # --- what a tick asks for -------------------------------------------------------------------
+    # --- calls of control ticks -------------------------------------------------------------------
 
     def __enter__(self) -> Self:
         with self._changed:
@@ -112,8 +114,8 @@ class LinkWorker:
                 self._failure = None
 
     def ask(self, what: str, work: Work) -> None:
-        """Have `work` done. It takes the place of a `what` asked for before that has not begun.
-        Raises what earlier work has met."""
+        """Have `work` called. It replaces an earlier request of the same name `what` that has not
+        begun. Raises the exception of an earlier call."""
         self.check()
         if not self._in_loop:
             work()
@@ -125,27 +127,28 @@ class LinkWorker:
 
     @property
     def idle(self) -> bool:
-        """Whether everything asked for is done."""
+        """True if every call asked for has been made."""
         with self._changed:
             return not self._asked and not self._working
 
     @property
     def silent_s(self) -> float:
-        """How long what is under way on the link has been, in wall time."""
+        """Return for how long the present call on the link has been under way, in s of wall
+        time."""
         begun_s = self._begun_s
         return 0.0 if begun_s is None else time.monotonic() - begun_s
 
     def check(self) -> None:
-        """Raise what the loop's work has met; none of it is done any more after that."""
+        """Raise the exception of a call of this tick loop; no further call is made after one."""
         if self._failure is not None:
             raise self._failure
 
     def settle(self) -> None:
-        """Wait until everything asked for is done; raise what it has met.
+        """Wait until every call asked for has been made; raise the exception of one that failed.
 
-        The wait is one of the procedure's: stop requests and watchers may end it. InstrumentError
-        where the instrument takes longer than a call may: a link that hangs is no excuse for a
-        procedure that waits for it.
+        Stop requests and watchers may end the wait, as any wait of the procedure. Raises
+        InstrumentError if the instrument takes longer than a call may: a link that hangs must not
+        make the procedure hang.
         """
         give_up_s = time.monotonic() + self._patience_s + SPARE_S
         while not self._idle_within(WAIT_SLICE_S):
@@ -153,7 +156,7 @@ class LinkWorker:
             if time.monotonic() > give_up_s and self._failure is None:
                 raise InstrumentTimeoutError(
                     self.role,
-                    "finish what a loop has asked for",
+                    "finish the calls of the tick loop",
                     f"not done within {self._patience_s + SPARE_S:g} s",
                     "check the connection to it, and what else the computer is busy with",
                 )
@@ -165,9 +168,9 @@ class LinkWorker:
 
     # --- keeping the drive alive ----------------------------------------------------------------
 
-    def look(self) -> None:
-        """From a slice of the procedure's wait: raise, once, what a keep-alive has met. In virtual
-        time this is where the keep-alive is said."""
+    def poll(self) -> None:
+        """Called in every slice of the procedure's wait: raise, once, the exception of a
+        keep-alive. In virtual time the keep-alive itself is sent here."""
         if self._thread is None:
             self._feed_now()
         if self._feed_failure is not None and not self._making_safe:
@@ -175,14 +178,15 @@ class LinkWorker:
             raise failure
 
     def begin_making_safe(self) -> None:
-        """From now on no drive ends a wait: one that does not answer is fed no more, so that it
-        stops by itself. The others are, whatever the procedure does."""
+        """From now on let no drive end a wait: one that does not answer gets no further keep-alive,
+        so that it stops by itself. The others do, whatever the procedure does."""
         self._making_safe = True
-        self._feed_failure = None  # one answer that was lost before shall not keep it from its lift
+        # An answer that was lost before must not stop the keep-alives while the axis is lifted.
+        self._feed_failure = None
 
     def end_making_safe(self) -> None:
-        """The offs have run: what the drive met meanwhile is forgotten, its own off has reported
-        it."""
+        """Continue as before making safe. A failure of the drive meanwhile is dropped: its own
+        shutdown action has reported it."""
         self._making_safe = self._given_up = False
         self._feed_failure = None
 
@@ -191,7 +195,7 @@ class LinkWorker:
             return
         try:
             self._feed()
-        except Exception as failure:  # noqa: BLE001 - raised by look(), a driver's bug as well
+        except Exception as failure:  # noqa: BLE001 - raised by poll(), a driver's bug as well
             if self._making_safe:
                 self._given_up = True
             elif self._feed_failure is None:
@@ -205,13 +209,13 @@ class LinkWorker:
                 self._take_turn()
 
     def _take_turn(self) -> None:
-        """One piece of work, if there is any, and a look whether the drive has to be fed."""
+        """Make one call, if any is asked for, and send a keep-alive if it is due."""
         loop, work = self._next()
         if work is not None:
             self._do(loop, work)
         now_s = time.monotonic()
         if self._asked and now_s - self._fed_s < OVERDUE_S:
-            return  # it has just talked to the drive, and is about to
+            return  # The call has just talked to the drive, or is about to: that feeds it as well.
         self._fed_s = now_s
         if self._making_safe or self._clock.procedure_alive:
             self._begun_s = now_s
@@ -219,7 +223,8 @@ class LinkWorker:
             self._begun_s = None
 
     def _next(self) -> tuple[int, Work | None]:
-        """The next piece of work and the loop that it belongs to, or None after a while."""
+        """Return the next call and the number of its tick loop; None if no call comes for a
+        while."""
         with self._changed:
             if not self._asked and not self._closing:
                 self._changed.wait(None if self._feed is None else FEED_EVERY_S)
@@ -246,14 +251,15 @@ class LinkWorker:
 
 
 class LinkWorkers(Mapping[str, LinkWorker]):
-    """The workers of a bench, by role, in the order in which the instruments were connected."""
+    """The link workers of a bench, by role, in the order in which the instruments were
+    connected."""
 
     def __init__(self, clock: Clock):
         self._clock = clock
         self._workers: dict[str, LinkWorker] = {}
 
     def add(self, role: str, feed: Work | None = None, patience_s: float = SPARE_S) -> None:
-        """Have a worker for this instrument from now on; RigError where no thread can be had."""
+        """Start a worker for this instrument. Raises RigError if its thread cannot be started."""
         worker = LinkWorker(role, self._clock, feed, patience_s)
         worker.start()
         self._workers[role] = worker
@@ -267,14 +273,15 @@ class LinkWorkers(Mapping[str, LinkWorker]):
     def __len__(self) -> int:
         return len(self._workers)
 
-    def look(self) -> None:
-        """In every slice of a wait: raise what a keep-alive has met; see `LinkWorker.look`."""
+    def poll(self) -> None:
+        """Called in every slice of a wait: raise the exception of a keep-alive; see
+        `LinkWorker.poll`."""
         for worker in tuple(self._workers.values()):
-            worker.look()
+            worker.poll()
 
     @contextlib.contextmanager
     def making_safe(self) -> Iterator[None]:
-        """Within it no drive ends another one's wait, and each that answers is fed."""
+        """Let no drive end a wait within the block; each drive that answers gets keep-alives."""
         for worker in self._workers.values():
             worker.begin_making_safe()
         try:
@@ -284,6 +291,6 @@ class LinkWorkers(Mapping[str, LinkWorker]):
                 worker.end_making_safe()
 
     def close(self) -> None:
-        """End all of them, before the instruments' links are closed."""
+        """End all workers; called before the instruments' links are closed."""
         for worker in self._workers.values():
             worker.close()

@@ -1,4 +1,4 @@
-"""A bench file, read and checked: settings of the bench, and of a driver for each role.
+"""Read and check a bench file: settings of the bench, and of a driver for each role.
 
 The driver modules come from the entry-point group ``rig.drivers``, so a laboratory adds its own
 without touching this package. All errors of a file are shown at once.
@@ -30,12 +30,12 @@ from rig.instruments.roles import (
 )
 
 WAITS_PER_CALL = 2
-"""A call on an instrument may wait twice for its time-out: to reconnect, and for the answer."""
+"""Time-outs that one call on an instrument may wait for: one to reconnect, one for the answer."""
 
 
 @dataclass(frozen=True)
 class InstrumentPlan:
-    """One role's driver and settings, validated but not connected."""
+    """The driver and settings of one role, validated but not connected."""
 
     role: str
     driver_name: str
@@ -45,12 +45,12 @@ class InstrumentPlan:
 
 @dataclass(frozen=True)
 class BenchPlan:
-    """A validated bench file."""
+    """A bench file that was read and found valid."""
 
     settings: BenchSettings
     instruments: tuple[InstrumentPlan, ...]
     text: str
-    """The file verbatim."""
+    """Text of the file, unchanged."""
     source: str
     """Where it came from, for messages and the run file."""
     stand_ins: tuple[str, ...] = ()
@@ -58,12 +58,12 @@ class BenchPlan:
 
     @property
     def mounted(self) -> tuple[Fixture, ...]:
-        """The fixtures on the bench, that of [fixture] first."""
+        """Fixtures on the bench, the one of [fixture] first."""
         return tuple(fixture.mounted for fixture in self.settings.fixtures)
 
     def require_fixture(self, *accepted: Fixture) -> BenchPlan:
-        """The plan on the first mounted fixture of those `accepted`; ConfigurationError, which
-        refuses the run, where none is."""
+        """Return the plan on the first mounted fixture of those `accepted`. Raises
+        ConfigurationError, which refuses the run, if none of them is mounted."""
         for mounted in self.mounted:
             if mounted in accepted:
                 return self.on(mounted)
@@ -74,7 +74,8 @@ class BenchPlan:
         )
 
     def on(self, fixture: Fixture) -> BenchPlan:
-        """The plan with one of the mounted fixtures as that of [fixture], which a run works on."""
+        """Return the plan with one of the mounted fixtures as its [fixture], on which a run
+        works."""
         if fixture == self.settings.fixture.mounted:
             return self
         fixtures = self.settings.fixtures
@@ -85,12 +86,13 @@ class BenchPlan:
 
 
 def longest_call_s(settings: Settings) -> float:
-    """The longest that a call on an instrument with these settings may wait for its link, in s."""
+    """Return the longest time in s that a call on an instrument with these settings may wait for
+    its link."""
     return WAITS_PER_CALL * float(getattr(settings, "timeout_s", 0.0))
 
 
 def read_bench(path: Path) -> BenchPlan:
-    """Read and validate a bench file; ConfigurationError tells all that is wrong with it."""
+    """Read and validate a bench file. Raises ConfigurationError, which lists every fault of it."""
     hint = "give the file with --bench, or leave it out for the simulated bench"
     return parse_bench(read_text(path, "bench file", MAX_TOML_BYTES, hint), str(path))
 
@@ -110,7 +112,7 @@ def parse_bench(text: str, source: str) -> BenchPlan:
     if settings is not None and ("daq" not in described or any(p.role == "daq" for p in plans)):
         findings += map(ConfigurationError, _wiring_errors(settings, plans, source))
     if settings is not None:
-        findings += map(ConfigurationError, _impatience(settings, plans, source))
+        findings += map(ConfigurationError, _heartbeat_findings(settings, plans, source))
     if findings or settings is None:
         hints = dict.fromkeys(finding.hint or "correct the bench file" for finding in findings)
         raise ConfigurationError("; ".join(f.message for f in findings), "; ".join(hints))
@@ -119,21 +121,21 @@ def parse_bench(text: str, source: str) -> BenchPlan:
 
 @dataclass(frozen=True)
 class Restable:
-    """What of a bench file can be made safe, and why the rest cannot."""
+    """The instruments of a bench file that can be made safe, and why the others cannot."""
 
     instruments: tuple[InstrumentPlan, ...]
     failures: dict[str, str]
-    """By role, why an instrument is out of reach; under "bench file" what is wrong with the rest of
-    the file."""
+    """Reason why an instrument cannot be made safe, by role; under "bench file", the faults of the
+    rest of the file."""
     settings: BenchSettings | None
-    """None where the rest of the file is wrong."""
+    """Settings of the bench itself; None if they are wrong."""
 
 
 def parse_to_make_safe(text: str, source: str) -> Restable:
-    """What a bench file says of its instruments, for making them safe.
+    """Return the instruments of a bench file, for making them safe.
 
-    What is wrong with one instrument or its driver keeps no other from being made safe, so it is
-    returned and not raised. ConfigurationError where the text describes no instrument at all.
+    A fault in the table of one instrument or in its driver must not prevent making the others safe,
+    so it is returned, not raised. Raises ConfigurationError if the text describes no instrument.
     """
     tables = parse_toml(text, source)
     described = [role for role in ROLES if role in tables]
@@ -176,7 +178,8 @@ def rehearsal(
     limits: dict[str, Any] = {
         "fixture": real.settings.fixture,
         "also_mounted": real.settings.also_mounted,
-        "calibrations": CalibrationFiles(),  # those of real sensors are nothing to simulated ones
+        # Calibration records of real sensors do not describe simulated ones.
+        "calibrations": CalibrationFiles(),
     }
     if real.settings.load_cell is not None and simulated.settings.load_cell is not None:
         kept = {"sensitivity_V_N": simulated.settings.load_cell.sensitivity_V_N}
@@ -204,7 +207,7 @@ def _stand_ins(real: BenchPlan, simulated: BenchPlan, models: Mapping[str, str])
 
 
 def _settings(tables: dict[str, Any], source: str) -> BenchSettings:
-    """A bench file's own part, what is left of it without its instruments."""
+    """Return the settings of the bench itself from its tables without those of the instruments."""
     try:
         return BenchSettings.model_validate(tables)
     except ValidationError as error:
@@ -243,7 +246,7 @@ def _plan_instrument(role: str, table: Any, source: str) -> InstrumentPlan:
 def _wiring_errors(
     settings: BenchSettings, plans: list[InstrumentPlan], source: str
 ) -> Iterator[str]:
-    """Parts that the bench file describes but whose signal no terminal of the DAQ carries."""
+    """Yield a fault for each part whose signal is not wired to a channel of the DAQ."""
     wired = next((getattr(p.settings, "channels", {}) for p in plans if p.role == "daq"), {})
     carriers = {"film": ("film",), "load_cell": ("load_cell",), "skin": STRIPS}
     for name, channels in carriers.items():
@@ -252,8 +255,11 @@ def _wiring_errors(
                 yield f"{source}: [{name}] is described, but [daq.channels] wires no {channel}"
 
 
-def _impatience(settings: BenchSettings, plans: list[InstrumentPlan], source: str) -> Iterator[str]:
-    """A run that waits for an instrument must not be taken for one that hangs."""
+def _heartbeat_findings(
+    settings: BenchSettings, plans: list[InstrumentPlan], source: str
+) -> Iterator[str]:
+    """Yield a fault for each instrument that a run may wait for longer than its heartbeat
+    time-out."""
     for plan in plans:
         longest_s = longest_call_s(plan.settings)
         if longest_s >= settings.heartbeat_timeout_s:

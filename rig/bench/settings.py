@@ -1,4 +1,4 @@
-"""What a bench file says of the bench itself: fixture, film, skin, load cell. Values only."""
+"""The settings of the bench itself in a bench file: fixture, film, skin, load cell."""
 
 from __future__ import annotations
 
@@ -25,43 +25,43 @@ STRIPS: tuple[Strip, ...] = ("strip_1", "strip_2")
 
 
 class FilmSettings(Settings):
-    """The film under test and its amplifier."""
+    """Settings of the film under test and its amplifier."""
 
     amplifier_gain: float = Field(default=1.0, gt=0)
     """Gain between film and DAQ."""
     area_mm2: float = Field(default=8.0, gt=0)
     """Contact area of the indentor."""
     name: str = ""
-    """Which film: its label or batch."""
+    """Label or batch of the film."""
 
 
 class LoadCellSettings(Settings):
-    """The dynamic force sensor that carries the film."""
+    """Settings of the load cell, the dynamic force sensor that carries the film."""
 
     name: str = ""
-    """Which cell: its label or serial number."""
+    """Label or serial number of the load cell."""
     sensitivity_V_N: float = Field(gt=0)
     """Output per newton."""
     max_load_N: float = Field(default=20.0, gt=0)
-    """Largest peak load that film and cell may see; beyond it the run trips."""
+    """Largest peak load allowed on film and load cell; a larger one trips the run."""
 
 
 class MountedSkinSettings(Settings):
-    """The artificial finger skin and the amplifiers of its two strips."""
+    """Settings of the artificial finger skin and the amplifiers of its two strips."""
 
     name: str = ""
-    """Which skin: its label or batch."""
+    """Label or batch of the skin."""
     amplifier_gain: float = Field(default=1000.0, gt=0)
     """Gain between a strip and the DAQ."""
     ridge: int = Field(default=3, ge=1)
-    """The ridge that holds the strips, 1 is the leftmost."""
+    """Number of the ridge that holds the strips; 1 is the leftmost."""
     b_dB: dict[Strip, float] = Field(default_factory=dict)
     """Calibrated b (paper eq. 2) by strip, without the amplifier's gain; none until calibrated. A
     calibration record in use replaces it."""
     b_error_dB: dict[Strip, float] = Field(default_factory=dict)
     """Standard error of each b."""
     films: dict[Strip, str] = Field(default_factory=dict)
-    """Label of the film in each strip: a calibration record has to be of it."""
+    """Label of the film in each strip; a calibration record must be of that film."""
 
     @model_validator(mode="after")
     def _every_level_has_its_error(self) -> Self:
@@ -73,22 +73,25 @@ class MountedSkinSettings(Settings):
 
 
 class FixtureSettings(Settings):
-    """What is mounted on the bench."""
+    """Settings of a fixture that is mounted on the bench."""
 
     mounted: Fixture
-    """A procedure refuses to run on the wrong fixture."""
+    """Kind of fixture; a procedure refuses to run on one that it is not made for."""
     contact_from_mm: float | None = None
-    """Position of the z stage at which the probe meets the object at the earliest: contact felt
-    before means that something is in the way."""
+    """Earliest position of the z stage at which the probe can meet the object: contact felt before
+    it means that something is in the way."""
     contact_to_mm: float | None = None
-    """Position at which it has met the object: no contact by then means that there is none."""
+    """Position by which the probe must have met the object: no contact by then means that the
+    object is missing."""
     parked_mm: float = 5.0
-    """Position at which the z stage waits, clear of everything. One that is not clear of contact
-    refuses each run that presses, not this file: the bench can still be made safe with it."""
+    """Position at which the z stage waits, clear of everything. With one that is not clear of
+    contact every run that presses is refused, but the file is accepted, so that the bench can still
+    be made safe with it."""
     centre_mm: float | None = None
-    """Of an object that rolls: position of x at which the middle of the skin is above it."""
+    """For an object that rolls: position of x at which the middle of the skin is above the
+    object."""
     upright_deg: float | None = None
-    """Of an object that rolls: angle of the rotary stage at which it stands upright."""
+    """For an object that rolls: angle of the rotary stage at which the object stands upright."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -102,24 +105,24 @@ class FixtureSettings(Settings):
 
 
 class BenchSettings(Settings):
-    """A bench file without its instruments, whose tables belong to their drivers."""
+    """Settings of the bench itself; the instruments' tables belong to their drivers."""
 
     name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
     """Name of the bench, used in messages and file names."""
     simulation: dict[str, Any] | None = None
-    """Present on a simulated bench: its seed and World. A simulated instrument marks a run as
-    simulated all the same."""
+    """Seed and World of a simulated bench; None on a real one. A run with any simulated instrument
+    is marked as simulated in either case."""
     heartbeat_timeout_s: float = Field(default=5.0, ge=1, le=600)
-    """A run silent for longer is taken for hung: the guard ends it and makes the bench safe."""
+    """Time without a heartbeat after which the guard ends the run and makes the bench safe."""
     fixture: FixtureSettings
     also_mounted: tuple[FixtureSettings, ...] = ()
-    """Fixtures that are mounted beside it, each with its own places: runs on any of them need
-    nobody to change the bench between them."""
+    """Further fixtures mounted at the same time, each with its own positions, so that runs on any
+    of them need no change of the bench in between."""
     film: FilmSettings | None = None
     load_cell: LoadCellSettings | None = None
     skin: MountedSkinSettings | None = None
     calibrations: CalibrationFiles = CalibrationFiles()
-    """Calibration records in use; their values replace those of this file."""
+    """Calibration records in use; their values replace those of the bench file."""
 
     @model_validator(mode="after")
     def _each_fixture_once(self) -> Self:
@@ -131,5 +134,5 @@ class BenchSettings(Settings):
 
     @property
     def fixtures(self) -> tuple[FixtureSettings, ...]:
-        """All that is mounted."""
+        """All mounted fixtures, the one of [fixture] first."""
         return (self.fixture, *self.also_mounted)

@@ -1,4 +1,4 @@
-"""What a simulated bench has to offer: the interface of the entry-point group ``rig.benches``."""
+"""The interface of a simulated bench, for the entry-point group ``rig.benches``."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import Any, Protocol
 
 
 class BenchFactory(Protocol):
-    """What an entry point of group ``rig.benches`` names: a module that can be a bench."""
+    """The members of a module that an entry point of the group ``rig.benches`` names."""
 
     def variants(self) -> tuple[str, ...]:
-        """The names of the benches that it can be, for the option ``stages``; the usual one is the
-        first."""
+        """Return the names of the benches that the module can simulate, for the option ``stages``;
+        the default comes first."""
         ...
 
     def variant_for(self, drivers: Mapping[str, str]) -> str | None:
-        """The variant that stands in for a bench with these drivers (names by role): its stages
-        have their limits. None where it has none for them."""
+        """Return the variant whose stages have the limits of a bench with these drivers (names by
+        role), or None if there is no such variant."""
         ...
 
     def options_for(self, drivers: Mapping[str, str]) -> dict[str, Any]:
@@ -25,16 +25,17 @@ class BenchFactory(Protocol):
         ...
 
     def start(self, options: dict[str, Any]) -> RunningBench:
-        """Start the bench as a process of its own, its time slaved to the caller."""
+        """Start the bench as a separate process whose time the caller advances."""
         ...
 
     def serve(self, options: dict[str, Any], ready: Callable[[str], None]) -> None:
-        """Be the bench in real time until stopped; `ready` gets the text of its bench file."""
+        """Run the bench in real time until stopped; `ready` is called with the text of its bench
+        file."""
         ...
 
 
 class RunningBench(Protocol):
-    """A simulated bench that was started for one run."""
+    """The process of a simulated bench that was started for one run."""
 
     def ready(self) -> dict[str, Any]:
         """Wait until it listens: ``control_port``, ``bench_toml``, ``recorded_toml``, the same text
@@ -46,5 +47,5 @@ class RunningBench(Protocol):
         ...
 
     def abandon(self) -> None:
-        """End the process, to which nothing has been connected."""
+        """End a process to which nothing has been connected."""
         ...

@@ -1,1 +1,1 @@
-"""What everything stands on: settings, units, errors, the clock, the disk cache."""
+"""The base of all other packages: settings, units, errors, the clock, the disk cache."""

@@ -1,4 +1,4 @@
-"""Writing files so that a reader, a kill or a power cut never meets half of one.
+"""Write files so that a reader, a kill or a power cut never leaves half of one.
 
 A new file is written under a temporary name in the target's folder and then renamed over the
 target. A rename within one folder is atomic: whoever opens the target sees the earlier file or the

@@ -16,9 +16,9 @@ import sys
 from collections.abc import Iterator, Sequence
 
 MAX_MEMORY_BYTES = 8 << 30
-"""Address space of a child: the largest dataset that is read in one piece, several times over."""
+"""Limit on a child's address space: several times the largest dataset that is read in one piece."""
 MAX_ANSWER_BYTES = 1 << 30
-"""What a child may write to stdout."""
+"""Limit on what a child may write to stdout."""
 
 
 class ChildError(Exception):
@@ -86,7 +86,8 @@ def _memory_file() -> Iterator[int]:
 
 def _limit(pid: int, timeout_s: float, memory_bytes: int, answer_bytes: int) -> None:
     """Limit a child that has just been started and is still loading Python."""
-    # If this process is killed, nobody is left to kill the child when its time is over. The limit
+    # If this process is killed, no process is left to kill the child when its time is over. The
+    # limit
     # of processor time then ends a child that is caught in an endless loop.
     processor_s = int(2 * timeout_s) + 1
     with contextlib.suppress(ProcessLookupError):  # it has ended already

@@ -1,18 +1,18 @@
 """Bench time: the one clock that procedures, drivers and the runner wait on.
 
-Two clocks share one way of waiting. `WallClock` lives in real time, on hardware or on a simulated
-bench that runs by itself. `SlavedClock` owns the time of a simulated bench: nothing moves there
-unless this clock says so, which makes a run repeatable to the bit and as fast as the computer
-allows.
+Two clocks share one way of waiting. `WallClock` runs in real time, on hardware or on a simulated
+bench that runs by itself. `SlavedClock` advances the virtual time of a simulated bench: nothing
+moves there unless this clock advances, which makes a run repeatable to the bit and as fast as the
+computer allows.
 
 A wait is cut into slices of at most 20 ms. Before each slice the registered callbacks run: the
-check for a stop request, the heartbeat, a look at what the links' threads have met. They run in the
+check for a stop request, the heartbeat, the check of the link workers for failures. They run in the
 procedure's threads only; a thread that works in the background waits without them.
 
-Every slice is also a sign of life of the procedure. `procedure_alive` says whether the latest is
-recent: drives with a communication time-out are kept alive only while it is, so a procedure that
-hangs starves them and they stop by themselves. A link that waits for an answer says for how long at
-most (`answer_within`); the procedure may be silent for as long.
+Every slice is also a sign of life of the procedure. `procedure_alive` is true while the latest is
+recent. Drives with a communication time-out get keep-alives only then, so they stop by themselves
+when the procedure hangs. A link that waits for an answer states the longest time that this may take
+(`answer_within`); the procedure may give no sign of life for that time.
 """
 
 from __future__ import annotations
@@ -29,46 +29,47 @@ from typing import Any, Protocol
 from rig.core.errors import InstrumentError
 
 WAIT_SLICE_S = 0.02
-"""The longest stretch of time that passes without a look at stop requests and keep-alives."""
+"""Longest time between two checks for stop requests and keep-alives."""
 
 STREAM_SLICE_S = 0.01
-"""The longest advance while an instrument streams: what its pty can buffer without loss."""
+"""Longest advance while an instrument streams: its pty can buffer that much without loss."""
 
 STREAM_PATIENCE_S = 3.0
 """Wall time that a stream reader may take to consume what the simulated bench has sent: less than
-the guard's patience with a run that gives no sign of life."""
+the heartbeat time-out of the guard."""
 
 BEAT_S = 1.0
-"""Between two signs of life of who waits for a simulated bench that computes."""
+"""Interval between the signs of life of a thread that waits for the simulated bench to compute."""
 
 SIGN_OF_LIFE_S = 0.5
-"""Without a sign of life for longer, outside the waits for an answer, the procedure is taken to
-hang. A computer that is busy stalls for less."""
+"""Time without a sign of life, outside the waits for an answer, after which the procedure is
+considered to hang. A busy computer stalls for less."""
 
 CONTROL_TIMEOUT_S = 60.0
-"""Wall time the simulated bench may take to answer an advance: only a dead one takes longer."""
+"""Wall time that the simulated bench may take to answer an advance; only a dead one takes
+longer."""
 
 Unregister = Callable[[], None]
 
 
 class StreamConsumer(Protocol):
-    """Who takes a stream's bytes off its link."""
+    """A reader that takes the bytes of a stream off its link."""
 
     def bytes_handled(self) -> int:
-        """Bytes whose samples have been seen to."""
+        """Number of bytes whose samples have been processed."""
         ...
 
     def await_bytes(self, count: int, patience_s: float) -> int:
-        """Wait until `count` bytes have been handled, no longer than `patience_s` of wall time and
-        not for one that has ended; how many have been."""
+        """Wait until `count` bytes have been handled, the reader has ended, or `patience_s` of wall
+        time have passed. Returns how many bytes have been handled."""
         ...
 
 
 class Clock(ABC):
-    """Seconds since the clock was made, and waiting that stays responsive."""
+    """Measures bench time, and waits in slices between which callbacks run."""
 
     is_virtual = False
-    """Whether time stops while an instrument answers."""
+    """True if time stops while an instrument answers."""
 
     def __init__(self) -> None:
         self._callbacks: list[Callable[[], None]] = []
@@ -81,7 +82,7 @@ class Clock(ABC):
 
     @abstractmethod
     def _pass(self, seconds: float) -> None:
-        """Let at most `seconds` of bench time go by, without callbacks."""
+        """Wait for at most `seconds` of bench time, without callbacks."""
 
     def each_slice(self, callback: Callable[[], None]) -> Unregister:
         """Call `callback` before every wait slice until the returned function is called."""
@@ -95,8 +96,8 @@ class Clock(ABC):
 
     @contextlib.contextmanager
     def in_background(self) -> Iterator[None]:
-        """Within it the calling thread is not the procedure: its waits call no callbacks and are no
-        sign of life."""
+        """Mark the calling thread as one in the background within the block: its waits run no
+        callbacks and are not signs of life of the procedure."""
         self._background.here = True
         try:
             yield
@@ -104,16 +105,16 @@ class Clock(ABC):
             self._background.here = False
 
     def sign_of_life(self) -> None:
-        """Say that the procedure is running; nothing happens in a background thread."""
+        """Note that the procedure is running; does nothing in a background thread."""
         if not getattr(self._background, "here", False):
             self._alive_until = time.monotonic() + SIGN_OF_LIFE_S
 
     @contextlib.contextmanager
     def answer_within(self, seconds: float) -> Iterator[None]:
-        """Within it the calling thread waits for an instrument's answer, at most for `seconds` of
-        wall time: so long the procedure's silence does not mean that it hangs.
+        """Mark the block as a wait for an instrument's answer of at most `seconds` of wall time;
+        for that time the procedure is not considered to hang.
 
-        Every link puts its transactions into it. Nothing happens in a background thread.
+        Every link encloses its transactions in it. Does nothing in a background thread.
         """
         if not getattr(self._background, "here", False):
             self._alive_until = time.monotonic() + seconds + SIGN_OF_LIFE_S
@@ -124,12 +125,12 @@ class Clock(ABC):
 
     @property
     def procedure_alive(self) -> bool:
-        """Whether the procedure has given a sign of life recently, or waits for an answer that is
-        not overdue."""
+        """True if the procedure gave a sign of life recently, or waits for an answer that is not
+        overdue."""
         return time.monotonic() < self._alive_until
 
     def sleep(self, seconds: float) -> None:
-        """Wait `seconds` of bench time; whatever a callback raises ends the wait."""
+        """Wait for `seconds` of bench time; an exception from a callback ends the wait."""
         deadline = self.now() + seconds
         while True:
             if not getattr(self._background, "here", False):
@@ -142,40 +143,39 @@ class Clock(ABC):
             self._pass(min(remaining, WAIT_SLICE_S))
 
     def charge(self, seconds: float) -> None:
-        """Wall time has been spent on a link's time-out: bench time that has not passed meanwhile
-        passes now. Callbacks run as in any wait."""
+        """Let bench time pass for `seconds` of wall time that were spent on a link's time-out, as
+        far as it has not passed already. Callbacks run as in any wait."""
         self.sleep(seconds)
 
     def announce(self, run: int, point: int) -> None:  # noqa: B027 - hardware need not know
-        """Tell a simulated bench which point comes next: it keys the point's noise."""
+        """Announce to a simulated bench which point comes next; run and point seed the point's
+        noise."""
 
     def while_computing(self, beat: Callable[[], None]) -> None:  # noqa: B027 - hardware does not
-        """Call `beat` about once a second while a simulated bench takes its time over a stretch of
-        bench time: who waits for it is alive."""
+        """Have `beat` called about once a second while a simulated bench computes, as a sign of
+        life."""
 
     def act(self, do: str, **values: object) -> bool:
         """Have a simulated bench do what a person would do to a real one, such as ``weigh``.
-
-        Whether there is such a bench: where there is none, a person has to do it.
-        """
+        Returns whether there is such a bench: on a real one a person has to do it."""
         return False
 
     def truth(self) -> dict[str, Any]:
-        """What really happened on a simulated bench since `announce`, times in us of its time;
-        nothing where nobody knows."""
+        """Return what really happened on a simulated bench since `announce`, with times in us of
+        bench time; an empty dict on a real bench."""
         return {}
 
     def follow_stream(self, name: str, reader: StreamConsumer) -> Unregister:
-        """Make waits last until the reader of stream `name` has handled, by its count, what the
-        bench has sent; in real time there is nothing to wait for."""
+        """Make waits last until the reader of stream `name` has handled all bytes that the
+        simulated bench has sent; does nothing in real time."""
         return lambda: None
 
     def close(self) -> None:  # noqa: B027 - nothing to release in real time
-        """Release what the clock holds."""
+        """Release the resources of the clock."""
 
 
 class WallClock(Clock):
-    """Real time, from a monotonic source."""
+    """A clock in real time, from a monotonic source."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -186,7 +186,7 @@ class WallClock(Clock):
         return time.monotonic() - self._start
 
     def charge(self, seconds: float) -> None:
-        """It has passed already."""
+        """Do nothing: real time has passed already."""
         self.sleep(0)
 
     def _pass(self, seconds: float) -> None:
@@ -194,7 +194,7 @@ class WallClock(Clock):
 
 
 class SlavedClock(Clock):
-    """The time of a simulated bench, moved by this clock through the bench's control socket.
+    """A clock that advances the virtual time of a simulated bench through its control socket.
 
     Only the procedure's thread may sleep on it. After each advance it waits until every stream
     reader has consumed the bytes that the bench says it has sent, so what a reader has seen at a
@@ -208,14 +208,14 @@ class SlavedClock(Clock):
         self._control = control
         self._now_us = 0
         self._followed: dict[str, tuple[StreamConsumer, int]] = {}
-        """Readers by stream, and what the bench had sent by its count when theirs began."""
+        """Readers by stream, and the number of bytes that the bench had sent before each began."""
 
     def now(self) -> float:
         """Seconds of bench time since the bench started."""
         return self._now_us * 1e-6
 
     def sleep(self, seconds: float) -> None:
-        """Wait `seconds` of bench time, counted in whole microseconds."""
+        """Wait for `seconds` of bench time, rounded to whole microseconds."""
         remaining_us = max(0, round(seconds * 1e6))
         while True:
             for callback in tuple(self._callbacks):
@@ -230,29 +230,30 @@ class SlavedClock(Clock):
     def follow_stream(self, name: str, reader: StreamConsumer) -> Unregister:
         """Make `sleep` wait for the reader of stream `name`.
 
-        What the bench had sent before counts as handled before; call it while nothing streams.
+        Bytes that the bench sent before are not waited for; call it while nothing streams.
         """
         streams = self._control.request("advance", us=0)["streams"]
         self._followed[name] = reader, int(streams.get(name, 0)) - reader.bytes_handled()
         return lambda: self._followed.pop(name, None) and None
 
     def while_computing(self, beat: Callable[[], None]) -> None:
-        """Of each request to the bench."""
+        """Have `beat` called during each request to the bench."""
         self._control.beat = beat
 
     def act(self, do: str, **values: object) -> bool:
-        """Have the bench do it."""
+        """Have the simulated bench do it; always returns True."""
         self._control.request(do, **values)
         return True
 
     def truth(self) -> dict[str, Any]:
-        """Ask the bench; nothing where its World keeps no record of it."""
+        """Return the bench's own record of what happened; an empty dict if its World records
+        none."""
         answer = self._control.request("truth")
         del answer["now_us"]
         return answer
 
     def announce(self, run: int, point: int) -> None:
-        """Tell the bench which point comes next."""
+        """Announce to the bench which point comes next."""
         self._control.request("point", run=run, point=point)
 
     def close(self) -> None:
@@ -269,7 +270,8 @@ class SlavedClock(Clock):
             if name in self._followed:
                 try:
                     self._wait_for_reader(name, int(sent))
-                except BaseException:  # said once: a clean-up may still have to wait
+                except BaseException:
+                    # Raised once: a shutdown action may still have to wait on this clock.
                     self._followed.pop(name, None)
                     raise
 
@@ -286,21 +288,22 @@ class SlavedClock(Clock):
 
 
 class PacedClock(SlavedClock):
-    """The time of a simulated bench that goes no faster than a wall clock: for a person at it."""
+    """A slaved clock that advances no faster than real time, for a bench that a person operates."""
 
     def __init__(self, control: ControlLink):
         super().__init__(control)
         self._due_s = time.monotonic()
 
     def _advance(self, step_us: int) -> None:
-        """What the bench takes longer than real time is not caught up."""
+        """Advance, and wait for the rest of the step in real time; time lost by a slow bench is not
+        caught up."""
         self._due_s = max(self._due_s + step_us * 1e-6, time.monotonic())
         super()._advance(step_us)
         time.sleep(max(0.0, self._due_s - time.monotonic()))
 
 
 class ControlLink:
-    """The control socket of a simulated bench: one JSON line asks, one JSON line answers."""
+    """The control socket of a simulated bench: one JSON line for a request, one for its answer."""
 
     def __init__(self, port: int, host: str = "127.0.0.1"):
         try:
@@ -310,10 +313,10 @@ class ControlLink:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._received = b""
         self.beat: Callable[[], None] = lambda: None
-        """Called about once a second while an answer takes so long."""
+        """Function that is called about once a second while an answer is awaited."""
 
     def request(self, do: str, **values: object) -> dict[str, Any]:
-        """Send one request and return the bench's answer; InstrumentError where it is gone."""
+        """Send one request and return the bench's answer. Raises InstrumentError if it is gone."""
         try:
             self._socket.sendall(json.dumps({"do": do, **values}).encode() + b"\n")
             line = self._line()
@@ -330,7 +333,7 @@ class ControlLink:
         return answer
 
     def _line(self) -> bytes | None:
-        """The next line of the bench, without its end; None where the bench has ended."""
+        """Return the next line from the bench without its line end; None if the bench has ended."""
         give_up = time.monotonic() + CONTROL_TIMEOUT_S
         while b"\n" not in self._received:
             try:
@@ -347,7 +350,8 @@ class ControlLink:
         return line
 
     def stop(self) -> None:
-        """Ask the bench to end, and close; a bench that is gone already is as good."""
+        """Ask the bench to end, and close the socket; a bench that has ended already is not an
+        error."""
         try:
             self.request("stop")
         except InstrumentError:

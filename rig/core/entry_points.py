@@ -45,17 +45,18 @@ FUNCTIONS: dict[str, tuple[str, ...]] = {
     BENCHES: ("start", "serve", "variants", "variant_for", "options_for"),
     SIMULATORS: ("bench_settings", "exchanges", "frames_until"),
 }
-"""Functions that a module of each group must have. What a procedure's class must have is checked by
+"""Functions that a module of each group must have. The class of a procedure is checked by
 `rig.run.load_procedure`."""
 
 OWN_PACKAGE = "tactile-rig"
-"""Another package that registers one of this package's names does not replace it."""
+"""This package; another one that registers one of its names does not replace it."""
 _MACHINERY = (__file__, importlib.__file__, importlib.metadata.__file__)
 """Files that appear in the traceback of every import."""
 
 
 class BrokenPackageError(ConfigurationError):
-    """What a package registers cannot be used; the message names the package and entry point."""
+    """Raised for an entry point that cannot be used; the message names the package and entry
+    point."""
 
     def __init__(self, entry: EntryPoint, reason: str, hint: str | None = None):
         self.package = package(entry)
@@ -68,14 +69,15 @@ class BrokenPackageError(ConfigurationError):
 
 
 def names(group: str) -> tuple[str, ...]:
-    """The names registered in a group, each once, in order; nothing is imported."""
+    """Return the names registered in a group, each once, in order; nothing is imported."""
     return tuple(sorted({entry.name for entry in _registered(group)}))
 
 
 def find(group: str, name: str) -> EntryPoint | None:
-    """The entry point of this name, or None; this package's own goes before another's.
+    """Return the entry point of this name, or None; one of this package has priority over
+    another's.
 
-    ConfigurationError where two other packages register the name.
+    Raises ConfigurationError if two other packages register the name.
     """
     found = [entry for entry in _registered(group) if entry.name == name]
     if len(found) > 1:
@@ -93,8 +95,8 @@ def load(group: str, name: str, find_fault: Callable[[Any], str | None] | None =
     """Import what is registered under `name` and check that it has what its group demands.
 
     `find_fault` is a further check: given the module or class, it returns what is wrong with it, as
-    the end of a sentence that begins with its name, or None. ConfigurationError where nothing is
-    registered under the name, BrokenPackageError where the import or a check fails. Whatever a
+    the end of a sentence that begins with its name, or None. Raises ConfigurationError if nothing
+    is registered under the name, BrokenPackageError where the import or a check fails. Whatever a
     foreign module raises is caught: making a bench safe must not depend on it.
     """
     entry = find(group, name)
@@ -123,10 +125,10 @@ def load(group: str, name: str, find_fault: Callable[[Any], str | None] | None =
 
 
 def summary(group: str, name: str) -> str:
-    """The first line of the docstring of a registered class or module, read from its source; ""
-    where there is no source to read, or the class is defined in another module.
+    """Return the first line of the docstring of a registered class or module, read from its source;
+    "" where there is no source to read, or the class is defined in another module.
 
-    Neither the module nor a package around it is imported. BrokenPackageError where there is no
+    Neither the module nor a package around it is imported. Raises BrokenPackageError if there is no
     such module, or where its source or that of a package around it does not parse.
     """
     entry = find(group, name)
@@ -138,13 +140,13 @@ def summary(group: str, name: str) -> str:
         docstring = _docstring(entry.module, entry.attr)
     except (SyntaxError, ModuleNotFoundError) as error:
         raise BrokenPackageError(entry, f"cannot be imported: {_cause(error)}") from error
-    except Exception:  # noqa: BLE001 - a finder of another package; `load` tells what is wrong
+    except Exception:  # noqa: BLE001 - a finder of another package; `load` reports what is wrong
         return ""
     return docstring.strip().split("\n", 1)[0]
 
 
 def package(entry: EntryPoint) -> str:
-    """The name of the package that registers an entry point, or where it is installed."""
+    """Return the name of the package that registers an entry point, or where it is installed."""
     if entry.dist is None:
         return "without a name"
     return entry.dist.metadata["Name"] or f"without a name in {entry.dist.locate_file('')}"
@@ -152,19 +154,20 @@ def package(entry: EntryPoint) -> str:
 
 @cache
 def _registered(group: str) -> tuple[EntryPoint, ...]:
-    """The entry points of a group; to look for them takes milliseconds, so it is done once."""
+    """Return the entry points of a group. Finding them takes milliseconds, so it is done once."""
     return tuple(entry_points(group=group))
 
 
 def _fault(entry: EntryPoint, module: Any) -> str | None:
-    """What a module does not have that its group demands; None where nothing is missing."""
+    """Return which members required by its group a module lacks; None if it lacks none."""
     data, functions = DATA.get(entry.group, ()), FUNCTIONS.get(entry.group, ())
     missing = [name for name in data if not hasattr(module, name)]
     missing += [name for name in functions if not callable(getattr(module, name, None))]
     if missing:
         return f"lacks {', '.join(missing)}"
     if "Settings" in data:
-        from rig.core.settings import Settings  # after the module, which has imported it already
+        # Imported here and not at the top: the module that is checked has imported it already.
+        from rig.core.settings import Settings
 
         if not (isinstance(module.Settings, type) and issubclass(module.Settings, Settings)):
             return "has Settings that are not a subclass of rig.core.settings.Settings"
@@ -174,8 +177,8 @@ def _fault(entry: EntryPoint, module: Any) -> str | None:
 
 
 def _docstring(module: str, class_name: str) -> str:
-    """The docstring of a module, or of a class in it where one is named; found as an import would
-    find the module, but without one."""
+    """Return the docstring of a module, or of the class in it if one is named. The module is found
+    as an import would find it, but it is not imported."""
     tree, name, folders = ast.parse(""), "", None
     for part in module.split("."):
         name = f"{name}.{part}" if name else part
@@ -193,7 +196,7 @@ def _docstring(module: str, class_name: str) -> str:
 
 
 def _cause(error: BaseException) -> str:
-    """What an import raised, in one line, with the file and the line where known."""
+    """Return the exception of an import in one line, with file and line if they are known."""
     if isinstance(error, SyntaxError) and error.filename is not None:
         place, message = f"{error.filename} line {error.lineno}: ", error.msg
     else:
@@ -209,7 +212,7 @@ def _cause(error: BaseException) -> str:
 
 
 def _remedy(entry: EntryPoint, error: Exception) -> str | None:
-    """What to install, where an import misses something that is not the package's own."""
+    """Return which module to install if an import misses one that is not part of the package."""
     if not isinstance(error, ModuleNotFoundError) or not error.name:
         return None
     if error.name.split(".")[0] == entry.module.split(".")[0]:

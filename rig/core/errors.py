@@ -1,7 +1,7 @@
-"""What can go wrong, as one family: every expected failure is a RigError with an exit code.
+"""Every expected failure is a RigError, with a message, a hint and an exit code.
 
-A message is one line that names the thing, the value, the unit and the limit; the hint says what
-to do about it. Only the command line decides how they are shown.
+A message is one line that names the thing, the value, the unit and the limit; the hint names the
+remedy. Only the command line decides how they are shown.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ if TYPE_CHECKING:
 
 
 MOST_FINDINGS = 20
-"""Told of one file at once: who wrote it needs no more, who did not shall not fill the terminal."""
+"""Largest number of faults reported of one file: its author needs no more, and a file of another
+kind must not fill the terminal."""
 LONGEST_NAME = 60
-"""Characters of a key or a value in a message."""
+"""Largest number of characters of a key or a value in a message."""
 LONGEST_REASON = 300
 
 
 class ExitCode(IntEnum):
-    """What the process tells its caller; the numbers are part of the interface."""
+    """The exit codes of the process; the numbers are part of the interface."""
 
     DONE = 0
     INTERNAL = 1
@@ -42,11 +43,11 @@ class ExitCode(IntEnum):
 STOPPED_BY_SIGNAL = frozenset(
     {ExitCode.SIGHUP, ExitCode.SIGINT, ExitCode.SIGQUIT, ExitCode.SIGTERM}
 )
-"""Exit codes of what a signal has ended: 128 and the signal's number."""
+"""Exit codes of a process that a signal has ended: 128 plus the signal's number."""
 
 
 class RigError(Exception):
-    """An expected failure: one line of message, an optional remedy, an exit code."""
+    """An expected failure: a message of one line, an optional hint, an exit code."""
 
     code: ExitCode = ExitCode.INTERNAL
 
@@ -58,29 +59,30 @@ class RigError(Exception):
             self.code = code
 
     def one_line(self) -> str:
-        """Message and hint as one line, the form in which a person reads it."""
+        """Message and hint on one line, as a person reads it."""
         text = f"{self.message}; {self.hint}" if self.hint else self.message
         return " ".join(text.split())
 
     def parts(self) -> tuple[RigError, ...]:
-        """The failures it consists of, each told for itself: this one."""
+        """Return the failures that this error consists of, to be reported one by one: itself
+        only."""
         return (self,)
 
 
 class SeveralFailuresError(RigError):
-    """Failures that have nothing to do with each other; the first one's exit code counts."""
+    """Several failures that do not depend on each other, with the exit code of the first."""
 
     def __init__(self, errors: Sequence[RigError]):
         super().__init__("; ".join(error.message for error in errors), code=errors[0].code)
         self.errors = tuple(errors)
 
     def parts(self) -> tuple[RigError, ...]:
-        """Each of them."""
+        """Return the failures that this error consists of."""
         return self.errors
 
 
 class ConfigurationError(RigError):
-    """Settings, a file or an option that cannot be used; nothing was touched."""
+    """Raised for settings, a file or an option that cannot be used; no instrument was touched."""
 
     code = ExitCode.USAGE
 
@@ -88,7 +90,8 @@ class ConfigurationError(RigError):
     def from_validation(
         cls, error: ValidationError, source: str, hint: str | None = None
     ) -> ConfigurationError:
-        """All of a pydantic error's findings in one message, each with key, value and reason."""
+        """Return an error whose message has all findings of a pydantic error: key, value and
+        reason."""
         found = error.errors()
         findings = [finding(item) for item in found[:MOST_FINDINGS]]
         if len(found) > MOST_FINDINGS:
@@ -97,7 +100,8 @@ class ConfigurationError(RigError):
 
 
 class InstrumentError(RigError):
-    """An instrument failed, refused, lied or fell silent: names device, command and cause."""
+    """Raised when an instrument fails, refuses, misreports or falls silent; names device, command,
+    cause."""
 
     code = ExitCode.INSTRUMENT
 
@@ -109,23 +113,24 @@ class InstrumentError(RigError):
 
 
 class InstrumentTimeoutError(InstrumentError):
-    """No answer within the time-out; the link is resynchronised before it is trusted again."""
+    """Raised when no answer comes within the time-out; the link is resynchronised before its next
+    use."""
 
 
 class LimitError(RigError):
-    """A value outside a limit of the bench, refused or tripped."""
+    """Raised for a value outside a limit of the bench, whether refused or tripped."""
 
     code = ExitCode.LIMIT
 
 
 class UnsafeError(RigError):
-    """The bench could not be made safe: somebody has to go and look."""
+    """Raised when the bench could not be made safe: a person has to check it."""
 
     code = ExitCode.UNSAFE
 
 
 class FoundWrongError(RigError):
-    """A check ran and what it checked is wrong (``verify``, ``reproduce``)."""
+    """Raised when a check (``verify``, ``reproduce``) finds an error in what it checked."""
 
     code = ExitCode.FOUND_WRONG
 
@@ -155,12 +160,12 @@ _WORDS = {
     "union_tag_invalid": "{discriminator} = '{tag}' is unknown",
     "union_tag_not_found": "{discriminator} is missing",
 }
-"""Kinds of pydantic's findings in a person's words; its own are shown for the others."""
+"""Messages for pydantic's kinds of findings; the others are shown in pydantic's own words."""
 
 
 def finding(item: Any) -> str:
-    """One of pydantic's findings (an entry of `ValidationError.errors`) in words: key, value with
-    unit, and the limit."""
+    """Return one of pydantic's findings (an entry of `ValidationError.errors`) in words: key, value
+    with unit, and the limit."""
     from rig.core.settings import unit_of
 
     key = ".".join(shortened(str(part)) for part in item["loc"])
@@ -187,5 +192,5 @@ def finding(item: Any) -> str:
 
 
 def shortened(text: str, longest: int = LONGEST_NAME) -> str:
-    """A text from a file as a message can quote it: not longer than `longest` characters."""
+    """Return a text, shortened to at most `longest` characters, for quoting it in a message."""
     return text if len(text) <= longest else text[: longest - 3] + "..."

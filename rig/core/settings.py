@@ -81,7 +81,7 @@ from the bench file."""
 
 
 class Settings(BaseModel):
-    """Base of every settings object: unknown keys refused, frozen, finite numbers only."""
+    """Base of every settings class: unknown keys are refused, values are frozen, numbers finite."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -94,7 +94,7 @@ class Settings(BaseModel):
     def __get_pydantic_json_schema__(
         cls, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        """The JSON schema, each field described by the docstring below it."""
+        """Return the JSON schema, in which each field is described by the docstring below it."""
         made = handler(schema)
         properties = handler.resolve_ref_schema(made).get("properties", {})
         for name, text in descriptions(cls).items():
@@ -103,9 +103,9 @@ class Settings(BaseModel):
 
 
 def descriptions(model: type[Settings]) -> dict[str, str]:
-    """What the docstring below each field says, by field name, inherited ones included.
+    """Return the docstring below each field, by field name, including inherited fields.
 
-    Read from the source when somebody wants to show it: pydantic would read the source of every
+    They are read from the source only when they are shown: pydantic would read the source of every
     settings class as it is imported, which takes longer than all else about them.
     """
     said: dict[str, str] = {}
@@ -118,7 +118,7 @@ def descriptions(model: type[Settings]) -> dict[str, str]:
 def _attribute_docstrings(cls: type[Settings]) -> dict[str, str]:
     try:
         source = inspect.getsource(cls)
-    except OSError:  # typed in at a prompt: nobody can show it
+    except OSError:  # A class that was typed in at a prompt has no source.
         return {}
     tree = ast.parse(textwrap.dedent(source))
     (body,) = (node.body for node in tree.body if isinstance(node, ast.ClassDef))
@@ -141,7 +141,7 @@ def wiring_of(model: type[Settings]) -> frozenset[str]:
 
 
 def unit_of(field_name: str) -> str | None:
-    """The unit that a field's name carries (``normal_force_N`` gives ``N``), or None."""
+    """Return the unit of a field from its name (``normal_force_N`` gives ``N``), or None."""
     for suffix in _SUFFIXES_LONGEST_FIRST:
         if field_name == suffix or field_name.endswith("_" + suffix):
             return UNIT_BY_SUFFIX[suffix]
@@ -149,7 +149,7 @@ def unit_of(field_name: str) -> str | None:
 
 
 def name_without_unit(field_name: str) -> str:
-    """The field's name without its unit suffix: ``normal_force_N`` gives ``normal_force``."""
+    """Return a field's name without its unit suffix: ``normal_force_N`` gives ``normal_force``."""
     for suffix in _SUFFIXES_LONGEST_FIRST:
         if field_name.endswith("_" + suffix):
             return field_name[: -len(suffix) - 1]
@@ -157,12 +157,12 @@ def name_without_unit(field_name: str) -> str:
 
 
 def option_name(field_name: str) -> str:
-    """The command-line option of a settings field: ``settling_s`` gives ``--settling``."""
+    """Return the command-line option of a settings field: ``settling_s`` gives ``--settling``."""
     return "--" + name_without_unit(field_name).replace("_", "-")
 
 
 def leaves(settings: Settings, prefix: str = "") -> Iterator[tuple[str, Any, str | None]]:
-    """Every plain value of a settings tree as (dotted name, value, unit)."""
+    """Yield every plain value of a settings tree as (dotted name, value, unit)."""
     for name in type(settings).model_fields:
         value = getattr(settings, name)
         if isinstance(value, Settings):
@@ -172,7 +172,7 @@ def leaves(settings: Settings, prefix: str = "") -> Iterator[tuple[str, Any, str
 
 
 def fingerprint(*parts: Any) -> str:
-    """A stable hash of JSON-able values and settings: equal exactly when they are equal."""
+    """Return a stable hash of JSON-able values and settings: equal exactly when they are equal."""
     plain = [p.model_dump(mode="json") if isinstance(p, BaseModel) else p for p in parts]
     text = json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()

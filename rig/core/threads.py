@@ -1,4 +1,4 @@
-"""Starting a thread, or saying why the computer has none to give."""
+"""Start a thread, or report why the computer cannot start one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from rig.core.errors import RigError
 
 
 def start_thread(thread: threading.Thread) -> None:
-    """Start `thread`; RigError where the computer gives this program no further thread."""
+    """Start `thread`. Raises RigError if the computer has reached its limit of threads."""
     try:
         thread.start()
     except RuntimeError as error:

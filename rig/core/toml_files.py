@@ -1,7 +1,7 @@
-"""Settings files as they come from people and strangers: read whole, bounded, into plain values.
+"""Read settings files, whose size and nesting are limited, into plain values.
 
-A file that is too large, nested beyond sense, or no file at all is refused before anything has to
-understand it. What the values mean is for the settings classes to say.
+A file that is too large, nested too deeply, or not a regular file is refused before its content is
+parsed. The settings classes define what the values mean.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from typing import Any
 from rig.core.errors import ConfigurationError
 
 MAX_TOML_BYTES = 64 << 10
-"""A bench file has two thousand."""
+"""Largest size of a TOML file; a bench file has two thousand bytes."""
 MAX_TOML_LINE = 8 << 10
-"""Characters of a line: the time that `tomllib` takes for a dotted name grows with the cube of its
-length (two minutes for 64 KiB), and such a name cannot leave its line."""
+"""Longest line in characters: the time that `tomllib` takes for a dotted name grows with the cube
+of its length (two minutes for 64 KiB), and such a name cannot leave its line."""
 MAX_JSON_BYTES = 1 << 20
-"""A calibration record has ten thousand."""
+"""Largest size of a JSON file; a calibration record has ten thousand bytes."""
 MAX_DEPTH = 32
-"""Of tables within tables."""
+"""Deepest nesting of tables and lists."""
 MAX_KEYS = 10_000
-"""In all tables of a document."""
+"""Largest number of keys in all tables of a document."""
 
 
 def read_text(path: Path, what: str, most_bytes: int, hint: str | None = None) -> str:
-    """The text of a file, which `what` names for people ("bench file").
+    """Return the text of a file; `what` names it in messages ("bench file").
 
-    ConfigurationError where it cannot be read, is no regular file (nothing waits for a pipe), is
+    Raises ConfigurationError if it cannot be read, is not a regular file (a pipe could block), is
     longer than `most_bytes` or is not UTF-8.
     """
     try:
@@ -55,12 +55,14 @@ def read_text(path: Path, what: str, most_bytes: int, hint: str | None = None) -
 
 
 def read_toml(path: Path, what: str, hint: str | None = None) -> dict[str, Any]:
-    """The tables of a TOML file; ConfigurationError as `read_text` and `parse_toml`."""
+    """Return the tables of a TOML file. Raises ConfigurationError as `read_text` and `parse_toml`
+    do."""
     return parse_toml(read_text(path, what, MAX_TOML_BYTES, hint), str(path))
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """The tables of a TOML text; ConfigurationError for one that is none, or beyond the bounds."""
+    """Return the tables of a TOML text. Raises ConfigurationError for a text that is not TOML or
+    exceeds the limits."""
     if len(text) > MAX_TOML_BYTES:
         raise ConfigurationError(f"{source}: longer than {MAX_TOML_BYTES} characters")
     for number, line in enumerate(text.split("\n"), 1):
@@ -80,8 +82,9 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def check_nesting(value: Any) -> None:
-    """ValueError where tables and lists are nested deeper than MAX_DEPTH or have more than
-    MAX_KEYS keys in all: no settings are, and what walks them would not come to an end."""
+    """Raise ValueError if tables and lists are nested deeper than MAX_DEPTH or have more than
+    MAX_KEYS keys in all. No settings do, and code that walks such a document would take too long.
+    """
     level = [value] if isinstance(value, (dict, list, tuple)) else []
     keys = 0
     for _ in range(MAX_DEPTH + 1):
@@ -100,7 +103,7 @@ def check_nesting(value: Any) -> None:
 
 
 def toml_value(value: Any) -> str:
-    """A value of plain settings in TOML on one line: JSON but for tables."""
+    """Return a plain value as TOML on one line, which equals JSON except for tables."""
     if isinstance(value, dict):
         inside = ", ".join(f"{json.dumps(key)} = {toml_value(own)}" for key, own in value.items())
         return f"{{ {inside} }}"

@@ -22,12 +22,12 @@ _UNIT_EXPRESSION = re.compile(r"(1|[^\s/*^]+(\^-?\d+)?)?([ */·]+[^\s/*^]+(\^-?\
 
 
 def duration(seconds: float) -> str:
-    """A stretch of time as a person reads it: ``12.3 s``, ``0:02:05``."""
+    """Return a duration as text: ``12.3 s``, ``0:02:05``."""
     return f"{seconds:.1f} s" if seconds < 60 else str(timedelta(seconds=round(seconds)))
 
 
 def time_span(seconds: float) -> str:
-    """A time as a person says it: ``4.6 s``, ``14 s``, ``2 min 40 s``, ``7 h 5 min``."""
+    """Return a duration in words: ``4.6 s``, ``14 s``, ``2 min 40 s``, ``7 h 5 min``."""
     if seconds < 9.95:
         return f"{seconds:.1f} s"
     if (whole := round(seconds)) < 3600:
@@ -41,17 +41,18 @@ def time_span(seconds: float) -> str:
 
 
 def plural(number: int, noun: str) -> str:
-    """A number of things as a person writes it: ``1 run``, ``3 runs``."""
+    """Return a number and a noun in singular or plural: ``1 run``, ``3 runs``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def count(number: int, one: str, several: str) -> str:
-    """A number of things in words: ``1 trial``, ``3 trials``."""
+    """Return a number with the noun `one` or `several`: ``1 trial``, ``3 trials``."""
     return f"{number} {one if number == 1 else several}"
 
 
 def parse(text: str, annotation: Any, unit: str | None) -> Any:
-    """A text as a value for a field of this type; ValueError says what is wrong."""
+    """Return the value of a text for a field of this type. Raises ValueError, which names the
+    fault."""
     arguments = typing.get_args(annotation)
     if typing.get_origin(annotation) is tuple:
         items = text.split(",")
@@ -70,12 +71,12 @@ def parse(text: str, annotation: Any, unit: str | None) -> Any:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is a unit as files and figures carry it: ``V s/N``, ``mm/s^2``, ``%``, or ""
-    for a number without one."""
+    """Return whether a text is a unit as files and figures carry it: ``V s/N``, ``mm/s^2``, ``%``,
+    or "" for a number without one."""
     symbols = re.findall(r"[^\s0-9/*^()·-]+", text)
     if _UNIT_EXPRESSION.match(text) and all(symbol in _COMMON_SYMBOLS for symbol in symbols):
         return True
-    import pint  # slow to import: only where something unusual needs it
+    import pint  # Slow to import, so imported only for the rare units that need it.
 
     try:
         pint.Unit(text)
@@ -85,20 +86,21 @@ def is_unit(text: str) -> bool:
 
 
 def quantity(text: str, unit: str | None) -> float:
-    """A number in `unit` from text with or without a unit."""
+    """Return the number in `unit` that a text, with or without a unit, states."""
     match = _QUANTITY.match(text)
     if match is None:
         try:
-            return float(text)  # nan and inf go on to the settings, which refuse them by name
+            # NaN and infinity pass here: the settings classes refuse them and name the field.
+            return float(text)
         except ValueError:
-            raise ValueError(f"is no number{f' of {unit}' if unit else ''}") from None
+            raise ValueError(f"is not a number{f' of {unit}' if unit else ''}") from None
     number, written = float(match[1]), match[2]
     if written in ("", unit):
         return number
     if unit is None:
         raise ValueError(f"takes a bare number, not {written!r}")
     if not _UNIT.match(written):
-        raise ValueError(f"{written!r} is no unit")
+        raise ValueError(f"{written!r} is not a unit")
     import pint
 
     try:

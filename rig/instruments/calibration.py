@@ -1,8 +1,9 @@
-"""Calibration records: what a sensor's numbers are, since when, until when, and who found them.
+"""Calibration records: a sensor's constants, with their dates of measurement and expiry and their
+source.
 
 One file a record, JSON that a person can read. A record is written once and never overwritten; it
-says by itself whether it may be used: for which sensor, until which day, and not on a real bench
-if it was made on a simulated one. Arrays are in the order of the sensor's axes x, y, z.
+states the sensor and the period for which it may be used, and whether it was made on a simulated
+bench, in which case a real bench refuses it. Arrays are in the order of the sensor's axes x, y, z.
 
 Three kinds: ``pvdf`` (volts per newton of a film, from a sweep), ``force`` (three-axis force
 sensor, from weights), ``load-cell`` (the dynamic load cell, statically, from weights).
@@ -29,11 +30,11 @@ from rig.core.toml_files import MAX_JSON_BYTES, check_nesting, read_text
 Kind = Literal["pvdf", "force", "load-cell"]
 
 VALID_DAYS: dict[Kind, int] = {"pvdf": 90, "force": 365, "load-cell": 365}
-"""How long a record holds unless told otherwise (assumed: a film ages, a strain gauge hardly)."""
+"""Default period of validity of a record (assumed: a film ages, a strain gauge hardly does)."""
 EXPIRY_WARNING_DAYS = 14.0
-"""A record that expires within so many days gives a warning."""
+"""Days before its expiry from which a record gives a warning."""
 FOLDER = "calibrations"
-"""Where records are kept, beside the bench file."""
+"""Folder of the records, next to the bench file."""
 
 COMMANDS: dict[Kind, str] = {
     "pvdf": "rig calibrate pvdf FILE",
@@ -47,7 +48,7 @@ NotNegative = Annotated[float, Field(ge=0)]
 
 
 class Quantity(Settings):
-    """A value with its standard error and 95 % interval; None stands for what is not finite."""
+    """A value with its standard error and 95 % interval; numbers that are not finite are None."""
 
     value: float | None
     standard_error: NotNegative | None
@@ -66,7 +67,7 @@ class Quantity(Settings):
 
 
 class CalibrationFiles(Settings):
-    """The records that a bench uses, paths beside the bench file."""
+    """The records that a bench uses, as paths relative to the bench file."""
 
     film: Path | None = None
     """Record of the film, by ``rig calibrate pvdf``."""
@@ -79,7 +80,7 @@ class CalibrationFiles(Settings):
     strip_2: Path | None = None
     """Record of the film in strip S2."""
     expiry_warning_days: float = Field(default=EXPIRY_WARNING_DAYS, ge=0, le=3650)
-    """A record that expires within so many days gives a warning."""
+    """Days before its expiry from which a record gives a warning."""
 
 
 class SourceRun(Settings):
@@ -91,22 +92,22 @@ class SourceRun(Settings):
 
 
 class Record(Settings):
-    """What every calibration record says."""
+    """Base of all calibration records."""
 
     format: Literal[1] = 1
     kind: Kind
     sensor: str = Field(min_length=1, max_length=200)
     """Label of the film; serial number or name of a sensor."""
     date: AwareDatetime
-    """When it was measured."""
+    """Time of the measurement."""
     valid_until: AwareDatetime
     operator: str = ""
     simulated: bool
-    """From a simulated bench: never to be used on a real one."""
+    """True for a record made on a simulated bench, which a real bench refuses."""
     program: str = ""
     """Name and version of the program that wrote it."""
     temperature_degC: float | None = None
-    """Of the surroundings, where somebody measured it."""
+    """Temperature of the surroundings; None if it was not measured."""
     notes: str = ""
 
     @model_validator(mode="after")
@@ -117,7 +118,7 @@ class Record(Settings):
 
 
 class RecordedDrop(Settings):
-    """A drop that the sweep found: a second-order notch."""
+    """A notch that the sweep found, of second order."""
 
     frequency_Hz: float = Field(gt=0)
     pole_Q: float = Field(gt=0)
@@ -125,11 +126,11 @@ class RecordedDrop(Settings):
 
 
 class FilmCalibration(Record):
-    """Volts per newton of a film with its amplifier: slope of 20 dB/decade, one pole, drops.
+    """Volts per newton of a film with its amplifier: slope of 20 dB/decade, one pole, notches.
 
-    ``covariance`` belongs to b (dB), inverse_corner (s), delay (s), then ln frequency, ln Q and
-    depth (dB) of each drop; it holds noise, the load cell's error, and the model error that the
-    sweep's scatter about the model asked for.
+    The rows of ``covariance`` are b (dB), inverse_corner (s), delay (s), then ln frequency, ln Q
+    and depth (dB) of each notch. It contains noise, the load cell's error, and the model error that
+    the sweep's scatter about the model requires.
     """
 
     kind: Literal["pvdf"] = "pvdf"
@@ -137,27 +138,28 @@ class FilmCalibration(Record):
     b_dB: Quantity
     """Level of equation (2), dB re 1 V/N: the low-frequency asymptote at 1 Hz."""
     corner_Hz: Quantity
-    """Frequency of the pole; no value where none shows in the measured range."""
+    """Frequency of the pole; without a value if the pole does not show in the measured range."""
     delay_us: Quantity
-    """Of the film's channel after the load's."""
+    """Delay of the film's channel relative to the load's."""
     inverse_corner_s: float
-    """1 / corner, which stays finite: what is computed with."""
+    """1 / corner, which stays finite; computations use it."""
     polarity: Literal[-1, 1]
     drops: tuple[RecordedDrop, ...] = ()
     covariance: tuple[tuple[float, ...], ...]
     gain_model_error_dB: NotNegative = 0.0
-    """Scatter of single frequencies about the model beyond noise."""
+    """Scatter of single frequencies about the model in excess of noise."""
     phase_model_error_deg: NotNegative = 0.0
     points: int = Field(ge=1)
     lowest_frequency_Hz: float = Field(gt=0)
     highest_frequency_Hz: float = Field(gt=0)
     preload_N: float | None = None
-    """Static force on the film during the sweep, where the run says it."""
+    """Static force on the film during the sweep; None if the run does not state it."""
     amplifier_gain: float | None = Field(default=None, gt=0)
-    """Of the film's amplifier, which the response contains; where the run says it."""
+    """Gain of the film's amplifier, which the response contains; None if the run does not
+    state it."""
     load_cell_error_percent: NotNegative | None = None
     """Standard error of the load cell's sensitivity as the run's own calibration record states it;
-    None where the run had no such record, and the intervals then lack this error."""
+    None if the run had no such record, and the intervals then lack this error."""
 
     @model_validator(mode="after")
     def _covariance_fits(self) -> FilmCalibration:
@@ -190,16 +192,17 @@ class WeighedLoad(Settings):
 
 
 class Weighed(Record):
-    """What records from known weights have in common."""
+    """Base of the records that are made with known weights."""
 
     weights_N: tuple[float, ...] = Field(min_length=1)
     weight_tolerance_percent: NotNegative
-    """Limit of the weights' common error, taken as evenly spread and part of every error."""
+    """Relative tolerance of the weight set, taken as evenly distributed and contained in every
+    error."""
     preload_N: float = 0.0
-    """Force that stood on the sensor besides the weights."""
+    """Constant force on the sensor in addition to the weights."""
     coverage: float = Field(gt=0)
-    """Standard errors on either side that make the 95 % interval: Student's t where the scatter of
-    the readings was estimated from the readings, else 1.96."""
+    """Half width of the 95 % interval in standard errors: Student's t if the scatter of the
+    readings was estimated from them, else 1.96."""
 
 
 class ForceCalibration(Weighed):
@@ -213,8 +216,8 @@ class ForceCalibration(Weighed):
     residual_rms_N: NotNegative
     largest_residual_N: NotNegative
     crosstalk_percent: NotNegative
-    """What a force seems to be along another axis, in percent of it, if every bridge is read for
-    itself; the largest over all pairs of axes."""
+    """Apparent force along another axis, in percent of the force, if every bridge is evaluated
+    separately; the largest over all pairs of axes."""
     readings: tuple[WeighedForce, ...] = Field(min_length=5)
 
 
@@ -242,7 +245,8 @@ _Kind = TypeVar("_Kind", FilmCalibration, ForceCalibration, LoadCellCalibration)
 
 
 def read_calibration(path: Path, kind: type[_Kind]) -> _Kind:
-    """The record of a file; ConfigurationError where it is missing, garbled or of another kind."""
+    """Return the record in a file. Raises ConfigurationError if it is missing, damaged or of
+    another kind."""
     expected: Kind = kind.model_fields["kind"].default
     hint = f"name another record, or make one with `{COMMANDS[expected]}`"
     text = read_text(path, "calibration record", MAX_JSON_BYTES, hint)
@@ -256,11 +260,11 @@ def read_calibration(path: Path, kind: type[_Kind]) -> _Kind:
     found = content.get("kind") if isinstance(content, dict) else None
     if not isinstance(found, str) or found not in VALID_DAYS:
         raise ConfigurationError(
-            f"{path} is not a calibration record: it names no kind of one", hint
+            f"{path} is not a calibration record: it does not state its kind", hint
         )
     if found != expected:
         raise ConfigurationError(
-            f"{path} is a record of kind {found}, here one of kind {expected} belongs", hint
+            f"{path} is a record of kind {found}; one of kind {expected} is needed here", hint
         )
     try:
         return kind.model_validate(content)
@@ -269,7 +273,7 @@ def read_calibration(path: Path, kind: type[_Kind]) -> _Kind:
 
 
 def read_named(files: CalibrationFiles, folder: Path) -> list[tuple[Path, Calibration]]:
-    """The records that a bench file in `folder` names, each with its file."""
+    """Return the records that a bench file in `folder` names, each with its file."""
     films = [files.film, files.strip_1, files.strip_2]
 
     def read(named: Sequence[Path | None], kind: type[_Kind]) -> list[tuple[Path, Calibration]]:
@@ -284,7 +288,7 @@ def read_named(files: CalibrationFiles, folder: Path) -> list[tuple[Path, Calibr
 
 
 def make_record(kind: type[_Kind], fields: dict[str, Any]) -> _Kind:
-    """A record of these fields; ConfigurationError tells all that is wrong with them."""
+    """Return a record with these fields. Raises ConfigurationError, which lists every fault."""
     try:
         return kind.model_validate(fields)
     except ValidationError as error:
@@ -293,10 +297,10 @@ def make_record(kind: type[_Kind], fields: dict[str, Any]) -> _Kind:
 
 
 def write_calibration(record: Record, folder: Path) -> Path:
-    """Write a record to a new file of the folder; its path. What is there is never overwritten.
+    """Write a record to a new file in the folder and return its path; no file is overwritten.
 
-    The name is ``<kind>-<sensor>-<date>.json``, with a number after it from the second record of a
-    day on. The file appears whole or not at all. ConfigurationError where the folder takes none.
+    The name is ``<kind>-<sensor>-<date>.json``, with a number appended from the second record of a
+    day on. The file appears whole or not at all. Raises ConfigurationError if it cannot be written.
     """
     day = record.date.strftime("%Y-%m-%d")
     stem = f"{record.kind}-{_in_a_name(record.sensor)}-{day}"
@@ -314,7 +318,8 @@ def write_calibration(record: Record, folder: Path) -> Path:
 
 
 def require_folder(folder: Path) -> Path:
-    """The folder, made if needed; ConfigurationError where it would not take a record."""
+    """Return the folder, which is made if needed. Raises ConfigurationError if it is not
+    writable."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -324,7 +329,8 @@ def require_folder(folder: Path) -> Path:
 
 
 def as_text(record: Record) -> str:
-    """A record as its file has it: JSON, one key a line, a list of numbers on one line."""
+    """Return the text of a record's file: JSON with one key a line and a list of numbers on one
+    line."""
     return _json(record.model_dump(mode="json"), "") + "\n"
 
 
@@ -338,7 +344,8 @@ def require_valid(
     allow_expired: bool = False,
     warning_days: float = EXPIRY_WARNING_DAYS,
 ) -> list[str]:
-    """Warnings about a record that may be used for `sensor`, at the time `now`, on this bench.
+    """Check that a record may be used for `sensor` at the time `now` on this bench; return
+    warnings.
 
     ConfigurationError, naming file, sensor, dates and remedy, for a record of another sensor, for
     one of a simulated bench on a real one, and for one that has expired unless `allow_expired`.
@@ -362,14 +369,14 @@ def require_valid(
             raise ConfigurationError(ended, f"{remedy}, or allow it with --allow-expired")
         return [f"{ended} and is used because that was allowed"]
     if now < record.date:
-        return [f"{whose} lies in the future: look at this computer's clock"]
+        return [f"{whose} lies in the future: check this computer's clock"]
     if record.valid_until - now <= timedelta(days=warning_days):
         return [f"{whose} expires on {_day(record.valid_until)}"]
     return []
 
 
 def header_entry(record: Record, source: Path | str) -> dict[str, Any]:
-    """A record as the header of a run carries it: all of it, and the file it was read from."""
+    """Return a record as it is written to a run's header: all its fields and its file."""
     return {**record.model_dump(mode="json"), "file": str(source)}
 
 

@@ -2,8 +2,8 @@
 
 A procedure knows roles, a driver knows one instrument's protocol; neither knows the other. Roles
 speak SI-like units named in their arguments; amplitudes are peak values. Every method either does
-what it says and has verified it as far as the instrument allows, or raises an `InstrumentError`
-that names device, command and cause.
+what its docstring states and verifies it as far as the instrument allows, or raises an
+`InstrumentError` that names device, command and cause.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Identity:
-    """Who an instrument says it is."""
+    """Identity of an instrument as it reports it."""
 
     vendor: str
     model: str
@@ -33,13 +33,13 @@ class Identity:
 
     @property
     def simulated(self) -> bool:
-        """Whether this is one of our simulators: their serial numbers begin with SIM."""
+        """True if this is one of our simulators: their serial numbers begin with SIM."""
         return self.serial_number.startswith("SIM")
 
 
 @dataclass(frozen=True)
 class Reach:
-    """What a value may be: an interval in a unit, and whose limit it is."""
+    """Limits of a value: an interval in a unit, and the device that sets it."""
 
     low: float
     high: float
@@ -47,12 +47,12 @@ class Reach:
     owner: str
 
     def holds(self, value: float) -> bool:
-        """Whether `value` lies inside; NaN never does."""
+        """Return whether `value` lies inside the limits; NaN does not."""
         return self.low <= value <= self.high
 
     def require(self, device: str, what: str, value: float) -> None:
-        """LimitError that names device, quantity, value, unit and limit unless `value` lies inside:
-        the check of a driver, before anything is sent."""
+        """Raise LimitError, which names device, quantity, value, unit and limit, unless `value`
+        lies inside. A driver calls it before it sends anything."""
         if not self.holds(value):
             raise LimitError(
                 f"{device}: {what} {value:g} {self.unit} is outside {self.low:g} to {self.high:g} "
@@ -62,7 +62,7 @@ class Reach:
 
 
 class Instrument(Protocol):
-    """What every instrument can do."""
+    """The interface of every instrument."""
 
     @property
     def identity(self) -> Identity:
@@ -70,7 +70,8 @@ class Instrument(Protocol):
         ...
 
     def reach(self) -> Mapping[str, Reach]:
-        """The instrument's own limits by quantity name, for the check before the first motion."""
+        """Return the instrument's own limits by quantity name, for the check before the first
+        motion."""
         ...
 
     def make_safe(self) -> None:
@@ -79,7 +80,7 @@ class Instrument(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the link; the instrument keeps its state."""
+        """Close the link; the instrument stays in its state."""
         ...
 
 
@@ -95,7 +96,7 @@ class SignalGenerator(Instrument, Protocol):
         ...
 
     def output_is_on(self) -> bool:
-        """The output's state, asked from the instrument."""
+        """Return whether the output is on, as queried from the instrument."""
         ...
 
 
@@ -110,7 +111,7 @@ class InputChannel:
 
 @dataclass(frozen=True)
 class Acquisition:
-    """What to sample: channels in scan order, one rate for all, samples a channel."""
+    """Plan of an acquisition: channels in scan order, one rate for all, samples per channel."""
 
     channels: tuple[InputChannel, ...]
     rate_S_s: float
@@ -119,7 +120,7 @@ class Acquisition:
 
 @dataclass(frozen=True)
 class Scaling:
-    """How raw counts become volts and where in time they lie; all per channel, in scan order."""
+    """Conversion of raw counts to volts, and sampling delays; per channel, in scan order."""
 
     channels: tuple[str, ...]
     rate_S_s: float
@@ -127,14 +128,14 @@ class Scaling:
     offset_V: tuple[float, ...]
     range_V: tuple[float, ...]
     delay_s: tuple[float, ...]
-    """When a channel is sampled after the scan's nominal instant (multiplexer skew)."""
+    """Delay of each channel's sample after the scan's nominal instant (multiplexer skew)."""
     lowest_count: int
     highest_count: int
 
 
 @dataclass(frozen=True)
 class Record:
-    """Samples as the converter gave them: counts (n, channels) int16, with their scaling."""
+    """Samples of a converter: counts (n, channels) int16, with their scaling."""
 
     counts: npt.NDArray[np.int16]
     scaling: Scaling
@@ -142,17 +143,17 @@ class Record:
     """Index of the first row since the acquisition started."""
 
     def volts(self, channel: str) -> npt.NDArray[np.float64]:
-        """One channel in volts, shape (n,)."""
+        """Return one channel in volts, shape (n,)."""
         k = self.scaling.channels.index(channel)
         counts = self.counts[:, k].astype("f8")
         return counts * self.scaling.volts_per_count[k] + self.scaling.offset_V[k]
 
     def delay_s(self, channel: str) -> float:
-        """One channel's sampling delay in seconds."""
+        """Return one channel's sampling delay in seconds."""
         return self.scaling.delay_s[self.scaling.channels.index(channel)]
 
     def clipped(self, channel: str) -> int:
-        """How many of a channel's samples stand at either end of the converter's range."""
+        """Return how many samples of a channel are at either end of the converter's range."""
         column = self.counts[:, self.scaling.channels.index(channel)]
         low, high = self.scaling.lowest_count, self.scaling.highest_count
         return int(((column <= low) | (column >= high)).sum())
@@ -162,11 +163,12 @@ class DataAcquisition(Instrument, Protocol):
     """Analogue inputs, sampled together or one after the other (the scaling says which)."""
 
     def check(self, acquisition: Acquisition) -> None:
-        """Raise LimitError where this instrument cannot do it: rate, range, channel, count."""
+        """Raise LimitError for a rate, range, channel or count that this instrument cannot
+        provide."""
         ...
 
     def ranges_V(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital
-        """Bipolar full scales of an input, ascending."""
+        """Bipolar full scales of an input in ascending order."""
         ...
 
     def acquire(self, acquisition: Acquisition) -> Record:
@@ -178,15 +180,15 @@ class DataAcquisition(Instrument, Protocol):
         ...
 
     def read(self) -> Record | None:
-        """The next block of a running acquisition, or None where none is ready yet.
+        """Return the next block of a running acquisition, or None if none is ready yet.
 
         Lost data raise InstrumentError: a gap is never patched.
         """
         ...
 
     def stop(self) -> None:
-        """End a running acquisition, after a `read` that another thread is in; nothing happens
-        where none runs."""
+        """End a running acquisition, after a `read` under way in another thread; does nothing if
+        none runs."""
         ...
 
 
@@ -194,35 +196,35 @@ class LinearStage(Instrument, Protocol):
     """One linear axis. Waiting happens on the bench clock; positions in mm, speeds in mm/s.
 
     `reach` holds ``position``, ``speed`` and ``update_rate``: how often, in Hz, the link has time
-    for a look at the axis and a new target under way. An axis that has not been homed refuses to
-    move.
+    to poll the axis and send a new target during a motion. An axis that has not been homed refuses
+    to move.
     """
 
     def homed(self) -> bool:
-        """Whether the axis knows where it is."""
+        """Return whether the axis has found its reference since it was switched on."""
         ...
 
     def home(self) -> None:
-        """Find the reference and wait for it."""
+        """Find the reference, and wait until it is found."""
         ...
 
     def position_mm(self) -> float:
-        """The measured position, asked from the drive."""
+        """Return the measured position, queried from the drive."""
         ...
 
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
         """Begin to move there, or change the target of the motion under way.
 
-        Where another thread calls `stop` meanwhile, nothing is sent afterwards: InstrumentError.
+        Raises InstrumentError if another thread calls `stop` meanwhile; nothing is sent after that.
         """
         ...
 
     def moving(self) -> bool:
-        """Whether a motion is under way; a drive fault raises InstrumentError."""
+        """Return whether a motion is under way. Raises InstrumentError for a fault of the drive."""
         ...
 
     def move_to(self, position_mm: float, speed_mm_s: float) -> None:
-        """Move there, wait, and verify by measured position."""
+        """Move there, wait, and verify the measured position."""
         ...
 
     def stop(self) -> None:
@@ -230,7 +232,8 @@ class LinearStage(Instrument, Protocol):
         ...
 
     def keep_alive(self) -> None:
-        """One exchange that feeds the drive's communication time-out and checks it for faults."""
+        """Exchange one message, which resets the drive's communication time-out, and check for
+        faults."""
         ...
 
 
@@ -242,15 +245,17 @@ class RotaryStage(Instrument, Protocol):
     """
 
     def homed(self) -> bool:
-        """Whether the stage knows where it is, and nobody has turned it by hand since."""
+        """Return whether the stage has found its reference and has not been turned by hand
+        since."""
         ...
 
     def home(self) -> None:
-        """Acknowledge what the stage has reported, find the reference and wait for it."""
+        """Acknowledge the warnings that the stage has reported, find the reference and wait
+        for it."""
         ...
 
     def angle_deg(self) -> float:
-        """The measured angle, asked from the stage."""
+        """Return the measured angle, queried from the stage."""
         ...
 
     def start_turn(self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> None:
@@ -261,18 +266,19 @@ class RotaryStage(Instrument, Protocol):
         has, without a stop between; where the new angle lies behind, or too near to brake for, the
         stage passes it, stops and comes back. So a profile that is given as data can be streamed as
         set points, up to 100 a second; one or two steps ahead and at the profile's own speed, they
-        keep the stage from braking between. Should they cease, it stands at the last one. Saying
-        the same twice asks for nothing new. Where another thread calls `stop` meanwhile, nothing is
-        sent afterwards: InstrumentError.
+        keep the stage from braking between. Should they cease, it stands at the last one. Repeating
+        a call changes nothing. Raises InstrumentError if another thread calls `stop` meanwhile;
+        nothing is sent after that.
         """
         ...
 
     def moving(self) -> bool:
-        """Whether a turn is under way; a fault, or one that ended elsewhere, raises."""
+        """Return whether a turn is under way. Raises InstrumentError for a fault, or a turn that
+        ended at another angle."""
         ...
 
     def turn_to(self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> None:
-        """Turn there, wait, and verify by measured angle."""
+        """Turn there, wait, and verify the measured angle."""
         ...
 
     def stop(self) -> None:
@@ -280,8 +286,8 @@ class RotaryStage(Instrument, Protocol):
         ...
 
     def keep_alive(self) -> None:
-        """One look at status and warnings: a fault, a stall, a lost reference or a hand at the knob
-        raises InstrumentError, once when it appears."""
+        """Poll status and warnings. Raises InstrumentError, once, for a fault, a stall, a lost
+        reference or a turn of the knob."""
         ...
 
 
@@ -297,7 +303,7 @@ class ForceFrames:
     """(n, 3): forces along the sensor's x, y, z after matrix and tare, 0 on axes that it lacks.
     What presses on the sensor is positive along z."""
     saturated: npt.NDArray[np.bool_]
-    """(n,): the amplifier's converter was at its end."""
+    """True for each frame in which the amplifier's converter was saturated: (n,)."""
     raw_unit: str = "mV/V"
     """Unit of `raw`, which the run file states: mV/V of a bridge amplifier, or N."""
 
@@ -320,7 +326,8 @@ class ForceSensor(Instrument, Protocol):
 
     @property
     def frames_behind(self) -> float:
-        """Frames that bench time says are due since `start` and that `read` has not given."""
+        """Number of frames that are due since `start` by bench time and that `read` has not
+        returned."""
         ...
 
     def start(self, rate_S_s: float) -> float:
@@ -328,9 +335,9 @@ class ForceSensor(Instrument, Protocol):
         ...
 
     def read(self) -> ForceFrames | None:
-        """The frames that have arrived, or None; waits a few milliseconds at most.
+        """Return the frames that have arrived, or None; waits a few milliseconds at most.
 
-        Bytes that are no frame raise InstrumentError: a gap is never patched.
+        Raises InstrumentError for bytes that are not a frame: a gap is never patched.
         """
         ...
 
@@ -343,16 +350,16 @@ class ForceSensor(Instrument, Protocol):
         ...
 
     def tare(self, zero_mV_V: tuple[float, float, float]) -> tuple[float, float, float]:
-        """Take this reading as no force; the amplifier's own zero stays as it is. Returns the force
-        along x, y, z in N that the reading would be against that."""
+        """Define this reading as zero force; the amplifier's own zero stays as it is. Returns the
+        force along x, y, z in N that the reading means relative to the amplifier's zero."""
         ...
 
 
 class DriverModule(Protocol):
-    """What an entry point of group ``rig.drivers`` names: a module with these members."""
+    """The members of a module that an entry point of the group ``rig.drivers`` names."""
 
     ROLES: tuple[str, ...]
-    """Roles its instrument can play, such as ``generator`` or ``stage_z``."""
+    """Roles that its instrument can play, such as ``generator`` or ``stage_z``."""
     Settings: type[Settings]
 
     def connect(self, settings: Any, clock: Clock) -> Instrument:
@@ -360,5 +367,6 @@ class DriverModule(Protocol):
         ...
 
     def make_safe(self, settings: Any) -> None:
-        """Bring the instrument to rest over a connection of its own; idempotent."""
+        """Bring the instrument to rest over a separate connection; may be called any number of
+        times."""
         ...

@@ -367,14 +367,14 @@ def test_in_virtual_time_drives_are_fed_in_the_slices_of_a_wait_in_their_order()
     links.add("stage_x", unheard)
     links.add("stage_z", lambda: fed.append("z"))
     with pytest.raises(InstrumentError, match="no answer"):
-        links.look()
+        links.poll()
     assert fed == ["x"]
     with links.making_safe():
-        links.look()
-        links.look()
+        links.poll()
+        links.poll()
     assert fed == ["x", "x", "z", "z"], "asked once more, then left to its own time-out"
     with pytest.raises(InstrumentError, match="no answer"):
-        links.look()
+        links.poll()
 
 
 def test_nobody_is_fed_after_the_end(clock: WallClock, links: LinkWorkers) -> None:
