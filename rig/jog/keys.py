@@ -148,7 +148,7 @@ class Jog:
         """Axis that was sent to a target and not stopped since; None if there is none."""
         return self._motion.axis if self._motion is not None else None
 
-    def press(self, key: Key, now_s: float, place: Place) -> list[Action]:
+    def press(self, key: Key, now_s: float, place: AxisPosition) -> list[Action]:
         """Return the actions for a key, given the position of the chosen axis."""
         asked_s, self._homing_asked_s = self._homing_asked_s, None
         if key in (Key.LESS, Key.MORE):
@@ -206,7 +206,7 @@ class Jog:
         if not released:
             self._deaf_until_s = now_s + SILENCE_S
 
-    def _direction(self, way: Key, now_s: float, place: Place) -> list[Action]:
+    def _direction(self, way: Key, now_s: float, place: AxisPosition) -> list[Action]:
         if now_s < self._deaf_until_s:
             self._deaf_until_s = now_s + SILENCE_S
             return []

@@ -410,7 +410,7 @@ class JogSession:
                 case EndSession():
                     self._left = True
 
-    def _move(self, move: Move) -> None:
+    def _move(self, move: MoveAxis) -> None:
         axis = move.axis
         if move.begins:
             self._began_at = move.start

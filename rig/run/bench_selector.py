@@ -149,7 +149,7 @@ class BenchSelector:
 
         for report in reports:
             if (notice := takeover_notice(report)) is not None:
-                self.say(told)
+                self.say(notice)
 
 
 def start_simulated(
