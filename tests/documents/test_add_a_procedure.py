@@ -1,0 +1,110 @@
+"""docs/add-a-procedure.md, followed literally."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from page import Page
+
+from rig.files.runfile.reader import RunFile
+
+PAGE = "add-a-procedure.md"
+
+
+def test_the_package_runs_as_the_page_says(rig: Any) -> None:
+    page = Page(PAGE, rig)
+    assert page.strange_commands() == []
+    page.make()
+    ended = page.run_rig()
+    assert len(ended) == 7
+    for command, done in ended.items():
+        assert done.code == 0, (command, done.stderr)
+    helped, rehearsed, run, shown, verified, other, planned = ended.values()
+    assert "Hold a force and watch the skin creep." in helped.stdout
+    assert "How long the force is held. [10 s]" in " ".join(helped.stdout.split())
+    assert "2 of 2 trials" in run.stderr
+    assert "mean_creep_um" in shown.stdout
+    assert "sound (complete, 2 of 2 points)" in verified.stdout
+    assert "1 of 1 trial" in other.stderr
+    assert len(planned.stdout.splitlines()) == 4
+    first, second = sorted(rig.results.rglob("*_creep_*.h5"))
+    assert len(list(rig.results.rglob("*.h5"))) == 2, "a dry run leaves no file"
+    with RunFile.open(first) as run_file, RunFile.open(second) as changed:
+        assert run_file.settings["hold_s"] == 1.5
+        assert all(abs(run_file.column("creep")) < 1)
+        moved_mm = changed.column("contact")[0] - run_file.column("contact")[0]
+        assert moved_mm == pytest.approx(0.2, abs=0.02), "the World's file says where contact is"
+    assert rehearsed.stdout == ""
+
+
+def test_the_page_s_own_test_passes(rig: Any) -> None:
+    page = Page(PAGE, rig)
+    page.make()
+    tested = page.run_test()
+    assert tested.returncode == 0, tested.stdout + tested.stderr
+    assert "1 passed" in tested.stdout
+
+
+def test_the_motion_along_x_that_the_page_shows_runs(rig: Any) -> None:
+    page = Page(PAGE, rig)
+    (motion,) = (b for b in page.text.split("```python\n") if b.startswith("    def moves"))
+    hold = "    def under_force(self, trial):\n        trial.hold(self.settings.hold_s)\n"
+    assert hold in page.files["lab_creep/creep.py"]
+    page.make(
+        (hold, motion.partition("```")[0]),
+        ("        hold_s:", "        way_mm: float = 0.3\n        hold_s:"),
+        ("import Column\n", "import Column\nfrom rig.run.points import Move\n"),
+    )
+    done = rig.run("creep", "--no-figures", "--way", "0.2")
+    assert done.code in (0, 5), done.stderr
+    with RunFile.open(rig.only("*.h5")) as run:
+        (rows,) = run.waveforms("trial-001", stream="position")
+        assert rows.values("x")[-1] == pytest.approx(10.2, abs=0.01)
+    refused = rig.run("creep", "--no-figures", "--way", "90")
+    assert refused.code == 4
+    assert "--way 90 mm" in refused.stderr
+
+
+READING = "    def reading(self, record):"
+RETURNED = 'return {"creep_um": 1e3 * (record.z_mm[-1] - record.z_mm[0])}'
+MISTAKES = {
+    "lacks reading": (READING, "    def _reading(self, record):"),
+    "Creep.under_force has to be under_force(self, trial)": (
+        "def under_force(self, trial)",
+        "def under_force(self)",
+    ),
+    "which is not a hook; did you mean 'summarise'?": (
+        READING,
+        f"    def sumarise(self, readings): return {{}}\n\n{READING}",
+    ),
+    "which is not the key of one of its columns (creep_um)": (RETURNED, 'return {"creep_mm": 1}'),
+    "which its layout declares (use None for no value)": (RETURNED, "return {}"),
+    "every trial has a column 'stiffness'": (
+        'Column("creep", "um",',
+        'Column("stiffness", "um",',
+    ),
+    "a fault in the package lab-creep: lab_creep/creep.py line": (RETURNED, "return 1 / 0"),
+    "a trial needs at least 0.1 s": ("return self.settings.hold_s", "return 0.05"),
+}
+
+
+@pytest.mark.parametrize("message", MISTAKES)
+def test_a_mistake_gives_the_message_that_the_page_explains(rig: Any, message: str) -> None:
+    page = Page(PAGE, rig)
+    assert f"`{message}" in page.text
+    old, new = MISTAKES[message]
+    assert old in page.files["lab_creep/creep.py"]
+    page.make((old, new))
+    failed = rig.run("creep", "--hold", "0.2", "--no-figures")
+    assert failed.code not in (0, 5)
+    assert message in failed.stderr
+
+
+def test_other_messages_are_those_of_the_page(rig: Any) -> None:
+    page = Page(PAGE, rig)
+    missing = rig.run("creep")
+    assert missing.code == 2
+    assert "No such command 'creep'" in missing.stderr
+    page.make(("class Creep(", "class class Creep("))
+    assert "creep (unavailable: lab-creep: " in " ".join(rig.run("--help").stdout.split())
