@@ -1,4 +1,4 @@
-"""The command ``rig jog``: somebody at a terminal moves the axes of a bench by its keys."""
+"""The command ``rig jog``: move the axes of a bench by the keys of the terminal."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from rig.core.errors import STOPPED_BY_SIGNAL, ConfigurationError, RigError
 
 if TYPE_CHECKING:
     from rig.cli.terminal import Terminal
-    from rig.jog.session import Ended, JogSettings
+    from rig.jog.session import JogOutcome, JogSettings
     from rig.run.bench_selector import BenchRequest, ChosenBench
     from rig.run.stopping import StopFlag
 
 OWN_BENCH_REPORT = "jog.guard.json"
-"""Of the guard of a simulated bench that ended with the command."""
+"""Name of the guard's report for a simulated bench that ends with the command."""
 
 
 def jog(
@@ -33,33 +33,35 @@ def jog(
         str | None, typer.Option(help="Axis to begin with: stage_z, stage_x or rotary.")
     ] = None,
     step: Annotated[
-        str | None, typer.Option(help="What a press moves a linear axis by [0.1 mm].", metavar="mm")
+        str | None, typer.Option(help="Step of a linear axis per key press [0.1 mm].", metavar="mm")
     ] = None,
     speed: Annotated[
-        str | None, typer.Option(help="Of linear axes [1 mm/s, the largest].", metavar="mm/s")
+        str | None, typer.Option(help="Speed of linear axes [1 mm/s, the largest].", metavar="mm/s")
     ] = None,
     angle_step: Annotated[
-        str | None, typer.Option(help="What a press turns by [0.2 deg].", metavar="deg")
+        str | None,
+        typer.Option(help="Step of the rotary stage per key press [0.2 deg].", metavar="deg"),
     ] = None,
     turn_speed: Annotated[
         str | None,
-        typer.Option(help="Of the rotary stage [2 deg/s, the largest].", metavar="deg/s"),
+        typer.Option(help="Speed of the rotary stage [2 deg/s, the largest].", metavar="deg/s"),
     ] = None,
     largest_force: Annotated[
         str | None,
         typer.Option(
-            help="Along any axis, not tared; over it everything stops [5 N].", metavar="N"
+            help="Safety limit on each force axis, not tared; exceeding it stops the bench [5 N].",
+            metavar="N",
         ),
     ] = None,
     results: Annotated[Path, typer.Option(help="Folder for the log.")] = Path("results"),
     fixture: Annotated[
         Literal["film-clamp", "plate", "semi-spherical-object"] | None,
-        typer.Option(help="What is mounted on a simulated bench: film-clamp by default."),
+        typer.Option(help="Fixture of a simulated bench: film-clamp by default."),
     ] = None,
     stages: SimulatedStages = None,
     seed: Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0)] = 0,
     world: Annotated[
-        Path | None, typer.Option(help="World settings (TOML) of a simulated bench.")
+        Path | None, typer.Option(help="Physical parameters of the simulated bench (TOML).")
     ] = None,
     fault: Annotated[
         Path | None, typer.Option(help="Fault plan (TOML) of a simulated bench.")
@@ -69,10 +71,11 @@ def jog(
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Move an axis by keys: small slow steps, stopped when the key is let go.
+    """Move an axis by keys, in small slow steps that stop when the key is released.
 
-    Up, left or - is less (z: up), down, right or + is more. Tab chooses the next axis, h homes it.
-    Space or any other key stops, q or Esc leaves. Every move is in rig.log beside the results.
+    Up, left or - moves towards a smaller position (z: up), down, right or + towards a larger one.
+    Tab chooses the next axis, h homes it. Space or any other key stops, q or Esc leaves. Every move
+    is logged in rig.log in the results folder.
     """
     with reported(debug):
         from rig.cli.options import settings_from
@@ -107,7 +110,7 @@ def _perform(
     fixture: Literal["film-clamp", "plate", "semi-spherical-object"] | None,
     debug: bool,
 ) -> None:
-    """Choose the bench, jog it, tell how it ended, and end with the exit code."""
+    """Choose the bench, jog it, report how it ended, and exit with its code."""
     from rig.cli.streams import say_at_once
     from rig.cli.terminal import Terminal
     from rig.run.bench_selector import BenchSelector
@@ -148,9 +151,9 @@ def _at_the_bench(
     stop: StopFlag,
     terminal: Terminal,
     at_the_end: ExitStack,
-) -> Ended:
-    """Connect axes and force sensor, nothing else; jog; leave the rest to the guard if an axis
-    could not be stopped."""
+) -> JogOutcome:
+    """Connect axes and force sensor only, and jog; leave the bench to the guard if an axis could
+    not be stopped."""
     from datetime import datetime
 
     from rig.bench.apply_calibrations import apply_calibrations
@@ -179,7 +182,7 @@ def _at_the_bench(
         say(HELP)
         ended = session.go(guard)
     if ended.off_failures:
-        say(guard.take_over().told)
+        say(guard.take_over().summary)
     else:
         guard.done()
     return ended

@@ -132,7 +132,7 @@ def finish(
     for off in outcome.off_failures:
         say(f"error: NOT SAFE: {off.name} could not be switched off: {off.reason}")
     if outcome.taken_over is not None:
-        say(outcome.taken_over.told)
+        say(outcome.taken_over.summary)
     drawn = Drawn()
     if figures and outcome.file is not None and outcome.points_done:
         drawn = draw_in_child(outcome.file)

@@ -1,4 +1,4 @@
-"""The terminal of somebody who jogs: keys as they are pressed, a line that shows how things are."""
+"""The terminal of a jogging session: keys as they are pressed, and a line with the state."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from rig.jog.keys import Key
 from rig.run.stopping import StopRequestedError
 
 if TYPE_CHECKING:
-    from rig.jog.keys import Axis
-    from rig.jog.session import Status
+    from rig.jog.keys import JogAxis
+    from rig.jog.session import JogStatus
 
 ESCAPE_S = 0.05
-"""An escape character that nothing has followed for so long is the key Esc."""
+"""Time after which an escape character that nothing has followed is the key Esc."""
 SHOW_EVERY_S = 0.1
 KEYS: dict[bytes, Key] = {
     **dict.fromkeys((b"\x1b[A", b"\x1b[D", b"\x1bOA", b"\x1bOD", b"-"), Key.LESS),
@@ -34,11 +34,11 @@ KEYS: dict[bytes, Key] = {
     b"q": Key.LEAVE,
     b"\x1b": Key.LEAVE,
 }
-"""What terminals send (ECMA-48, and the application mode of VT100 cursor keys): up and left are
-less, down and right are more. Everything else stops."""
+"""Bytes that terminals send (ECMA-48, and the application mode of VT100 cursor keys): up and left
+mean less, down and right mean more. Everything else stops."""
 HELP = (
-    "keys: up, left or - less (z: up), down, right or + more; Tab next axis; h home; "
-    "space or any other key stops; q or Esc leaves"
+    "Up/Left/-: towards smaller position (z: up)   Down/Right/+: towards larger   Tab: next axis   "
+    "h: home   space or any other key: stop   q/Esc: leave"
 )
 _CLEAR = "\r\x1b[K"
 
@@ -51,7 +51,7 @@ class Keyboard:
         self._begun_s = 0.0
 
     def feed(self, typed: bytes, now_s: float) -> list[Key]:
-        """What was typed since the last call, nothing included: time tells Esc from a sequence."""
+        """Return the keys typed since the last call; the time distinguishes Esc from a sequence."""
         if typed and not self._begun:
             self._begun_s = now_s
         rest, self._begun = self._begun + typed, b""
@@ -67,7 +67,7 @@ class Keyboard:
 
 
 def _sequence_length(typed: bytes) -> int | None:
-    """Bytes of the first key; None where more may follow."""
+    """Return the number of bytes of the first key; None if more may follow."""
     if typed[0] != 0x1B:
         return 1
     if len(typed) == 1:
@@ -81,17 +81,17 @@ def _sequence_length(typed: bytes) -> int | None:
 
 
 class Terminal:
-    """stdin, key by key, and stderr; a context that leaves the terminal as it was.
+    """stdin, key by key, and stderr; a context manager that restores the terminal's mode.
 
-    Flow control is off, so that no Ctrl-S holds the program up. ConfigurationError where stdin is
-    no terminal.
+    Flow control is off, so that Ctrl-S cannot block the program. Raises ConfigurationError if stdin
+    is not a terminal.
     """
 
     def __init__(self) -> None:
         self._file = 0
         if not os.isatty(self._file):
             raise ConfigurationError(
-                "stdin is no terminal: nobody could stop what a key has begun",
+                "stdin is not a terminal, so a motion could not be stopped",
                 "run it in a terminal, without a pipe or a redirection",
             )
         self._keyboard = Keyboard()
@@ -112,7 +112,10 @@ class Terminal:
         self._write(_CLEAR)
 
     def keys(self) -> list[Key]:
-        """What was pressed since the last look; StopRequestedError where the terminal is gone."""
+        """Return the keys pressed since the last call.
+
+        Raises StopRequestedError if the terminal has closed.
+        """
         typed = b""
         if select.select([self._file], [], [], 0)[0]:
             try:
@@ -120,23 +123,23 @@ class Terminal:
             except OSError:
                 typed = b""
             if not typed:
-                raise StopRequestedError(signal.SIGHUP, ": the terminal is gone")
+                raise StopRequestedError(signal.SIGHUP, ": the terminal has closed")
         return self._keyboard.feed(typed, time.monotonic())
 
     def forget(self) -> None:
-        """Drop what was typed and not read."""
-        with contextlib.suppress(termios.error, OSError):  # keys() tells
+        """Drop the keys that were typed and not read."""
+        with contextlib.suppress(termios.error, OSError):  # keys() reports it
             termios.tcflush(self._file, termios.TCIFLUSH)
         self._keyboard = Keyboard()
 
     def say(self, text: str) -> None:
-        """A line that stays, above the one that shows how things are."""
+        """Show a line that stays, above the line with the state."""
         clear = _CLEAR if sys.stderr.isatty() else ""
         self._write(f"{clear}{printable(text)}\n")
         self._shown_s = 0.0
 
-    def show(self, status: Status) -> None:
-        """The line that shows how things are, a few times a second and on a terminal only."""
+    def show(self, status: JogStatus) -> None:
+        """Update the line with the state, a few times a second and on a terminal only."""
         now = time.monotonic()
         if now - self._shown_s < SHOW_EVERY_S or not sys.stderr.isatty():
             return
@@ -149,20 +152,21 @@ class Terminal:
         sys.stderr.flush()
 
 
-def in_a_line(status: Status) -> str:
-    """The chosen axis, the force, then the other axes: what a narrow terminal cuts off is least."""
+def in_a_line(status: JogStatus) -> str:
+    """Return the state as a line: the chosen axis, the force, then the other axes, so that a narrow
+    terminal cuts off the least important part."""
     parts = [_axis_in_words(status.chosen, status)]
     if status.force_N is not None:
         over = " OVER THE LIMIT" if status.pressed else ""
         values = " ".join(
             f"{axis} {value:+.2f}" for axis, value in zip("xyz", status.force_N, strict=True)
         )
-        parts.append(f"force {values} N{over}")
+        parts.append(f"force (not tared) {values} N{over}")
     parts += [_axis_in_words(axis, status) for axis in status.axes if axis is not status.chosen]
     return " | ".join(parts)
 
 
-def _axis_in_words(axis: Axis, status: Status) -> str:
+def _axis_in_words(axis: JogAxis, status: JogStatus) -> str:
     place = status.places[axis.name]
     homed = "" if place.homed else " (not homed)"
     moves = " moving" if axis is status.moving else ""

@@ -105,7 +105,7 @@ def weigh(
             continue
         rejected = 0
         means.append(mean)
-        say(f"  {scale.tell(mean)}")
+        say(f"  {scale.in_words(mean)}")
 
 
 def instruction_for(force_N: Vector) -> str:

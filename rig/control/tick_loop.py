@@ -1,13 +1,14 @@
-"""The tick loop: what a trial does a hundred times a second, on time, without drifting.
+"""The tick loop: calls the control of a trial a hundred times a second, on time, without drift.
 
 Tick k is due at start + k / rate on the run's clock, whatever the ticks before it took. A tick that
-overran its period is followed by the latest that is due, at once; those before it are left out,
-which it is told: they would do again, with what is known now, what it does. Waiting is the clock's:
-stop requests, keep-alives and watchers are looked at in every slice, and once before every tick,
-also where there is nothing to wait for: a late loop is a sign of life. One that leaves out ticks
-for longer than a stall of the computer explains controls nothing any more and ends.
+overran its period is followed at once by the latest tick that is due. The ticks before that one are
+left out, because they would only repeat its work with the same data; `Tick.missed` has their
+number. The clock does the waiting: stop requests, keep-alives and watchers are checked in every
+slice, and once before every tick even if there is no wait, since a late loop is a sign of life as
+well. A loop that misses ticks for longer than a stall of the computer can explain no longer
+controls the force, and ends.
 
-All of it happens in the thread that calls it, the procedure's own: a tick that hangs gives no sign
+Everything happens in the procedure's thread, which calls the loop: a tick that hangs gives no sign
 of life.
 """
 
@@ -22,13 +23,14 @@ from rig.core.clock import Clock
 from rig.core.errors import ExitCode, RigError
 
 LATE = 0.5
-"""Share of a period from which a tick counts as late."""
+"""Fraction of a period from which a tick is late."""
 BEHIND_FOR_S = 1.0
-"""How long it may leave out one tick or more before each that it takes."""
+"""How long the loop may miss one tick or more before each one that it runs."""
 ROUNDING = 1e-6
-"""Of a period, by which a clock may differ from a sum."""
+"""Fraction of a period by which the clock may differ from the sum of its waits."""
 HIGHEST_RATE_Hz = 500.0
-"""Faster than this, the clock's wake-ups and a link of a millisecond are most of a period."""
+"""Highest rate: above it, the clock's wake-ups and a link of a millisecond take most of a
+period."""
 
 
 @dataclass(frozen=True)
@@ -36,17 +38,17 @@ class Tick:
     """One turn of the loop."""
 
     number: int
-    """From 0."""
+    """Number of the tick, from 0."""
     due_s: float
-    """When it was due, on the run's clock."""
+    """Bench time at which it was due."""
     began_s: float
-    """When it began."""
+    """Bench time at which it began."""
     missed: int = 0
-    """How many were left out just before it."""
+    """Number of ticks missed just before it."""
 
     @property
     def late_s(self) -> float:
-        """How late it began; a clock that rounds may begin it a little early: that is 0."""
+        """How late it began; 0 for a tick that a rounding clock began slightly early."""
         return max(0.0, self.began_s - self.due_s)
 
 
@@ -55,24 +57,25 @@ class LoopStatistics:
     """How well a loop kept its time."""
 
     ticks: int
-    """That were due until its end."""
+    """Number of ticks due until the end of the loop."""
     planned: int
-    """That would have been due, had none of them ended the loop."""
+    """Number of ticks that would have been due if no tick had ended the loop."""
     missed: int
-    """That were left out."""
+    """Number of ticks that were missed."""
     late: int
-    """That began later than half a period after they were due; a tick that was left out is late
-    until the one that took its place."""
+    """Number of ticks that began later than half a period after they were due; a missed tick is as
+    late as the one that replaced it."""
     largest_lateness_s: float
     mean_lateness_s: float
     duration_s: float
-    """From the first tick's due time to the end of the last."""
+    """Time from the first tick's due time to the end of the last tick."""
     ended: bool
-    """Whether a tick ended the loop."""
+    """True if a tick ended the loop."""
 
 
 class TooSlowError(RigError):
-    """Computer or links do not keep a loop's rate; what it controls is left to the run's exit."""
+    """Raised when computer or links are too slow for the loop's rate; the run's exit makes the
+    bench safe."""
 
     code = ExitCode.INSTRUMENT
 
@@ -86,19 +89,19 @@ class TooSlowError(RigError):
 
 
 class LoopRun(Protocol):
-    """What the loop needs of a run."""
+    """The part of a run that the loop uses."""
 
     @property
     def clock(self) -> Clock:
-        """What it waits on."""
+        """Clock that the loop waits on."""
         ...
 
     def check_stop(self) -> None:
-        """Let stop requests end it."""
+        """Raise if a stop was requested."""
         ...
 
     def check_watchers(self) -> None:
-        """Let a trip or a hold end it."""
+        """Raise if a watcher found a trip or a hold."""
         ...
 
 
@@ -107,10 +110,11 @@ def tick_loop(
 ) -> LoopStatistics:
     """Call `on_tick` at `rate_Hz` for `duration_s`, or until it returns False.
 
-    There are ``duration_s * rate_Hz`` ticks (rounded), the first at once; first and last are never
-    left out. Whatever a tick, a watcher or a stop request raises ends the loop. TooSlowError where
-    for more than `BEHIND_FOR_S` no tick came without another being left out. ValueError for a rate
-    of nothing, above `HIGHEST_RATE_Hz` or a duration that is no number.
+    There are ``duration_s * rate_Hz`` ticks (rounded), the first at once; the first and the last
+    are never missed. An exception of a tick, a watcher or a stop request ends the loop. Raises
+    TooSlowError if for more than `BEHIND_FOR_S` every tick was preceded by missed ones. Raises
+    Raises ValueError for a rate that is not above 0 and at most `HIGHEST_RATE_Hz`, or a duration
+    that is not a finite number of at least 0.
     """
     if not 0 < rate_Hz <= HIGHEST_RATE_Hz:
         raise ValueError(f"rate_Hz {rate_Hz:g} Hz must be above 0 and at most {HIGHEST_RATE_Hz:g}")
@@ -122,30 +126,30 @@ def tick_loop(
 
 
 class _Ticks:
-    """The ticks of one loop, taken one after the other."""
+    """Runs the ticks of one loop, one after the other."""
 
     def __init__(self, run: LoopRun, rate_Hz: float, planned: int, on_tick: Callable[[Tick], bool]):
         self._run, self._clock, self._on_tick = run, run.clock, on_tick
         self._rate_Hz, self._planned = rate_Hz, planned
         self._start_s = self._clock.now()
         self._due = self._missed = self._late = 0
-        """Those that were due, left out and late up to now."""
+        """Numbers of ticks due, missed and late so far."""
         self._largest_s = self._total_s = 0.0
         self._behind_since_s: float | None = None
         self._going_on = True
 
     @property
     def over(self) -> bool:
-        """Whether none follows."""
+        """True after the last tick."""
         return not self._going_on or self._due >= self._planned
 
     @property
     def next_due_s(self) -> float:
-        """When the next is due, on the run's clock."""
+        """Bench time at which the next tick is due."""
         return self._start_s + self._due / self._rate_Hz
 
     def take_all(self) -> None:
-        """Wait for each and take it."""
+        """Wait for each tick and run it; returns after the last."""
         while not self.over:
             remaining_s = self.next_due_s - self._clock.now()
             if remaining_s > 0:
@@ -155,7 +159,7 @@ class _Ticks:
             self.take()
 
     def take(self) -> None:
-        """Take the latest that is due, or the next where none is."""
+        """Run the latest tick that is due, or the next one if none is."""
         self._run.check_watchers()
         now_s = self._clock.now()
         number = self._due
@@ -168,7 +172,7 @@ class _Ticks:
         self._going_on = self._on_tick(tick)
 
     def statistics(self) -> LoopStatistics:
-        """How well they kept their time up to now."""
+        """Return the statistics of the ticks so far."""
         mean_s = self._total_s / self._due if self._due else 0.0
         return LoopStatistics(
             self._due,
@@ -182,7 +186,7 @@ class _Ticks:
         )
 
     def _count(self, tick: Tick) -> None:
-        """TooSlowError where it is one of too many that had others left out."""
+        """Count a tick. Raises TooSlowError if ticks have been missed for too long."""
         rate_Hz, now_s = self._rate_Hz, tick.began_s
         for due in range(self._due, tick.number + 1):
             late_s = max(0.0, now_s - (self._start_s + due / rate_Hz))

@@ -1,8 +1,9 @@
-"""Jogging: what keys ask of the axes. Keys, time and places in, actions out; no I/O.
+"""The logic of jogging: keys, time and positions in, actions out; no I/O.
 
-A terminal tells that a key is pressed and pressed again by its auto-repeat, never that it is let
-go. So each press asks for one step from where the axis is, and a held key for one after the other:
-a slow motion whose end is never more than a step ahead. No key for `SILENCE_S` means released.
+A terminal reports that a key is pressed, and again with each auto-repeat, but never that it is
+released. Therefore each press moves the axis by one step from its position, and a held key by one
+step after the other: a slow motion whose end is never more than a step ahead. No key for
+`SILENCE_S` means released.
 
     at rest --direction--> moving --the same, again--> moving (a step from where it is by then)
     moving --released | the other direction | any other key | a trip | a block--> stop, at rest
@@ -18,21 +19,22 @@ from dataclasses import dataclass
 from enum import Enum
 
 SILENCE_S = 0.2
-"""No key for so long is a release. Keyboards repeat every 0.03 to 0.1 s."""
+"""Time without a key that means a release. Keyboards repeat every 0.03 to 0.1 s."""
 LONGEST_STEP_S = 0.15
-"""A step takes no longer: it has ended by itself when the release is seen."""
+"""Longest duration of a step: it has ended by itself when the release is noticed."""
 CONFIRM_S = 3.0
-"""How long homing waits for its confirming key."""
+"""How long homing waits for the key that confirms it."""
 FALLEN = 0.8
-"""Share of the largest force below which all axes may move again after a trip."""
+"""Fraction of the largest force below which all axes may move again after a trip."""
 RETREAT = 1.25
-"""Times the force at which a tripped bench came to rest, on the way off: more trips for good."""
+"""Limit of the force during the retreat, as a multiple of the force at which the tripped bench came
+to rest: a larger force ends the session."""
 THERE = 0.01
-"""Share of a step from a limit at which an axis stands there: finer than any motion asked for."""
+"""Distance from a limit, as a fraction of a step, within which an axis is at the limit."""
 
 
 class Key(Enum):
-    """What a person may ask for."""
+    """The meaning of a key."""
 
     LESS = -1
     MORE = 1
@@ -41,12 +43,12 @@ class Key(Enum):
     CONFIRM = "y"
     LEAVE = "q"
     STOP = "stop"
-    """Space, and every key that means nothing else."""
+    """Space, and every key without another meaning."""
 
 
 @dataclass(frozen=True)
-class Axis:
-    """An axis as it is jogged; values in `unit` (mm or deg), the speed in `unit` a second."""
+class JogAxis:
+    """An axis for jogging; values in `unit` (mm or deg), the speed in `unit` per second."""
 
     name: str
     unit: str
@@ -55,75 +57,75 @@ class Axis:
     step: float
     speed: float
     off: Key | None = None
-    """The direction that leads away from what may be pressed."""
+    """Direction that leads away from the object that may be pressed."""
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where an axis is, and whether it knows that."""
+class AxisPosition:
+    """Position of an axis, and whether it has been homed."""
 
     position: float
     homed: bool
 
 
 @dataclass(frozen=True)
-class Move:
-    """Send the axis there, or change the target of the motion under way."""
+class MoveAxis:
+    """Action: move the axis there, or change the target of the motion under way."""
 
-    axis: Axis
+    axis: JogAxis
     start: float
     target: float
     begins: bool
 
 
 @dataclass(frozen=True)
-class Stop:
-    """Stop this axis, or all of them (None), and wait for rest; then call `Jog.stopped`."""
+class StopAxes:
+    """Action: stop this axis, or all of them (None), and wait for rest; then call `Jog.stopped`."""
 
-    axis: Axis | None
+    axis: JogAxis | None
     why: str
 
 
 @dataclass(frozen=True)
-class Home:
-    """Have the axis find its reference."""
+class HomeAxis:
+    """Action: have the axis find its reference."""
 
-    axis: Axis
+    axis: JogAxis
 
 
 @dataclass(frozen=True)
-class Watch:
-    """Trip over this force from now on, in N."""
+class WatchForce:
+    """Action: trip above this force in N from now on."""
 
     limit_N: float
 
 
 @dataclass(frozen=True)
-class Say:
-    """Tell the person."""
+class ShowMessage:
+    """Action: show a message."""
 
     text: str
 
 
 @dataclass(frozen=True)
-class Leave:
-    """The person has had enough."""
+class EndSession:
+    """Action: end the session."""
 
 
-Action = Move | Stop | Home | Watch | Say | Leave
+Action = MoveAxis | StopAxes | HomeAxis | WatchForce | ShowMessage | EndSession
 
 
 @dataclass(frozen=True)
 class _Motion:
-    axis: Axis
+    axis: JogAxis
     way: Key
     pressed_s: float
 
 
 class Jog:
-    """The state of one session of jogging. Only one axis moves at a time, the chosen one."""
+    """The state of a jogging session. Only one axis moves at a time, the chosen one."""
 
-    def __init__(self, axes: Sequence[Axis], largest_N: float, chosen: str):
+    def __init__(self, axes: Sequence[JogAxis], largest_N: float, chosen: str):
         self._axes = tuple(axes)
         self._largest_N = largest_N
         self._number = [axis.name for axis in axes].index(chosen)
@@ -131,97 +133,98 @@ class Jog:
         self._deaf_until_s = float("-inf")
         self._homing_asked_s: float | None = None
         self._blocked = ""
-        self._told = ""
-        """The refusal that a held key would have repeated."""
+        self._last_message = ""
+        """Latest message, which a held key must not repeat."""
         self.pressed = False
-        """Whether the force has tripped and not fallen since."""
+        """True from a trip until the force has fallen."""
 
     @property
-    def chosen(self) -> Axis:
-        """The axis that keys move."""
+    def chosen(self) -> JogAxis:
+        """Axis that the keys move."""
         return self._axes[self._number]
 
     @property
-    def moving(self) -> Axis | None:
-        """The axis that is under way, as far as it was told."""
+    def moving(self) -> JogAxis | None:
+        """Axis that was sent to a target and not stopped since; None if there is none."""
         return self._motion.axis if self._motion is not None else None
 
-    def press(self, key: Key, now_s: float, place: Place) -> list[Action]:
-        """A key, with the place of the chosen axis."""
+    def press(self, key: Key, now_s: float, place: AxisPosition) -> list[Action]:
+        """Return the actions for a key, given the position of the chosen axis."""
         asked_s, self._homing_asked_s = self._homing_asked_s, None
         if key in (Key.LESS, Key.MORE):
             return self._direction(key, now_s, place)
-        self._told = ""
+        self._last_message = ""
         if key is Key.CONFIRM and asked_s is not None and now_s - asked_s <= CONFIRM_S:
-            return [Home(self.chosen)]
-        actions: list[Action] = [Stop(None, "a key")]
+            return [HomeAxis(self.chosen)]
+        actions: list[Action] = [StopAxes(None, "a key")]
         if key is Key.LEAVE:
-            actions.append(Leave())
+            actions.append(EndSession())
         elif key is Key.NEXT_AXIS:
             self._number = (self._number + 1) % len(self._axes)
-            actions.append(Say(f"{self.chosen.name} is chosen"))
+            actions.append(ShowMessage(f"Now moving: {self.chosen.name}"))
         elif key is Key.HOME:
-            actions.append(Say(self._ask_to_home(now_s)))
+            actions.append(ShowMessage(self._ask_to_home(now_s)))
         return actions
 
-    def look(self, now_s: float, force_N: float | None) -> list[Action]:
-        """What time and force ask for; `force_N` is the largest along any axis, if it is known."""
+    def poll(self, now_s: float, force_N: float | None) -> list[Action]:
+        """Return the actions that time and force require; `force_N` is the largest along any axis,
+        or None."""
         if self._motion is not None and now_s - self._motion.pressed_s >= SILENCE_S:
-            return [Stop(self._motion.axis, "released")]
+            return [StopAxes(self._motion.axis, "released")]
         if self.pressed and force_N is not None and force_N < FALLEN * self._largest_N:
             self.pressed = False
             return [
-                Watch(self._largest_N),
-                Say(f"the force has fallen to {force_N:.2g} N: every axis may move again"),
+                WatchForce(self._largest_N),
+                ShowMessage(f"the force has fallen to {force_N:.2g} N: every axis may move again"),
             ]
         return []
 
     def trip(self, force_N: float) -> list[Action]:
-        """The watcher has stopped all axes over the force; it is `force_N` now that they rest."""
+        """Return the actions after a trip; `force_N` is the force now that all axes are at rest."""
         self.pressed = True
         ways = [_in_words(axis, axis.off) for axis in self._axes if axis.off is not None]
         only = f"only {' and '.join(ways)} moves" if ways else "nothing moves"
         return [
-            Watch(RETREAT * max(force_N, self._largest_N)),
-            Say(f"{only} until the force is below {FALLEN * self._largest_N:.3g} N"),
+            WatchForce(RETREAT * max(force_N, self._largest_N)),
+            ShowMessage(f"{only} until the force is below {FALLEN * self._largest_N:.3g} N"),
         ]
 
     def block(self, why: str) -> list[Action]:
-        """Nothing may move for now."""
+        """Return the actions that stop all axes and block motions until `unblock` is called."""
         self._blocked = why
-        return [Stop(None, why), Say(f"stopped: {why}; nothing moves until that is over")]
+        return [StopAxes(None, why), ShowMessage(f"stopped: {why}; nothing moves until then")]
 
     def unblock(self) -> list[Action]:
-        """What blocked is over."""
+        """Return the actions when the reason for blocking is over."""
         self._blocked = ""
-        return [Say("going on")]
+        return [ShowMessage("Resumed.")]
 
     def stopped(self, now_s: float, released: bool = False) -> None:
-        """What `Stop` asked for is done. A key that is still held is not heard until it has been
-        let go, unless that is how the motion ended."""
+        """Note that the axes were stopped. A key that is still held is ignored until it has been
+        released, unless its release ended the motion."""
         self._motion = None
         if not released:
             self._deaf_until_s = now_s + SILENCE_S
 
-    def _direction(self, way: Key, now_s: float, place: Place) -> list[Action]:
+    def _direction(self, way: Key, now_s: float, place: AxisPosition) -> list[Action]:
         if now_s < self._deaf_until_s:
             self._deaf_until_s = now_s + SILENCE_S
             return []
         if self._motion is not None and self._motion.way is not way:
-            return [Stop(None, "the other direction")]
+            return [StopAxes(None, "the other direction")]
         axis = self.chosen
         target = min(max(place.position + way.value * axis.step, axis.low), axis.high)
         onward = (target - place.position) * way.value
         if refusal := self._refusal(way, place, onward):
-            return self._tell_once(refusal)
+            return self._say_once(refusal)
         begins = self._motion is None
         self._motion = _Motion(axis, way, now_s)
-        move = Move(axis, place.position, target, begins)
+        move = MoveAxis(axis, place.position, target, begins)
         at_limit = target in (axis.low, axis.high)
-        return [move, *self._tell_once(_limit_reached(axis, target) if at_limit else "")]
+        return [move, *self._say_once(_limit_reached(axis, target) if at_limit else "")]
 
-    def _refusal(self, way: Key, place: Place, onward: float) -> str:
-        """Why the chosen axis may not move this way; empty where it may."""
+    def _refusal(self, way: Key, place: AxisPosition, onward: float) -> str:
+        """Return why the chosen axis may not move this way; empty if it may."""
         axis = self.chosen
         if self._blocked:
             return f"{axis.name} does not move: {self._blocked}"
@@ -238,10 +241,11 @@ class Jog:
             return _limit_reached(axis, axis.high if way is Key.MORE else axis.low)
         return ""
 
-    def _tell_once(self, text: str) -> list[Action]:
-        """Say it unless it is what was said last; the way is free again where it is empty."""
-        known, self._told = self._told, text
-        return [Say(text)] if text and text != known else []
+    def _say_once(self, text: str) -> list[Action]:
+        """Return the action that shows a message unless it was the latest one; an empty one clears
+        that."""
+        known, self._last_message = self._last_message, text
+        return [ShowMessage(text)] if text and text != known else []
 
     def _ask_to_home(self, now_s: float) -> str:
         axis = self.chosen
@@ -249,14 +253,14 @@ class Jog:
             return f"{axis.name} is not homed now: {self._blocked or 'the force is over its limit'}"
         self._homing_asked_s = now_s
         return (
-            f"y within {CONFIRM_S:g} s homes {axis.name}: it searches its reference by itself, as "
-            "its drive is set; any key then stops it"
+            f"Home {axis.name}? It will move on its own until it finds its reference. "
+            f"Press y within {CONFIRM_S:g} s; any key stops it."
         )
 
 
-def _limit_reached(axis: Axis, limit: float) -> str:
+def _limit_reached(axis: JogAxis, limit: float) -> str:
     return f"limit {limit:g} {axis.unit} of {axis.name} reached"
 
 
-def _in_words(axis: Axis, way: Key | None) -> str:
+def _in_words(axis: JogAxis, way: Key | None) -> str:
     return f"{axis.name} {'-' if way is Key.LESS else '+'}"

@@ -1,8 +1,8 @@
-"""A person jogs a bench: what the keys ask for is done, watched and logged; everything is stopped
-at every exit.
+"""A jogging session: carries out, watches and logs the actions of the keys; stops everything at
+every exit.
 
-Arming, force watcher, holds and guard are those of a run; there is no journal, as nothing is
-measured. The generator is never touched.
+Arming, force watcher, holds and guard are those of a run; there is no journal, because nothing is
+recorded. The generator is never touched.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from rig.instruments.roles import LinearStage, Reach, RotaryStage
 from rig.jog.keys import (
     LONGEST_STEP_S,
     Action,
-    Axis,
-    Home,
+    AxisPosition,
+    EndSession,
+    HomeAxis,
     Jog,
+    JogAxis,
     Key,
-    Leave,
-    Move,
-    Place,
-    Say,
-    Stop,
-    Watch,
+    MoveAxis,
+    ShowMessage,
+    StopAxes,
+    WatchForce,
 )
-from rig.run.arming import BEAT_EVERY_S, OFF_DEADLINE_S, Arming, OffFailure
+from rig.run.arming import BEAT_EVERY_S, SHUTDOWN_DEADLINE_S, Arming, ShutdownFailure
 from rig.run.force_monitor import ForceMonitor
 from rig.run.guard import GuardLink
 from rig.run.holds import HoldError, Holds, PauseSwitch
@@ -46,16 +46,16 @@ from rig.run.trip import TripError
 AXES = ("stage_z", "stage_x", "rotary")
 """Roles that can be jogged."""
 OFF = {"stage_z": Key.LESS}
-"""What leads off what is pressed: the z stage counts downwards, towards contact."""
+"""Direction that leads away from contact: on the z stage a larger position is deeper."""
 FASTEST = {"mm": 1.0, "deg": 2.0}
-"""A second, by unit: a person sees what happens in time."""
+"""Largest speed per second, by unit: slow enough for a person to react."""
 TURN_ACCELERATION_deg_s2 = 100.0
 FORCE_RATE_S_S = 500.0
 TICK_S = 0.02
 FORCE_OVER_S = 0.02
-"""What the force shown and judged is the mean of; the watcher sees every frame."""
+"""Time over which the displayed force is averaged; the watcher checks every frame."""
 OTHERS_EVERY_S = 0.5
-"""How often the axes that nobody moves are looked at."""
+"""Interval between polls of the axes that are not chosen."""
 
 log = logging.getLogger("rig")
 
@@ -63,65 +63,66 @@ Vector = tuple[float, float, float]
 
 
 class JogSettings(Settings):
-    """How far and how fast a key moves an axis."""
+    """Settings of a jogging session."""
 
     step_mm: float = Field(default=0.1, gt=0)
-    """What one press moves a linear axis by."""
+    """Distance by which one press of a key moves a linear axis."""
     speed_mm_s: float = Field(default=FASTEST["mm"], gt=0)
-    """Of linear axes; the largest is the default."""
+    """Speed of linear axes; the default is the largest."""
     angle_step_deg: float = Field(default=0.2, gt=0)
-    """What one press turns the rotary stage by."""
+    """Angle by which one press of a key turns the rotary stage."""
     turn_speed_deg_s: float = Field(default=FASTEST["deg"], gt=0)
-    """Of the rotary stage; the largest is the default."""
+    """Speed of the rotary stage; the default is the largest."""
     largest_force_N: float = Field(default=5.0, gt=0)
-    """Along any axis of the force sensor, which is not tared; over it everything stops."""
+    """Safety limit on the force along any axis of the sensor, which is not tared; exceeding it
+    stops everything."""
 
 
 @dataclass(frozen=True)
-class Status:
-    """What a person at the keys is shown."""
+class JogStatus:
+    """The state that is shown to the operator."""
 
-    axes: tuple[Axis, ...]
-    places: Mapping[str, Place]
-    chosen: Axis
-    moving: Axis | None
+    axes: tuple[JogAxis, ...]
+    places: Mapping[str, AxisPosition]
+    chosen: JogAxis
+    moving: JogAxis | None
     force_N: Vector | None
-    """None on a bench without a force sensor."""
+    """Force in N; None on a bench without a force sensor."""
     pressed: bool
 
 
-class Person(Protocol):
-    """Who is at the keys."""
+class JogOperator(Protocol):
+    """The interface to the operator at the keys."""
 
     def keys(self) -> list[Key]:
-        """What was pressed since the last look, oldest first; never waits. A RigError where nobody
-        is there any more."""
+        """Return the keys pressed since the last call, oldest first; never waits. Raises RigError
+        if the terminal has closed."""
         ...
 
     def forget(self) -> None:
-        """What was pressed up to now does not count."""
+        """Discard the keys pressed so far."""
         ...
 
     def say(self, text: str) -> None:
-        """Tell them once."""
+        """Show a message."""
         ...
 
-    def show(self, status: Status) -> None:
-        """How things are."""
+    def show(self, status: JogStatus) -> None:
+        """Show the present state."""
         ...
 
 
 @dataclass
-class Ended:
+class JogOutcome:
     """How a session ended."""
 
     code: ExitCode = ExitCode.DONE
     failures: list[RigError] = field(default_factory=list)
-    off_failures: list[OffFailure] = field(default_factory=list)
+    off_failures: list[ShutdownFailure] = field(default_factory=list)
 
 
 class _Linear:
-    """A linear stage, as this module moves axes."""
+    """Moves a linear stage."""
 
     def __init__(self, stage: LinearStage):
         self.stage: LinearStage | RotaryStage = stage
@@ -130,7 +131,7 @@ class _Linear:
 
 
 class _Rotary:
-    """A rotary stage, likewise."""
+    """Moves a rotary stage."""
 
     def __init__(self, stage: RotaryStage):
         self.stage: LinearStage | RotaryStage = stage
@@ -139,14 +140,14 @@ class _Rotary:
         self._acceleration_deg_s2 = min(TURN_ACCELERATION_deg_s2, largest)
 
     def start(self, angle_deg: float, speed_deg_s: float) -> None:
-        """Begin to turn there, or change the turn under way."""
+        """Begin to turn to an angle, or change the turn under way."""
         self.stage.start_turn(angle_deg, speed_deg_s, self._acceleration_deg_s2)  # type: ignore[union-attr]
 
 
-def axes_of(bench: Bench, settings: JogSettings) -> tuple[list[Axis], list[str]]:
-    """The bench's axes as they are jogged, and what was limited, in words.
+def axes_of(bench: Bench, settings: JogSettings) -> tuple[list[JogAxis], list[str]]:
+    """Return the bench's axes for jogging, and in words the settings that were reduced.
 
-    ConfigurationError for a bench that has none.
+    Raises ConfigurationError for a bench that has none.
     """
     axes, limited = [], []
     for name in AXES:
@@ -154,19 +155,22 @@ def axes_of(bench: Bench, settings: JogSettings) -> tuple[list[Axis], list[str]]
             continue
         reach = bench.instruments[name].reach()
         turns = name == "rotary"
+        turn, angle = ("turn-", "angle-") if turns else ("", "")
         places = reach["angle" if turns else "position"]
         step = settings.angle_step_deg if turns else settings.step_mm
         asked = settings.turn_speed_deg_s if turns else settings.speed_mm_s
         speed = _speed(asked, places.unit, reach["speed"])
         if speed != asked:
-            limited.append(f"{name}: speed {asked:g} is limited to {speed:g} {places.unit}/s")
+            limited.append(
+                f"--{turn}speed {asked:g} {places.unit}/s reduced to {speed:g} {places.unit}/s"
+            )
         if step > (longest := speed * LONGEST_STEP_S):
             limited.append(
-                f"{name}: step {step:g} is limited to {longest:.3g} {places.unit}, which takes "
-                f"{LONGEST_STEP_S:g} s at {speed:g} {places.unit}/s"
+                f"--{angle}step {step:g} {places.unit} reduced to {longest:.3g} {places.unit} (the "
+                f"longest step allowed, {LONGEST_STEP_S:g} s at {speed:g} {places.unit}/s)"
             )
             step = longest
-        axes.append(Axis(name, places.unit, places.low, places.high, step, speed, OFF.get(name)))
+        axes.append(JogAxis(name, places.unit, places.low, places.high, step, speed, OFF.get(name)))
     if not axes:
         raise ConfigurationError(
             f"{bench.plan.source}: the bench has no axis", f"add a table of {', '.join(AXES)}"
@@ -179,7 +183,7 @@ def _speed(asked: float, unit: str, reach: Reach) -> float:
 
 
 class _HomingStoppedError(RigError):
-    """A key was pressed while an axis homed."""
+    """Raised when a key is pressed while an axis homes."""
 
 
 class JogSession:
@@ -191,10 +195,13 @@ class JogSession:
         settings: JogSettings,
         chosen: str | None,
         stop: StopFlag,
-        person: Person,
+        person: JogOperator,
     ):
-        """ConfigurationError where the bench has no such axis, LimitError for a largest force that
-        the sensor does not reach."""
+        """Prepare the session.
+
+        Raises ConfigurationError if the bench has no such axis, LimitError for a largest force
+        beyond the sensor's range.
+        """
         axes, limited = axes_of(bench, settings)
         names = [axis.name for axis in axes]
         if chosen is not None and chosen not in names:
@@ -218,17 +225,17 @@ class JogSession:
         self._holds = Holds()
         self._force: ForceMonitor | None = None
         self._force_N: Vector | None = None
-        self._places: dict[str, Place] = {}
+        self._places: dict[str, AxisPosition] = {}
         self._others_at_s = 0.0
         self._began_at = 0.0
         self._undisturbed = self._homing = self._blocked = self._left = False
         self._last_beat_s = 0.0
         self._guard_missed = False
 
-    def go(self, guard: GuardLink) -> Ended:
-        """Jog until the person leaves, a signal comes or something fails; then stop everything.
+    def go(self, guard: GuardLink) -> JogOutcome:
+        """Jog until the operator leaves, a signal comes or something fails; then stop everything.
         Never raises a RigError."""
-        ended = Ended()
+        ended = JogOutcome()
         self._guard = guard
         unregister = self._clock.each_slice(self._each_slice)
         try:
@@ -248,15 +255,15 @@ class JogSession:
 
     def _begin(self) -> None:
         waits_s = max(longest_call_s(part.settings) for part in self._bench.plan.instruments)
-        deadline_s = OFF_DEADLINE_S + waits_s
+        deadline_s = SHUTDOWN_DEADLINE_S + waits_s
         if "force_sensor" in self._bench.instruments:
             sensor = self._bench.force_sensor
-            monitor = ForceMonitor(sensor, self._clock, self._holds, self._arming.act_at_once)
+            monitor = ForceMonitor(sensor, self._clock, self._holds, self._arming.emergency_stop)
             self._arming.register("force stream", monitor.stop, deadline_s, watches=True)
             monitor.start(min(FORCE_RATE_S_S, sensor.reach()["rate"].high))
             self._force = monitor
         else:
-            self._person.say("this bench has no force sensor: nobody watches how hard it presses")
+            self._person.say("this bench has no force sensor: the force is not watched")
         for name, drive in self._drives.items():
             self._arming.register(name, drive.stage.stop, deadline_s, drive.stage.make_safe)
         self._stop_all()
@@ -265,13 +272,13 @@ class JogSession:
         if self._force is not None:
             self._force.watch(self._settings.largest_force_N)
 
-    def _make_safe(self, ended: Ended) -> None:
+    def _make_safe(self, ended: JogOutcome) -> None:
         self._undisturbed = True
         with self._bench.links.making_safe():
             failures = self._arming.make_safe(self._guard.beat)
         if (moved := self._jog.moving) is not None:
             with contextlib.suppress(RigError):
-                self._look_at(moved.name)
+                self._poll_position(moved.name)
             self._log_end("the session ended")
         for failure in failures:
             if failure.watches:
@@ -284,7 +291,7 @@ class JogSession:
         if not ended.off_failures:
             self._guard.safe()
 
-    # --- what every wait looks at -------------------------------------------------------------
+    # --- checked in every wait ----------------------------------------------------------------
 
     def _each_slice(self) -> None:
         now = time.monotonic()
@@ -302,11 +309,12 @@ class JogSession:
             raise _HomingStoppedError("homing was stopped by a key")
         if self._guard.lost and not self._guard_missed:
             self._guard_missed = True
-            self._tell("the guard has died: if this program dies as well, only the drives stop")
+            self._say("the guard has died: if this program dies as well, only the drives stop")
 
     @contextlib.contextmanager
     def _first_cause(self) -> Iterator[None]:
-        """What the watcher stopped the bench over comes before what a call then met."""
+        """Report the first cause: a trip of the watcher replaces the exception of a call that it
+        disturbed."""
         try:
             yield
         except RigError:
@@ -317,17 +325,18 @@ class JogSession:
 
     @contextlib.contextmanager
     def _no_disturbance(self) -> Iterator[None]:
-        """Within it nothing but a drive ends a wait: something is being stopped."""
+        """Let nothing but a drive end a wait within the block, in which something is being
+        stopped."""
         before, self._undisturbed = self._undisturbed, True
         try:
             yield
         finally:
             self._undisturbed = before
 
-    # --- one look after the other -------------------------------------------------------------
+    # --- one pass after the other -------------------------------------------------------------
 
     def _survive_pass(self) -> None:
-        """One pass; a trip or a hold stops what moves and does not end the session."""
+        """Make one pass; a trip or a hold stops the motion and does not end the session."""
         try:
             with self._first_cause():
                 self._pass()
@@ -343,19 +352,19 @@ class JogSession:
             self._holds.acknowledge()
             self._blocked = False
             self._perform(self._jog.unblock())
-        self._look_at_places()
+        self._poll_positions()
         chosen = self._jog.chosen.name
         for key in _urgent_alone(self._person.keys()):
             actions = self._jog.press(key, self._clock.now(), self._places[chosen])
             self._perform(actions)
-            if any(isinstance(action, Stop | Home) for action in actions):
-                break  # what was typed after it was typed at a bench that moved
+            if any(isinstance(action, StopAxes | HomeAxis) for action in actions):
+                break  # Later keys were pressed before the operator saw the bench stop.
         if (moving := self._jog.moving) is not None:
-            self._drives[moving.name].stage.moving()  # raises what ended it
-        largest_N = self._feel()
-        self._perform(self._jog.look(self._clock.now(), largest_N))
+            self._drives[moving.name].stage.moving()  # Raises the reason why a motion ended.
+        largest_N = self._read_force()
+        self._perform(self._jog.poll(self._clock.now(), largest_N))
         self._person.show(
-            Status(
+            JogStatus(
                 tuple(self._axes.values()),
                 self._places,
                 self._jog.chosen,
@@ -366,42 +375,42 @@ class JogSession:
         )
 
     def _after_trip(self, trip: TripError) -> None:
-        """All axes have been told to stop by the watcher; see to it, then only the way off is left.
-        A trip on that way ends the session."""
+        """Complete the stop that the watcher began; from then on only the retreat is allowed. A
+        trip during the retreat ends the session."""
         self._stop_all()
         self._log_end("tripped")
-        self._tell(f"stopped: {trip.message}")
+        self._say(f"stopped: {trip.message}")
         again = self._jog.pressed
         self._jog.stopped(self._clock.now())
         if again:
             raise LimitError(
-                f"{trip.message} on the way off: the force does not fall",
-                "free what is pressed by hand, with the drives without power",
+                f"{trip.message} during the retreat: the force does not fall",
+                "switch the drives off and free the object by hand",
             ) from trip
-        force_N = self._feel()
+        force_N = self._read_force()
         assert force_N is not None, "only a force sensor trips"
         self._perform(self._jog.trip(force_N))
 
-    # --- doing --------------------------------------------------------------------------------
+    # --- actions------------------------------------------------------------------------------
 
     def _perform(self, actions: Sequence[Action]) -> None:
         for action in actions:
             match action:
-                case Move():
+                case MoveAxis():
                     self._move(action)
-                case Stop(axis, why):
+                case StopAxes(axis, why):
                     self._halt(axis, why)
-                case Home(axis):
+                case HomeAxis(axis):
                     self._home(axis)
-                case Watch(limit_N):
+                case WatchForce(limit_N):
                     assert self._force is not None, "only a force sensor trips"
                     self._force.watch(limit_N)
-                case Say(text):
-                    self._tell(text)
-                case Leave():
+                case ShowMessage(text):
+                    self._say(text)
+                case EndSession():
                     self._left = True
 
-    def _move(self, move: Move) -> None:
+    def _move(self, move: MoveAxis) -> None:
         axis = move.axis
         if move.begins:
             self._began_at = move.start
@@ -419,19 +428,19 @@ class JogSession:
             )
         self._drives[axis.name].start(move.target, axis.speed)
 
-    def _halt(self, axis: Axis | None, why: str) -> None:
+    def _halt(self, axis: JogAxis | None, why: str) -> None:
         if axis is None:
             self._stop_all()
         else:
             with self._no_disturbance():
                 self._drives[axis.name].stage.stop()
-            self._look_at(axis.name)
+            self._poll_position(axis.name)
         self._log_end(why)
         self._jog.stopped(self._clock.now(), released=axis is not None)
         self._person.forget()
 
     def _stop_all(self) -> None:
-        """Every axis, the moving one first; then where they are."""
+        """Stop every axis, the moving one first; then read their positions."""
         moving = self._jog.moving
         names = sorted(self._drives, key=lambda name: moving is None or name != moving.name)
         with self._no_disturbance():
@@ -439,9 +448,9 @@ class JogSession:
                 self._drives[name].stage.stop()
             for name in names:
                 homed = self._drives[name].stage.homed()
-                self._places[name] = Place(self._drives[name].position(), homed)
+                self._places[name] = AxisPosition(self._drives[name].position(), homed)
 
-    def _home(self, axis: Axis) -> None:
+    def _home(self, axis: JogAxis) -> None:
         self._person.say(f"homing {axis.name}; any key stops it")
         log.info(
             "jog: %s homes from %.4f %s; force %s",
@@ -455,29 +464,29 @@ class JogSession:
         try:
             self._drives[axis.name].stage.home()
         except _HomingStoppedError as stopped:
-            self._tell(stopped.message)
+            self._say(stopped.message)
         finally:
             self._homing = False
         self._halt(None, "homing")
         if self._places[axis.name].homed:
-            self._tell(f"{axis.name} is homed")
+            self._say(f"{axis.name} is homed")
 
-    # --- looking and telling ------------------------------------------------------------------
+    # --- polling and messages -----------------------------------------------------------------
 
-    def _look_at_places(self) -> None:
+    def _poll_positions(self) -> None:
         now = self._clock.now()
         others = now - self._others_at_s >= OTHERS_EVERY_S
         if others:
             self._others_at_s = now
         for name in self._drives:
             if others or name == self._jog.chosen.name:
-                self._look_at(name)
+                self._poll_position(name)
 
-    def _look_at(self, name: str) -> None:
-        self._places[name] = Place(self._drives[name].position(), self._places[name].homed)
+    def _poll_position(self, name: str) -> None:
+        self._places[name] = AxisPosition(self._drives[name].position(), self._places[name].homed)
 
-    def _feel(self) -> float | None:
-        """The largest force along any axis, in N; None where nothing measures it."""
+    def _read_force(self) -> float | None:
+        """Return the largest force along any axis, in N; None without a force sensor."""
         if self._force is None:
             return None
         x, y, z = map(float, self._force.mean_N(FORCE_OVER_S))
@@ -490,7 +499,7 @@ class JogSession:
         return ", ".join(f"{n} {f:+.2f}" for n, f in zip("xyz", self._force_N, strict=True)) + " N"
 
     def _log_end(self, why: str) -> None:
-        """Where a motion has ended, if one was under way."""
+        """Log where a motion has ended, if one was under way."""
         if (axis := self._jog.moving) is None:
             return
         log.info(
@@ -503,13 +512,14 @@ class JogSession:
             self._force_in_words(),
         )
 
-    def _tell(self, text: str) -> None:
+    def _say(self, text: str) -> None:
         log.info("jog: %s", text)
         self._person.say(text)
 
 
 def _urgent_alone(keys: list[Key]) -> list[Key]:
-    """Of several keys at once: what stops, if any does; else each that differs from the last."""
+    """Of several keys return only one that stops, if there is one; else each that differs from the
+    one before."""
     for urgent in (Key.LEAVE, Key.STOP):
         if urgent in keys:
             return [urgent]

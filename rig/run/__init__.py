@@ -1,1 +1,2 @@
-"""Runs procedures: points, arming, the stop flag, the guard; safe first, data second."""
+"""Runs procedures: points, arming, stop requests, the guard. The bench is made safe first, data are
+saved second."""

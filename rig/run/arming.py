@@ -1,12 +1,12 @@
-"""What is switched on, and how it is switched off again, whatever happens.
+"""The register of what is switched on, with the shutdown action that switches each thing off.
 
-Each armed thing registers its off *before* it is switched on: an off that had nothing to do is
-harmless, an on whose off was never registered is not. Offs run in reverse order, each isolated
-from the others' failures and each with a deadline.
+A shutdown action is registered *before* its thing is switched on: an action that has nothing to do
+is harmless, a thing without one is not. The actions run in reverse order, each isolated from the
+others' failures and each with a deadline.
 
-Each off has a thread that waits for it from the moment it is registered: where no thread can be
-had, nothing is switched on, and making safe needs no thread that is yet to be made. In real time an
-off that waits for an instrument's answer does not hold up the next one (`HEAD_START_S`).
+Each action has a thread from the moment it is registered: if no thread can be started, nothing is
+switched on, and making safe needs no new thread. In real time an action that waits for an
+instrument's answer does not delay the next one (`HEAD_START_S`).
 """
 
 from __future__ import annotations
@@ -22,47 +22,48 @@ from rig.core.errors import RigError
 from rig.core.threads import start_thread
 
 BEAT_EVERY_S = 0.2
-"""How often a run says that it is alive."""
+"""Interval between two heartbeats of a run."""
 
-OFF_DEADLINE_S = 3.0
-"""Wall time one off action may take, besides waits for a link that is broken."""
+SHUTDOWN_DEADLINE_S = 3.0
+"""Wall time that one shutdown action may take, in addition to waits for a broken link."""
 
 HEAD_START_S = 0.5
-"""Wall time after which the next off begins, in real time, although the one before is not done:
-much longer than an instrument that answers takes to be stopped."""
+"""Wall time after which, in real time, the next shutdown action begins although the one before is
+not done: much longer than it takes to stop an instrument that answers."""
 
 Act = Callable[[], None]
 
 
 class Task:
-    """Something that another thread does, and what came of it."""
+    """A call in another thread, and its result."""
 
     def __init__(self, act: Act):
         self._act = act
         self._done = threading.Event()
         self.begun_s = time.monotonic()
         self.reason: str | None = None
-        """Why it did not work, in words."""
+        """Reason of its failure, in words; None if it did not fail."""
         self.failure: Exception | None = None
 
     @property
     def done(self) -> bool:
-        """Whether it is over, well or not."""
+        """True if the call has ended, with or without a failure."""
         return self._done.is_set()
 
     def run(self) -> None:
-        """Do it, whatever it raises."""
+        """Make the call and note its failure; raises nothing."""
         try:
             self._act()
         except RigError as error:
             self.failure, self.reason = error, error.one_line()
-        except Exception as error:  # noqa: BLE001 - one off's bug must not stop the others
+        except Exception as error:  # noqa: BLE001 - a bug in one action must not stop the others
             self.failure, self.reason = error, f"{type(error).__name__}: {error}"
         finally:
             self._done.set()
 
     def done_by(self, end_s: float, beat: Act = lambda: None) -> bool:
-        """Wait until it is done, or for the wall time `end_s`; calls `beat` again and again."""
+        """Wait until the call is done or wall time is `end_s`, calling `beat` repeatedly; return
+        whether it is done."""
         while not self._done.wait(max(0.0, min(end_s - time.monotonic(), BEAT_EVERY_S))):
             beat()
             if time.monotonic() >= end_s:
@@ -70,31 +71,31 @@ class Task:
         return True
 
 
-class OffThread:
-    """A thread that waits for something to do; a daemon, so that one that is stuck holds up
-    nothing."""
+class ShutdownThread:
+    """A thread that waits for calls to make. It is a daemon, so that a stuck one does not prevent
+    the program from ending."""
 
     def __init__(self) -> None:
-        """RigError where no thread can be had."""
+        """Start the thread. Raises RigError if it cannot be started."""
         self._tasks: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
         self._latest: Task | None = None
         self.stuck = False
-        """Whether something that it was given was not done by its deadline."""
+        """True if a call was not done by its deadline."""
         start_thread(threading.Thread(target=self._run, name="off", daemon=True))
 
     @property
     def busy(self) -> bool:
-        """Whether something that it was given is not done."""
+        """True if a call is waiting or under way."""
         return self._latest is not None and not self._latest.done
 
     def do(self, act: Act) -> Task:
-        """Have `act` done, after what it was given before."""
+        """Have `act` called, after all earlier calls."""
         self._latest = task = Task(act)
         self._tasks.put(task)
         return task
 
     def end(self) -> None:
-        """It ends when it has nothing more to do."""
+        """End the thread after the calls that it was given."""
         self._tasks.put(None)
 
     def _run(self) -> None:
@@ -104,83 +105,88 @@ class OffThread:
 
 @dataclass(frozen=True)
 class Armed:
-    """One thing that has to be switched off."""
+    """An armed thing, with its shutdown action."""
 
     name: str
     off: Act
     deadline_s: float
-    at_once: Act | None
-    """What a watcher does first, from another thread and without waiting on the bench clock."""
+    emergency: Act | None
+    """Emergency action, which a watcher runs first, from its own thread and without a wait on the
+    bench clock."""
     watches: bool
-    """Drives nothing, only looks: stays on while a run is on hold, and until all else is off."""
-    thread: OffThread = field(compare=False)
-    """Where its off is run."""
+    """True for a watcher, which drives nothing: it stays on while a run is on hold, and until
+    everything else is off."""
+    thread: ShutdownThread = field(compare=False)
+    """Thread that runs the shutdown action."""
 
 
 @dataclass(frozen=True)
-class OffFailure:
-    """An off action that did not work."""
+class ShutdownFailure:
+    """A shutdown action that failed."""
 
     name: str
     reason: str
     watches: bool = False
-    """It drives nothing: the bench is safe although this goes on."""
+    """True for a watcher, which drives nothing: the bench is safe although it is still on."""
 
 
 class Arming:
-    """The register of offs of one run.
+    """The register of shutdown actions of one run.
 
-    `overlapping`: an off that takes long does not hold up the next. In virtual time it has to: one
-    thread at a time may wait on that clock.
+    With `overlapping` an action that takes long does not delay the next one. Virtual time does not
+    allow that: one thread at a time may wait on its clock.
     """
 
     def __init__(self, overlapping: bool = False) -> None:
         self._overlapping = overlapping
         self._lock = threading.Lock()
         self._armed: list[Armed] = []
-        """Replaced, never changed: who runs through it needs no lock."""
+        """List that is replaced, never changed, so that iterating over it needs no lock."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What is armed, in the order of arming."""
+        """Names of the armed things in the order of arming."""
         return tuple(armed.name for armed in self._armed)
 
     def register(
         self,
         name: str,
         off: Act,
-        deadline_s: float = OFF_DEADLINE_S,
-        at_once: Act | None = None,
+        deadline_s: float = SHUTDOWN_DEADLINE_S,
+        emergency: Act | None = None,
         watches: bool = False,
     ) -> None:
-        """Remember `off` under `name`; registering a name again replaces its off.
+        """Register the shutdown action `off` of `name`; registering a name again replaces its
+        action.
 
-        RigError where no thread can be had for it: then `name` must not be switched on.
+        Raises RigError if its thread cannot be started: `name` must then not be switched on.
         """
         thread = self._thread_of(name)
         if thread is None or (thread.stuck and thread.busy):
-            thread = OffThread()
+            thread = ShutdownThread()
         with self._lock:
             others = [armed for armed in self._armed if armed.name != name]
-            self._armed = [*others, Armed(name, off, deadline_s, at_once, watches, thread)]
+            self._armed = [*others, Armed(name, off, deadline_s, emergency, watches, thread)]
 
-    def _thread_of(self, name: str) -> OffThread | None:
+    def _thread_of(self, name: str) -> ShutdownThread | None:
         return next((armed.thread for armed in self._armed if armed.name == name), None)
 
-    def act_at_once(self) -> list[str]:
-        """From a watcher's thread: what stops the bench now, each isolated; what failed, in words.
+    def emergency_stop(self) -> list[str]:
+        """Run all emergency actions from a watcher's thread, each isolated; return the failures in
+        words.
 
-        Nothing is forgotten: the offs themselves still run at the exit.
+        Everything stays registered: the shutdown actions themselves still run at the exit.
         """
         begun: list[tuple[Armed, Task]] = []
         here: list[Task] = []
         for armed in reversed(self._armed):
-            if armed.at_once is None:
+            if armed.emergency is None:
                 continue
             if self._overlapping and not armed.thread.busy:
-                task = armed.thread.do(armed.at_once)
-            else:  # its off is on the way: this shall not wait for it
-                task = Task(armed.at_once)
+                task = armed.thread.do(armed.emergency)
+            else:
+                # Its shutdown action is under way, and the emergency action must not wait for that.
+                task = Task(armed.emergency)
                 here.append(task)
             begun.append((armed, task))
         for task in here:
@@ -194,10 +200,12 @@ class Arming:
         return failures
 
     def begin(self, name: str, act: Act, head_start_s: float = HEAD_START_S) -> None:
-        """From another off: do `act`, which belongs to what is armed as `name`, first. In real time
-        it is done in that thing's thread and this waits for it no longer than `head_start_s`.
+        """From another shutdown action: first call `act`, which belongs to the armed thing `name`.
 
-        Raises what `act` has met, where that is known by then.
+        In real time the call is made in that thing's thread, and this waits for it no longer than
+        `head_start_s`.
+
+        Raises the exception of `act` if it is known by then.
         """
         thread = self._thread_of(name) if self._overlapping else None
         if thread is None:
@@ -207,23 +215,24 @@ class Arming:
         if task.done_by(task.begun_s + head_start_s) and task.failure is not None:
             raise task.failure
 
-    def make_safe(self, beat: Act = lambda: None, watch_on: bool = False) -> list[OffFailure]:
-        """Run every off in reverse order; returns those that failed and forgets the others.
+    def make_safe(self, beat: Act = lambda: None, watch_on: bool = False) -> list[ShutdownFailure]:
+        """Run every shutdown action in reverse order; return those that failed and forget the
+        others.
 
-        `beat` is called before every off and again and again while it runs: a clean-up within its
-        deadline is a sign of life, and nobody may kill a stage that is on its way up. With
-        `watch_on` what only watches stays on.
+        `beat` is called before every action and repeatedly while it runs: an action within its
+        deadline is a sign of life, and the guard must not interrupt a stage on its way up. With
+        `watch_on` the watchers stay on.
         """
         under_way: list[tuple[Armed, Task]] = []
-        failures: list[OffFailure] = []
+        failures: list[ShutdownFailure] = []
         for armed in reversed(self._armed):
             if watch_on and armed.watches:
                 continue
-            if armed.watches:  # what moves may still ask it
+            if armed.watches:  # A motion that is being stopped may still read the sensor.
                 failures += self._await(under_way, beat)
                 under_way = []
             beat()
-            task = _begin_off(armed)
+            task = _begin_shutdown(armed)
             under_way.append((armed, task))
             if self._overlapping:
                 task.done_by(task.begun_s + min(HEAD_START_S, armed.deadline_s), beat)
@@ -232,8 +241,8 @@ class Arming:
                 under_way = []
         return failures + self._await(under_way, beat)
 
-    def _await(self, under_way: list[tuple[Armed, Task]], beat: Act) -> list[OffFailure]:
-        """Wait for each to be done, no longer than its deadline; forget those that worked."""
+    def _await(self, under_way: list[tuple[Armed, Task]], beat: Act) -> list[ShutdownFailure]:
+        """Wait for each action, no longer than its deadline; forget those that worked."""
         failures = []
         for armed, task in under_way:
             if task.done_by(task.begun_s + armed.deadline_s, beat):
@@ -242,13 +251,14 @@ class Arming:
                 armed.thread.stuck = True
                 reason = f"not done within {armed.deadline_s:g} s"
             if reason is not None:
-                failures.append(OffFailure(armed.name, reason, armed.watches))
+                failures.append(ShutdownFailure(armed.name, reason, armed.watches))
             else:
                 self._forget(armed)
         return failures
 
     def _forget(self, armed: Armed) -> None:
-        """What another thread has armed meanwhile stays armed."""
+        """Remove an armed thing; one that another thread has armed under its name meanwhile
+        stays."""
         with self._lock:
             self._armed = [other for other in self._armed if other is not armed]
             replaced = any(other.thread is armed.thread for other in self._armed)
@@ -256,12 +266,12 @@ class Arming:
             armed.thread.end()
 
 
-def _begin_off(armed: Armed) -> Task:
-    """Run the off in its thread; in another where that is stuck in an earlier try, and behind that
-    try where none can be had."""
+def _begin_shutdown(armed: Armed) -> Task:
+    """Run the shutdown action in its thread. If that is stuck in an earlier try, use another
+    thread; if none can be started, queue the action behind that try."""
     if armed.thread.stuck and armed.thread.busy:
         with contextlib.suppress(RigError):
-            another = OffThread()
+            another = ShutdownThread()
             task = another.do(armed.off)
             another.end()
             return task

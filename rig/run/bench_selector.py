@@ -1,8 +1,8 @@
-"""Which bench a command works on: that of a bench file, or a simulated one that it starts.
+"""Select the bench that a command works on: that of a bench file, or a simulated one that it
+starts.
 
 The bench of a file is locked, and refused where its last guard left it unsafe. A simulated bench
-boots as a process of its own and belongs to the command alone.
-Nothing is connected here.
+boots as a process of its own and belongs to the command alone. Nothing is connected here.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ STARTING: dict[Fixture, str] = {
 
 @dataclass(frozen=True, kw_only=True)
 class BenchRequest:
-    """What a command says of the bench it wants."""
+    """The options of a command that select its bench."""
 
     bench: Path | None = None
     """Bench file; None for a simulated bench."""
@@ -43,7 +43,7 @@ class BenchRequest:
     dry_run: bool = False
     """Rehearse on a simulated bench under the bench file's limits."""
     stages: str | None = None
-    """Which of `simulated_variants`; None for the usual one."""
+    """One of `simulated_variants`; None for the default."""
     world: Path | None = None
     fault: Path | None = None
     world_log: Path | None = None
@@ -56,16 +56,16 @@ class ChosenBench:
     plan: BenchPlan
     clock: Clock
     lock: BenchLock | None = None
-    """On its instruments, unless they are this command's own."""
+    """Lock on the instruments; None for a simulated bench that this command started."""
     started: RunningBench | None = None
-    """The simulated bench that was started for this command."""
+    """Simulated bench that was started for this command."""
     recorded_toml: str | None = None
-    """Its bench file without the process's port numbers."""
+    """Bench file of a simulated bench without the process's port numbers."""
 
 
 def bench_file(given: Path | None) -> Path | None:
-    """The bench file that a command line means: the one it names, or ./bench.toml where there is
-    one; None means a simulated bench."""
+    """Return the bench file that a command names, else ./bench.toml if there is one, else None for
+    a simulated bench."""
     return given or (BENCH_FILE if BENCH_FILE.exists() else None)
 
 
@@ -74,9 +74,9 @@ class BenchSelector:
     """Selects the bench that a command works on, and prepares it."""
 
     say: Callable[[str], None]
-    """Shows a line to a person."""
+    """Function that shows a line to a person."""
     paced: bool = False
-    """Whether a simulated bench's time passes at a person's pace."""
+    """True if a simulated bench's time passes at a person's pace."""
 
     def select(
         self,
@@ -85,9 +85,9 @@ class BenchSelector:
         fixture: Fixture = "film-clamp",
         started: RunningBench | None = None,
     ) -> ChosenBench:
-        """The bench file's plan with a wall clock, locked until `at_the_end`; or a simulated bench,
-        on which `fixture` is mounted, with its own clock: one that was `started` ahead for this
-        request, or its own."""
+        """Return the bench of a bench file with a wall clock, locked until `at_the_end`, or a
+        simulated bench with `fixture` mounted and a clock of its own. The simulated bench is the
+        one `started` ahead for this request, if given."""
         from rig.bench.plan import read_bench
 
         if request.bench is not None and not request.dry_run:
@@ -111,7 +111,7 @@ class BenchSelector:
         plan = read_bench(path)
         _refuse_simulation_options(request, path)
         lock = at_the_end.enter_context(BenchLock(plan))
-        self._tell_killed(report_path(request.results, plan.settings.name))
+        self._report_takeovers(report_path(request.results, plan.settings.name))
         refuse_unsafe(request.results, plan.settings.name)
         if plan.settings.simulation is not None:
             self.say(f"SIMULATED bench ({path}). {NOT_MEASURED}")
@@ -126,7 +126,7 @@ class BenchSelector:
         from rig.core.clock import ControlLink, PacedClock, SlavedClock
         from rig.run.guard import GUARD_SUFFIX
 
-        self._tell_killed(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
+        self._report_takeovers(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
         ready = started.ready()
         why = "dry run" if request.dry_run else f"no {BENCH_FILE} found in {Path.cwd()}"
         self.say(f"SIMULATED bench ({why}; seed {request.seed}). {NOT_MEASURED}")
@@ -137,12 +137,12 @@ class BenchSelector:
         clock = PacedClock(control) if self.paced else SlavedClock(control)
         return ChosenBench(plan, clock, None, started, ready["recorded_toml"])
 
-    def _tell_killed(self, *reports: Path) -> None:
-        from rig.run.guard import tell_killed
+    def _report_takeovers(self, *reports: Path) -> None:
+        from rig.run.guard import takeover_notice
 
         for report in reports:
-            if (told := tell_killed(report)) is not None:
-                self.say(told)
+            if (notice := takeover_notice(report)) is not None:
+                self.say(notice)
 
 
 def start_simulated(request: BenchRequest, fixture: Fixture) -> RunningBench:
@@ -165,20 +165,20 @@ def start_simulated(request: BenchRequest, fixture: Fixture) -> RunningBench:
 
 
 def simulated_variants() -> tuple[str, ...]:
-    """The names of the simulated benches that can be started; the usual one is the first."""
+    """Return the names of the simulated benches that can be started, the default first."""
     return _simulated_benches().variants()
 
 
 def require_variant(name: str) -> str:
-    """The name itself; ValueError lists the choices where no simulated bench has it."""
+    """Return `name`. Raises ValueError, which lists the choices, if no simulated bench has it."""
     if name not in (known := simulated_variants()):
         raise ValueError(f"has to be one of {', '.join(known)}")
     return name
 
 
 def simulated_variant_for(plan: BenchPlan) -> str | None:
-    """The simulated bench whose stages have the limits of those of a bench file; None where there
-    is none for its drivers."""
+    """Return the name of the simulated bench whose stages have the limits of those of a bench file,
+    or None if there is none for its drivers."""
     drivers = {part.role: part.driver_name for part in plan.instruments}
     return _simulated_benches().variant_for(drivers)
 

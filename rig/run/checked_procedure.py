@@ -1,4 +1,4 @@
-"""The hooks of a procedure as the runner calls them: what they raise and return is checked.
+"""Call the hooks of a procedure and check their exceptions and return values.
 
 A procedure may belong to a package of a laboratory. A fault in it is reported as that package's,
 with file and line; one in a procedure of this program, as a defect of the program.
@@ -27,11 +27,12 @@ if TYPE_CHECKING:
     from rig.run.procedure import Procedure
 
 TRUTH = "simulated_truth"
-"""A key that every reading may have: what the simulated bench knows of the point."""
+"""Key that every reading may have: the simulated bench's own record of the point."""
 
 
 class ProcedureFaultError(RigError):
-    """A procedure raised what it should not, or returned what its layout does not declare."""
+    """Raised for a procedure's unexpected exception, or a return value that its layout does not
+    declare."""
 
     code = ExitCode.INTERNAL
 
@@ -39,25 +40,25 @@ class ProcedureFaultError(RigError):
 class CheckedProcedure:
     """Calls the hooks of a procedure, which are described at `rig.run.procedure.Procedure`.
 
-    Every method raises what the hook raised if that is a RigError, and ProcedureFaultError for
-    anything else that the hook raised, or returned and should not.
+    Every method raises what the hook raised if that is a RigError, and ProcedureFaultError for any
+    other exception and for a wrong return value.
     """
 
     def __init__(self, procedure: Procedure):
         self._procedure = procedure
 
     def import_ahead(self) -> None:
-        """Import what takes long."""
+        """Import slow modules."""
         with self._blamed():
             self._procedure.import_ahead()
 
     def points(self) -> tuple[Point, ...]:
-        """All points of the run."""
+        """Return all points of the run."""
         with self._blamed():
             return self._points("points", self._procedure.points())
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
-        """Bench time that arming and making safe take, in s."""
+        """Return the bench time in s that arming and making safe take."""
         with self._blamed():
             return float(self._procedure.overhead_s(fixture, homed))
 
@@ -67,12 +68,12 @@ class CheckedProcedure:
             self._procedure.check(bench)
 
     def refine(self, readings: Sequence[Reading]) -> tuple[Point, ...]:
-        """Further points where the readings of the first plan call for them."""
+        """Return further points that the readings of the first plan require."""
         with self._blamed():
             return self._points("refine", self._procedure.refine(readings))
 
     def why_invalid(self, reading: Reading) -> str:
-        """Why a reading is invalid; "" for a valid one."""
+        """Return why a reading is invalid; "" for a valid one."""
         with self._blamed():
             return str(self._procedure.why_invalid(reading) or "")
 
@@ -82,7 +83,7 @@ class CheckedProcedure:
             self._procedure.arm(run)
 
     def take(self, run: Run, point: Point) -> Reading:
-        """Measure one point; a reading that is as the layout declares it."""
+        """Measure one point; return a reading with the columns that the layout declares."""
         with self._blamed():
             reading: Any = self._procedure.take(run, point)
         fault = reading_fault(self._procedure.layout, reading)
@@ -91,7 +92,7 @@ class CheckedProcedure:
         return dict(reading)
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
-        """Results of the whole run."""
+        """Return the results of the whole run."""
         with self._blamed():
             found: Any = self._procedure.summarise(readings)
         if not isinstance(found, Mapping):
@@ -120,7 +121,7 @@ class CheckedProcedure:
 
 
 def package_of(procedure: type[Procedure]) -> str:
-    """The name of the package that a procedure belongs to."""
+    """Return the name of the package that a procedure belongs to."""
     top = procedure.__module__.split(".")[0]
     with contextlib.suppress(ConfigurationError):
         entry = find(PROCEDURES, procedure.name)
@@ -130,7 +131,7 @@ def package_of(procedure: type[Procedure]) -> str:
 
 
 def internal(error: BaseException) -> RigError:
-    """An unexpected exception as a defect of this program."""
+    """Return the RigError that reports an unexpected exception as a defect of this program."""
     wrapped = RigError(
         f"internal error: {type(error).__name__}: {error}",
         "this is a defect of the program: run again with --debug and report the traceback",
@@ -140,8 +141,8 @@ def internal(error: BaseException) -> RigError:
 
 
 def reading_fault(layout: Layout, reading: Any) -> str | None:
-    """What is wrong with a reading, as the end of a sentence; None where it has a value or None for
-    every column of the layout, of the column's kind, and nothing else."""
+    """Return what is wrong with a reading, as the end of a sentence; None if it has a value or None
+    for every column of the layout, of the column's kind, and nothing else."""
     if not isinstance(reading, Mapping):
         return f"{_kind(reading)}, not a reading (a dict)"
     columns = {column.key: column for column in layout.columns}
@@ -173,7 +174,8 @@ def _kind(value: Any) -> str:
 
 
 def _blame(procedure: type[Procedure], error: BaseException) -> RigError:
-    """The report of an exception: a foreign package's fault where its code took part."""
+    """Return the error that reports an exception: a fault of a foreign package if its code took
+    part."""
     name = package_of(procedure)
     if name == OWN_PACKAGE:
         return internal(error)
@@ -193,7 +195,8 @@ def _blame(procedure: type[Procedure], error: BaseException) -> RigError:
 
 
 def _shown(file: str, top: str) -> str:
-    """A file of a package as seen from the folder that the package is installed in."""
+    """Return the path of a package's file relative to the folder that the package is
+    installed in."""
     folder = getattr(sys.modules.get(top), "__file__", None)
     base = Path(folder).parent if folder else Path(file).parent
     base = base.parent if folder and Path(folder).name == "__init__.py" else base

@@ -1,4 +1,4 @@
-"""What a procedure may use of the run it belongs to."""
+"""The part of a run that its procedure may use."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rig.core.clock import Clock
 from rig.core.errors import InstrumentTimeoutError, RigError
 from rig.files.journal.recorder import Recorder
 from rig.instruments.roles import Record, Scaling
-from rig.run.arming import OFF_DEADLINE_S, Arming
+from rig.run.arming import SHUTDOWN_DEADLINE_S, Arming
 from rig.run.force_monitor import ForceMonitor
 from rig.run.holds import Holds
 from rig.run.points import Reading
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Run:
-    """What `arm` and `take` may use of the run they belong to."""
+    """The part of a run that the hooks `arm` and `take` may use."""
 
     def __init__(
         self,
@@ -37,21 +37,21 @@ class Run:
         self.bench = bench
         self.clock: Clock = bench.clock
         self.readings: Mapping[str, Reading] = {} if readings is None else readings
-        """What has been recorded so far, by point id; a resumed run begins with what an earlier
-        attempt recorded."""
+        """Readings recorded so far, by point id; a resumed run begins with those of earlier
+        attempts."""
         self.holds = Holds()
         self._force: ForceMonitor | None = None
         self.warnings: list[str] = []
         self.failures: list[RigError] = []
-        """What was reported to `fail`."""
+        """Failures that were reported to `fail`."""
         self.made_safe: list[str] = []
-        """What the shutdown actions have done since the bench was last made safe, in their order,
-        as parts of a sentence: "generator off". An action that failed in part is not among them."""
+        """Effects of the shutdown actions since the bench was last made safe, in their order, as
+        parts of a sentence: "generator off". An action that failed in part is not included."""
         self._arming = Arming(overlapping=not self.clock.is_virtual)
         self._waits_s = max(
             (longest_call_s(part.settings) for part in bench.plan.instruments), default=0.0
         )
-        """What one call on an instrument may wait for its link at most."""
+        """Longest time that one call on an instrument may wait for its link."""
         self._recorder = recorder
         self._streams = streams
         self._scalings: dict[str, Scaling] = {}
@@ -59,17 +59,18 @@ class Run:
         self._start_s = bench.clock.now() - elapsed_s
 
     def elapsed_s(self) -> float:
-        """Bench time since the run's start in seconds; a resumed run goes on counting."""
+        """Bench time since the run's start in seconds; a resumed run continues from its earlier
+        attempts."""
         return self.clock.now() - self._start_s
 
     @property
     def arming(self) -> Arming:
-        """What is switched on."""
+        """Register of what is switched on."""
         return self._arming
 
     @property
     def force(self) -> ForceMonitor:
-        """The force sensor's stream, once `stream_force` has begun it."""
+        """The force sensor's monitor, once `stream_force` has started it."""
         assert self._force is not None, "stream_force() comes first"
         return self._force
 
@@ -77,7 +78,7 @@ class Run:
         self,
         name: str,
         off: Callable[[], None],
-        deadline_s: float = OFF_DEADLINE_S,
+        deadline_s: float = SHUTDOWN_DEADLINE_S,
         emergency: Callable[[], None] | None = None,
         done: str = "",
     ) -> None:
@@ -85,15 +86,16 @@ class Run:
         again replaces its shutdown action.
 
         `off`, the shutdown action, has `deadline_s` of wall time, not counting what a broken link
-        makes it wait. `emergency` is the emergency action: what a watcher does first, from its own
-        thread; it may talk to the instrument once and may not wait on the bench clock. `done` is
-        what a person reads when `off` has worked: "generator off"; without it, "`name` off".
+        makes it wait. `emergency` is the emergency action: the first thing that a watcher runs,
+        from its own thread; it may talk to the instrument once and may not wait on the bench clock.
+        `done` is shown when `off` has worked: "generator off"; without it, "`name` off".
         """
         shutdown = self._noting(off, done or f"{name} off")
         self._arming.register(name, shutdown, deadline_s + self._waits_s, emergency)
 
     def _noting(self, off: Callable[[], None], done: str) -> Callable[[], None]:
-        """The shutdown action, which adds what it has done to `made_safe` where nothing failed."""
+        """Return the shutdown action, extended so that it adds `done` to `made_safe` if nothing
+        failed."""
 
         def shutdown() -> None:
             failed_before = len(self.failures)
@@ -104,12 +106,12 @@ class Run:
         return shutdown
 
     def stream_force(self, rate_S_s: float) -> ForceMonitor:
-        """Begin to read and to watch the force sensor, anew where it is read already. Its shutdown
-        action is registered."""
+        """Begin to read and watch the force sensor; restarts the stream if it runs already. Its
+        shutdown action is registered."""
         if self._force is not None:
             self._force.stop()
         monitor = ForceMonitor(
-            self.bench.force_sensor, self.clock, self.holds, self._arming.act_at_once
+            self.bench.force_sensor, self.clock, self.holds, self._arming.emergency_stop
         )
 
         def off() -> None:
@@ -117,7 +119,7 @@ class Run:
                 self._force = None
             monitor.stop()
 
-        deadline_s = OFF_DEADLINE_S + self._waits_s
+        deadline_s = SHUTDOWN_DEADLINE_S + self._waits_s
         shutdown = self._noting(off, "force stream stopped")
         self._arming.register("force stream", shutdown, deadline_s, watches=True)
         monitor.start(rate_S_s)
@@ -127,16 +129,18 @@ class Run:
     def force_from_now_N(  # noqa: N802 - the unit keeps its capital
         self, seconds: float
     ) -> float | None:
-        """Wait for `seconds`; the largest mean force along any axis within them, in N. None where
-        the force sensor is not read, or tells nothing. For a clean-up, which it does not end."""
+        """Wait for `seconds` and return the largest mean force along any axis within them, in N.
+        Returns None if the force sensor is not read or sends nothing. Made for shutdown actions,
+        which it does not interrupt."""
         return None if self._force is None else self._force.largest_from_now_N(seconds)
 
     @contextlib.contextmanager
     def first_cause(self) -> Iterator[None]:
-        """Around what may be disturbed: what a watcher made the bench safe over, and a hold during
-        which an instrument was not heard in time, come before what a disturbed call made of it.
+        """Report the first cause: within the block, the reason why a watcher made the bench safe,
+        or a hold during which an instrument did not answer in time, replaces the exception of a
+        call that it disturbed.
 
-        For the outermost level only: it waits for what the watcher is about.
+        For the outermost level only, since it waits for the watcher to finish.
         """
         try:
             yield
@@ -149,8 +153,8 @@ class Run:
             raise
 
     def tripped(self) -> RigError | None:
-        """Why a watcher has made the bench safe, where nobody has been told yet: once. For a
-        clean-up, which nothing is to disturb and no wait tells."""
+        """Return, once, why a watcher has made the bench safe if that has not been reported yet.
+        Made for shutdown actions, whose waits do not raise it."""
         if self._force is None:
             return None
         self._force.settle()
@@ -161,13 +165,13 @@ class Run:
         return None
 
     def check_watchers(self) -> None:
-        """Raise what the force reader or a hold wants to be known."""
+        """Raise a failure or trip of the force monitor, or a hold."""
         if self._force is not None:
             self._force.check()
         self.holds.check()
 
     def check_force_stream(self) -> None:
-        """Raise what ended the force stream, or its being silent for too long."""
+        """Raise the reason why the force stream ended or has been silent for too long."""
         if self._force is not None:
             self._force.check_stream()
 
@@ -207,7 +211,7 @@ class Run:
 
         `rows` is an array (n, channels) of the stream's dtype; values = `scale` times `rows`, in
         `units`. `first_index` is the number of the stream's rows before these in the same point.
-        `rate_Hz` is None where the rows are not equally spaced in time.
+        `rate_Hz` is None if the rows are not equally spaced in time.
         """
         index = self._streams[stream]
         channels = rows.shape[1]

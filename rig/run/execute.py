@@ -2,13 +2,13 @@
 
     execute      connect, check the bench and the plan, open the journal
     PointLoop    arm the bench and record the points (`rig.run.point_loop`)
-    _Execution   what is around the loop: at every exit safe first, data second, report third
+    _Execution   around the loop: at every exit safe first, data second, report third
 
-The procedure is called from the thread that calls `execute`. Three kinds of threads work beside it:
-the recorder writes the journal, a reader takes in each stream, and a shutdown action runs in a
-thread of its own so that one that hangs holds up no other. Their failures, stop requests, trips and
-holds surface in the procedure's next wait; `rig.run.phases` says which of them in which phase.
-A procedure may run its control ticks in further threads while its own waits for them.
+The procedure is called from the thread that calls `execute`. Three kinds of threads work in the
+background: the recorder writes the journal, a reader takes in each stream, and a shutdown action
+runs in a thread of its own so that one that hangs holds up no other. Their failures, stop requests,
+trips and holds surface in the procedure's next wait; `rig.run.phases` says which of them in which
+phase. A procedure may run its control ticks in further threads while its own waits for them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rig.core.errors import ExitCode, RigError
 from rig.files.journal.reader import read_journal
 from rig.files.journal.recorder import Recorder
 from rig.files.runfile.compile import compile_run
-from rig.run.arming import BEAT_EVERY_S, OffFailure
+from rig.run.arming import BEAT_EVERY_S, ShutdownFailure
 from rig.run.checked_procedure import CheckedProcedure, internal
 from rig.run.context import Run
 from rig.run.guard import GuardLink
@@ -45,17 +45,17 @@ from rig.run.stopping import StopFlag, StopRequestedError
 def execute(
     job: RunJob, plan: BenchPlan, clock: Clock, stop: StopFlag, *observers: RunObserver
 ) -> RunOutcome:
-    """Run a job on a bench, from connecting to the compiled file; how it ended.
+    """Run a job on a bench, from connecting to the compiled file; return how it ended.
 
-    Raises nothing that a job, a bench or an observer can cause: what went wrong is in the outcome,
-    first cause first. The clock is closed at the end.
+    No failure of a job, a bench or an observer is raised: all failures are in the outcome, first
+    cause first. The clock is closed at the end.
     """
     outcome = RunOutcome("failed", ExitCode.INTERNAL)
     outcome.simulated = plan.settings.simulation is not None
     procedure = CheckedProcedure(job.procedure)
     try:
         procedure.import_ahead()
-        # A full collection that looks through all modules takes several ticks of a loop: none does.
+        # Without this, a full garbage collection would examine all modules and take several ticks.
         gc.collect()
         gc.freeze()
         plan = plan.require_fixture(*job.procedure.fixtures)
@@ -87,7 +87,8 @@ def execute(
 
 
 class _Execution:
-    """A run that has a journal: the loop over its points, and what follows at every exit."""
+    """A run that has a journal: the loop over its points, and the steps that follow at every
+    exit."""
 
     def __init__(
         self,
@@ -105,7 +106,7 @@ class _Execution:
         self.recorder = Recorder(journal.writer)
         held = job.held
         if job.lock is not None:
-            job.lock.tell_run(journal.path)
+            job.lock.note_run(journal.path)
             held += job.lock.files
         self.guard = GuardLink(bench.plan, journal.path, job.guard_report(bench, journal), held)
         self.readings = dict(journal.recorded)
@@ -132,11 +133,11 @@ class _Execution:
         )
         self._last_beat = 0.0
         self._guard_missed = False
-        """Whether the guard's death has been reported."""
+        """True if the guard's death has been reported."""
         self._begun_s = bench.clock.now()
 
     def go(self, points: tuple[Point, ...]) -> None:
-        """Record the points, then safe, data, report."""
+        """Record the points, then make the bench safe, save the data and report."""
         unregister = self.bench.clock.each_slice(self._each_slice)
         self.bench.clock.while_computing(self.guard.beat)
         try:
@@ -161,7 +162,7 @@ class _Execution:
             self.guard.done()
 
     def _judge(self) -> ExitCode:
-        """Report every invalid reading; the exit code of a run that has all its points."""
+        """Report every invalid reading; return the exit code of a run that has all its points."""
         invalid = {
             name: why for name, r in self.readings.items() if (why := self.procedure.why_invalid(r))
         }
@@ -197,16 +198,16 @@ class _Execution:
 
     # --- first: safe ------------------------------------------------------------------------------
 
-    def _switch_off(self, keep_watching: bool) -> list[OffFailure]:
-        """Run the shutdown actions, undisturbed by stop requests, drives and threads that fail
-        meanwhile; those that failed."""
+    def _switch_off(self, keep_watching: bool) -> list[ShutdownFailure]:
+        """Run the shutdown actions, undisturbed by stop requests and by drives and threads that
+        fail meanwhile; return those that failed."""
         self.phases.enter(RunPhase.MAKING_SAFE)
         self.run.made_safe.clear()
         with self.bench.links.making_safe():
             return self.run.arming.make_safe(self.guard.beat, keep_watching)
 
     def _make_safe(self) -> None:
-        """Switch everything off; tell the guard where that has worked."""
+        """Switch everything off, and inform the guard if that has worked."""
         self.observers.making_safe()
         failures = self._switch_off(False)
         self.outcome.duration_s = self.bench.clock.now() - self._begun_s
@@ -234,7 +235,7 @@ class _Execution:
     # --- second: data -----------------------------------------------------------------------------
 
     def _save(self) -> None:
-        """Close the journal and compile it; every step is tried, whatever the one before it did."""
+        """Close the journal and compile it; every step is tried even if an earlier one fails."""
         self.phases.enter(RunPhase.SAVING)
         outcome = self.outcome
         compiled = self.job.compiled or outcome.status != "complete"
@@ -269,7 +270,7 @@ class _Execution:
                 self.outcome.code = error.code
 
     def _forget_what_is_not_in_the_journal(self) -> None:
-        """Where the disk failed, only the points that the journal holds are recorded."""
+        """After a failure of the disk, drop the readings that are not in the journal."""
         with contextlib.suppress(RigError, OSError):
             recorded = {point.id for point in read_journal(self.journal.path).kept()}
             for lost in self.readings.keys() - recorded:

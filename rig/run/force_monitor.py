@@ -1,9 +1,8 @@
-"""The force sensor's reader and its watchers: they act although the procedure may be blocked.
+"""The force sensor's reader and its watchers, which act even while the procedure is blocked.
 
-The reader's thread owns the sensor's link. Every batch of frames goes past the watchers before
-anybody else sees it: a force over the limit makes the bench safe from that thread at once, with
-the offs that were registered for it. What happened is raised in the procedure's thread at its next
-look.
+The reader's thread owns the sensor's link. Every batch of frames goes to the watchers first: for a
+force over the limit, that thread runs the registered emergency actions at once. The trip is raised
+in the procedure's thread at its next check.
 """
 
 from __future__ import annotations
@@ -25,88 +24,92 @@ from rig.run.trip import TripError
 
 AXES = "xyz"
 STALE_S = 0.25
-"""No frame for longer is a hold: the force is not known."""
+"""Time without a frame that starts a hold: the force is not known."""
 LOST_S = 5.0
-"""No frame for longer, or some missing for longer, ends the run."""
+"""Time without a frame, or with missing frames, that ends the run."""
 MISSING_FRAMES = 25
-"""Frames that bench time says are due beyond the usual: they are late, or the stream has a gap."""
+"""Frames overdue by bench time, beyond the usual number, from which they are late or the stream has
+a gap."""
 LATE_S = 0.5
-"""Missing for longer is a hold: late frames arrive."""
+"""Time with missing frames that starts a hold: frames that are merely late arrive within it."""
 STILL_FRAMES = 20
-"""So many in a row that are the same to the last bit on all axes are no measurement: a converter of
-24 bits sees noise of many steps (unconfirmed on the amplifier)."""
+"""Number of successive frames, equal to the last bit on all axes, that show a stopped converter:
+one of 24 bits always sees noise of many steps (unconfirmed on the amplifier)."""
 DRIFT = 1e-3
-"""How fast the usual number follows: well above two clocks' disagreement."""
+"""Rate at which the usual number of overdue frames follows: well above the drift between two
+clocks."""
 BATCHES_KEPT = 20_000
 
 
 class ForceMonitor:
-    """Streams a force sensor, keeps the last frames, and watches every one of them."""
+    """Streams a force sensor, buffers the latest frames, and watches every one of them."""
 
     def __init__(
         self, sensor: ForceSensor, clock: Clock, holds: Holds, act: Callable[[], list[str]]
     ):
         self._sensor, self._clock, self._holds, self._act = sensor, clock, holds, act
         self._limit_N = self.limit_N = float("inf")
-        """The former is what trips now, the latter what `watch` was given last."""
+        """Limit that trips now, and limit that `watch` was last called with."""
         self.tared = False
-        """Whether the sensor has been zeroed since this stream was begun."""
+        """True if the sensor has been zeroed since this stream was begun."""
         self._trip: RigError | None = None
-        """Why the bench was made safe from the reader's thread."""
+        """Reason why the reader's thread made the bench safe."""
         self._rate = 0.0
         self._recent: deque[ForceFrames] = deque(maxlen=BATCHES_KEPT)
         self._lock = threading.Lock()
         self._frames_before = 0
-        """Number of the frame after the last one that was forgotten on purpose."""
+        """Number of the first frame after those that were dropped on purpose."""
         self._last_frame_s: float | None = None
-        """None until the stream has begun."""
+        """Time of the latest frame; None until the stream has begun."""
         self._usual = 0.0
         self._newest_s = 0.0
-        """When the newest frame that is kept would have come, had it not been late."""
+        """Time at which the newest buffered frame would have come without its delay."""
         self._missing_since_s: float | None = None
         self._looked_s = 0.0
         self._last_raw: list[float] = []
         self._still = 0
-        """Frames up to the last one that have repeated the one before them."""
+        """Number of successive frames up to the latest that repeat the one before them."""
         self.largest_N = 0.0
-        """Largest force along any axis since `watch`."""
+        """Largest force along any axis since `watch` was called, in N."""
         self._reader: StreamReader[ForceFrames] = StreamReader(
             "force reader", self, around=clock.in_background
         )
         self._unfollow: Callable[[], None] = lambda: None
 
-    # --- what the procedure uses --------------------------------------------------------------
+    # --- used by the procedure ----------------------------------------------------------------
 
     def start(self, rate_S_s: float) -> float:
-        """Begin to stream and to watch; no limit is in force yet. Returns `rate_S_s`, the property:
-        the sensor may not have the rate that it was asked for."""
+        """Begin to stream and to watch, without a limit yet. Returns the actual rate (see the
+        property `rate_S_s`), which may differ from the one asked for."""
         self._unfollow = self._clock.follow_stream("force_sensor", self)
         self._looked_s = self._clock.now()
-        self._reader.start()  # first: frames may come although the answer to the start is lost
+        # Noted first: frames may come although the answer to the start command is lost.
+        self._reader.start()
         self._rate = self._sensor.start(rate_S_s)
         self._last_frame_s = self._clock.now()
         return self._rate
 
     @property
     def rate_S_s(self) -> float:  # noqa: N802 - the unit keeps its capital
-        """Frames a second, as the sensor reported when the stream was started."""
+        """Frames per second, as the sensor reported when the stream was started."""
         return self._rate
 
     def stop(self) -> None:
-        """End reading and streaming."""
+        """End the stream and its reader."""
         self._reader.stop()
         self._unfollow()
         self._sensor.stop()
 
     def watch(self, limit_N: float) -> None:
-        """From now on a force over `limit_N` along any axis trips."""
+        """Trip from now on over a force above `limit_N` along any axis."""
         self._limit_N = self.limit_N = limit_N
         self.largest_N = 0.0
 
     def mean_N(  # noqa: N802 - the unit keeps its capital
         self, seconds: float
     ) -> npt.NDArray[np.float64]:
-        """Mean force (3,) over the latest `seconds`; InstrumentError where no frame has come."""
+        """Return the mean force (3,) over the latest `seconds`. Raises InstrumentError if no frame
+        has come."""
         latest = self.latest_N(seconds)
         mean: npt.NDArray[np.float64] = np.add.reduce(latest) / len(latest)
         return mean
@@ -114,13 +117,14 @@ class ForceMonitor:
     def latest_N(  # noqa: N802 - the unit keeps its capital
         self, seconds: float
     ) -> npt.NDArray[np.float64]:
-        """Forces (n, 3) of the latest `seconds`; InstrumentError where no frame has come."""
+        """Return the forces (n, 3) of the latest `seconds`. Raises InstrumentError if no frame has
+        come."""
         return np.concatenate([f.force_N[-n:] for f, n in self._latest(seconds)])
 
     def frames_since(self, index: int) -> ForceFrames | None:
-        """Every frame from number `index` on, as one batch, or None where none has come yet.
+        """Return every frame from number `index` on as one batch, or None if none has come yet.
 
-        InstrumentError where some of them have been forgotten: a record has no gap.
+        Raises InstrumentError if some of them have left the buffer: a record must not have a gap.
         """
         found: list[ForceFrames] = []
         with self._lock:
@@ -136,7 +140,7 @@ class ForceMonitor:
             raise InstrumentError(
                 "force_sensor",
                 "stream",
-                f"{-skip} frames from number {index} on are no longer kept",
+                f"{-skip} frames from number {index} on are no longer in the buffer",
                 "read them more often",
             )
         parts = found[::-1]
@@ -150,22 +154,21 @@ class ForceMonitor:
 
     @property
     def older_s(self) -> float:
-        """By how much older than usual the newest frame is; nothing where bench time stands while
-        frames come."""
+        """Return by how many s the newest frame is older than usual; 0 in virtual time."""
         if self._clock.is_virtual or not self._rate:
             return 0.0
         return max(0.0, self._clock.now() - self._newest_s)
 
     @property
     def frames_seen(self) -> int:
-        """Number of the next frame that has not come yet."""
+        """Number of frames received so far, which is the number of the next one."""
         with self._lock:
             latest = self._recent[-1] if self._recent else None
         return latest.first_index + len(latest) if latest is not None else self._frames_before
 
     def tare(self, seconds: float) -> tuple[float, float, float]:
-        """Take the mean of the latest `seconds` as no force. Returns the force along x, y, z in N
-        that it is against the amplifier's own zero."""
+        """Define the mean of the latest `seconds` as zero force. Returns the force along x, y, z in
+        N that this mean is relative to the amplifier's own zero."""
         zero = np.concatenate([f.raw[-n:] for f, n in self._latest(seconds)]).mean(axis=0)
         zero_N = self._sensor.tare((float(zero[0]), float(zero[1]), float(zero[2])))
         with self._lock:
@@ -178,8 +181,9 @@ class ForceMonitor:
     def largest_from_now_N(  # noqa: N802 - the unit keeps its capital
         self, seconds: float
     ) -> float | None:
-        """Wait for `seconds`; the largest mean force along any axis of the frames that come within
-        them, in N. None where none comes, or where they are so late that they are of before."""
+        """Wait for `seconds` and return the largest mean force along any axis, in N, of the frames
+        that come within them. Returns None if none comes, or if all are so late that they were
+        measured before."""
         begin = self.frames_seen
         self._clock.sleep(seconds)
         frames = self.frames_since(begin)
@@ -188,30 +192,32 @@ class ForceMonitor:
         return float(np.abs(frames.force_N.mean(axis=0)).max())
 
     def check(self) -> None:
-        """Raise what the reader's thread met, once for a trip."""
+        """Raise the failure of the reader's thread; a trip is raised once."""
         self.check_trip()
         self.check_stream()
 
     def check_stream(self) -> None:
-        """Raise what ended the reader's thread; look whether frames still come. The thread looks
-        too, but how soon is up to the host."""
+        """Raise the failure that ended the reader's thread, and check that frames still come. The
+        thread checks that too, but how soon depends on the computer's load."""
         self._reader.check()
         self._watch_silence()
 
     def check_trip(self) -> None:
-        """Raise why the bench was made safe at once, where nobody has seen it yet."""
+        """Raise the reason why the bench was made safe from the reader's thread, if not raised
+        before."""
         if self._trip is not None:
             trip, self._trip = self._trip, None
             raise trip
 
     def settle(self) -> None:
-        """Wait until what the reader's thread is about is done and known to `check_trip`; not from
-        a wait of the bench clock, which may hold what the thread needs."""
+        """Wait until the reader's thread has handled its present batch and `check_trip` knows the
+        result. Must not be called from a callback of the clock, which may hold a lock that the
+        thread needs."""
         self._reader.settle()
 
-    # --- what the clock waits for -------------------------------------------------------------
-    # Nothing any more where the thread has ended: `check` tells why, and a clean-up, which looks at
-    # no force, is not disturbed by it.
+    # --- used by the clock --------------------------------------------------------------------
+    # The clock no longer waits for a thread that has ended: `check` reports why it ended, and a
+    # shutdown action, which reads no force, must not be disturbed by it.
 
     def bytes_handled(self) -> int:
         """See `rig.core.clock.StreamConsumer`."""
@@ -228,11 +234,12 @@ class ForceMonitor:
 
     @property
     def bytes_consumed(self) -> int:
-        """Of the sensor's link."""
+        """Bytes taken off the sensor's link."""
         return self._sensor.bytes_consumed
 
     def read(self) -> Sequence[ForceFrames]:
-        """What has come, watched; called by the reader's thread."""
+        """Return the new frames after the watchers have checked them; called by the reader's
+        thread."""
         frames = self._sensor.read()
         if frames is None:
             self._watch_silence()
@@ -240,7 +247,8 @@ class ForceMonitor:
         now = self._clock.now()
         self._last_frame_s = now
         if _STALE in self._holds.active:
-            self._usual = self._sensor.frames_behind  # the silence has been a hold: no gap besides
+            # The silence has been a hold already, so it is not reported as a gap as well.
+            self._usual = self._sensor.frames_behind
             self._holds.end(_STALE)
         self._watch_gap(now)
         late = max(0.0, self._sensor.frames_behind - self._usual)
@@ -269,11 +277,12 @@ class ForceMonitor:
             return
         axis = AXES[int(sizes.max(axis=0).argmax())]
         what = f"force along {axis} of {largest:.3g} N is over the limit of {self._limit_N:g} N"
-        self._limit_N = float("inf")  # one trip is one: armed again by the next watch
-        self._trip = TripError(what + self._make_safe(), "find out what pressed before going on")
+        # A trip is reported once; the next call of `watch` sets a limit again.
+        self._limit_N = float("inf")
+        self._trip = TripError(what + self._make_safe(), "find out what pressed first")
 
     def _watch_standstill(self, frames: ForceFrames) -> None:
-        """A sensor that goes on sending what it sent last feels nothing any more."""
+        """Make the bench safe if the sensor keeps sending the same frame: it no longer measures."""
         for raw in frames.raw.tolist():
             self._still = self._still + 1 if raw == self._last_raw else 0
             self._last_raw = raw
@@ -289,9 +298,9 @@ class ForceMonitor:
                 raise self._trip
 
     def _make_safe(self) -> str:
-        """Make the bench safe at once; what failed, to be added to the reason."""
+        """Run the emergency actions; return their failures as an addition to the reason."""
         failures = self._act()
-        return f"; not switched off at once: {'; '.join(failures)}" if failures else ""
+        return f"; not stopped at once: {'; '.join(failures)}" if failures else ""
 
     def _watch_silence(self) -> None:
         if self._last_frame_s is None:
@@ -312,7 +321,7 @@ class ForceMonitor:
         drift = DRIFT * self._rate * (now - self._looked_s)
         self._looked_s = now
         if missing < MISSING_FRAMES:
-            # Down no faster than up: one batch may be ahead of a slaved clock.
+            # It falls no faster than it rises, because one batch may be ahead of a slaved clock.
             self._usual += max(-drift, min(missing, drift))
             self._missing_since_s = None
             self._holds.end(_LATE)
@@ -331,10 +340,11 @@ class ForceMonitor:
             raise self._trip
 
     def _latest(self, seconds: float) -> list[tuple[ForceFrames, int]]:
-        """The latest batches, oldest first, and how many frames of each lie within `seconds`.
+        """Return the latest batches, oldest first, and how many frames of each lie within
+        `seconds`.
 
-        Right after a start or a tare there are none yet: it waits for them, as long as the silence
-        does not end the run.
+        Right after a start or a tare there are none yet: it then waits for them, until the silence
+        ends the run.
         """
         while not (batches := self._kept(max(1, round(seconds * self._rate)))):
             self.check_stream()

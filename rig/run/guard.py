@@ -1,14 +1,14 @@
-"""The guard: a side process that makes the bench safe when its run cannot.
+"""The guard: a separate process that makes the bench safe when its run cannot.
 
-It lives in a session of its own and listens on a pipe. The run tells it what the bench is, beats,
-says when the bench is safe and when all is done. Pipe closed before that: the run has died, act.
-Beat late: the run hangs (or was suspended); kill it first, then act. To act is to connect to every
-instrument of the bench and call its driver's `make_safe`, each isolated from the others' failures,
-then to compile the journal, then to write what was done to the guard's report. A report that says
-unsafe keeps the next run from starting.
+It runs in a session of its own and listens on a pipe. The run sends it the bench file, heartbeats,
+and a message when the bench is safe and when the run is done. If the pipe closes before that, the
+run has died: the guard acts. If a heartbeat is late, the run hangs (or was suspended): the guard
+kills it, then acts. To act, it connects to every instrument of the bench and calls its driver's
+`make_safe`, each isolated from the others' failures, then compiles the journal, then writes a
+report of what was done. A report of an unsafe bench prevents the next run from starting.
 
-This module is the program as well (``python -m rig.run.guard``); it imports the rest of the
-project only when it has to act, so a guard costs a few milliseconds.
+This module is the program as well (``python -m rig.run.guard``); it imports the rest of the project
+only when it has to act, so a guard costs a few milliseconds.
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ if TYPE_CHECKING:
 
 
 GUARD_SUFFIX = ".guard.json"
-"""Of a report beside its run, where the bench ended with the run."""
+"""Suffix of a report next to its run file, for a bench that ended with the run."""
 TAKE_OVER_S = 30.0
-"""How long a run waits for its guard's second try: several of the links' time-outs."""
+"""How long a run waits for its guard's second try: several time-outs of the links."""
 REST_S = 10.0
-"""What an axis at most takes to come to rest, besides the waits for its answers."""
+"""Longest time in which an axis comes to rest, in addition to the waits for its answers."""
 
 
 def report_path(results: Path, bench_name: str) -> Path:
-    """Where the guard of a bench leaves its report."""
+    """Return the path of the report of a bench's guard."""
     return results / f"guard-{bench_name}.json"
 
 
-def tell_killed(path: Path) -> str | None:
-    """What the guard whose report this is did when its run died, in a sentence; once.
+def takeover_notice(path: Path) -> str | None:
+    """Return, once, a sentence on what the guard did when its run died, from its report.
 
-    Not of a guard that is still at it, nor of one that could not make the bench safe: that is
-    `refuse_unsafe`'s to tell.
+    Returns None for a guard that is still acting, and for one that could not make the bench safe:
+    `refuse_unsafe` reports that.
     """
     try:
         report = json.loads(path.read_text())
@@ -62,20 +62,20 @@ def tell_killed(path: Path) -> str | None:
             "the bench was made safe"
         )
         if report["journal"] is not None:
-            told += f"; data: {report['file']}; go on with: rig resume {report['journal']}"
+            told += f"; data: {report['file']}; continue with: rig resume {report['journal']}"
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    _mark_told(path, report)
+    _mark_reported(path, report)
     return told
 
 
-def _mark_told(path: Path, report: dict[str, Any]) -> None:
+def _mark_reported(path: Path, report: dict[str, Any]) -> None:
     with contextlib.suppress(OSError):
         _write(path, report | {"told": True})
 
 
 def refuse_unsafe(results: Path, bench_name: str) -> None:
-    """Raise UnsafeError where the last guard could not make this bench safe."""
+    """Raise UnsafeError if the last guard could not make this bench safe."""
     from rig.core.errors import UnsafeError
 
     path = report_path(results, bench_name)
@@ -88,32 +88,36 @@ def refuse_unsafe(results: Path, bench_name: str) -> None:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UnsafeError(
             f"the guard's report {path} cannot be read ({error})",
-            f"look at the bench, then run: rig make-safe --bench ... or remove {path}",
+            f"check the bench, then run: rig make-safe --bench ... or remove {path}",
         ) from error
     if not safe:
         troubles = "; ".join(f"{name}: {why}" for name, why in failures.items())
         raise UnsafeError(
             f"the bench {bench_name} was left unsafe at {report.get('time')}: {troubles}",
-            f"look at the bench, then run: rig make-safe (report: {path})",
+            f"check the bench, then run: rig make-safe (report: {path})",
         )
 
 
 class TakenOver(NamedTuple):
-    """What a guard made of a bench that its run could not make safe."""
+    """Result of the guard's try to make a bench safe after its run could not."""
 
     safe: bool
-    told: str
-    """In a sentence."""
+    summary: str
+    """The result as a sentence."""
 
 
 class GuardLink:
-    """The run's side: starts the guard and keeps it informed."""
+    """The run's side of the guard: starts it and keeps it informed."""
 
     def __init__(
         self, plan: BenchPlan, journal: Path | None, report: Path, held: Sequence[int] = ()
     ):
-        """`journal`: of the run, None where nothing is recorded. `held`: files that the guard keeps
-        open as long as it lives, the bench's locks."""
+        """Start the guard.
+
+        `journal` is the run's journal, None if nothing is recorded. `held` are the lock files of
+        the bench, which the guard keeps open as long as it runs. Raises RigError if the guard
+        cannot be started.
+        """
         self._report = report.resolve()
         self._journal = None if journal is None else str(journal.resolve())
         order = {
@@ -143,19 +147,19 @@ class GuardLink:
 
     @property
     def lost(self) -> bool:
-        """Whether the guard has died: nobody would make the bench safe in this run's place."""
+        """True if the guard has died: nothing would make the bench safe in place of this run."""
         return self._process.poll() is not None
 
     def beat(self) -> None:
-        """The run is alive."""
+        """Send a heartbeat."""
         self._tell("beat")
 
     def safe(self) -> None:
-        """Every armed thing is off: a slow compilation is no reason to act."""
+        """Report that everything is off, so that a slow compilation does not make the guard act."""
         self._tell("safe")
 
     def done(self) -> None:
-        """Nothing is left to guard."""
+        """Report that the run is done, and wait for the guard to end."""
         self._tell("done")
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
@@ -164,7 +168,7 @@ class GuardLink:
             self._process.wait(timeout=5)
 
     def take_over(self) -> TakenOver:
-        """Leave the bench to the guard, and say what it made of it."""
+        """Leave the bench to the guard, and return the result of its try."""
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
             self._process.stdin.close()
@@ -174,25 +178,25 @@ class GuardLink:
         except (subprocess.TimeoutExpired, OSError, ValueError) as error:
             return TakenOver(False, f"the guard did not report: {error}")
         own = (os.getpid(), self._journal)
-        if (report["run_pid"], report["journal"]) != own:  # an earlier run's
+        if (report["run_pid"], report["journal"]) != own:  # Left by an earlier run.
             code = self._process.returncode
             return TakenOver(False, f"the guard did not report: it ended with code {code}")
         if report["safe"]:
-            _mark_told(self._report, report)
+            _mark_reported(self._report, report)
             return TakenOver(True, "the guard then made the bench safe")
         failures = report["failures"]
         return TakenOver(False, f"the guard could not make the bench safe either: {failures}")
 
     def _tell(self, word: str) -> None:
         assert self._process.stdin is not None
-        with contextlib.suppress(OSError):  # a run goes on without its guard rather than fail
+        with contextlib.suppress(OSError):  # A run continues without its guard rather than fail.
             self._process.stdin.write(word.encode() + b"\n")
             self._process.stdin.flush()
 
 
 @dataclass
 class _Watch:
-    """What the guard knows of its run."""
+    """State of the run as the guard knows it."""
 
     order: dict[str, Any]
     safe: bool = False
@@ -200,7 +204,7 @@ class _Watch:
 
 
 def main() -> None:
-    """Listen until the run is done, died or hangs; act in the latter cases."""
+    """Listen until the run is done, has died or hangs; act in the latter two cases."""
     for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     pipe = sys.stdin.fileno()
@@ -225,7 +229,7 @@ def main() -> None:
 
 
 def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[str, Any]:
-    """Make the bench safe, compile the journal, write the report; returns the report."""
+    """Make the bench safe, compile the journal, write the report; return the report."""
     failures = {} if already_safe else _make_safe_as_ordered(order)
     report: dict[str, Any] = {
         "time": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
@@ -235,8 +239,10 @@ def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[s
         "failures": failures,
         "journal": order["journal"],
     }
-    with contextlib.suppress(OSError):  # a report that cannot be written keeps no data back
-        _write(Path(order["report"]), report)  # safety first: it does not wait for the file
+    # A report that cannot be written must not prevent the compilation of the data.
+    with contextlib.suppress(OSError):
+        # Written before the compilation: the next run must see the state of the bench at once.
+        _write(Path(order["report"]), report)
     journal = order["journal"]
     report["file"] = None if journal is None else _compile(Path(journal))
     with contextlib.suppress(OSError):
@@ -246,10 +252,10 @@ def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[s
 
 def make_bench_safe(bench_toml: str, source: str) -> dict[str, str]:
     """Call every driver's `make_safe` in the order of the roles, each isolated from the others'
-    failures and each with a deadline; returns what failed, by role.
+    failures and each with a deadline; return the failures by role.
 
-    An instrument whose driver or settings cannot be used is among what failed; the others are made
-    safe. ConfigurationError where the text describes no instrument at all.
+    An instrument whose driver or settings cannot be used is reported as a failure; the others are
+    made safe. Raises ConfigurationError if the text describes no instrument at all.
     """
     from rig.bench.plan import WAITS_PER_CALL, parse_to_make_safe
     from rig.run.arming import Arming
@@ -265,7 +271,8 @@ def make_bench_safe(bench_toml: str, source: str) -> dict[str, str]:
 
 
 def _make_safe_as_ordered(order: dict[str, Any]) -> dict[str, str]:
-    """What could not be made safe; whatever goes wrong has to get into the report."""
+    """Return the failures of making safe by role; any exception becomes one of them, for the
+    report."""
     try:
         return make_bench_safe(order["bench_toml"], order["bench_source"])
     except Exception as error:  # noqa: BLE001 - the report keeps the next run from starting

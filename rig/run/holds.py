@@ -1,8 +1,8 @@
 """Holds: recoverable conditions that disturb a run without ending it.
 
 A hold makes the bench safe; when it is over, the bench is armed again and the disturbed point is
-taken anew. Holds are counted, so that one that came and went while the procedure sat in a blocking
-call is still seen afterwards.
+retaken. Holds are counted, so that one that began and ended during a blocking call of the procedure
+is still noticed afterwards.
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ from rig.core.errors import RigError
 
 
 class HoldError(RigError):
-    """A hold disturbed what was going on; never the outcome of a run."""
+    """Raised in a wait that a hold disturbs; it is never the outcome of a run."""
 
 
 class Holds:
     """The holds of one run: which are in force, and how many there have been."""
 
     def __init__(self) -> None:
-        self._lock = threading.RLock()  # a signal's handler may come while it is held
+        # Reentrant: a signal handler may run while the lock is held.
+        self._lock = threading.RLock()
         self._active: dict[str, None] = {}
         self._count = 0
         self._seen = 0
@@ -36,11 +37,11 @@ class Holds:
 
     @property
     def count(self) -> int:
-        """How many there have been."""
+        """Number of holds so far."""
         return self._count
 
     def begin(self, reason: str) -> None:
-        """From any thread: the condition holds; nothing happens where it does already."""
+        """Begin a hold, from any thread; does nothing if it is in force already."""
         with self._lock:
             if reason not in self._active:
                 self._active[reason] = None
@@ -48,17 +49,17 @@ class Holds:
                 self._latest = reason
 
     def end(self, reason: str) -> None:
-        """From any thread: the condition is over."""
+        """End a hold, from any thread."""
         with self._lock:
             self._active.pop(reason, None)
 
     def check(self) -> None:
-        """Raise HoldError where a hold is in force, or has begun since the last `acknowledge`."""
+        """Raise HoldError if a hold is in force, or has begun since the last `acknowledge`."""
         if self._active or self._count != self._seen:
             raise HoldError(self._latest)
 
     def acknowledge(self) -> None:
-        """What has happened up to now is dealt with."""
+        """Note that every hold so far has been dealt with."""
         with self._lock:
             self._seen = self._count
 
@@ -68,7 +69,7 @@ _SIGNALS = (signal.SIGTSTP, signal.SIGCONT)
 
 
 class PauseSwitch:
-    """Ctrl-Z pauses a run and lets it go on, in turn; ``kill -CONT`` lets it go on. Main thread."""
+    """Pauses and resumes a run by Ctrl-Z, in turn; ``kill -CONT`` resumes it. Main thread only."""
 
     def __init__(self, holds: Holds):
         self._holds = holds

@@ -1,7 +1,7 @@
-"""A job and its journal: what is asked for, and the record it is written to.
+"""A job, which describes a run, and the journal that it is recorded in.
 
 A fresh job begins a journal; a resumed one continues the interrupted run's journal, provided that
-settings, bench and program are the ones it was begun with.
+settings, bench and program are those of its beginning.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PROGRAM = "tactile-rig"
 
 @dataclass
 class Journal:
-    """An open journal and what an earlier attempt left in it."""
+    """An open journal, with the readings of earlier attempts."""
 
     path: Path
     writer: JournalWriter
@@ -47,7 +47,7 @@ class Journal:
         return {stream.name: k for k, stream in enumerate(self.writer.header.streams)}
 
     def end(self, outcome: RunOutcome, duration_s: float) -> dict[str, Any]:
-        """The record that closes this attempt."""
+        """Return the record that closes this attempt."""
         reasons = [failure.one_line() for failure in outcome.failures]
         reasons += [f"not switched off: {f.name}: {f.reason}" for f in outcome.off_failures]
         return {
@@ -65,10 +65,10 @@ class Journal:
 
 @dataclass
 class RunJob:
-    """What one run is asked to do."""
+    """Description of one run: its procedure, bench options, and files."""
 
     procedure: Procedure
-    """Made for this run, with its settings."""
+    """Procedure made for this run, with its settings."""
     seed: int
     results: Path
     user: str = ""
@@ -76,33 +76,34 @@ class RunJob:
     notes: str = ""
     resume: JournalContents | None = None
     collection: str | None = None
-    """The batch it belongs to."""
+    """Name of the batch that the run belongs to."""
     run_number: int = 0
-    """Place within a batch; keys the simulated bench's noise."""
+    """Number of the run within a batch, which seeds the simulated bench's noise."""
     journal: Path | None = None
-    """Where a fresh journal goes; None for the next name of the day."""
+    """Path of a fresh journal; None for the next name of the day."""
     compiled: bool = True
-    """Whether a complete run's journal is compiled as soon as the bench is safe; if not, whoever
-    made the job compiles it later."""
+    """True if a complete run's journal is compiled as soon as the bench is safe; if not, the
+    creator of the job compiles it later."""
     held: tuple[int, ...] = ()
-    """File descriptors that the guard keeps open as long as it lives, and those of the lock."""
+    """File descriptors that the guard keeps open as long as it runs, in addition to those of the
+    lock."""
     allow_expired: bool = False
-    """Whether calibration records that have expired may be used."""
+    """True if calibration records that have expired may be used."""
     calibrations: list[dict[str, Any]] = field(default_factory=list)
-    """The records in use, as the header carries them."""
+    """Calibration records in use, in the form of the header."""
     recorded_toml: str | None = None
-    """The bench file as it is recorded, where the connected one holds a process's port numbers."""
+    """Bench file as it is recorded, if the connected one contains a process's port numbers."""
     lock: BenchLock | None = None
-    """On the bench's instruments; None where they belong to this command alone."""
+    """Lock on the bench's instruments; None if they belong to this command alone."""
 
     @property
     def settings(self) -> Settings:
-        """The settings of the run."""
+        """Settings of the run."""
         settings: Settings = self.procedure.settings
         return settings
 
     def fingerprint(self, bench_toml: str) -> str:
-        """What has to be equal for a run to be resumed."""
+        """Return a hash of everything that must be equal for a run to be resumed."""
         return fingerprint(self.procedure.name, self.settings, self.seed, bench_toml)
 
     @property
@@ -111,8 +112,8 @@ class RunJob:
         return {} if self.resume is None else {p.id: p.reading for p in self.resume.kept()}
 
     def guard_report(self, bench: Bench, journal: Journal) -> Path:
-        """Where the guard reports: beside the run where the bench ends with it, else in the place
-        at which the next run on that bench looks."""
+        """Return the path of the guard's report: next to the run if the bench ends with it, else
+        where the next run on that bench finds it."""
         if self.recorded_toml is not None:
             return journal.path.with_suffix(GUARD_SUFFIX)
         return report_path(self.results, bench.settings.name)
@@ -148,7 +149,8 @@ class RunJob:
         return begin_journal(self.results, self.procedure.name, header)
 
     def _elapsed_s(self) -> float:
-        """A bench that ended with its run stood still in between; time went on for any other."""
+        """Return the time since the run's start. A bench that ended with its run stood still
+        between two attempts; for any other one the time between them is included."""
         assert self.resume is not None
         if self.recorded_toml is not None:
             return self.resume.last_time
@@ -215,5 +217,5 @@ class RunJob:
 
 
 def now_iso() -> str:
-    """The present local time with its offset from UTC, ISO 8601."""
+    """Return the present local time with its offset from UTC, ISO 8601."""
     return datetime.now().astimezone().isoformat(timespec="milliseconds")

@@ -1,4 +1,4 @@
-"""Loading an installed procedure: everything about its class is checked before it is used.
+"""Load an installed procedure; its class is checked completely before it is used.
 
 A fault is reported when the class is loaded, as one line that names the package, and not in the
 middle of a run.
@@ -26,7 +26,7 @@ HOOKS = {
     for name, member in vars(Procedure).items()
     if isinstance(member, FunctionType) and not name.startswith("_")
 }
-"""The hooks of a procedure, and the names of their arguments."""
+"""Hooks of a procedure, with the names of their arguments."""
 ATTRIBUTES = tuple(name for name in Procedure.__annotations__ if name != "settings")
 COMMON_OPTIONS = frozenset(
     {
@@ -39,10 +39,10 @@ COMMON_OPTIONS = frozenset(
 
 
 def load_procedure(name: str) -> type[Procedure]:
-    """Import and check the procedure registered under `name`; its class.
+    """Import and check the procedure registered under `name`; return its class.
 
-    ConfigurationError where no procedure is registered under the name; BrokenPackageError, which
-    names the package, where its class cannot be used.
+    Raises ConfigurationError if no procedure is registered under the name; BrokenPackageError,
+    which names the package, where its class cannot be used.
     """
 
     def find_fault(found: Any) -> str | None:
@@ -53,8 +53,8 @@ def load_procedure(name: str) -> type[Procedure]:
 
 
 def fault_of(procedure: Any, entry_point: str) -> str | None:
-    """What keeps a class from being the procedure of an entry point, as the end of a sentence that
-    begins with the procedure's name; None where nothing does."""
+    """Return why a class cannot be the procedure of an entry point, as the end of a sentence that
+    begins with the procedure's name; None if it can."""
     return next(_faults(procedure, entry_point), None)
 
 
@@ -87,7 +87,8 @@ def _faults(procedure: Any, entry_point: str) -> Iterator[str]:
 
 
 def _misspelt(procedure: type[Procedure]) -> Iterator[str]:
-    """Public names that differ from a hook or attribute of the base class by one letter."""
+    """Yield a fault for each public name that differs by one letter from a hook or attribute of the
+    base class."""
     known = (*HOOKS, *ATTRIBUTES, "settings")
     own = (cls for cls in procedure.__mro__ if issubclass(cls, Procedure) and cls is not Procedure)
     for name in dict.fromkeys(name for cls in own for name in vars(cls)):
@@ -102,7 +103,8 @@ def _misspelt(procedure: type[Procedure]) -> Iterator[str]:
 
 
 def _one_edit_apart(one: str, other: str) -> bool:
-    """Whether one insertion, deletion, replacement or swap of neighbours makes `one` the other."""
+    """Return whether one insertion, deletion, replacement or swap of neighbours turns `one` into
+    `other`."""
     if abs(len(one) - len(other)) > 1 or one == other:
         return False
     same = next(
@@ -189,7 +191,7 @@ def _wrong_layout(layout: Layout, streams: tuple[StreamPlan, ...]) -> Iterator[s
 
 
 def _ambiguous_options(model: type[Settings]) -> Iterator[str]:
-    """Settings that would make an option that is there already."""
+    """Yield a fault for each setting whose option exists already."""
     by_option: dict[str, str] = {}
     letters: dict[str, str] = {}
     for field, info in model.model_fields.items():

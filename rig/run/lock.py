@@ -1,10 +1,10 @@
-"""One program at a time on an instrument: locks that outlive nobody.
+"""Locks that allow one program at a time on an instrument and end with the program.
 
-Two runs on one bench would stop each other's stages, by connecting alone. So every instrument's
-address has a lock file in the computer's temporary folder, where two users find the same one, and a
-program holds those of its bench from before it connects until it is done. The locks are the
-kernel's (``flock``): they end with their holders, however those end, and the files stay. A run's
-guard holds them as well: it acts under them when the run has died.
+Two runs on one bench would stop each other's stages merely by connecting. Therefore every
+instrument's address has a lock file in the computer's temporary folder, where all users find the
+same one, and a program locks those of its bench from before it connects until it is done. The locks
+belong to the kernel (``flock``): they end with the processes that hold them, however those end; the
+files stay. A run's guard holds the locks as well, and acts under them when the run has died.
 
 The address is what the bench file says; one instrument under two names is not recognised.
 """
@@ -28,18 +28,19 @@ if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan, Restable
 
 ADDRESS = ("resource", "host", "port", "unit_id")
-"""Settings of a driver that tell one instrument from another."""
+"""Settings of a driver that form the address of an instrument."""
 EVERYBODY = 0o666
 ENTRY_BYTES = 4096
 GUARD_S = 10.0
-"""How long a dead run's guard is waited for."""
+"""How long a new run waits for the guard of a dead one."""
 LOOK_EVERY_S = 0.1
 
 
 class BenchLock:
-    """The locks on all instruments of a bench; a context that lets go at its end.
+    """The locks on all instruments of a bench; a context manager that releases them at its end.
 
-    ConfigurationError where somebody else has one of them, or where no lock file can be made.
+    Raises ConfigurationError if another program holds one of them, or if a lock file cannot be
+    made.
     """
 
     def __init__(self, plan: BenchPlan):
@@ -60,16 +61,17 @@ class BenchLock:
 
     @property
     def files(self) -> tuple[int, ...]:
-        """File descriptors of the locks, for a process that is to hold them as well."""
+        """File descriptors of the locks, for a process that shall hold them as well."""
         return tuple(self._files)
 
-    def tell_run(self, journal: Path) -> None:
-        """Say in the locks which run it is, for those who find them taken."""
+    def note_run(self, journal: Path) -> None:
+        """Write the run's journal into the lock files, for the message of a program that finds them
+        locked."""
         self._entry["file"] = str(journal.resolve())
         self._write()
 
     def release(self) -> None:
-        """Let go of all of them."""
+        """Release all locks."""
         while self._files:
             os.close(self._files.pop())
 
@@ -82,13 +84,13 @@ class BenchLock:
     def _write(self) -> None:
         text = json.dumps(self._entry).encode()
         for file in self._files:
-            with contextlib.suppress(OSError):  # a full disk: the lock holds without its words
+            with contextlib.suppress(OSError):  # On a full disk the lock works without its text.
                 os.ftruncate(file, 0)
                 os.pwrite(file, text, 0)
 
 
 def in_use(plan: BenchPlan | Restable) -> str | None:
-    """Who has an instrument of this bench, in words; None where nobody has."""
+    """Return which program uses an instrument of this bench, in words; None if none does."""
     for path in lock_files(plan):
         file = _open(path)
         try:
@@ -100,20 +102,22 @@ def in_use(plan: BenchPlan | Restable) -> str | None:
 
 
 def lock_files(plan: BenchPlan | Restable) -> tuple[Path, ...]:
-    """The lock file of every address of a bench, each once, in the same order for everybody."""
+    """Return the lock file of every address of a bench, each once, in one order for all
+    programs."""
     addresses = {_address(part.settings.model_dump()) for part in plan.instruments}
     digests = sorted(hashlib.sha256(address.encode()).hexdigest()[:16] for address in addresses)
     return tuple(Path(tempfile.gettempdir()) / f"tactile-rig-{digest}.lock" for digest in digests)
 
 
 def _address(settings: dict[str, Any]) -> str:
-    if isinstance(line := settings.get("port"), str):  # it has one user, whoever is on it
+    # A link has one user, whichever instrument on it is addressed.
+    if isinstance(line := settings.get("port"), str):
         return line.upper()
     return " ".join(str(settings[name]).upper() for name in ADDRESS if name in settings)
 
 
 def _open(path: Path) -> int:
-    """Open the lock file, made where there is none; the first to come may be another user."""
+    """Open the lock file, and create it if there is none; another user may have created it."""
     try:
         while True:
             with contextlib.suppress(FileNotFoundError):
@@ -130,7 +134,7 @@ def _open(path: Path) -> int:
 
 
 def _take(file: int, path: Path) -> None:
-    """Take the lock; of a program that has died its guard holds it, for as long as it acts."""
+    """Acquire the lock. After a program has died, its guard holds it for as long as it acts."""
     give_up = time.monotonic() + GUARD_S
     while not _locked(file):
         entry = _entry_of(file)
@@ -168,12 +172,12 @@ def _in_use(entry: dict[str, Any], path: Path) -> ConfigurationError:
     return ConfigurationError(
         f"the bench {bench} was in use by pid {pid}, which has died{run}; its guard has been "
         f"making it safe for {GUARD_S:g} s (lock {path})",
-        "look at the bench, then start again",
+        "check the bench, then start again",
     )
 
 
 def _runs(pid: object) -> bool:
-    """Whether that process is there; False for what is no number of one."""
+    """Return whether the process runs; False if `pid` is not a process id."""
     if not isinstance(pid, int):
         return False
     try:

@@ -1,8 +1,7 @@
-"""Observers of a run: whatever shows or passes on its progress, and must never disturb it.
+"""Observers of a run, which show or forward its progress and must never disturb it.
 
 An observer derives from `RunObserver` and overrides what it wants to know. `Observers` calls all of
-them; an exception in one is reported once as a warning and the run continues: bench safe, data
-saved, whatever an observer does.
+them; an exception in one is reported once as a warning and the run continues.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ RUNNING, PAUSED, HOLD, MAKING_SAFE = "running", "paused", "hold", "making safe"
 
 
 class RunObserver:
-    """Watches a run. Every method does nothing here; override what you need.
+    """Base of an observer of a run. Every method here does nothing; override those that you need.
 
     The methods are called one at a time, most of them from the run's own thread between two waits,
     while the bench may be armed: return within a few milliseconds, and never wait for a person or a
@@ -34,45 +33,46 @@ class RunObserver:
 
     @property
     def observer_name(self) -> str:
-        """What a warning calls this observer."""
+        """Name of this observer in a warning."""
         return type(self).__name__.lstrip("_")
 
     def planned(self, points: Sequence[Point], recorded: Set[str], overhead_s: float) -> None:
-        """The run has these points, in this order. Called before the first point is measured, and
-        again when the procedure has added further points.
+        """Take note of the points of the run, in their order. Called before the first point is
+        measured, and again when the procedure has added further points.
 
         `recorded` are the ids of points that are in the journal already; `overhead_s` is the bench
         time that arming and making safe will take.
         """
 
     def point_recorded(self, number: int, total: int, point: Point, reading: Reading) -> None:
-        """A point is in the journal: `number` of `total` are now."""
+        """Take note that a point is in the journal, the `number`-th of `total`."""
 
     def event(self, level: str, message: str) -> None:
-        """Something that a person should see now; `level` is info, warning or error."""
+        """Show a message that a person should see now; `level` is info, warning or error."""
 
     def state(self, name: str) -> None:
-        """The run is now ``running``, ``paused`` (by the operator) or on ``hold`` (for another
-        reason), each with the bench safe but for ``running``; or it is ``making safe``."""
+        """Take note of the run's new state: ``running``, ``paused`` (by the operator) or on
+        ``hold`` (for another reason), each with the bench safe but for ``running``; or it is
+        ``making safe``."""
 
     def saving(self) -> None:
-        """The bench is safe; the run file is about to be written. Not called for a run without a
-        point, nor where the journal is compiled later."""
+        """Take note that the bench is safe and the run file is about to be written. Not called for
+        a run without a point, nor if the journal is compiled later."""
 
     def saved(self, run_file: Path) -> None:
-        """The run file is complete."""
+        """Take note that the run file is complete."""
 
 
 class Observers(RunObserver):
-    """Passes everything on to several observers, each isolated from what another one raises."""
+    """Forwards every call to several observers, each isolated from the exceptions of the others."""
 
     def __init__(self, observers: Sequence[RunObserver], warn: Callable[[str], None]):
         self._observers = tuple(observers)
         self._warn = warn
-        """Records a warning; called once for each observer that fails."""
+        """Function that records a warning; called once for each observer that fails."""
         self._failed: set[int] = set()
         self._announcing: threading.Thread | None = None
-        """Reports to the observers that the bench is being made safe."""
+        """Thread that reports to the observers that the bench is being made safe."""
 
     def planned(self, points: Sequence[Point], recorded: Set[str], overhead_s: float) -> None:
         """See `RunObserver`."""

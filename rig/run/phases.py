@@ -1,4 +1,4 @@
-"""The phases of a run that has a journal, and what a wait may raise in each."""
+"""The phases of a run that has a journal, and the exceptions that may end a wait in each."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from enum import Enum
 
 
 class RunPhase(Enum):
-    """What a run is doing; it decides what may end a wait."""
+    """The phase of a run, which decides what may end a wait."""
 
     READY = "ready"
-    """Nothing is armed, or all is between two points. Stop requests and failures of the recorder
-    end a wait."""
+    """Nothing is armed, or the run is between two points. Stop requests and failures of the
+    recorder end a wait."""
     MEASURING = "measuring"
     """Arming, or measuring a point. Trips and holds end a wait as well."""
     ON_HOLD = "on hold"
@@ -34,25 +34,25 @@ TRANSITIONS: Mapping[RunPhase, frozenset[RunPhase]] = {
     RunPhase.ON_HOLD: frozenset({RunPhase.READY, RunPhase.MAKING_SAFE}),
     RunPhase.SAVING: frozenset(),
 }
-"""Where each phase may lead. Making safe is reachable from every phase in which something can be
-armed: nothing that goes wrong may keep a run from it."""
+"""Allowed changes of phase. Making safe is reachable from every phase in which something can be
+armed: no failure may prevent a run from it."""
 
 
 class Phases:
-    """The present phase of a run, changed along `TRANSITIONS` only."""
+    """The present phase of a run, which changes along `TRANSITIONS` only."""
 
     def __init__(self) -> None:
         self.now = RunPhase.READY
 
     def enter(self, phase: RunPhase) -> None:
-        """Change the phase; AssertionError for a change that is not in `TRANSITIONS`, which is a
-        defect of the program."""
+        """Change the phase. Raises AssertionError for a change that is not in `TRANSITIONS`: a
+        defect."""
         assert phase in TRANSITIONS[self.now], f"a run cannot go from {self.now} to {phase}"
         self.now = phase
 
     @contextlib.contextmanager
     def measuring(self) -> Iterator[None]:
-        """`MEASURING` for as long as a ``with`` block lasts, then `READY`, whatever it raises."""
+        """Enter `MEASURING` for the block, then `READY`, whatever the block raises."""
         self.enter(RunPhase.MEASURING)
         try:
             yield

@@ -1,4 +1,4 @@
-"""The loop over the points of a run: what happens to a point that is disturbed.
+"""The loop over the points of a run, with the treatment of disturbed points.
 
 a hold (pause, silent sensor)   the bench is made safe, the run waits until the condition has
                                 passed, arms again and retakes the point
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from rig.core.errors import ExitCode, LimitError, RigError
 from rig.files.journal.recorder import Recorder
-from rig.run.arming import OffFailure
+from rig.run.arming import ShutdownFailure
 from rig.run.checked_procedure import CheckedProcedure
 from rig.run.context import Run
 from rig.run.holds import PAUSE, HoldError
@@ -35,16 +35,17 @@ if TYPE_CHECKING:
 HOLD_POLL_S = 0.1
 """How often a run on hold checks whether it may continue."""
 
-SwitchOff = Callable[[bool], list[OffFailure]]
-"""Runs the shutdown actions; with True what only watches stays on. Returns those that failed."""
+SwitchOff = Callable[[bool], list[ShutdownFailure]]
+"""Runs the shutdown actions and returns those that failed; with True the watchers stay on."""
 
 
 class InvalidReadingError(RigError):
-    """A reading is invalid, and its point will be retaken."""
+    """Raised for an invalid reading whose point will be retaken."""
 
 
 class PointLoop:
-    """Measures the points of a run, one after the other, and those that the procedure adds."""
+    """Measures the points of a run, one after the other, including those that the procedure
+    adds."""
 
     def __init__(
         self,
@@ -61,7 +62,7 @@ class PointLoop:
     ):
         self._job, self._procedure, self._run, self._recorder = job, procedure, run, recorder
         self._readings = readings
-        """Of the points that are in the journal, by id; added to as points are recorded."""
+        """Readings of the points in the journal, by id; recorded points are added."""
         self._phases, self._switch_off, self._stop = phases, switch_off, stop
         self._observers, self._outcome = observers, outcome
         self._points: tuple[Point, ...] = ()
@@ -86,7 +87,7 @@ class PointLoop:
             self._record_plan()
 
     def readings(self) -> list[Reading]:
-        """The readings so far, in the order of the plan."""
+        """Return the readings so far, in the order of the plan."""
         return [self._readings[p.id] for p in self._points if p.id in self._readings]
 
     def _record_plan(self) -> None:
@@ -116,7 +117,7 @@ class PointLoop:
     def _arm(self) -> None:
         """Arm the bench; after a hold, wait and arm it anew. A trip meanwhile ends the run."""
         while True:
-            self._run.holds.acknowledge()  # what has happened up to now is dealt with by arming
+            self._run.holds.acknowledge()  # Arming deals with every hold so far.
             try:
                 with self._phases.measuring(), self._run.first_cause():
                     self._procedure.arm(self._run)
@@ -152,11 +153,12 @@ class PointLoop:
         try:
             with self._run.first_cause(), self._naming(point):
                 reading = self._procedure.take(self._run, point)
-                self._run.check_watchers()  # also what came and went within its last blocking call
+                # Also notices a hold that began and ended within the last blocking call.
+                self._run.check_watchers()
             if discard_invalid and (reason := self._procedure.why_invalid(reading)):
                 raise InvalidReadingError(reason)
         except BaseException as error:
-            with contextlib.suppress(RigError):  # the first cause is on its way
+            with contextlib.suppress(RigError):  # The first cause is about to be raised.
                 self._recorder.put_point_discard(point.id, str(error))
             raise
         self._recorder.put_point_keep(point.id, reading)
@@ -186,8 +188,8 @@ class PointLoop:
         self._observers.state(RUNNING)
 
     def _make_safe_after(self, trip: TripError, point: Point) -> None:
-        """Make the bench safe; raise the trip where that failed: what may still be pressed is not
-        pressed again."""
+        """Make the bench safe. Raises the trip if that failed: an object that may still be under
+        force must not be pressed again."""
         self._run.event("error", "trip", trip.one_line())
         self._observers.making_safe()
         if self._switch_off(False) or self._run.failures:

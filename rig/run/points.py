@@ -23,13 +23,13 @@ _BENCH_FILE_HINT = ", or correct the bench file if the limit is wrong"
 
 @dataclass(frozen=True)
 class Move:
-    """A value that a point will ask of the bench: ``generator.frequency`` = 200."""
+    """A value that a point requires of the bench: ``generator.frequency`` = 200."""
 
     quantity: str
-    """Role and quantity, as `Bench.reach` names them."""
+    """Role and quantity, as in `Bench.reach`."""
     value: float
     given: tuple[str, ...] = ()
-    """The settings that the value is computed from, for the message that refuses it."""
+    """Settings that the value is computed from, for the message that refuses it."""
 
 
 @dataclass(frozen=True)
@@ -39,18 +39,18 @@ class Point:
     id: str
     """Stable name: the same settings give the same ids, whatever the order or the day."""
     condition: Any
-    """What the procedure needs to know to take it."""
+    """Condition of the point, for the procedure's own use."""
     moves: tuple[Move, ...]
-    """Every value it will ask of an instrument, checked before the first motion."""
+    """Every value that it requires of an instrument; all are checked before the first motion."""
     acquisitions: tuple[Acquisition, ...] = ()
-    """Every acquisition it will ask of the DAQ, checked before the first motion."""
+    """Every acquisition that it requires of the DAQ; all are checked before the first motion."""
     duration_s: float = 0.0
-    """Bench time it is expected to take."""
+    """Bench time that it is expected to take."""
 
 
 def require_roles(points: Sequence[Point], plan: BenchPlan) -> None:
-    """Refuse, before anything is connected, a bench without what the points ask of it: its
-    instruments, and its load cell where they load it."""
+    """Refuse, before anything is connected, a bench that lacks an instrument that the points need,
+    or the load cell if the points load it."""
     needed = {move.quantity.split(".")[0] for point in points for move in point.moves}
     if any(point.acquisitions for point in points):
         needed.add("daq")
@@ -60,7 +60,7 @@ def require_roles(points: Sequence[Point], plan: BenchPlan) -> None:
     if missing := sorted(needed - there):
         tables = " and ".join(f"[{role}]" for role in missing)
         raise ConfigurationError(
-            f"{plan.source}: this procedure needs what the bench has not: {', '.join(missing)}",
+            f"{plan.source}: the bench lacks what this procedure needs: {', '.join(missing)}",
             f"add {tables}, or name another bench with --bench",
         )
 
@@ -117,14 +117,15 @@ def refusals(
 
 
 def remedy(error: LimitError, bench: Bench) -> str | None:
-    """The hint of a refused value; a bench without a bench file has none to correct."""
+    """Return the hint of a refused value; only a bench with a bench file is hinted to correct
+    it."""
     if error.hint is None or Path(bench.plan.source).exists():
         return error.hint
     return error.hint.removesuffix(_BENCH_FILE_HINT)
 
 
 def as_option(settings: Settings, field: str) -> str:
-    """A setting as it is given on the command line: ``--distance 100 mm``."""
+    """Return a setting as it is given on the command line: ``--distance 100 mm``."""
     value, unit = getattr(settings, field), unit_of(field)
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         return option_name(field)
@@ -133,7 +134,7 @@ def as_option(settings: Settings, field: str) -> str:
 
 
 def _origin(move: Move, settings: Settings) -> str:
-    """The settings that a move is computed from, as the end of a message."""
+    """Return the settings that a move is computed from, as the end of a message."""
     options = [as_option(settings, field) for field in move.given]
     if len(options) > 1:
         options[-1] = f"and {options[-1]}"

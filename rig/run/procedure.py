@@ -1,12 +1,12 @@
-"""The base class of a procedure: a kind of experiment, as a plan and one act.
+"""The base class of a procedure, which is a kind of experiment.
 
 A package registers its class under the entry-point group ``rig.procedures``:
 
     [project.entry-points."rig.procedures"]
     creep = "lab.creep:Creep"
 
-The command ``rig creep`` makes one instance for each run, with the settings of that run. Whatever
-the procedure wants to remember from one point to the next is an attribute of that instance.
+The command ``rig creep`` makes one instance for each run, with the settings of that run. Anything
+that a procedure has to remember from one point to the next is an attribute of that instance.
 
 Hooks are called in this order:
 
@@ -26,8 +26,8 @@ this split follow progress, dry runs, discarding and retaking a point, and resum
 point where it was interrupted.
 
 What a hook raises: a `RigError` is reported as it is. Any other exception is a fault of the package
-that the procedure belongs to and is reported so, with file and line. Either way the run ends in
-order: bench safe, data saved, failure reported.
+that the procedure belongs to and is reported as such, with file and line. In both cases the bench
+is made safe, the data are saved and the failure is reported.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class StreamPlan:
     channels: tuple[str, ...]
     long_name: str
     dtype: str = "<i2"
-    """NumPy's notation."""
+    """Data type of the samples in NumPy's notation."""
     units: str = "count"
     """Unit of the rows as they are; empty where it is the one that they are recorded with, since
     only the instrument knows."""
@@ -68,11 +68,11 @@ class DriftFigure:
     """A number of the summary that shows wear of the bench when the same run is repeated."""
 
     what: str
-    """In words, such as ``gain near 200 Hz``."""
+    """Name of the quantity, such as ``gain near 200 Hz``."""
     part: str
-    """The part of the bench that it depends on: ``film``, ``strip_1``, ``strip_2``."""
+    """Part of the bench that it depends on: ``film``, ``strip_1``, ``strip_2``."""
     tolerance: float
-    """How far it may move from the first run's, in its own unit."""
+    """Largest allowed difference from the first run, in the unit of the quantity."""
 
 
 class Procedure(ABC):
@@ -83,15 +83,15 @@ class Procedure(ABC):
     fixtures: ClassVar[tuple[Fixture, ...]]
     """Fixtures it can work with. A simulated bench gets the first one."""
     Settings: ClassVar[type[BaseSettings]]
-    """Its settings class. Each field becomes an option of the command."""
+    """Settings class of the procedure. Each field becomes an option of the command."""
     layout: ClassVar[Layout]
-    """The columns of its readings, and how the run file plots them and its streams."""
+    """Columns of the readings, and how the run file plots them and the streams."""
     streams: ClassVar[tuple[StreamPlan, ...]] = ()
     """Every stream that `take` records."""
     drift: ClassVar[Mapping[str, DriftFigure]] = MappingProxyType({})
     """Numbers of the summary by which a batch's reference run shows wear, by their key."""
     point_name: ClassVar[tuple[str, str]] = ("point", "points")
-    """What a person calls one of its points, and several."""
+    """Noun for one of its points, and for several."""
 
     settings: Any
     """Settings of this run. A subclass may declare its own type: ``settings: CreepSettings``."""
@@ -102,7 +102,7 @@ class Procedure(ABC):
     # --- planning: no instrument is touched -----------------------------------------------------
 
     def import_ahead(self) -> None:  # noqa: B027 - a hook that need not do anything
-        """Import what takes long, before anything is connected or switched on.
+        """Import slow modules, before anything is connected or switched on.
 
         Called once, first of all hooks, while a simulated bench boots.
         """

@@ -1,9 +1,9 @@
-"""A running acquisition and the watch on it: a converter that falls silent is noticed.
+"""Read a running acquisition, and notice a converter that falls silent.
 
-The procedure's thread reads, a block a tick or so; the unit's buffer bridges what that is late. A
-unit that is asked and has nothing, for longer than a block and a stall of the computer explain, has
-stopped: nothing it would send later could be put in its place. A link that brings less than is
-sampled is noticed as well, before what is pressed has to wait until all of it has come.
+The procedure's thread reads about a block a tick; the unit's buffer bridges late reads. A unit that
+has no data for longer than a block and a stall of the computer can explain has stopped, and data
+that it sent later could not be placed in time. A link that transfers less than is sampled is
+noticed as well, before the contact has to wait for the rest of the data.
 """
 
 from __future__ import annotations
@@ -13,35 +13,36 @@ from rig.core.errors import InstrumentError
 from rig.instruments.roles import Acquisition, DataAcquisition, Record, Scaling
 
 SILENT_S = 0.5
-"""No block for so much longer than one takes ends the run."""
+"""Delay of a block, beyond the time that one takes, that ends the run."""
 BEHIND_S = 2.0
-"""Once reading blocks has taken so much longer than sampling them, the run ends: the link brings
-less than is sampled, and what is pressed would have to wait for the rest."""
+"""Accumulated excess of reading time over sampling time that ends the run: the link transfers less
+than is sampled, and the contact would have to wait for the rest."""
 LONGEST_READ_S = 0.5
-"""What one read adds to that at most: a computer that stalls once is not a slow link."""
+"""Largest contribution of one read to that excess: one stall of the computer is not a slow link."""
 
 
 class SampleStream:
-    """Reads a DAQ block by block and watches that blocks come."""
+    """Reads a DAQ block by block and checks that blocks come in time."""
 
     def __init__(self, daq: DataAcquisition, clock: Clock):
         self._daq, self._clock = daq, clock
         self._block_s = 0.0
         self._latest_s = 0.0
-        """When the latest block came, or the acquisition began."""
+        """Time of the latest block, or of the beginning of the acquisition."""
         self._behind_s = 0.0
-        """How much longer the latest reads have taken than what they have brought."""
+        """Excess of reading time over sampling time of the latest reads."""
 
     def start(self, acquisition: Acquisition) -> Scaling:
-        """Begin sampling without end in blocks of `acquisition.samples` rows."""
+        """Begin sampling until stopped, in blocks of `acquisition.samples` rows."""
         scaling = self._daq.start(acquisition)
         self._block_s = acquisition.samples / scaling.rate_S_s
         self._latest_s, self._behind_s = self._clock.now(), 0.0
         return scaling
 
     def read(self) -> Record | None:
-        """The next block, or None where none is complete yet; InstrumentError where one has been
-        due for longer than `SILENT_S`, or where reading them takes longer than sampling them."""
+        """Return the next block, or None if none is complete yet. Raises InstrumentError if one has
+        been due for longer than `SILENT_S`, or if reading blocks takes longer than sampling them.
+        """
         asked_s = self._clock.now()
         record = self._daq.read()
         now_s = self._clock.now()
@@ -65,11 +66,11 @@ class SampleStream:
                 "daq",
                 "stream",
                 f"its blocks of {self._block_s:.2g} s take longer than that to be read, the latest "
-                f"{took_s:.2g} s: the link brings less than is sampled",
+                f"{took_s:.2g} s: the link transfers less than is sampled",
                 "check the link and what else the computer does; ask for longer blocks or a lower "
                 "rate",
             )
 
     def stop(self) -> None:
-        """End the acquisition."""
+        """End the acquisition; does nothing if none runs."""
         self._daq.stop()

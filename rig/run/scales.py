@@ -1,8 +1,8 @@
-"""Sensors as scales: one steady reading under a known weight, or the reason why it is none.
+"""Read sensors as scales: one steady reading under a known weight, or the reason for its rejection.
 
-A reading is the mean of some seconds after some settling. What is saturated, drifts or is dead does
-not count: it is rejected, and the caller may try again. Nothing is driven; a reading that is broken
-off leaves nothing behind but a stream that is stopped.
+A reading is the mean of some seconds after some settling. A reading of a saturated, drifting or
+dead sensor is rejected, and the caller may try again. Nothing is driven; an interrupted reading
+only has its stream stopped.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from rig.run.stream_reader import StreamReader
 
 FORCE_STREAM = "force_sensor"
 LATE_FRAMES_S = 1.0
-"""How long frames that should have come are waited for."""
+"""How long to wait for overdue frames."""
 LOOK_EVERY_S = 0.02
 DRIFT_FRACTION = 1e-3
-"""Of the largest weight: what a reading may change by from beginning to end."""
+"""Largest change from beginning to end of a reading, as a fraction of the largest weight."""
 CELL_RATE_S_S = 10e3
-"""Of the DAQ's samples in a reading of the load cell."""
+"""Sampling rate of the DAQ in a reading of the load cell."""
 
 
 class RejectedError(RigError):
-    """A reading that must not count: saturated, drifting, dead."""
+    """Raised for a reading that is rejected: saturated, drifting or dead."""
 
     code = ExitCode.INSTRUMENT
 
 
 @dataclass(frozen=True)
 class Timing:
-    """How long to wait and to measure, s. A multiple of 0.1 s holds whole cycles of 50 and 60 Hz
-    mains."""
+    """Times to settle and to measure in s. A multiple of 0.1 s contains whole cycles of 50 and 60
+    Hz mains."""
 
     settling_s: float
     duration_s: float
@@ -55,22 +55,22 @@ class Scale(Protocol):
     """A sensor that can be read under a weight."""
 
     def read(self, largest_N: float) -> Mean:
-        """A steady reading; RejectedError where it is none."""
+        """Return a steady reading. Raises RejectedError for any other."""
         ...
 
-    def tell(self, mean: Mean) -> str:
-        """A reading in words."""
+    def in_words(self, mean: Mean) -> str:
+        """Return a reading in words."""
         ...
 
 
 class ForceScale:
-    """The force sensor: its amplifier's stream in mV/V."""
+    """The force sensor as a scale, read from its amplifier's stream in mV/V."""
 
     def __init__(self, sensor: ForceSensor, clock: Clock, timing: Timing, rate_S_s: float):
         self._sensor, self._clock, self._timing, self._rate = sensor, clock, timing, rate_S_s
 
     def read(self, largest_N: float) -> Mean:
-        """Mean of the frames after settling, mV/V, (3,)."""
+        """Return the mean of the frames after settling, (3,) in mV/V."""
         frames = self._frames()
         saturated = sum(int(part.saturated.sum()) for part in frames)
         if saturated:
@@ -88,20 +88,20 @@ class ForceScale:
             raise RejectedError(
                 f"channel {' and '.join(dead)} of the force sensor gives the same number for "
                 f"{self._timing.duration_s:g} s, without any noise",
-                "look whether its bridge is connected",
+                "check that its bridge is connected",
             )
         self._require_steady(mean_of(force[kept]), largest_N)
         return mean_of(raw[kept])
 
-    def tell(self, mean: Mean) -> str:
-        """The reading on x, y, z."""
+    def in_words(self, mean: Mean) -> str:
+        """Return the reading along x, y, z in words."""
         return "  ".join(
             f"{axis} {with_error(value, error)}"
             for axis, value, error in zip("xyz", mean.value, mean.standard_error, strict=True)
         ) + " mV/V"  # fmt: skip
 
     def _frames(self) -> list[ForceFrames]:
-        """All frames of a stream as long as settling and reading, in batches."""
+        """Return, in batches, all frames of a stream that lasts for settling and reading."""
         reader = StreamReader("force reader", _Frames(self._sensor))
         unfollow = self._clock.follow_stream(FORCE_STREAM, reader)
         try:
@@ -138,7 +138,7 @@ class ForceScale:
 
 
 class CellScale:
-    """The load cell: mean volts of its DAQ channel."""
+    """The load cell as a scale, read from its DAQ channel in volts."""
 
     def __init__(
         self,
@@ -156,7 +156,8 @@ class CellScale:
         daq.check(self._acquisition)
 
     def read(self, largest_N: float) -> Mean:
-        """Mean volts after settling, (1,), the converter's step in its error."""
+        """Return the mean after settling, (1,) in volts; its error includes the converter's
+        step."""
         self._clock.sleep(self._timing.settling_s)
         record = self._daq.acquire(self._acquisition)
         if clipped := record.clipped("load_cell"):
@@ -173,8 +174,8 @@ class CellScale:
             )
         return mean
 
-    def tell(self, mean: Mean) -> str:
-        """The reading in volts."""
+    def in_words(self, mean: Mean) -> str:
+        """Return the reading in words, in volts."""
         return with_error(float(mean.value[0]), float(mean.standard_error[0])) + " V"
 
 

@@ -1,4 +1,4 @@
-"""Which source this program was run from: the commit, and whether it was changed since."""
+"""The source that this program runs from: its commit, and whether files differ from it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pathlib import Path
 
 @cache
 def source_state() -> str:
-    """The commit hash, with ``+dirty`` where tracked files differ; empty where there is no git."""
+    """Return the commit hash, with ``+dirty`` if tracked files differ; empty outside a git
+    repository."""
     folder = Path(__file__).resolve().parents[2]
     if not (folder / ".git").exists():
         return ""

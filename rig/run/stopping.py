@@ -1,7 +1,7 @@
-"""Stop requests: a signal sets a flag, the next look at the flag ends the run in order.
+"""Stop requests: a signal sets a flag, and the next check of the flag ends the run in order.
 
-Handlers remember and say so, nothing else. What a second signal changes is the text, never the
-clean-up. Only while nothing is connected yet does a signal end what is going on there and then.
+Handlers set the flag and show a line, nothing else. A second signal changes the line, never the
+shutdown. Only while nothing is connected yet does a signal end the program at once.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ WORDS = {
     signal.SIGTERM: "SIGTERM",
     signal.SIGHUP: "SIGHUP",
 }
-"""What a person calls each signal, most of which come from a key."""
+"""Name of each signal as a person knows it; most come from a key."""
 NOTICE = "stopping: making the bench safe, then saving the data ..."
 NOTICE_AGAIN = "already stopping: first the bench is made safe and the data are saved ..."
 
 
 class StopRequestedError(RigError):
-    """The run was asked to end; the exit code names the signal."""
+    """Raised when a stop was requested; the exit code names the signal."""
 
     def __init__(self, signal_number: signal.Signals, when: str = ""):
         text = f"stopped by {WORDS[signal_number]}{when}"
@@ -42,33 +42,34 @@ class StopRequestedError(RigError):
 
 
 class StopFlag:
-    """Remembers stop signals while it is entered (main thread only).
+    """Catches stop signals while it is entered (main thread only).
 
-    `tell` gets a line for the person who waits, from within the signal's handler: it may interrupt
-    anything.
+    `say` shows a line to the person who waits. It is called from the signal's handler, at any point
+    of the program.
     """
 
-    def __init__(self, tell: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(self, say: Callable[[str], None] = lambda text: None) -> None:
         self.requested: signal.Signals | None = None
         self.after_point = False
-        """Whether the run shall end before the next point that it would begin."""
-        self._tell = tell
+        """True if the run shall end before it begins another point."""
+        self._say = say
         self._nothing_connected = False
         self._previous: dict[signal.Signals, object] = {}
 
     def check(self) -> None:
-        """Raise StopRequestedError where a stop was asked for."""
+        """Raise StopRequestedError if a stop was requested."""
         if self.requested is not None:
             raise StopRequestedError(self.requested)
 
     def check_between_points(self) -> None:
-        """Raise StopRequestedError where the run shall not begin another point."""
+        """Raise StopRequestedError if the run shall not begin another point."""
         if self.after_point:
             raise StopRequestedError(signal.SIGTERM, " after a point")
 
     @contextlib.contextmanager
     def nothing_connected(self) -> Iterator[None]:
-        """Within it a signal raises StopRequestedError wherever the program is."""
+        """Raise StopRequestedError from a signal at any point of the block, in which nothing is
+        connected."""
         self._nothing_connected = True
         try:
             yield
@@ -89,7 +90,7 @@ class StopFlag:
         if not again:
             self.requested = signal.Signals(number)
         if not self._nothing_connected:
-            self._tell(NOTICE_AGAIN if again else NOTICE)
+            self._say(NOTICE_AGAIN if again else NOTICE)
         elif not again:
             when = " before anything was connected; nothing was left running"
             raise StopRequestedError(signal.Signals(number), when)

@@ -1,8 +1,9 @@
-"""The reader thread: owns a streaming instrument's link, keeps what it says, watches it.
+"""The reader thread, which owns a streaming instrument's link, buffers its samples and watches
+them.
 
-A procedure may sit in a blocking call when the force rises over its limit; the reader does not. It
-reads, stamps and hands each batch to the watchers, which may act on the bench by themselves. What
-goes wrong here is kept and raised in the procedure's thread at its next look.
+A procedure may be in a blocking call when the force exceeds its limit; the reader is not. It reads
+each batch and passes it to the watchers, which may act on the bench by themselves. A failure is
+stored and raised in the procedure's thread at its next check.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ Watcher = Callable[[Sequence[Any]], None]
 
 
 class StreamSource(Protocol[Delivered]):
-    """A link that delivers samples; `read` blocks for a short while at most."""
+    """A link that delivers samples; `read` blocks for a few milliseconds at most."""
 
     @property
     def bytes_consumed(self) -> int:
@@ -31,14 +32,15 @@ class StreamSource(Protocol[Delivered]):
         ...
 
     def read(self) -> Sequence[Delivered]:
-        """The samples that have arrived, possibly none."""
+        """Return the samples that have arrived, possibly none."""
         ...
 
 
 class StreamReader(Generic[Sample]):
-    """Reads a source in a thread of its own until stopped.
+    """Reads a source in a separate thread until stopped.
 
-    `samples_kept` bounds the ring from which the procedure reads. The thread works within `around`.
+    `samples_kept` is the size of the buffer from which the procedure reads. The thread works within
+    `around`.
     """
 
     def __init__(
@@ -63,42 +65,44 @@ class StreamReader(Generic[Sample]):
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Begin reading; RigError where no thread can be had."""
+        """Begin reading. Raises RigError if the thread cannot be started."""
         self._running = True
         try:
             start_thread(self._thread)
         except RigError:
-            self._running = False  # nobody shall wait for it
+            self._running = False  # A thread that was not started must not be waited for.
             raise
 
     def stop(self) -> None:
-        """End the thread and wait for it; nothing happens where it never began."""
+        """End the thread and wait for it; does nothing if it was never started."""
         self._stopping.set()
         if self._thread.ident is not None:
             self._thread.join()
 
     def check(self) -> None:
-        """Raise what ended the thread, if anything did."""
+        """Raise the failure that ended the thread, if any."""
         if self._failure is not None:
             raise self._failure
 
     def settle(self) -> None:
-        """Wait until the read that is under way has been handled, whatever its watchers do, and
-        what it met is known to `check`; nothing where the thread does not run."""
+        """Wait until the read under way has been handled by all watchers and `check` knows the
+        result; does nothing if the thread does not run."""
         with self._turned:
             turns = self._turns
             self._turned.wait_for(lambda: self._turns != turns or not self._running)
 
     def bytes_handled(self) -> int:
-        """Bytes whose samples the watchers have seen: what a slaved clock waits for.
+        """Return the number of bytes whose samples the watchers have seen; a slaved clock waits for
+        it.
 
-        Raises what ended the thread: nobody should wait for a reader that has died.
+        Raises the failure that ended the thread: a dead reader must not be waited for.
         """
         self.check()
         return self._handled_bytes
 
     def await_bytes(self, count: int, patience_s: float) -> int:
-        """Wait for that; see `rig.core.clock.StreamConsumer`. Raises what ended the thread."""
+        """Wait for handled bytes; see `rig.core.clock.StreamConsumer`. Raises the failure that
+        ended the thread."""
         if self._handled_bytes < count:
             with self._turned:
                 self._turned.wait_for(
@@ -107,7 +111,7 @@ class StreamReader(Generic[Sample]):
         return self.bytes_handled()
 
     def latest(self, count: int) -> list[Sample]:
-        """The last `count` samples, oldest first, fewer where fewer have come."""
+        """Return the last `count` samples, oldest first; fewer if fewer have come."""
         with self._lock:
             return list(self._ring)[-count:] if count else []
 

@@ -1,4 +1,4 @@
-"""A limit that was exceeded while a point was taken."""
+"""The exception for a limit that was exceeded while a point was measured."""
 
 from __future__ import annotations
 
@@ -6,4 +6,5 @@ from rig.core.errors import LimitError
 
 
 class TripError(LimitError):
-    """The bench is made safe and the point retaken once; a second trip ends the run."""
+    """Raised for an exceeded limit: the bench is made safe and the point retaken once; a second
+    trip ends the run."""

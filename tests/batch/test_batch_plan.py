@@ -110,7 +110,7 @@ def test_a_record_that_no_run_could_use_is_refused_before_anything_is_connected(
     allowed = SWEEPS.replace('"nights"', '"nights"\nallow_expired = true')
     ended = rig.run("batch", "plan", write(rig, allowed))
     assert "expired" not in ended.stderr
-    assert "needs what the bench has not" in ended.stderr, "it went on to look at the rest"
+    assert "lacks what this procedure needs" in ended.stderr, "it went on to look at the rest"
 
 
 def test_files_of_the_simulation_have_to_be_there(rig: Any) -> None:

@@ -255,7 +255,7 @@ def test_all_that_is_wrong_is_told_at_once_with_its_experiment() -> None:
         "experiment 1: settings.rest: the procedure has no such setting; did you mean rest_s?",
         "experiment 2: procedure = 'slide' is unknown; known are roll-trial, slip-trial, sweep",
         "defaults: procedure = 'roll' is unknown",
-        "defaults.sweep.load_N = 'heavy': is no number of N",
+        "defaults.sweep.load_N = 'heavy': is not a number of N",
         "experiment 3: sweep-001: highest_Hz 20000 is not above lowest_Hz 30000",
     ]
     for words in expected:

@@ -132,7 +132,7 @@ def test_fixtures_that_are_mounted_together_serve_one_batch() -> None:
 
 def test_what_only_the_simulated_bench_has_is_missed_on_the_real_one() -> None:
     (finding,) = check(plan_of(*TWO), BENCH + ALSO)[0].findings
-    assert "film-001: bench.toml: this procedure needs what the bench has not: load_cell" in (
+    assert "film-001: bench.toml: the bench lacks what this procedure needs: load_cell" in (
         finding.message
     )
 
@@ -178,7 +178,7 @@ def test_a_limit_that_only_the_points_know_is_told_too() -> None:
 def test_a_roll_beyond_the_stage_is_refused_before_anything_begins() -> None:
     plan = plan_of({"procedure": "roll-trial"})
     (finding,) = check(plan, None)[0].findings
-    assert "needs what the bench has not: rotary" in finding.message
+    assert "lacks what this procedure needs: rotary" in finding.message
 
 
 # --- the bench file ---------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from rig.cli import report
 from rig.cli.report import ConsoleObserver, closing_lines
 from rig.core.errors import ExitCode
 from rig.figures.drawing import Drawn
-from rig.run.arming import OffFailure
+from rig.run.arming import ShutdownFailure
 from rig.run.outcome import RunOutcome
 from rig.run.points import Point
 from rig.run.stopping import StopRequestedError
@@ -58,7 +58,7 @@ def test_a_run_that_was_stopped_says_by_what_and_how_to_resume_it() -> None:
 
 def test_a_bench_that_is_not_safe_is_not_called_safe() -> None:
     outcome = RunOutcome("failed", ExitCode.UNSAFE, 20, 3, journal=JOURNAL)
-    outcome.off_failures = [OffFailure("normal force", "no answer")]
+    outcome.off_failures = [ShutdownFailure("normal force", "no answer")]
     outcome.made_safe = ("x stage stopped",)
     assert closing_lines(SlipTrial, outcome, []) == [
         "Failed: 3 of 20 trials.",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rig.cli.terminal import ESCAPE_S, Keyboard, in_a_line
-from rig.jog.keys import Axis, Key, Place
-from rig.jog.session import Status
+from rig.jog.keys import AxisPosition, JogAxis, Key
+from rig.jog.session import JogStatus
 
 
 @pytest.mark.parametrize(
@@ -42,12 +42,12 @@ def test_an_escape_alone_is_the_key_and_a_sequence_that_never_ends_stops() -> No
 
 
 def test_eighty_columns_hold_the_chosen_axis_and_the_force() -> None:
-    axes = tuple(Axis(name, "mm", 0, 40, 0.1, 1.0) for name in ("stage_z", "stage_x", "rotary"))
-    places = {axis.name: Place(-12.3456, False) for axis in axes}
-    line = in_a_line(Status(axes, places, axes[2], axes[2], (-10.0, -10.0, -10.0), True))
-    force = "force x -10.00 y -10.00 z -10.00 N OVER THE LIMIT"
+    axes = tuple(JogAxis(name, "mm", 0, 40, 0.1, 1.0) for name in ("stage_z", "stage_x", "rotary"))
+    places = {axis.name: AxisPosition(-12.3456, False) for axis in axes}
+    line = in_a_line(JogStatus(axes, places, axes[2], axes[2], (-10.0, -10.0, -10.0), True))
+    force = "force (not tared) x -10.00 y -10.00 z -10.00 N OVER THE LIMIT"
     assert line[:79].startswith(
-        "rotary -12.346 mm (not homed) moving | force x -10.00 y -10.00 z -10.00"
+        "rotary -12.346 mm (not homed) moving | force (not tared) x -10.00 y -10.00 z -10.00"
     )
     assert line.endswith(
         f"{force} | stage_z -12.346 mm (not homed) | stage_x -12.346 mm (not homed)"

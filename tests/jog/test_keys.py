@@ -12,20 +12,20 @@ from rig.jog.keys import (
     RETREAT,
     SILENCE_S,
     Action,
-    Axis,
-    Home,
+    AxisPosition,
+    EndSession,
+    HomeAxis,
     Jog,
+    JogAxis,
     Key,
-    Leave,
-    Move,
-    Place,
-    Say,
-    Stop,
-    Watch,
+    MoveAxis,
+    ShowMessage,
+    StopAxes,
+    WatchForce,
 )
 
-Z = Axis("stage_z", "mm", 0.0, 14.0, 0.1, 1.0, off=Key.LESS)
-X = Axis("stage_x", "mm", 0.0, 40.0, 0.1, 1.0)
+Z = JogAxis("stage_z", "mm", 0.0, 14.0, 0.1, 1.0, off=Key.LESS)
+X = JogAxis("stage_x", "mm", 0.0, 40.0, 0.1, 1.0)
 LARGEST_N = 5.0
 REPEAT_S = 0.033
 
@@ -34,32 +34,34 @@ def jog(chosen: str = "stage_z") -> Jog:
     return Jog([Z, X], LARGEST_N, chosen)
 
 
-def at(position: float, homed: bool = True) -> Place:
-    return Place(position, homed)
+def at(position: float, homed: bool = True) -> AxisPosition:
+    return AxisPosition(position, homed)
 
 
 def said(actions: list[Action]) -> list[str]:
-    return [action.text for action in actions if isinstance(action, Say)]
+    return [action.text for action in actions if isinstance(action, ShowMessage)]
 
 
-def moves(actions: list[Action]) -> list[Move]:
-    return [action for action in actions if isinstance(action, Move)]
+def moves(actions: list[Action]) -> list[MoveAxis]:
+    return [action for action in actions if isinstance(action, MoveAxis)]
 
 
 def test_a_press_is_one_step_and_a_held_key_stays_a_step_ahead() -> None:
     person = jog()
-    assert person.press(Key.MORE, 0.0, at(5.0)) == [Move(Z, 5.0, pytest.approx(5.1), True)]
-    assert person.press(Key.MORE, 0.3, at(5.1)) == [Move(Z, 5.1, pytest.approx(5.2), False)]
-    assert person.press(Key.MORE, 0.333, at(5.13)) == [Move(Z, 5.13, pytest.approx(5.23), False)]
+    assert person.press(Key.MORE, 0.0, at(5.0)) == [MoveAxis(Z, 5.0, pytest.approx(5.1), True)]
+    assert person.press(Key.MORE, 0.3, at(5.1)) == [MoveAxis(Z, 5.1, pytest.approx(5.2), False)]
+    assert person.press(Key.MORE, 0.333, at(5.13)) == [
+        MoveAxis(Z, 5.13, pytest.approx(5.23), False)
+    ]
 
 
 def test_silence_is_a_release_and_the_next_press_counts() -> None:
     person = jog()
     person.press(Key.LESS, 1.0, at(5.0))
-    assert person.look(1.0 + SILENCE_S - 1e-3, 0.0) == []
-    assert person.look(1.001 + SILENCE_S, 0.0) == [Stop(Z, "released")]
+    assert person.poll(1.0 + SILENCE_S - 1e-3, 0.0) == []
+    assert person.poll(1.001 + SILENCE_S, 0.0) == [StopAxes(Z, "released")]
     person.stopped(1.21, released=True)
-    assert person.look(9.0, 0.0) == []
+    assert person.poll(9.0, 0.0) == []
     assert moves(person.press(Key.LESS, 1.22, at(4.9)))
 
 
@@ -68,16 +70,16 @@ def test_every_other_key_stops_everything(key: Key) -> None:
     person = jog()
     person.press(Key.MORE, 0.0, at(5.0))
     first, *further = person.press(key, 0.03, at(5.0))
-    assert isinstance(first, Stop)
+    assert isinstance(first, StopAxes)
     assert first.axis is None
-    assert (Leave() in further) is (key is Key.LEAVE)
+    assert (EndSession() in further) is (key is Key.LEAVE)
 
 
 def test_the_other_direction_stops_before_it_moves() -> None:
     person = jog()
     person.press(Key.MORE, 0.0, at(5.0))
     (stop,) = person.press(Key.LESS, 0.03, at(5.0))
-    assert isinstance(stop, Stop)
+    assert isinstance(stop, StopAxes)
 
 
 def test_a_key_that_is_still_held_after_a_stop_moves_nothing() -> None:
@@ -92,7 +94,7 @@ def test_a_key_that_is_still_held_after_a_stop_moves_nothing() -> None:
 def test_a_limit_clips_the_target_and_is_told_once() -> None:
     person = jog()
     move, limit = person.press(Key.MORE, 0.0, at(13.95))
-    assert isinstance(move, Move)
+    assert isinstance(move, MoveAxis)
     assert move.target == Z.high
     assert said([limit]) == ["limit 14 mm of stage_z reached"]
     assert person.press(Key.MORE, 0.03, at(14.0)) == []
@@ -112,9 +114,9 @@ def test_an_axis_outside_its_limits_is_not_sent_farther_than_a_step() -> None:
 def test_an_axis_that_is_not_homed_moves_only_to_its_reference_and_only_when_confirmed() -> None:
     person = jog()
     assert "is not homed" in said(person.press(Key.MORE, 0.0, at(5.0, homed=False)))[0]
-    assert "y within" in said(person.press(Key.HOME, 1.0, at(5.0, homed=False)))[0]
+    assert "Press y within" in said(person.press(Key.HOME, 1.0, at(5.0, homed=False)))[0]
     person.stopped(1.0)
-    assert person.press(Key.CONFIRM, 2.0, at(5.0, homed=False)) == [Home(Z)]
+    assert person.press(Key.CONFIRM, 2.0, at(5.0, homed=False)) == [HomeAxis(Z)]
 
 
 @pytest.mark.parametrize(
@@ -126,11 +128,11 @@ def test_homing_is_not_confirmed_by_a_held_key_another_key_or_too_late(
     person = jog()
     person.press(Key.HOME, 0.0, at(5.0))
     if between is Key.HOME:
-        assert not any(isinstance(a, Home) for a in person.press(Key.HOME, 0.5, at(5.0)))
+        assert not any(isinstance(a, HomeAxis) for a in person.press(Key.HOME, 0.5, at(5.0)))
         return
     if between is not None:
         person.press(between, 0.5, at(5.0))
-    assert Home(Z) not in person.press(Key.CONFIRM, confirmed_s, at(5.0))
+    assert HomeAxis(Z) not in person.press(Key.CONFIRM, confirmed_s, at(5.0))
 
 
 def test_after_a_trip_only_the_way_off_moves_until_the_force_has_fallen() -> None:
@@ -138,12 +140,12 @@ def test_after_a_trip_only_the_way_off_moves_until_the_force_has_fallen() -> Non
     person.press(Key.MORE, 0.0, at(12.5))
     watch, words = person.trip(6.0)
     person.stopped(0.1)
-    assert watch == Watch(RETREAT * 6.0)
+    assert watch == WatchForce(RETREAT * 6.0)
     assert said([words]) == ["only stage_z - moves until the force is below 4 N"]
     assert moves(person.press(Key.MORE, 1.0, at(12.5))) == []
-    assert person.look(1.5, 4.5) == []
+    assert person.poll(1.5, 4.5) == []
     assert moves(person.press(Key.LESS, 2.0, at(12.5)))
-    assert person.look(2.1, 3.9)[0] == Watch(LARGEST_N)
+    assert person.poll(2.1, 3.9)[0] == WatchForce(LARGEST_N)
     person.stopped(2.5)
     assert moves(person.press(Key.MORE, 3.0, at(12.4)))
 
@@ -159,7 +161,7 @@ def test_after_a_trip_no_other_axis_moves_either_way() -> None:
 def test_nothing_moves_while_it_is_blocked() -> None:
     person = jog()
     person.press(Key.MORE, 0.0, at(5.0))
-    assert isinstance(person.block("the force sensor is silent")[0], Stop)
+    assert isinstance(person.block("the force sensor is silent")[0], StopAxes)
     person.stopped(0.1)
     assert moves(person.press(Key.MORE, 1.0, at(5.0))) == []
     person.unblock()
@@ -192,7 +194,7 @@ def test_whatever_is_pressed_no_limit_is_passed_and_nothing_moves_in_silence_or_
                 way = max(-0.02, min(0.02, end - places[name]))
                 assert abs(way) < 1e-9 or now - last_key <= LONGEST_STEP_S + 0.02
                 places[name] += way
-            carry_out(person, person.look(now, force), target, now)
+            carry_out(person, person.poll(now, force), target, now)
         if force > LARGEST_N and not person.pressed:
             target.clear()
             carry_out(person, person.trip(force), target, now)
@@ -212,8 +214,8 @@ def test_whatever_is_pressed_no_limit_is_passed_and_nothing_moves_in_silence_or_
 def carry_out(person: Jog, actions: list[Action], target: dict[str, float], now: float) -> None:
     """As a bench would."""
     for action in actions:
-        if isinstance(action, Move):
+        if isinstance(action, MoveAxis):
             target[action.axis.name] = action.target
-        elif isinstance(action, Stop):
+        elif isinstance(action, StopAxes):
             target.clear()
             person.stopped(now, released=action.axis is not None)

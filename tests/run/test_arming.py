@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from rig.core.errors import InstrumentError, RigError
-from rig.run.arming import Arming, OffFailure
+from rig.run.arming import Arming, ShutdownFailure
 
 PATIENCE_S = 30.0
 
@@ -51,8 +51,8 @@ def test_an_off_that_fails_holds_up_no_other_and_stays_armed() -> None:
     arming.register("vibrator", bug)
     arming.register("lamp", noting(done, "lamp"))
     assert arming.make_safe() == [
-        OffFailure("vibrator", "ZeroDivisionError: by zero"),
-        OffFailure("stage", "stage: stop: no answer; pull the plug"),
+        ShutdownFailure("vibrator", "ZeroDivisionError: by zero"),
+        ShutdownFailure("stage", "stage: stop: no answer; pull the plug"),
     ]
     assert done == ["lamp", "pump"]
     assert arming.names == ("stage", "vibrator")
@@ -77,7 +77,7 @@ def test_a_stuck_off_does_not_hold_up_the_others(release: threading.Event) -> No
     arming.register("pump", noting(done, "pump"))
     arming.register("stage", lambda: release.wait(PATIENCE_S) and None, deadline_s=0.05)
     (failure,) = arming.make_safe()
-    assert failure == OffFailure("stage", "not done within 0.05 s")
+    assert failure == ShutdownFailure("stage", "not done within 0.05 s")
     assert done == ["pump"]
     assert not release.is_set()
     assert arming.names == ("stage",)
@@ -139,10 +139,10 @@ def test_every_off_runs_although_no_thread_can_be_had_any_more(
 ) -> None:
     arming, done = Arming(overlapping), list[str]()
     for name in ("pump", "stage", "vibrator"):
-        arming.register(name, noting(done, name), at_once=noting(done, f"{name} at once"))
+        arming.register(name, noting(done, name), emergency=noting(done, f"{name} at once"))
     with monkeypatch.context() as patch:
         refuse_threads(patch)
-        assert arming.act_at_once() == []
+        assert arming.emergency_stop() == []
         assert arming.make_safe() == []
     assert sorted(done[:3]) == ["pump at once", "stage at once", "vibrator at once"]
     assert done[3:] == ["vibrator", "stage", "pump"]
@@ -204,9 +204,9 @@ def test_in_real_time_what_stops_at_once_waits_for_no_other_answer() -> None:
     def answer_late() -> None:
         assert stopped.wait(PATIENCE_S), "the stage was not stopped meanwhile"
 
-    arming.register("stage", lambda: None, PATIENCE_S, at_once=stopped.set)
-    arming.register("generator", lambda: None, PATIENCE_S, at_once=answer_late)
-    assert arming.act_at_once() == []
+    arming.register("stage", lambda: None, PATIENCE_S, emergency=stopped.set)
+    arming.register("generator", lambda: None, PATIENCE_S, emergency=answer_late)
+    assert arming.emergency_stop() == []
 
 
 def test_what_stops_at_once_does_not_wait_for_an_off_that_is_under_way() -> None:
@@ -214,10 +214,10 @@ def test_what_stops_at_once_does_not_wait_for_an_off_that_is_under_way() -> None
     arming, stopped = Arming(overlapping=True), threading.Event()
 
     def lift() -> None:
-        assert arming.act_at_once() == []
+        assert arming.emergency_stop() == []
         assert stopped.is_set()
 
-    arming.register("stage", lift, PATIENCE_S, at_once=stopped.set)
+    arming.register("stage", lift, PATIENCE_S, emergency=stopped.set)
     assert arming.make_safe() == []
 
 

@@ -13,7 +13,7 @@ import pytest
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 from rig.instruments.roles import ForceFrames
-from rig.run.arming import OFF_DEADLINE_S
+from rig.run.arming import SHUTDOWN_DEADLINE_S
 from rig.run.context import Run
 from rig.run.holds import HoldError
 from rig.run.trip import TripError
@@ -89,7 +89,7 @@ def test_what_the_bench_is_made_safe_over_is_told_and_not_the_move_that_it_refus
     threading.Timer(0.05, stopped.set).start()
     with pytest.raises(kind, match=told) as caught, run.first_cause():
         raise REFUSED
-    assert "not switched off at once: stage: stage_z: make safe" in str(caught.value)
+    assert "not stopped at once: stage: stage_z: make safe" in str(caught.value)
 
 
 def test_a_hold_that_came_and_went_explains_that_an_instrument_was_not_heard(run: Run) -> None:
@@ -115,4 +115,4 @@ def test_an_off_has_the_time_to_meet_what_is_wrong_with_its_link(run: Run) -> No
     took long."""
     run.arm("generator output", lambda: None)
     ((name, deadline_s),) = [(armed.name, armed.deadline_s) for armed in run.arming._armed]
-    assert (name, deadline_s) == ("generator output", OFF_DEADLINE_S + 4.0)
+    assert (name, deadline_s) == ("generator output", SHUTDOWN_DEADLINE_S + 4.0)

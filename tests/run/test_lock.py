@@ -32,7 +32,7 @@ from pathlib import Path
 from rig.bench.plan import read_bench
 from rig.run.lock import BenchLock
 lock = BenchLock(read_bench(Path(sys.argv[1])))
-lock.tell_run(Path("/data/run.rigj"))
+lock.note_run(Path("/data/run.rigj"))
 print("held", flush=True)
 sys.stdin.read()
 """

@@ -136,12 +136,12 @@ def test_a_held_key_moves_an_axis_up_to_a_limit_and_letting_go_stops_it(rig, jog
     """On the command's own bench, where the World keeps the time."""
     typist = jogs("--world-log", str(rig.world_log), "--step", "5mm", "--speed", "3mm/s")
     typist.sees(r"SIMULATED bench")
-    typist.sees(r"speed 3 is limited to 1 mm/s")
-    typist.sees(r"step 5 is limited to 0.15 mm")
+    typist.sees(r"--speed 3 mm/s reduced to 1 mm/s")
+    typist.sees(r"--step 5 mm reduced to 0.15 mm")
     typist.types_after(r"not homed\)", MORE)
     typist.sees(r"stage_z is not homed and does not move")
     typist.types(b"h")
-    typist.types_after(r"y within", b"y")
+    typist.types_after(r"Press y within", b"y")
     typist.sees(r"stage_z is homed")
     time.sleep(2 * SILENCE_S)
     typist.types(LESS)
@@ -192,7 +192,9 @@ def test_a_second_trip_on_the_way_off_ends_it(rig, jogs):
     code, shown = jogs("--largest-force", "1.5N", "--fault", fault).ends()
     assert code == 4, shown
     assert "only stage_z - moves until the force is below 1.2 N" in shown
-    assert re.search(r"error: force along . of .* N .* on the way off: the force does not", shown)
+    assert re.search(
+        r"error: force along . of .* N .* during the retreat: the force", shown
+    )
     assert "every axis is at rest" in shown
 
 
@@ -200,7 +202,7 @@ def test_a_key_stops_homing(rig, jogs):
     fault = rig.fault('[[fault]]\ndevice = "stage_z"\nkind = "slow"\nafter_s = 0.1\nshare = 0.02\n')
     typist = jogs("--fault", fault)
     typist.types_after(r"not homed\)", b"h")
-    typist.types_after(r"y within", b"y")
+    typist.types_after(r"Press y within", b"y")
     typist.types_after(r"homing stage_z", b" ")
     stopped = typist.sees(r"homing was stopped by a key")
     typist.sees(r"not homed\)", since=stopped)
@@ -220,7 +222,7 @@ def test_ctrl_c_at_a_held_key_ends_in_order_and_a_second_owner_is_refused(rig, j
     typist.types(b"\x1a")
     paused = typist.sees(r"stopped: paused by the operator; nothing moves until that is over")
     typist.types(b"\x1a")
-    typist.sees(r"going on", since=paused)
+    typist.sees(r"Resumed", since=paused)
     typist.types(b"\x03")
     code, shown = typist.ends()
     assert code == 130, shown
@@ -283,7 +285,7 @@ def test_a_terminal_that_goes_away_ends_it(rig, jogs, bench_file):
 def test_without_a_terminal_it_refuses_before_anything_is_connected(rig, bench_file):
     refused = rig.run("jog", "--bench", bench_file)
     assert refused.code == 2
-    assert "stdin is no terminal" in refused.errors[0]
+    assert "stdin is not a terminal" in refused.errors[0]
     assert "run it in a terminal" in refused.errors[0]
     assert rig.run("jog", "--speed", "-1mm/s").code == 2
     assert len(stage_log(rig, "move")) == 1, "the preparation's own"

@@ -516,7 +516,7 @@ def _ended(outcome: RunOutcome) -> AttemptResult:
     reasons += [f"{off.name} not switched off: {off.reason}" for off in outcome.off_failures]
     safe_after_all = outcome.taken_over is not None and outcome.taken_over.safe
     if outcome.taken_over is not None:
-        reasons.append(outcome.taken_over.told)
+        reasons.append(outcome.taken_over.summary)
     return AttemptResult(
         outcome.status,  # type: ignore[arg-type]
         kind_of(outcome.code, outcome.failures, safe_after_all) if failed else "",
