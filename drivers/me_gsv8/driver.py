@@ -33,7 +33,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from drivers.me_gsv8 import frames as gsv_frames
-from drivers.me_gsv8.frames import Layout, Measurements, Response
+from drivers.me_gsv8.frames import FrameLayout, GsvResponse, Measurements
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.core.settings import Settings as BaseSettings
@@ -60,7 +60,7 @@ CRC16_ON = b"\x08"
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
 
-class Settings(BaseSettings):
+class MeGsv8Settings(BaseSettings):
     """Where the amplifier is, and what its sensor is."""
 
     driver: Literal["me-gsv8"] = "me-gsv8"
@@ -85,7 +85,7 @@ class Settings(BaseSettings):
     """The amplifier's user scale and the input range that it stands for."""
 
     @model_validator(mode="after")
-    def _plausible(self) -> Settings:
+    def _plausible(self) -> MeGsv8Settings:
         if abs(np.linalg.det(np.array(self.matrix))) < 1e-9:
             raise ValueError("matrix_N_mV_V cannot be inverted: two axes would be one")
         if self.max_force_N is not None and self.max_force_N > 1.5 * self.nominal_force_N:
@@ -108,32 +108,36 @@ class Settings(BaseSettings):
         return self.max_force_N if self.max_force_N is not None else self.nominal_force_N
 
 
+Settings = MeGsv8Settings
+"""The settings of a bench file, under the name by which the bench asks any driver for them."""
+
+
 @dataclass(frozen=True)
-class Command:
-    """A request: its number, its name for people, and how many bytes its answer holds."""
+class GsvCommand:
+    """A command: its number, its name in messages, and the number of bytes of its answer."""
 
     number: int
     name: str
     answer_bytes: int = 0
 
 
-GET_INTERFACE = Command(0x01, "GetInterface", 4)
-READ_USER_SCALE = Command(0x14, "ReadUserScale", 4)
-WRITE_USER_SCALE = Command(0x15, "WriteUserScale")
-GET_SERIAL_NUMBER = Command(0x1F, "GetSerNo", 8)
-STOP_TRANSMISSION = Command(0x23, "StopTransmission")
-START_TRANSMISSION = Command(0x24, "StartTransmission")
-GET_MODE = Command(0x26, "GetMode", 4)
-SET_MODE = Command(0x27, "SetMode")
-FIRMWARE_VERSION = Command(0x2B, "FirmwareVersion", 4)
-GET_TX_MAPPING = Command(0x49, "GetTxMapping", 2)
-SET_TX_MAPPING = Command(0x4A, "SetTxMapping")
-READ_DATA_RATE_RANGE = Command(0x63, "ReadDataRateRange", 4)
-GET_TX_MODE = Command(0x80, "GetTXMode", 2)
-SET_TX_MODE = Command(0x81, "SetTXMode")
-READ_DATA_RATE = Command(0x8A, "ReadDataRate", 4)
-WRITE_DATA_RATE = Command(0x8B, "WriteDataRate")
-GET_INPUT_TYPE = Command(0xA2, "GetInputType", 5)
+GET_INTERFACE = GsvCommand(0x01, "GetInterface", 4)
+READ_USER_SCALE = GsvCommand(0x14, "ReadUserScale", 4)
+WRITE_USER_SCALE = GsvCommand(0x15, "WriteUserScale")
+GET_SERIAL_NUMBER = GsvCommand(0x1F, "GetSerNo", 8)
+STOP_TRANSMISSION = GsvCommand(0x23, "StopTransmission")
+START_TRANSMISSION = GsvCommand(0x24, "StartTransmission")
+GET_MODE = GsvCommand(0x26, "GetMode", 4)
+SET_MODE = GsvCommand(0x27, "SetMode")
+FIRMWARE_VERSION = GsvCommand(0x2B, "FirmwareVersion", 4)
+GET_TX_MAPPING = GsvCommand(0x49, "GetTxMapping", 2)
+SET_TX_MAPPING = GsvCommand(0x4A, "SetTxMapping")
+READ_DATA_RATE_RANGE = GsvCommand(0x63, "ReadDataRateRange", 4)
+GET_TX_MODE = GsvCommand(0x80, "GetTXMode", 2)
+SET_TX_MODE = GsvCommand(0x81, "SetTXMode")
+READ_DATA_RATE = GsvCommand(0x8A, "ReadDataRate", 4)
+WRITE_DATA_RATE = GsvCommand(0x8B, "WriteDataRate")
+GET_INPUT_TYPE = GsvCommand(0xA2, "GetInputType", 5)
 
 TOKENS = ((GET_SERIAL_NUMBER, b""), (GET_TX_MAPPING, b"\0"), (GET_INPUT_TYPE, b"\x01\xff"))
 """Queries that change nothing and whose answers differ in length."""
@@ -175,14 +179,14 @@ class GsvLink:
     Any number of threads may call; each lock is held for one read or one request.
     """
 
-    def __init__(self, settings: Settings, clock: Clock):
+    def __init__(self, settings: MeGsv8Settings, clock: Clock):
         self.crc = False
         """Whether requests carry a CRC; set it once the amplifier is known to have it."""
         self._settings = settings
         self._clock = clock
         self._port: Any = None
         self._decoder = gsv_frames.Decoder()
-        self._responses: deque[Response] = deque()
+        self._responses: deque[GsvResponse] = deque()
         self._frames: list[Measurements] = []
         self._frame_bytes = 0
         self._taken = 0
@@ -196,7 +200,7 @@ class GsvLink:
         with self._reading:
             return self._taken - self._frame_bytes
 
-    def expect(self, layout: Layout | None) -> None:
+    def expect(self, layout: FrameLayout | None) -> None:
         """From now on, a measurement of another layout is an error; nothing is, with None."""
         with self._reading:
             self._decoder.expected = layout
@@ -212,7 +216,7 @@ class GsvLink:
             self._synchronise()
         self.discard()
 
-    def request(self, command: Command, parameters: bytes = b"") -> bytes:
+    def request(self, command: GsvCommand, parameters: bytes = b"") -> bytes:
         """Send a request and return the data of its answer; InstrumentError for an error code, a
         broken answer or none."""
         with self._failing(command), self._asking:
@@ -252,7 +256,7 @@ class GsvLink:
 
     # --- one request -------------------------------------------------------------------------
 
-    def _ask(self, command: Command, parameters: bytes) -> bytes:
+    def _ask(self, command: GsvCommand, parameters: bytes) -> bytes:
         self._write(command, parameters)
         response = self._await(command, strict=True)
         if len(response.data) != (command.answer_bytes if response.code <= 1 else 0):
@@ -299,7 +303,7 @@ class GsvLink:
             self._decoder.reset()
             self._responses.clear()
 
-    def _write(self, command: Command, parameters: bytes) -> None:
+    def _write(self, command: GsvCommand, parameters: bytes) -> None:
         import serial
 
         self._unanswered.add(command.answer_bytes)
@@ -312,7 +316,7 @@ class GsvLink:
             # The reader has closed it meanwhile: pyserial then trips over what is no longer there.
             raise serial.SerialException("the port was closed while it was written to") from error
 
-    def _await(self, command: Command, strict: bool) -> Response:
+    def _await(self, command: GsvCommand, strict: bool) -> GsvResponse:
         """The next response; `strict` makes bytes that are no frame an error."""
         deadline = time.monotonic() + self._settings.timeout_s
         while not self._responses:
@@ -344,7 +348,7 @@ class GsvLink:
             if not waiting:  # the first byte has come: take the others with it
                 data += self._port.read(self._port.in_waiting)
             for frame in self._decoder.feed(data):
-                if isinstance(frame, Response):
+                if isinstance(frame, GsvResponse):
                     self._responses.append(frame)
                 else:
                     self._frames.append(frame)
@@ -357,7 +361,7 @@ class GsvLink:
     # --- what goes wrong ---------------------------------------------------------------------
 
     @contextlib.contextmanager
-    def _failing(self, command: Command | None) -> Iterator[None]:
+    def _failing(self, command: GsvCommand | None) -> Iterator[None]:
         """Turn failures into InstrumentErrors; a port that failed is closed and opened anew."""
         import serial
 
@@ -398,7 +402,7 @@ class GsvLink:
                 command, f"{len(rejected)} bytes came that are no frame: {rejected.hex(' ')}"
             )
 
-    def _refused(self, command: Command, parameters: bytes, code: int) -> InstrumentError:
+    def _refused(self, command: GsvCommand, parameters: bytes, code: int) -> InstrumentError:
         sent = f" {parameters.hex(' ')}" if parameters else ""
         reason = ERRORS.get(code, "an error without a name")
         hint = "check the value against the amplifier's manual"
@@ -419,14 +423,14 @@ class ForceAmplifier:
     One thread reads; the others may ask meanwhile.
     """
 
-    def __init__(self, settings: Settings, clock: Clock):
+    def __init__(self, settings: MeGsv8Settings, clock: Clock):
         self._settings = settings
         self._clock = clock
         self._link = GsvLink(settings, clock)
         self._identity: Identity | None = None
         self._matrix = np.array(settings.matrix)
         self._zero = np.zeros(3)
-        self._layout = Layout(len(CHANNELS))
+        self._layout = FrameLayout(len(CHANNELS))
         self._rates = (0.0, 0.0)
         self._rate = 0.0
         self._started_s: float | None = None
@@ -464,7 +468,7 @@ class ForceAmplifier:
         link.crc = (major, minor) >= FIRMWARE_WITH_CRC
         self._check_interface(link.request(GET_INTERFACE, CRC16_ON if link.crc else b""), number)
         self._identity = Identity("ME-Messsysteme", MODEL, number, f"{major}.{minor}")
-        self._layout = Layout(len(CHANNELS), gsv_frames.FLOAT32, link.crc)
+        self._layout = FrameLayout(len(CHANNELS), gsv_frames.FLOAT32, link.crc)
         self._set_rate(self._settings.rate_S_s)  # first: floats are refused at the fastest rates
         self._prepare_values()
         self._rates = self._read_rate_range()
@@ -584,8 +588,8 @@ class ForceAmplifier:
 
     def _agree(
         self,
-        read: Command,
-        write: Command,
+        read: GsvCommand,
+        write: GsvCommand,
         index: bytes,
         wanted: bytes,
         found: bytes | None = None,
@@ -628,7 +632,7 @@ class ForceAmplifier:
         return float(slowest), float(fastest)
 
 
-def connect(settings: Settings, clock: Clock) -> ForceAmplifier:
+def connect(settings: MeGsv8Settings, clock: Clock) -> ForceAmplifier:
     """Connect to the amplifier, leaving it silent and ready to stream three floats a frame."""
     amplifier = ForceAmplifier(settings, clock)
     try:
@@ -639,5 +643,5 @@ def connect(settings: Settings, clock: Clock) -> ForceAmplifier:
     return amplifier
 
 
-def make_safe(settings: Settings) -> None:
+def make_safe(settings: MeGsv8Settings) -> None:
     """Nothing: a sensor drives nothing, and whoever still reads it may need it."""

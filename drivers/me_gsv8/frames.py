@@ -49,7 +49,7 @@ _STATUS = np.uint8(0x0F)
 
 
 @dataclass(frozen=True)
-class Layout:
+class FrameLayout:
     """What the measurement frames of a stream look like."""
 
     values: int
@@ -70,7 +70,7 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class Response:
+class GsvResponse:
     """The answer to a request."""
 
     code: int
@@ -83,7 +83,7 @@ class Response:
 class Measurements:
     """A run of measurement frames that came one after the other."""
 
-    layout: Layout
+    layout: FrameLayout
     values: npt.NDArray[np.float32]
     """(n, values): user units for floats; for integers input ranges before the user scale."""
     status: npt.NDArray[np.uint8]
@@ -98,7 +98,7 @@ class Measurements:
         return len(self.values) * self.layout.size
 
 
-Frame = Response | Measurements
+Frame = GsvResponse | Measurements
 
 
 def request(command: int, parameters: bytes = b"", crc: bool = False) -> bytes:
@@ -119,7 +119,7 @@ class Decoder:
     """
 
     def __init__(self) -> None:
-        self.expected: Layout | None = None
+        self.expected: FrameLayout | None = None
         self.crc_only = False
         self.dropped = 0
         """Bytes that were no frame, in all."""
@@ -191,7 +191,7 @@ class Decoder:
     def _unexpected(self, kind: int, header: int) -> bool:
         return kind == MEASUREMENT and self.expected is not None and header != self.expected.header
 
-    def _layout(self, header: int, control: int) -> Layout | None:
+    def _layout(self, header: int, control: int) -> FrameLayout | None:
         layout = _layout(header, control >> 4)
         if layout is not None and self.expected is not None:
             return layout if layout.data_type == self.expected.data_type else None
@@ -208,24 +208,24 @@ class Decoder:
 
 
 @cache
-def _layout(header: int, indicator: int) -> Layout | None:
+def _layout(header: int, indicator: int) -> FrameLayout | None:
     """The layout that a measurement's header and the upper half of its control byte tell."""
     data_type = indicator & 7
     if not indicator & 8 or data_type not in VALUE_BYTES:
         return None
-    return Layout((header & 15) + 1, data_type, header >> 4 & 3 == SERIAL_WITH_CRC)
+    return FrameLayout((header & 15) + 1, data_type, header >> 4 & 3 == SERIAL_WITH_CRC)
 
 
-def _response(frame: bytes) -> Response | None:
+def _response(frame: bytes) -> GsvResponse | None:
     crc = frame[1] >> 4 & 3 == SERIAL_WITH_CRC
     end = len(frame) - 1 - crc
     if crc and crc8(frame[1:end]) != frame[end]:
         return None
     long = frame[1] & 15 == LONG_RESPONSE
-    return Response(0 if long else frame[2], frame[3:end], crc)
+    return GsvResponse(0 if long else frame[2], frame[3:end], crc)
 
 
-def _measurements(buffer: bytes, at: int, layout: Layout) -> Measurements | None:
+def _measurements(buffer: bytes, at: int, layout: FrameLayout) -> Measurements | None:
     """The run of frames of one layout that begins here, or None where not even one is whole."""
     size = layout.size
     count = (len(buffer) - at) // size
@@ -238,7 +238,7 @@ def _measurements(buffer: bytes, at: int, layout: Layout) -> Measurements | None
     return Measurements(layout, _values(data, layout.data_type), rows[:, 2] & _STATUS)
 
 
-def _whole_alone(buffer: bytes, at: int, layout: Layout) -> bool:
+def _whole_alone(buffer: bytes, at: int, layout: FrameLayout) -> bool:
     """Whether a last frame is whole: a reader that keeps up gets one at a time, and for one frame
     this is several times faster than an array."""
     frame = buffer[at : at + layout.size]
@@ -246,7 +246,7 @@ def _whole_alone(buffer: bytes, at: int, layout: Layout) -> bool:
     return known and frame[-1] == END and not (layout.crc and crc16(frame[1:-1]))
 
 
-def _whole_rows(rows: npt.NDArray[np.uint8], layout: Layout) -> int:
+def _whole_rows(rows: npt.NDArray[np.uint8], layout: FrameLayout) -> int:
     """How many of the rows, from the first, are whole frames of a layout."""
     whole, places, tables = _checks_by_place(layout)
     wrong = np.bitwise_xor.reduce(tables[places + rows], axis=1) != whole
@@ -256,7 +256,7 @@ def _whole_rows(rows: npt.NDArray[np.uint8], layout: Layout) -> int:
 
 @cache
 def _checks_by_place(
-    layout: Layout,
+    layout: FrameLayout,
 ) -> tuple[np.uint32, npt.NDArray[np.intp], npt.NDArray[np.uint32]]:
     """What the bytes of a whole frame come to, combined by exclusive or; where each place's table
     begins; the tables, one after the other.

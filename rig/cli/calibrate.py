@@ -29,8 +29,8 @@ from rig.core.errors import (
 if TYPE_CHECKING:
     from rig.analysis.weighing import CellFit, ForceFit
     from rig.bench.connected import Bench
-    from rig.cli.weigh import Person
-    from rig.instruments.calibration import Kind, Record
+    from rig.cli.weigh import WeighingOperator
+    from rig.instruments.calibration import CalibrationRecord, Kind
     from rig.instruments.roles import Reach
     from rig.run.scales import Timing
 
@@ -311,11 +311,11 @@ def _refuse_changed(file: Path) -> None:
 @contextlib.contextmanager
 def _at_the_bench(
     options: WeighingOptions, wanted: Wanted, *roles: str
-) -> Iterator[tuple[Bench, Person, Path]]:  # fmt: skip
+) -> Iterator[tuple[Bench, WeighingOperator, Path]]:  # fmt: skip
     """The bench with these instruments connected and no others, who puts the weights on, and the
     folder for the record, which takes one."""
     from rig.cli.streams import say_at_once
-    from rig.cli.weigh import Person
+    from rig.cli.weigh import WeighingOperator
     from rig.instruments.calibration import require_folder
     from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file
     from rig.run.stopping import StopFlag
@@ -356,7 +356,7 @@ def _at_the_bench(
         present = started is None or (sys.stdin.isatty() and not options.yes)
         if started is not None:
             say("the simulated bench puts the weights on by itself")
-        yield connected, Person(check_stop, present), folder
+        yield connected, WeighingOperator(check_stop, present), folder
 
 
 def _refuse_weightless(bench: Bench, slaved: bool, yes: bool) -> None:
@@ -489,7 +489,7 @@ def _at(force_N: Vector) -> str:
 # --- options and output ----------------------------------------------------------------------
 
 
-def _finish(record: Record, wanted: Wanted, folder: Path, warnings: list[str]) -> None:
+def _finish(record: CalibrationRecord, wanted: Wanted, folder: Path, warnings: list[str]) -> None:
     """Write the record and say where it is and how long it holds."""
     from rig.instruments.calibration import write_calibration
 

@@ -70,7 +70,7 @@ def detect(
             work = [DetectionJob(file.absolute(), wanted, there) for file in files]
         answers: dict[int, Answer] = {}
         reported_files = 0
-        with _Progress(len(files)) as progress:
+        with _DetectionProgress(len(files)) as progress:
             results = completed(detect_file, work, jobs or processors(), scheduler)
             for number, result in results:
                 answers[number] = _answer(result, files[number])
@@ -165,7 +165,7 @@ def _result(answer: Answer) -> dict[str, Any]:
     }
 
 
-class _Progress:
+class _DetectionProgress:
     """On a terminal a bar with the time left, elsewhere one plain line a file; on stderr."""
 
     def __init__(self, files: int):

@@ -40,7 +40,7 @@ def resume(
     with reported(debug, as_json):
         from pydantic import ValidationError
 
-        from rig.cli.procedures import Request, perform
+        from rig.cli.procedures import ProcedureRequest, perform
         from rig.files.naming import results_of
         from rig.files.runfile.recover import interrupted
         from rig.run.load_procedure import load_procedure
@@ -57,7 +57,7 @@ def resume(
             raise ConfigurationError.from_validation(error, str(file)) from error
         with _world_of(header.bench_toml, str(file)) as (world, stages):
             bench_file = None if world is not None else Path(header.bench_file)
-            request = Request(
+            request = ProcedureRequest(
                 bench=bench_file,
                 results=results_of(contents.path),
                 seed=header.seed,

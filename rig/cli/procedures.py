@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Request(BenchRequest):
+class ProcedureRequest(BenchRequest):
     """The options that every procedure has."""
 
     as_json: bool = False
@@ -76,8 +76,8 @@ def command(name: str) -> Callable[..., None]:
     procedure = load_procedure(name)
 
     def run(**given: Any) -> None:
-        options = {name: given.pop(name) for name in Request.__dataclass_fields__}
-        request = Request(**options | {"bench": bench_file(options["bench"])})
+        options = {name: given.pop(name) for name in ProcedureRequest.__dataclass_fields__}
+        request = ProcedureRequest(**options | {"bench": bench_file(options["bench"])})
         with reported(request.debug, request.as_json):
             settings = settings_from(procedure.Settings, given)
             perform(procedure(settings), request)
@@ -92,7 +92,7 @@ def command(name: str) -> Callable[..., None]:
 
 def perform(
     procedure: Procedure,
-    request: Request,
+    request: ProcedureRequest,
     resume: JournalContents | None = None,
 ) -> None:
     """Run a procedure, made with its settings, on the bench that was asked for, and end the process

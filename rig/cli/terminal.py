@@ -112,8 +112,10 @@ class Terminal:
         self._write(_CLEAR)
 
     def keys(self) -> list[Key]:
-        """Return the keys pressed since the last call. StopRequestedError if the terminal has
-        closed."""
+        """Return the keys pressed since the last call.
+
+        Raises StopRequestedError if the terminal has closed.
+        """
         typed = b""
         if select.select([self._file], [], [], 0)[0]:
             try:

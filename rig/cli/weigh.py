@@ -33,7 +33,7 @@ class QuitError(RigError):
     code = ExitCode.SIGINT
 
 
-class Person:
+class WeighingOperator:
     """Who puts the weights on: somebody at stdin, or nobody where the bench does it."""
 
     def __init__(self, check_stop: Callable[[], None], present: bool):
@@ -71,7 +71,7 @@ class Person:
 
 
 def weigh(
-    forces_N: Sequence[Vector], scale: Scale, person: Person, clock: Clock
+    forces_N: Sequence[Vector], scale: Scale, person: WeighingOperator, clock: Clock
 ) -> list[Mean]:  # fmt: skip
     """A reading under each of the known forces, in this order; the person may repeat any last one.
 

@@ -91,7 +91,7 @@ class SourceRun(Settings):
     simulated: bool
 
 
-class Record(Settings):
+class CalibrationRecord(Settings):
     """Base of all calibration records."""
 
     format: Literal[1] = 1
@@ -111,7 +111,7 @@ class Record(Settings):
     notes: str = ""
 
     @model_validator(mode="after")
-    def _ends_after_it_begins(self) -> Record:
+    def _ends_after_it_begins(self) -> CalibrationRecord:
         if self.valid_until <= self.date:
             raise ValueError("valid_until is not after date")
         return self
@@ -125,7 +125,7 @@ class RecordedDrop(Settings):
     depth_dB: float
 
 
-class FilmCalibration(Record):
+class FilmCalibration(CalibrationRecord):
     """Volts per newton of a film with its amplifier: slope of 20 dB/decade, one pole, notches.
 
     The rows of ``covariance`` are b (dB), inverse_corner (s), delay (s), then ln frequency, ln Q
@@ -191,7 +191,7 @@ class WeighedLoad(Settings):
     samples: int = Field(ge=1)
 
 
-class Weighed(Record):
+class Weighed(CalibrationRecord):
     """Base of the records that are made with known weights."""
 
     weights_N: tuple[float, ...] = Field(min_length=1)
@@ -296,7 +296,7 @@ def make_record(kind: type[_Kind], fields: dict[str, Any]) -> _Kind:
         raise ConfigurationError.from_validation(error, f"{expected} record") from error
 
 
-def write_calibration(record: Record, folder: Path) -> Path:
+def write_calibration(record: CalibrationRecord, folder: Path) -> Path:
     """Write a record to a new file in the folder and return its path; no file is overwritten.
 
     The name is ``<kind>-<sensor>-<date>.json``, with a number appended from the second record of a
@@ -328,14 +328,14 @@ def require_folder(folder: Path) -> Path:
         raise _unwritable(folder, error) from error
 
 
-def as_text(record: Record) -> str:
+def as_text(record: CalibrationRecord) -> str:
     """Return the text of a record's file: JSON with one key a line and a list of numbers on one
     line."""
     return _json(record.model_dump(mode="json"), "") + "\n"
 
 
 def require_valid(
-    record: Record,
+    record: CalibrationRecord,
     sensor: str,
     now: datetime,
     *,
@@ -375,7 +375,7 @@ def require_valid(
     return []
 
 
-def header_entry(record: Record, source: Path | str) -> dict[str, Any]:
+def header_entry(record: CalibrationRecord, source: Path | str) -> dict[str, Any]:
     """Return a record as it is written to a run's header: all its fields and its file."""
     return {**record.model_dump(mode="json"), "file": str(source)}
 

@@ -57,21 +57,25 @@ def driver_contract(
     )
 
 
-def contract_of(*cases: Case) -> ContractTest:
+def contract_of(*cases: Case, further_faults: bool = False) -> ContractTest:
     """Return a pytest test that puts each case's driver through every check of the contract.
 
-    The test has one parameter set for each check of each case, named ``case-check``.
+    The test has one parameter set for each check of each case, named ``case-check``. In the check
+    of faults each request of an experiment meets one of five kinds; with `further_faults` the test
+    has only the other four for each request instead, which take minutes.
     """
     import pytest
 
     # Before they are imported: their plain assertions then show the values in question.
     pytest.register_assert_rewrite("rig.testing.checks", "rig.testing.roles")
-    from rig.testing.checks import checks_of
+    from rig.testing.checks import checks_of, further_walks_of
+
+    chosen = further_walks_of if further_faults else checks_of
 
     each = [
         pytest.param(case, check, id=f"{case}-{name}")
         for case in cases
-        for name, check in checks_of(case).items()
+        for name, check in chosen(case).items()
     ]
 
     @pytest.mark.parametrize(("case", "check"), each)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import inspect
 import time
+import zlib
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -19,6 +21,8 @@ from rig.testing.roles import ROLES, Role
 Check = Callable[[Case], None]
 KINDS = ("silence", "garbage", "close", "truncate", "stale")
 PATIENCE_S = 20.0
+UNDISTURBED_S = 10.0
+"""Time-out of an instrument that no fault keeps from answering; a busy computer never meets it."""
 PATIENT_S = 4 * TIMEOUT_S
 """The time-out with which a place of the walk is tried again where an answer did not come that no
 fault has taken: a computer that is busy with other things lets client or server stand for longer
@@ -29,17 +33,26 @@ and no such time-out. A driver that goes wrong at a place does so with any time-
 
 
 def checks_of(case: Case) -> dict[str, Check]:
-    """Return every check that applies to a case, by its name."""
-    each: dict[str, Check] = {}
-    for name, check in globals().items():
-        if not name.startswith("check_"):
-            continue
-        if check is not check_one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over:
-            each[name.removeprefix("check_")] = check
-        elif case.every_fault:
-            walk = name.removeprefix("check_")
-            each |= {f"{walk}-{kind}": partial(check, kind=kind) for kind in KINDS}
+    """Return every check that applies to a case, by its name.
+
+    The walk of faults deals each request of an experiment one kind of fault. `further_walks_of` has
+    the other kinds.
+    """
+    each: dict[str, Check] = {
+        name.removeprefix("check_"): check
+        for name, check in globals().items()
+        if name.startswith("check_")
+    }
+    if not case.every_fault:
+        del each[WALK]
     return each
+
+
+def further_walks_of(case: Case) -> dict[str, Check]:
+    """Return the walks that give every request the kinds of fault that it is not dealt."""
+    if not case.every_fault:
+        return {}
+    return {f"{WALK}-{kind}": partial(walk_other_places, kind=kind) for kind in KINDS}
 
 
 def role_of(case: Case) -> Role:
@@ -61,6 +74,14 @@ def members(protocol: type) -> dict[str, Any]:
         for name, member in vars(base).items()
         if not name.startswith("_") and (callable(member) or isinstance(member, property))
     }
+
+
+@contextmanager
+def undisturbed(case: Case) -> Iterator[Service]:
+    """Run the case's simulator without faults; nothing depends on a short time-out then."""
+    with case.serve() as service:
+        service.settings["timeout_s"] = UNDISTURBED_S
+        yield service
 
 
 class Remembering:
@@ -91,7 +112,7 @@ def check_the_module_has_what_an_entry_point_names(case: Case) -> None:
 
 
 def check_settings_refuse_an_unknown_key_and_name_it(case: Case) -> None:
-    with case.serve() as service:
+    with undisturbed(case) as service:
         settings = case.module().Settings
         settings.model_validate(service.settings)
         message = "an unknown key was not refused"
@@ -103,7 +124,7 @@ def check_settings_refuse_an_unknown_key_and_name_it(case: Case) -> None:
 
 
 def check_the_instrument_has_every_member_of_its_role(case: Case) -> None:
-    with case.serve() as service:
+    with undisturbed(case) as service:
         instrument = connect(case, service)
         for name, member in members(role_of(case).protocol).items():
             own = getattr(instrument, name)
@@ -115,7 +136,7 @@ def check_the_instrument_has_every_member_of_its_role(case: Case) -> None:
 
 def check_a_whole_experiment_works_and_calls_every_method(case: Case) -> None:
     role = role_of(case)
-    with case.serve() as service:
+    with undisturbed(case) as service:
         instrument = Remembering(connect(case, service))
         assert instrument.identity.simulated is not bool(case.anonymous)
         reach = instrument.reach()
@@ -131,7 +152,7 @@ def check_a_whole_experiment_works_and_calls_every_method(case: Case) -> None:
 
 
 def check_connecting_leaves_the_instrument_at_rest(case: Case) -> None:
-    with case.serve() as service:
+    with undisturbed(case) as service:
         first = connect(case, service)
         role_of(case).excite(first, service)
         assert not service.at_rest()
@@ -149,7 +170,7 @@ def check_connecting_leaves_the_instrument_at_rest(case: Case) -> None:
 
 def check_what_can_only_be_tried_without_faults_works(case: Case) -> None:
     for step in role_of(case).apart:
-        with case.serve() as service:
+        with undisturbed(case) as service:
             instrument = connect(case, service)
             step.act(instrument, service)
             instrument.close()
@@ -158,20 +179,41 @@ def check_what_can_only_be_tried_without_faults_works(case: Case) -> None:
 # --- what goes wrong -------------------------------------------------------------------------
 
 
-def check_one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over(
-    case: Case, kind: str
-) -> None:
-    """The fault befalls each request of a whole experiment in turn, but of those that
-    `Case.alike` names only the first in a step.
+def check_one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over(case: Case) -> None:
+    """Each request of a whole experiment meets one kind of fault in turn, always the same for the
+    request; of those that `Case.alike` names only the first in a step does.
 
-    Every step either does what it says or raises an InstrumentError that tells what to do; never
-    does a late, broken or foreign reply become a value. What failed once works when repeated.
+    Every step either does what it says or raises an InstrumentError that says what to do; a late,
+    broken or foreign reply never becomes a value. What failed once works when it is repeated.
     """
-    places = places_of_faults(case, kind)
-    assert len(places) > len(role_of(case).script), (
-        f"{kind}: only {len(places)} requests of the experiment can meet the fault"
-    )
-    for at in places:
+    places = dealt_places(case)
+    assert places, "the experiment has no request that could meet a fault"
+    walk(case, list(places.items()))
+
+
+WALK = "one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over"
+
+
+def walk_other_places(case: Case, kind: str) -> None:
+    """Walk the requests that the check deals another kind of fault."""
+    dealt = dealt_places(case)
+    walk(case, [(at, kind) for at in places_of_faults(case, kind) if dealt.get(at) != kind])
+
+
+def dealt_places(case: Case) -> dict[int, str]:
+    """Return the requests that the check visits, counted from 1, and the kind of fault of each."""
+    by_kind = {kind: places_of_faults(case, kind) for kind in ("silence", "close")}
+    places: dict[int, str] = {}
+    for at in by_kind["close"]:
+        # A checksum and not a random number: the same request meets the same kind in every run.
+        kind = KINDS[zlib.crc32(f"{case}-{at}".encode()) % len(KINDS)]
+        places[at] = kind if at in by_kind["silence"] else "close"
+    return places
+
+
+def walk(case: Case, faults: list[tuple[int, str]]) -> None:
+    """Run an experiment for each of the faults, which are a number of a request and a kind."""
+    for at, kind in faults:
         failures, heard, unexplained = faulty_experiment(case, kind, at, TIMEOUT_S)
         if unexplained:
             failures, heard, unexplained = faulty_experiment(case, kind, at, PATIENT_S)
@@ -212,7 +254,7 @@ def places_of_faults(case: Case, kind: str) -> list[int]:
 
     A request that has no answer can lose none: only a broken connection disturbs it.
     """
-    with case.serve() as service:
+    with undisturbed(case) as service:
         steps: list[int] = []
         failures: list[InstrumentError] = []
         experiment_with_retries(case, service, failures, steps)
@@ -273,7 +315,7 @@ def check_silence_is_told_with_device_command_time_and_remedy_and_charged(case: 
 
 
 def check_an_instrument_that_is_not_there_is_told(case: Case) -> None:
-    with case.serve() as service:
+    with undisturbed(case) as service:
         pass  # its port is closed again
     with raising(InstrumentError) as caught:
         connect(case, service)
@@ -312,7 +354,7 @@ def check_make_safe_of_the_module_gets_in_beside_a_live_connection(case: Case) -
     module = case.module()
     dies = bool(case.exclusive_link and not case.drives_nothing)
     """Who has it to himself has to be gone before somebody else can come."""
-    with case.serve() as service:
+    with undisturbed(case) as service:
         settings = module.Settings.model_validate(service.settings)
         instrument = connect(case, service)
         role_of(case).excite(instrument, service)
@@ -348,7 +390,7 @@ def check_make_safe_of_a_silent_instrument_is_an_error_not_a_hope(case: Case) ->
 
 
 def check_close_lets_go_however_often(case: Case) -> None:
-    with case.serve() as service:
+    with undisturbed(case) as service:
         instrument = connect(case, service)
         assert service.connections() > 0
         instrument.close()

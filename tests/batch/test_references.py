@@ -21,7 +21,7 @@ from rig.batch.execute.drift import (
     zero_drift,
 )
 from rig.bench.settings import BenchSettings
-from rig.instruments.calibration import Record
+from rig.instruments.calibration import CalibrationRecord
 
 GAIN = "gain_near_200_Hz_dB"
 S1, S2 = "mean_touch_gain_1_dB", "mean_touch_gain_2_dB"
@@ -167,7 +167,7 @@ def test_a_disk_is_to_hold_the_rest_of_the_batch_and_what_is_to_be_left() -> Non
 NOW = datetime(2026, 11, 22, 22, 0, tzinfo=UTC)
 
 
-def record(days: float) -> tuple[Path, Record]:
+def record(days: float) -> tuple[Path, CalibrationRecord]:
     fields = {
         "kind": "pvdf",
         "sensor": "film 7",
@@ -175,7 +175,7 @@ def record(days: float) -> tuple[Path, Record]:
         "valid_until": NOW + timedelta(days=days),
         "simulated": True,
     }
-    return Path("film-7.json"), Record(**fields)
+    return Path("film-7.json"), CalibrationRecord(**fields)
 
 
 def test_a_record_that_expires_during_the_night_is_told_and_one_that_lasts_is_not() -> None:

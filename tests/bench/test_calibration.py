@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.instruments.calibration import (
+    CalibrationRecord,
     FilmCalibration,
     ForceCalibration,
     LoadCellCalibration,
-    Record,
     as_text,
     header_entry,
     read_calibration,
@@ -175,7 +175,7 @@ def test_a_folder_that_takes_no_file_is_a_usage_error(tmp_path: Path) -> None:
 # --- reading ---------------------------------------------------------------------------------
 
 
-def spoiled(record: Record, **changes: Any) -> str:
+def spoiled(record: CalibrationRecord, **changes: Any) -> str:
     return json.dumps(record.model_dump(mode="json") | changes)
 
 
@@ -219,7 +219,7 @@ def test_a_file_that_is_no_such_record_is_told_in_one_line(
 
 
 def verdict(
-    record: Record,
+    record: CalibrationRecord,
     now: datetime = NOW,
     sensor: str = "film 7",
     simulated: bool = False,
@@ -290,7 +290,7 @@ def test_a_record_of_tomorrow_points_to_the_clock() -> None:
 
 
 @pytest.mark.parametrize("record", RECORDS, ids=lambda r: r.kind)
-def test_a_run_can_carry_a_record_in_its_header(record: Record) -> None:
+def test_a_run_can_carry_a_record_in_its_header(record: CalibrationRecord) -> None:
     entry = header_entry(record, "calibrations/it.json")
     assert json.loads(json.dumps(entry, allow_nan=False)) == entry
     assert entry["sensor"] == record.sensor

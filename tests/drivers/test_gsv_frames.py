@@ -15,9 +15,9 @@ from drivers.me_gsv8.frames import (
     INT24,
     Decoder,
     Frame,
-    Layout,
+    FrameLayout,
+    GsvResponse,
     Measurements,
-    Response,
     crc16,
     crc16_by_place,
     request,
@@ -27,7 +27,7 @@ EIGHT_VALUES = bytes.fromhex(
     "AA 37 B0 C1 C7 CD 38 3F E6 19 7E 3F C0 B6 0B BF 49 7E 95 40 22 DD 1D 3F B2 11 53 3E E6 C3 72"
     "3F 92 65 3B E7 6E 85"
 )
-THREE_FLOATS = Layout(3, FLOAT32, crc=True)
+THREE_FLOATS = FrameLayout(3, FLOAT32, crc=True)
 NASTY = st.binary(min_size=12, max_size=12) | st.lists(
     st.sampled_from([0xAA, 0x85, 0x32, 0xB0, 0x70, 0x00]), min_size=12, max_size=12
 ).map(bytes)
@@ -43,7 +43,7 @@ def measurement(data: bytes, status: int = 0, crc: bool = True) -> bytes:
 def strict(crc: bool = True) -> Decoder:
     """A decoder that knows what the stream looks like, as the driver's does."""
     decoder = Decoder()
-    decoder.expected = Layout(3, FLOAT32, crc)
+    decoder.expected = FrameLayout(3, FLOAT32, crc)
     decoder.crc_only = crc
     return decoder
 
@@ -80,10 +80,10 @@ def test_responses() -> None:
     decoder = Decoder()
     wire = "AA 50 00 85  AA 70 00 A2 85  AA 50 41 85  AA 54 00 44 7A 00 00 85"
     assert decoder.feed(bytes.fromhex(wire)) == [
-        Response(0, b"", crc=False),
-        Response(0, b"", crc=True),
-        Response(0x41, b"", crc=False),
-        Response(0, struct.pack(">f", 1000), crc=False),
+        GsvResponse(0, b"", crc=False),
+        GsvResponse(0, b"", crc=True),
+        GsvResponse(0x41, b"", crc=False),
+        GsvResponse(0, struct.pack(">f", 1000), crc=False),
     ]
     assert decoder.dropped == 0
 
@@ -92,14 +92,14 @@ def test_a_response_of_fifteen_bytes_and_more_says_its_length_where_the_code_wou
     decoder = Decoder()
     data = bytes(range(20))
     (answer,) = decoder.feed(b"\xaa\x5f\x05" + data + b"\x85")
-    assert answer == Response(0, data, crc=False)
+    assert answer == GsvResponse(0, data, crc=False)
 
 
 def test_the_makers_measurement_with_crc() -> None:
     decoder = Decoder()
     (run,) = decoder.feed(EIGHT_VALUES)
     assert isinstance(run, Measurements)
-    assert run.layout == Layout(8, FLOAT32, crc=True)
+    assert run.layout == FrameLayout(8, FLOAT32, crc=True)
     assert run.values[0].tolist() == pytest.approx(
         [-24.9752, 1.79765, 1.50556, -0.787088, 2.54475, 1.39115, 0.450710, 1.14371], rel=1e-5
     )
@@ -133,7 +133,7 @@ def test_responses_between_measurements_keep_their_place() -> None:
     ok = bytes.fromhex("AA 70 00 A2 85")
     wire = measurement(bytes(12)) * 2 + ok + measurement(b"\x3f\x80\0\0" * 3)
     kinds = [type(frame) for frame in strict().feed(wire)]
-    assert kinds == [Measurements, Response, Measurements]
+    assert kinds == [Measurements, GsvResponse, Measurements]
 
 
 # --- any bytes -------------------------------------------------------------------------------
@@ -183,7 +183,7 @@ def test_what_is_not_expected_is_no_frame() -> None:
     assert len(decoder.feed(EIGHT_VALUES + ours)) == 1
     assert decoder.take_rejected() == EIGHT_VALUES
     decoder.reset()
-    assert decoder.feed(bytes.fromhex("AA 50 00 85") + ours)[0] != Response(0, b"", crc=False)
+    assert decoder.feed(bytes.fromhex("AA 50 00 85") + ours)[0] != GsvResponse(0, b"", crc=False)
 
 
 def test_reset_forgets_half_a_frame() -> None:

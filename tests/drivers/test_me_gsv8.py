@@ -19,7 +19,7 @@ from simulated.ideal import serving
 from drivers.me_gsv8.driver import ForceAmplifier, Settings, connect, make_safe
 from drivers.simulated.faults.plan import FaultPlan
 from drivers.simulated.faults.wire import WireFaults
-from drivers.simulated.instruments.me_gsv8 import Gsv8, Memory, Sensor
+from drivers.simulated.instruments.me_gsv8 import Gsv8, GsvMemory, Sensor
 from drivers.simulated.ports import Exchange
 from drivers.simulated.transports.serial_server import PtyServer
 from rig.core.clock import Clock, WallClock
@@ -335,7 +335,7 @@ class World:
 class Bench:
     """A simulated amplifier on a port, in slaved time."""
 
-    def __init__(self, *faults: dict[str, Any], memory: Memory | None = None):
+    def __init__(self, *faults: dict[str, Any], memory: GsvMemory | None = None):
         self.world = World()
         self.core = Gsv8(self.world, self.world, memory=memory)
         plan = FaultPlan.model_validate({"fault": [{"device": "it", **f} for f in faults]})
@@ -410,7 +410,7 @@ def test_a_stream_from_the_simulator_is_whole_and_true() -> None:
 
 
 def test_what_another_program_left_behind_is_put_right_in_the_amplifier() -> None:
-    left = Memory(rate_S_s=48_000.0, data_type=1, mode=0x07, user_scale=[250.0] * 8)
+    left = GsvMemory(rate_S_s=48_000.0, data_type=1, mode=0x07, user_scale=[250.0] * 8)
     bench = Bench(memory=left)
     with serving(bench.server):
         bench.clock.sleep(0.01)
@@ -427,14 +427,14 @@ def test_what_another_program_left_behind_is_put_right_in_the_amplifier() -> Non
 
 
 def test_a_write_lock_is_an_error_that_says_what_to_do() -> None:
-    bench = Bench(memory=Memory(mode=0x82))
+    bench = Bench(memory=GsvMemory(mode=0x82))
     with serving(bench.server), pytest.raises(InstrumentError, match="blocked") as caught:
         bench.connect()
     assert "write lock" in str(caught.value.hint)
 
 
 def test_another_input_range_is_refused_because_every_force_would_be_wrong() -> None:
-    bench = Bench(memory=Memory(input_type=[0, 1] + [0] * 6))
+    bench = Bench(memory=GsvMemory(input_type=[0, 1] + [0] * 6))
     with serving(bench.server), pytest.raises(InstrumentError, match=r"channel 2 .* 7 mV/V"):
         bench.connect()
 

@@ -91,9 +91,7 @@ def test_forgotten_frames_are_an_error(
 ) -> None:
     monkeypatch.setattr(monitor, "_recent", force.deque(maxlen=2))
     feed(monitor, sensor, frames(0, 10), frames(10, 10), frames(20, 10))
-    with pytest.raises(
-        InstrumentError, match="5 frames from number 5 on are no longer in the buffer"
-    ):
+    with pytest.raises(InstrumentError, match="5 frames from number 5 on are no longer in"):
         monitor.frames_since(5)
 
 

@@ -97,7 +97,7 @@ def _inverse(
 
 
 @dataclass
-class Memory:
+class GsvMemory:
     """The settings that survive a power cycle, as they leave the factory."""
 
     rate_S_s: float = 10.0
@@ -130,7 +130,7 @@ DONE, DONE_CHANGED = 0x00, 0x01
 
 
 @dataclass(frozen=True)
-class Request:
+class GsvRequest:
     """One request frame as it came."""
 
     number: int
@@ -149,10 +149,10 @@ Answer = tuple[int, bytes]
 
 
 @dataclass(frozen=True)
-class Command:
+class SimulatedCommand:
     """One command: what it does, which numbers of parameter bytes it takes, whether it writes."""
 
-    act: Callable[[Request], Answer | None]
+    act: Callable[[GsvRequest], Answer | None]
     lengths: tuple[int, ...] = (0,)
     writes: bool = False
 
@@ -176,12 +176,12 @@ class Gsv8(ForceSensorCore):
         log: LogPort,
         name: str = "force_sensor",
         sensor: Sensor | None = None,
-        memory: Memory | None = None,
+        memory: GsvMemory | None = None,
         serial_number: str = "SIM00001",
         firmware: tuple[int, int] = (1, 60),
     ):
         self.sensor = sensor or Sensor()
-        self.memory = memory or Memory()
+        self.memory = memory or GsvMemory()
         self.serial_number = serial_number
         self.firmware_version = firmware
         self.model_number = MODEL
@@ -215,7 +215,7 @@ class Gsv8(ForceSensorCore):
         """The same, request by request."""
         self._input += data
         while (taken := self._take_request(by)) is not None:
-            if isinstance(taken, Request):
+            if isinstance(taken, GsvRequest):
                 yield Exchange(taken.label, self._answer(taken))
             else:
                 self._last_error = taken
@@ -272,7 +272,7 @@ class Gsv8(ForceSensorCore):
 
     # --- frames in ---------------------------------------------------------------------------
 
-    def _take_request(self, by: str) -> Request | int | None:
+    def _take_request(self, by: str) -> GsvRequest | int | None:
         """The next request, the error code of a broken one, or None until more has come."""
         while True:
             start = self._input.find(0xAA)
@@ -293,9 +293,9 @@ class Gsv8(ForceSensorCore):
         del self._input[:length]
         if crc and _crc8(frame[1:-1]) != 0:
             return BAD_CRC
-        return Request(frame[2], frame[3 : 3 + count], crc, by)
+        return GsvRequest(frame[2], frame[3 : 3 + count], crc, by)
 
-    def _answer(self, request: Request) -> bytes | None:
+    def _answer(self, request: GsvRequest) -> bytes | None:
         try:
             answer = self._command(request).act(request)
         except RefusedError as refused:
@@ -305,7 +305,7 @@ class Gsv8(ForceSensorCore):
             return self._frames(np.array([self._now_s()])) if request.number == 0x3B else None
         return _response(*answer, request.crc)
 
-    def _command(self, request: Request) -> Command:
+    def _command(self, request: GsvRequest) -> SimulatedCommand:
         """The table's entry for a request that may be carried out."""
         command = self._commands.get(request.number)
         if command is None:
@@ -318,43 +318,45 @@ class Gsv8(ForceSensorCore):
 
     # --- the command table -------------------------------------------------------------------
 
-    def _command_table(self) -> dict[int, Command]:
+    def _command_table(self) -> dict[int, SimulatedCommand]:
         return {
-            0x01: Command(self._get_interface, (0, 1)),
-            0x0C: Command(self._set_zero, (1,), writes=True),
-            0x1F: Command(lambda _: (DONE, self.serial_number.encode())),
-            0x23: Command(self._stop_transmission),
-            0x24: Command(self._start_transmission),
-            0x26: Command(lambda _: (DONE, struct.pack(">I", self.memory.mode))),
-            0x27: Command(self._set_mode, (4,)),
-            0x2B: Command(lambda _: (DONE, struct.pack(">HH", *self.firmware_version))),
-            0x3A: Command(self._get_raw_value, (1,)),
-            0x3B: Command(lambda _: None),
-            0x42: Command(lambda _: (DONE, struct.pack(">I", self._last_error)), (0, 1)),
-            0x43: Command(lambda _: (DONE, bytes(4)), (0, 1)),
-            0x49: Command(self._get_mapping, (1,)),
-            0x4A: Command(self._set_mapping, (3,), writes=True),
-            0x63: Command(self._rate_range, (1,)),
-            0x78: Command(self._reset),
-            0x80: Command(self._get_tx_mode, (1,)),
-            0x81: Command(self._set_tx_mode, (3,), writes=True),
-            0x8A: Command(lambda _: (DONE, struct.pack(">f", self.rate))),
-            0x8B: Command(self._write_rate, (4,), writes=True),
-            0xA2: Command(self._get_input_type, (2,)),
-            0xA3: Command(self._set_input_type, (2,), writes=True),
+            0x01: SimulatedCommand(self._get_interface, (0, 1)),
+            0x0C: SimulatedCommand(self._set_zero, (1,), writes=True),
+            0x1F: SimulatedCommand(lambda _: (DONE, self.serial_number.encode())),
+            0x23: SimulatedCommand(self._stop_transmission),
+            0x24: SimulatedCommand(self._start_transmission),
+            0x26: SimulatedCommand(lambda _: (DONE, struct.pack(">I", self.memory.mode))),
+            0x27: SimulatedCommand(self._set_mode, (4,)),
+            0x2B: SimulatedCommand(lambda _: (DONE, struct.pack(">HH", *self.firmware_version))),
+            0x3A: SimulatedCommand(self._get_raw_value, (1,)),
+            0x3B: SimulatedCommand(lambda _: None),
+            0x42: SimulatedCommand(lambda _: (DONE, struct.pack(">I", self._last_error)), (0, 1)),
+            0x43: SimulatedCommand(lambda _: (DONE, bytes(4)), (0, 1)),
+            0x49: SimulatedCommand(self._get_mapping, (1,)),
+            0x4A: SimulatedCommand(self._set_mapping, (3,), writes=True),
+            0x63: SimulatedCommand(self._rate_range, (1,)),
+            0x78: SimulatedCommand(self._reset),
+            0x80: SimulatedCommand(self._get_tx_mode, (1,)),
+            0x81: SimulatedCommand(self._set_tx_mode, (3,), writes=True),
+            0x8A: SimulatedCommand(lambda _: (DONE, struct.pack(">f", self.rate))),
+            0x8B: SimulatedCommand(self._write_rate, (4,), writes=True),
+            0xA2: SimulatedCommand(self._get_input_type, (2,)),
+            0xA3: SimulatedCommand(self._set_input_type, (2,), writes=True),
             **self._by_channel(0x14, 0x15, ">f", "user_scale"),
             **self._by_channel(0x0D, 0x0E, ">B", "output_type"),
             **self._by_channel(0x04, 0x05, ">f", "output_offset"),
             **self._by_channel(0x06, 0x07, ">f", "output_scale"),
         }
 
-    def _by_channel(self, read: int, write: int, form: str, name: str) -> dict[int, Command]:
+    def _by_channel(
+        self, read: int, write: int, form: str, name: str
+    ) -> dict[int, SimulatedCommand]:
         """A setting that every channel has: one command reads it, another writes it."""
 
-        def get(request: Request) -> Answer:
+        def get(request: GsvRequest) -> Answer:
             return DONE, struct.pack(form, getattr(self.memory, name)[_channel(request)])
 
-        def put(request: Request) -> Answer:
+        def put(request: GsvRequest) -> Answer:
             (value,) = struct.unpack(form, request.parameters[1:])
             if not math.isfinite(value) or (form == ">B" and value > 7):
                 raise RefusedError(BAD_DATA)
@@ -363,11 +365,11 @@ class Gsv8(ForceSensorCore):
             return DONE, b""
 
         return {
-            read: Command(get, (1,)),
-            write: Command(put, (1 + struct.calcsize(form),), writes=True),
+            read: SimulatedCommand(get, (1,)),
+            write: SimulatedCommand(put, (1 + struct.calcsize(form),), writes=True),
         }
 
-    def _get_interface(self, request: Request) -> Answer:
+    def _get_interface(self, request: GsvRequest) -> Answer:
         """Flags, where there are any: 01 stream off, 10 on; bit 2 fast frames; bit 3 CRC-16.
 
         That a request without bit 3 switches the CRC off, and the last two bytes of the reply, are
@@ -385,7 +387,7 @@ class Gsv8(ForceSensorCore):
         state = self.memory.values - 1 << 4 | self._streaming << 3 | self.memory.data_type
         return DONE, bytes((self.model_number, state, 0, 0))
 
-    def _set_zero(self, request: Request) -> Answer:
+    def _set_zero(self, request: GsvRequest) -> Answer:
         """The mean since the last frame becomes zero; channel 0 means all."""
         which = request.parameters[0]
         if which > CHANNELS:
@@ -396,15 +398,15 @@ class Gsv8(ForceSensorCore):
         self._tell("zero", which, request.by)
         return DONE, b""
 
-    def _stop_transmission(self, request: Request) -> Answer:
+    def _stop_transmission(self, request: GsvRequest) -> Answer:
         self._stream(False, request.by)
         return DONE, b""
 
-    def _start_transmission(self, request: Request) -> Answer:
+    def _start_transmission(self, request: GsvRequest) -> Answer:
         self._stream(True, request.by)
         return DONE, b""
 
-    def _set_mode(self, request: Request) -> Answer:
+    def _set_mode(self, request: GsvRequest) -> Answer:
         """Answered although the lock is on, for nothing else could take it off (UNCONFIRMED)."""
         (mode,) = struct.unpack(">I", request.parameters)
         if mode & ~KNOWN_MODE:
@@ -415,18 +417,18 @@ class Gsv8(ForceSensorCore):
         self._tell("mode", mode, request.by)
         return DONE, b""
 
-    def _get_raw_value(self, request: Request) -> Answer:
+    def _get_raw_value(self, request: GsvRequest) -> Answer:
         """One channel as 24-bit offset binary (UNCONFIRMED form)."""
         channel = _channel(request)
         ranges, _ = self._input_ranges(np.array([self._now_s()]))
         return DONE, _offset_binary(float(ranges[0, channel]), 3)
 
-    def _get_mapping(self, request: Request) -> Answer:
+    def _get_mapping(self, request: GsvRequest) -> Answer:
         if request.parameters[0] != 0:
             raise RefusedError(NO_SUCH_PARAMETER)
         return DONE, struct.pack(">H", self.memory.values)
 
-    def _set_mapping(self, request: Request) -> Answer:
+    def _set_mapping(self, request: GsvRequest) -> Answer:
         """Index 0: the number of values in a frame, channels 1 to that number."""
         index, values = struct.unpack(">BH", request.parameters)
         if index != 0:
@@ -437,18 +439,18 @@ class Gsv8(ForceSensorCore):
         self._tell("values", values, request.by)
         return DONE, b""
 
-    def _rate_range(self, request: Request) -> Answer:
+    def _rate_range(self, request: GsvRequest) -> Answer:
         """Index 0: the largest rate as things are set, 1: the smallest."""
         index = request.parameters[0]
         if index > 1:
             raise RefusedError(BAD_ADDRESS)
         return DONE, struct.pack(">f", SLOWEST_S_s if index else self._fastest())
 
-    def _reset(self, request: Request) -> None:
+    def _reset(self, request: GsvRequest) -> None:
         self._tell("reset", None, request.by)
         self._switch_on()
 
-    def _get_tx_mode(self, request: Request) -> Answer:
+    def _get_tx_mode(self, request: GsvRequest) -> Answer:
         now = 0 if self._streaming else TX_OFF_NOW
         crc = TX_CRC16 if self._crc16 else 0
         values = {0: self.memory.tx_flags & ~TX_CRC16 | now | crc, 1: self.memory.data_type}
@@ -456,7 +458,7 @@ class Gsv8(ForceSensorCore):
             raise RefusedError(NO_SUCH_PARAMETER)  # UNCONFIRMED: index 2, the channel range
         return DONE, struct.pack(">H", values[request.parameters[0]])
 
-    def _set_tx_mode(self, request: Request) -> Answer:
+    def _set_tx_mode(self, request: GsvRequest) -> Answer:
         index, value = struct.unpack(">BH", request.parameters)
         if index == 0:
             self.memory.tx_flags = value & WRITABLE_TX_FLAGS
@@ -470,7 +472,7 @@ class Gsv8(ForceSensorCore):
         self._tell(f"tx_mode.{index}", value, request.by)
         return DONE, b""
 
-    def _write_rate(self, request: Request) -> Answer:
+    def _write_rate(self, request: GsvRequest) -> Answer:
         (asked,) = struct.unpack(">f", request.parameters)
         if not asked >= SLOWEST_S_s:  # NaN too
             raise RefusedError(TOO_SMALL)
@@ -485,12 +487,12 @@ class Gsv8(ForceSensorCore):
         self._tell("rate", self.rate, request.by)
         return (DONE if self.rate == asked else DONE_CHANGED), b""
 
-    def _get_input_type(self, request: Request) -> Answer:
+    def _get_input_type(self, request: GsvRequest) -> Answer:
         """Type and its input range in hundredths of a mV/V."""
         kind = self.memory.input_type[_channel(request)]
         return DONE, struct.pack(">BI", kind, round(100 * _input_range(kind)))
 
-    def _set_input_type(self, request: Request) -> Answer:
+    def _set_input_type(self, request: GsvRequest) -> Answer:
         channel, kind = _channel(request), request.parameters[1]
         if kind >= len(BRIDGE_RANGES_MV_V):
             raise RefusedError(BAD_DATA)
@@ -637,7 +639,7 @@ def _input_range_of_each(input_types: tuple[int, ...]) -> npt.NDArray[np.float64
     return np.array([_input_range(kind) for kind in input_types])
 
 
-def _channel(request: Request) -> int:
+def _channel(request: GsvRequest) -> int:
     """The channel that a request names first, from 0."""
     channel = request.parameters[0]
     if not 1 <= channel <= CHANNELS:

@@ -85,7 +85,7 @@ class ErrorCode(IntEnum):
     MESSAGE_TOO_LARGE = 4
 
 
-class Role(Enum):
+class ChannelRole(Enum):
     """What a connection has become."""
 
     NEW = auto()
@@ -105,12 +105,12 @@ class SessionState(Enum):
 
 _T = MessageType
 _ERRORS = {_T.ERROR, _T.FATAL_ERROR}
-ACCEPTED: dict[Role, frozenset[MessageType]] = {
-    Role.NEW: frozenset({_T.INITIALIZE, _T.ASYNC_INITIALIZE} | _ERRORS),
-    Role.SYNCHRONOUS: frozenset(
+ACCEPTED: dict[ChannelRole, frozenset[MessageType]] = {
+    ChannelRole.NEW: frozenset({_T.INITIALIZE, _T.ASYNC_INITIALIZE} | _ERRORS),
+    ChannelRole.SYNCHRONOUS: frozenset(
         {_T.DATA, _T.DATA_END, _T.TRIGGER, _T.DEVICE_CLEAR_COMPLETE} | _ERRORS
     ),
-    Role.ASYNCHRONOUS: frozenset(
+    ChannelRole.ASYNCHRONOUS: frozenset(
         {
             _T.ASYNC_LOCK,
             _T.ASYNC_LOCK_INFO,
@@ -121,7 +121,7 @@ ACCEPTED: dict[Role, frozenset[MessageType]] = {
         }
         | _ERRORS
     ),
-    Role.CLOSED: frozenset(),
+    ChannelRole.CLOSED: frozenset(),
 }
 """Which messages a client may send on which connection."""
 
@@ -256,8 +256,8 @@ class HislipServerProtocol:
         del self.sessions[session.number]
         events: list[Event] = []
         for connection in (session.synchronous, session.asynchronous):
-            if connection is not None and connection.role is not Role.CLOSED:
-                connection.role = Role.CLOSED
+            if connection is not None and connection.role is not ChannelRole.CLOSED:
+                connection.role = ChannelRole.CLOSED
                 events.append(Close(connection))
         return events + self.release(session)
 
@@ -306,7 +306,7 @@ class Connection:
     """One TCP connection: feed it what arrives, carry out the events it returns."""
 
     def __init__(self, server: HislipServerProtocol):
-        self.role = Role.NEW
+        self.role = ChannelRole.NEW
         self.session: Session | None = None
         self._server = server
         self._buffer = bytearray()
@@ -322,14 +322,14 @@ class Connection:
 
     def lost(self) -> list[Event]:
         """The TCP connection is gone: so is its session."""
-        self.role = Role.CLOSED
+        self.role = ChannelRole.CLOSED
         return self._server.close_session(self.session) if self.session is not None else []
 
     # --- framing -----------------------------------------------------------------------------
 
     def _messages(self, events: list[Event]) -> Iterator[_Message]:
         """Complete messages; oversized payloads are skipped as they come, never kept."""
-        while self.role is not Role.CLOSED:
+        while self.role is not ChannelRole.CLOSED:
             skipped = min(self._skip, len(self._buffer))
             del self._buffer[:skipped]
             self._skip -= skipped
@@ -364,7 +364,7 @@ class Connection:
         said: list[Event] = [Send(self, encode(MessageType.FATAL_ERROR, code, 0, text.encode()))]
         if self.session is not None:
             return said + self._server.close_session(self.session)
-        self.role = Role.CLOSED
+        self.role = ChannelRole.CLOSED
         return [*said, Close(self)]
 
     # --- messages ----------------------------------------------------------------------------
@@ -386,7 +386,7 @@ class Connection:
     def _misplaced(self, kind: MessageType) -> list[Event]:
         if kind in (MessageType.INITIALIZE, MessageType.ASYNC_INITIALIZE):
             return self._fail(FatalErrorCode.INVALID_INITIALIZATION, "already initialized")
-        if self.role is Role.NEW:
+        if self.role is ChannelRole.NEW:
             return self._fail(FatalErrorCode.CHANNELS_NOT_ESTABLISHED, "not initialized")
         return self._error(ErrorCode.UNRECOGNISED_TYPE, f"{kind.name} on the wrong channel")
 
@@ -398,7 +398,7 @@ class Connection:
         session = self._server.open_session(self)
         if session is None:
             return self._fail(FatalErrorCode.TOO_MANY_CLIENTS, "too many clients")
-        self.role, self.session = Role.SYNCHRONOUS, session
+        self.role, self.session = ChannelRole.SYNCHRONOUS, session
         asked = (message.parameter >> 24, message.parameter >> 16 & 0xFF)
         major, minor = min(asked, PROTOCOL_VERSION)
         parameter = major << 24 | minor << 16 | session.number
@@ -408,7 +408,7 @@ class Connection:
         session = self._server.sessions.get(message.parameter)
         if session is None or session.state is not SessionState.HALF_OPEN:
             return self._fail(FatalErrorCode.INVALID_INITIALIZATION, "no such session")
-        self.role, self.session = Role.ASYNCHRONOUS, session
+        self.role, self.session = ChannelRole.ASYNCHRONOUS, session
         session.asynchronous, session.state = self, SessionState.READY
         return [Send(self, encode(MessageType.ASYNC_INITIALIZE_RESPONSE, 0, VENDOR_ID))]
 
@@ -496,7 +496,7 @@ class Connection:
         return []
 
     def _client_fatal_error(self, message: _Message) -> list[Event]:
-        self.role = Role.CLOSED
+        self.role = ChannelRole.CLOSED
         closing = [Close(self)]
         return [*closing, *self.lost()]
 

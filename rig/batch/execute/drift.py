@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from rig.bench.settings import STRIPS, BenchSettings
 from rig.core.settings import name_without_unit, unit_of
-from rig.instruments.calibration import COMMANDS, Record
+from rig.instruments.calibration import COMMANDS, CalibrationRecord
 from rig.run.procedure import DriftFigure
 
 LARGE_LOSS_dB = 20.0
@@ -149,7 +149,7 @@ def disk_space(free_bytes: float, needed_bytes: float, least_GB: float) -> list[
 
 
 def expiring(
-    records: Iterable[tuple[Path, Record]], now: datetime, duration: timedelta
+    records: Iterable[tuple[Path, CalibrationRecord]], now: datetime, duration: timedelta
 ) -> list[HoldReason]:
     """Which of the calibration records, each with its file, have expired or will expire before a
     run of this duration, begun `now` (with time zone), is over."""

@@ -5,12 +5,15 @@ from __future__ import annotations
 
 from importlib.metadata import entry_points
 
+import pytest
+
 from rig.core.entry_points import DRIVERS, OWN_PACKAGE, package
 from rig.testing import contract_of
 
 from .cases import CASES
 
 test_driver = contract_of(*CASES)
+test_driver_with_further_faults = pytest.mark.thorough(contract_of(*CASES, further_faults=True))
 
 
 def test_every_driver_of_this_project_has_a_case() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from drivers.simulated.instruments.me_gsv8 import GSV_DIALECT, NOISE_MV_V, Gsv8, Memory, Sensor
+from drivers.simulated.instruments.me_gsv8 import GSV_DIALECT, NOISE_MV_V, Gsv8, GsvMemory, Sensor
 
 OK = "AA 50 00 85"
 PLAIN = Sensor(matrix=((100, 0, 0), (0, 100, 0), (0, 0, 100)), zero_mV_V=(0, 0, 0))
@@ -39,7 +39,7 @@ class Feet:
 class Line:
     """A person with a hex terminal at the amplifier."""
 
-    def __init__(self, memory: Memory | None = None, sensor: Sensor = PLAIN):
+    def __init__(self, memory: GsvMemory | None = None, sensor: Sensor = PLAIN):
         self.world = Feet()
         self.core = Gsv8(self.world, self.world, sensor=sensor, memory=memory)
 
@@ -124,7 +124,7 @@ def test_a_refused_request_gets_its_code_and_changes_nothing(request_: str, code
 
 
 def test_the_write_lock_refuses_writes_and_nothing_else() -> None:
-    line = Line(Memory(mode=0x82))
+    line = Line(GsvMemory(mode=0x82))
     assert line("AA 94 8B 44 7A 00 00 85") == spaced("AA 50 71 85")
     assert line("AA 90 8A 85") == spaced("AA 54 00 41 20 00 00 85")
     assert line("AA 90 23 85") == spaced(OK)
