@@ -64,6 +64,7 @@ def test_a_trial_holds_the_force_at_fifty_ticks_a_second_and_says_so(rig):
     assert reading["kinetic_friction"] == pytest.approx(0.65, rel=0.03)
 
 
+@pytest.mark.thorough
 def test_more_ticks_than_the_line_has_time_for_are_refused_before_anything_moves(rig):
     ended = take(rig, "", "--tick", "100")
     assert ended.code == 4, ended.stderr
@@ -84,6 +85,7 @@ def test_an_alarm_in_the_slide_is_told_with_its_remedy_and_the_skin_lifted(rig):
     assert_lifted(rig)
 
 
+@pytest.mark.thorough
 def test_a_drive_that_falls_silent_beside_the_other_is_told_and_the_skin_lifted(rig):
     """x hears, and its time-out is fed by z's frames: it is told to stop, and obeys unheard."""
     plan = '[[fault]]\ndevice = "stage_x"\nkind = "silence"\ncommand = "FC3 198"\n'
