@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from drivers.simulated.transports.hislip import (
     HEADER,
     MAX_MESSAGE_SIZE,
+    ChannelRole,
     Close,
     Connection,
     ErrorCode,
@@ -17,7 +18,6 @@ from drivers.simulated.transports.hislip import (
     HislipServerProtocol,
     MessageType,
     ProgramMessage,
-    Role,
     Send,
     Session,
     SessionState,
@@ -268,5 +268,10 @@ def test_garbage_never_brings_the_server_down(data: bytes, framed: bool) -> None
     bystander = Client(server)
     hooligan = server.connect()
     hooligan.receive(b"HS" + data if framed else data)
-    assert hooligan.role in (Role.NEW, Role.CLOSED, Role.SYNCHRONOUS, Role.ASYNCHRONOUS)
+    assert hooligan.role in (
+        ChannelRole.NEW,
+        ChannelRole.CLOSED,
+        ChannelRole.SYNCHRONOUS,
+        ChannelRole.ASYNCHRONOUS,
+    )
     assert len(bystander.say(T.DATA_END, 0, FIRST_ID, b"*IDN?")) == 1
