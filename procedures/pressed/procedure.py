@@ -216,9 +216,7 @@ def layout_of(procedure: type[PressedProcedure]) -> Layout:
     common = (*ASKED, *HELD, *TOUCHED, *CALIBRATED, *MOTION, *RECORDED)
     names = {column.name for column in common}
     if taken := [column.name for column in procedure.columns if column.name in names]:
-        raise ValueError(
-            f"the column {taken[0]!r} is one that every trial has; choose another name"
-        )
+        raise ValueError(f"every trial has a column {taken[0]!r}; choose another name for yours")
     return Layout(
         definition=f"NXrig_{getattr(procedure, 'name', 'pressed').replace('-', '_')}",
         version="1",
