@@ -216,7 +216,9 @@ def layout_of(procedure: type[PressedProcedure]) -> Layout:
     common = (*ASKED, *HELD, *TOUCHED, *CALIBRATED, *MOTION, *RECORDED)
     names = {column.name for column in common}
     if taken := [column.name for column in procedure.columns if column.name in names]:
-        raise ValueError(f"every trial has a column {taken[0]!r}; choose another name for yours")
+        raise ValueError(
+            f"{procedure.__name__}: every trial has a column {taken[0]!r}; rename yours"
+        )
     return Layout(
         definition=f"NXrig_{getattr(procedure, 'name', 'pressed').replace('-', '_')}",
         version="1",
