@@ -217,7 +217,7 @@ def layout_of(procedure: type[PressedProcedure]) -> Layout:
     names = {column.name for column in common}
     if taken := [column.name for column in procedure.columns if column.name in names]:
         raise ValueError(
-            f"the column {taken[0]!r} is one that every trial has; choose another name"
+            f"{procedure.__name__}: every trial has a column {taken[0]!r}; rename yours"
         )
     return Layout(
         definition=f"NXrig_{getattr(procedure, 'name', 'pressed').replace('-', '_')}",

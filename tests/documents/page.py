@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[2]
 FILE = re.compile(r"^`([^`\n]+)`\n\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMANDS = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-INSTALL = "./run .uv/bin/uv pip install --no-deps --no-build-isolation --editable ../"
+INSTALL = re.compile(r'echo "-e \.\./([\w-]+)" >> extensions\.txt')
 """What the pages say, with the package's folder; here the package is built with the same backend
 and unpacked into a folder on PYTHONPATH, so that no environment is changed."""
 PYTEST = "./run pytest -p no:cacheprovider ../"
@@ -39,7 +39,7 @@ class Page:
         ]
         self._rig = rig
         self._site = rig.folder / "site"
-        (named,) = {line.removeprefix(INSTALL) for line in self.commands if INSTALL in line}
+        (named,) = (found[1] for line in self.commands if (found := INSTALL.fullmatch(line)))
         self.package = rig.folder / "beside" / named
 
     def make(self, *instead: tuple[str, str]) -> None:
@@ -89,8 +89,12 @@ class Page:
 
     def strange_commands(self) -> list[str]:
         """The commands that the page names and no test runs."""
-        known = ("./run rig ", PYTEST + self.package.name + "/", INSTALL + self.package.name)
-        return [line for line in self.commands if not line.startswith(known)]
+        known = ("./run rig ", PYTEST + self.package.name + "/")
+        return [
+            line
+            for line in self.commands
+            if not line.startswith(known) and not INSTALL.fullmatch(line)
+        ]
 
     def _expand(self, word: str) -> list[str]:
         if "*" not in word:
