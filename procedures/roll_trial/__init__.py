@@ -1,12 +1,13 @@
 """Roll of an object with a head over the artificial skin at constant normal force: paper 5.
 
 The object stands on the rotary stage, the rotary stage on the force sensor; the skin hangs on the
-x-z stage above it. A trial goes down until the head is felt, brings the normal force up and holds
-it by a servo on z, rests, and turns the object from upright to an angle and back: the head rolls
-along the skin. Where it begins decides between the two patterns of Figure 19.
+x-z stage above it. A trial lowers the skin until the head is felt, brings the normal force up and
+holds it by a servo on z, rests, and turns the object from upright to an angle and back, so that the
+head rolls along the skin. The start position decides between the two patterns of Figure 19.
 
-It rolls purely only if the rotary axis lies where the head touches. An axis h above that drags the
-skin by h times the angle; a first press measures h, and x takes it back while the object turns.
+The head rolls without sliding only if the rotary axis passes through the point of contact. An axis
+at height h above it drags the skin by h times the angle; a first press measures h, and x
+compensates for it while the object turns.
 """
 
 from __future__ import annotations
@@ -61,17 +62,17 @@ class RollTrial(Procedure):
     def __init__(self, settings: RollTrialSettings):
         super().__init__(settings)
         self._series: RollSeries | None = None
-        """What the trials have taught the ones that follow; None before the first arming."""
+        """What the trials have learned for the following ones; None before the first arming."""
 
-    # --- what will be done ----------------------------------------------------------------------
+    # --- planning -------------------------------------------------------------------------------
 
     def import_ahead(self) -> None:
-        """Import what a trial needs: never while something is switched on."""
+        """Import slow modules, so that nothing is imported while something is switched on."""
         import_what_a_trial_needs()
         import procedures.roll_trial.trial  # noqa: F401 - with numpy: not for `rig --help`
 
     def points(self) -> tuple[Point, ...]:
-        """One point a trial."""
+        """Return one point per trial."""
         settings = self.settings
         motion_s = settings.profile.duration_s + SETTLED_S
         aligned = settings.alignment != "none"
@@ -87,7 +88,7 @@ class RollTrial(Procedure):
         return trial_points(settings, moves, motion_s, first_s)
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
-        """Bench time that the ways in z, homing and parking are expected to take, in s."""
+        """Return the expected bench time of the travel in z, homing and parking, in s."""
         settings = self.settings
         presses = settings.trials + (settings.alignment != "none")
         x_mm = (fixture.centre_mm or 0.0) + settings.start_mm
@@ -95,13 +96,13 @@ class RollTrial(Procedure):
         return rotary_s + pressed_overhead_s(settings, fixture, homed, presses, x_mm)
 
     def check(self, bench: Bench) -> None:
-        """Refuse a fixture that does not say where the object is, or a roll beyond a stage's
+        """Refuse a fixture that does not state where the object is, or a roll beyond a stage's
         limits."""
         contact_range_mm(bench)
         fixture, settings = bench.settings.fixture, self.settings
         if fixture.centre_mm is None or fixture.upright_deg is None:
             raise ConfigurationError(
-                f"{bench.plan.source}: [fixture] does not say where the object stands",
+                f"{bench.plan.source}: [fixture] does not state where the object stands",
                 "add centre_mm, position of x at which the middle of the skin is above it, and "
                 "upright_deg, angle of the rotary stage at which it stands upright",
             )
@@ -127,7 +128,7 @@ class RollTrial(Procedure):
             self._require(bench, "rotary.speed", fastest, named)
 
     def _require(self, bench: Bench, quantity: str, value: float, given: str) -> None:
-        """LimitError that names what was `given` unless the bench can reach a value."""
+        """Raise LimitError, which names the options `given`, unless the bench can reach a value."""
         from rig.bench.limits import require
 
         try:
@@ -137,14 +138,14 @@ class RollTrial(Procedure):
             raise LimitError(message, remedy(error, bench)) from None
 
     def why_invalid(self, reading: Reading) -> str:
-        """Why a trial is invalid; "" for a valid one."""
+        """Return why a trial is invalid; "" for a valid one."""
         return why_invalid(self.settings, reading)
 
-    # --- doing it -------------------------------------------------------------------------------
+    # --- acting ---------------------------------------------------------------------------------
 
     def arm(self, run: Run) -> None:
-        """Watch the force; register the end of everything before it begins; park, then find the
-        object's reference, the skin being clear of it."""
+        """Watch the force, register every shutdown action before its thing is switched on, and
+        park; then find the object's reference with the skin clear of it."""
         # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
         from procedures.pressed.series import load_scales_for
         from procedures.roll_trial.trial import RollSeries
@@ -154,17 +155,17 @@ class RollTrial(Procedure):
             warn_of_slow_links(run, rates)
             self._series = RollSeries(rates, load_scales_for(run))
         if self.settings.alignment == "none":
-            run.event("warning", "alignment", "how far the rotary axis is off is not known")
+            run.event("warning", "alignment", "the offset of the rotary axis is not known")
         rotary, x, tick_Hz = run.bench.rotary, run.bench.stage_x, self._series.rates.tick_Hz
         run.arm("x", x.stop, emergency=x.make_safe, done="x stage stopped")
         stopped = "rotary stage stopped"
         arm_pressed(run, "roll", lambda: _stand(run), rotary.make_safe, stopped, tick_Hz)
-        if not rotary.homed():  # the skin is clear of the object
+        if not rotary.homed():  # Now, while the skin is clear of the object.
             rotary.home()
 
     def take(self, run: Run, point: Point) -> Reading:
-        """One trial: down, hold, rest, roll there and back, up; then its results. Before the first
-        the axis is measured."""
+        """Run one trial (down, hold, rest, roll there and back, up) and return its results. The
+        axis is measured before the first one."""
         # As in arm().
         from procedures.roll_trial.trial import AlignmentTrial, RollTrialRun
 
@@ -182,10 +183,11 @@ class RollTrial(Procedure):
         trial.lift()
         return trial.reading()
 
-    # --- what came of it ------------------------------------------------------------------------
+    # --- afterwards -----------------------------------------------------------------------------
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
-        """Patterns, forces and angle: means of the valid trials, and how many are valid."""
+        """Return the patterns, forces and angles as means of the valid trials, and how many are
+        valid."""
         names = (
             "peak_1_mV",
             "peak_2_mV",
@@ -206,7 +208,7 @@ class RollTrial(Procedure):
 
 
 def _stand(run: Run) -> None:
-    """Stop the object, and x whatever comes of that."""
+    """Stop the object, then x, even if stopping the object fails."""
     try:
         run.bench.rotary.stop()
     finally:

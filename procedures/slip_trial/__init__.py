@@ -1,12 +1,12 @@
 """Slide of the artificial skin on a plate at constant normal force: paper 4.1.
 
-The skin hangs on the x-z stage above the plate, the plate lies on the force sensor. A trial goes
-down until the plate is felt, brings the normal force up and holds it by a servo on z, rests, slides
-along x, and lifts off. The strips are sampled all the while, gap by gap the same: what was lost
-ends the trial.
+The skin hangs on the x-z stage above the plate, the plate lies on the force sensor. A trial lowers
+the skin until the plate is felt, brings the normal force up and holds it by a servo on z, rests,
+slides along x, and lifts off. The strips are sampled without gaps all the time: lost samples end
+the trial.
 
-Every tick takes what the force sensor and the DAQ have sent, records it, and moves z by what the
-force asks for. Whatever ends a trial, x stops first, then z goes up.
+Every tick reads the new data of force sensor and DAQ, records them, and moves z as the force servo
+requires. Whatever ends a trial, x stops first, then z goes up.
 """
 
 from __future__ import annotations
@@ -56,17 +56,17 @@ class SlipTrial(Procedure):
     def __init__(self, settings: SlipTrialSettings):
         super().__init__(settings)
         self._series: SlipSeries | None = None
-        """What the trials have taught the ones that follow; None before the first arming."""
+        """What the trials have learned for the following ones; None before the first arming."""
 
-    # --- what will be done ----------------------------------------------------------------------
+    # --- planning -------------------------------------------------------------------------------
 
     def import_ahead(self) -> None:
-        """Import what a trial needs: never while something is switched on."""
+        """Import slow modules, so that nothing is imported while something is switched on."""
         import_what_a_trial_needs()
         import procedures.slip_trial.trial  # noqa: F401 - with numpy: not for `rig --help`
 
     def points(self) -> tuple[Point, ...]:
-        """One point a trial."""
+        """Return one point per trial."""
         settings = self.settings
         motion_s = settings.slide_s
         rehearsal_s = pressing_s(settings) + motion_s + AFTER_S
@@ -79,7 +79,7 @@ class SlipTrial(Procedure):
         return trial_points(settings, moves, motion_s, first_s)
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
-        """Bench time that the ways in z, homing and parking are expected to take, in s."""
+        """Return the expected bench time of the travel in z, homing and parking, in s."""
         settings = self.settings
         presses = settings.trials + settings.rehearsed(settings.tick_s)
         return pressed_overhead_s(
@@ -87,17 +87,18 @@ class SlipTrial(Procedure):
         )
 
     def check(self, bench: Bench) -> None:
-        """Refuse a fixture that does not say where contact has to be felt."""
+        """Refuse a fixture that does not state the contact range."""
         contact_range_mm(bench)
 
     def why_invalid(self, reading: Reading) -> str:
-        """Why a trial is invalid; "" for a valid one."""
+        """Return why a trial is invalid; "" for a valid one."""
         return why_invalid(self.settings, reading)
 
-    # --- doing it -------------------------------------------------------------------------------
+    # --- acting ---------------------------------------------------------------------------------
 
     def arm(self, run: Run) -> None:
-        """Watch the force; register the end of everything before it begins; park."""
+        """Watch the force, register every shutdown action before its thing is switched on, and
+        park."""
         # Imported by import_ahead(), and not at the top: numpy would slow `rig --help`.
         from procedures.pressed.series import load_scales_for
         from procedures.slip_trial.trial import SlipSeries
@@ -110,7 +111,7 @@ class SlipTrial(Procedure):
         arm_pressed(run, "slide", x.stop, x.make_safe, "x stage stopped", tick_Hz)
 
     def take(self, run: Run, point: Point) -> Reading:
-        """One trial: down, hold, rest, slide, up; then its results."""
+        """Run one trial (down, hold, rest, slide, up) and return its results."""
         # As in arm().
         from procedures.slip_trial.trial import SlipTrialRun
 
@@ -128,11 +129,11 @@ class SlipTrial(Procedure):
         trial.lift()
         return trial.reading()
 
-    # --- what came of it ------------------------------------------------------------------------
+    # --- afterwards -----------------------------------------------------------------------------
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
-        """Friction and servo: means and standard deviations of the valid trials, how many are
-        valid, and why trials have no friction coefficients."""
+        """Return means and standard deviations of friction and servo over the valid trials, how
+        many are valid, and why trials have no friction coefficients."""
         names = (
             "static_friction",
             "kinetic_friction",
