@@ -23,10 +23,10 @@ from rig.batch.plan.settings import BatchSettings
 from rig.bench.plan import BenchPlan
 from rig.bench.settings import FixtureSettings
 from rig.instruments.calibration import (
+    CalibrationRecord,
     FilmCalibration,
     ForceCalibration,
     LoadCellCalibration,
-    Record,
     read_calibration,
 )
 from rig.run.checked_procedure import CheckedProcedure
@@ -87,7 +87,7 @@ class ExpiringRecord:
     """A calibration record that will have expired when the batch is over."""
 
     path: Path
-    record: Record
+    record: CalibrationRecord
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def forecast(
     )
 
 
-def records_of(bench: BenchPlan | None) -> Iterable[tuple[Path, Record]]:
+def records_of(bench: BenchPlan | None) -> Iterable[tuple[Path, CalibrationRecord]]:
     """The calibration records that a bench file names; ConfigurationError for one that cannot be
     read."""
     if bench is None:
