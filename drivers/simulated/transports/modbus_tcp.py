@@ -130,7 +130,7 @@ def _identify(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
         raise ModbusError(ILLEGAL_VALUE)
     if first > last or first not in objects:
         first = 0  # an unknown object to begin with means from the beginning
-    body, objects, more, following = b"", 0, 0, 0
+    body, included, more, following = b"", 0, 0, 0
     for number in sorted(n for n in objects if first <= n <= last):
         text = objects[number].encode("ascii", "replace")
         entry = bytes([number, len(text)]) + text
@@ -138,9 +138,9 @@ def _identify(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
             more, following = 0xFF, number
             break
         body += entry
-        objects += 1
+        included += 1
     conformity = 0x82  # regular identification, stream and single access
-    return bytes([14, code, conformity, more, following, objects]) + body
+    return bytes([14, code, conformity, more, following, included]) + body
 
 
 _FUNCTIONS: Mapping[int, Callable[[bytes, RegisterDevice, str], bytes]] = {
