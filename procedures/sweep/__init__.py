@@ -155,7 +155,7 @@ class Sweep(Procedure):
         assert self._memory is not None, "arm() comes first"
         measurement = SweepPointRun(run, point.condition, self._memory)
         measurement.follow_preload()
-        measurement.drive_as_foretold()
+        measurement.drive_as_predicted()
         measurement.sample()
         while not measurement.is_over():
             measurement.sample()

@@ -95,7 +95,7 @@ class SweepPointRun:
         self._leapt = False
         """True if the drive was changed so much that the ringing is large compared with the
         tone."""
-        self._foretold = False
+        self._predicted = False
         """True if the drive was predicted from frequencies nearby."""
         self._looking = False
         """True if the next record only has to check the load, whose prediction is not trusted."""
@@ -108,7 +108,7 @@ class SweepPointRun:
         """Follow the film's creep before the vibration is changed."""
         self.memory.follow_preload(self.run)
 
-    def drive_as_foretold(self) -> None:
+    def drive_as_predicted(self) -> None:
         """Set the drive that should give the load, or a fraction of it if nothing is known; then
         wait as the settings require."""
         f, lo = self.condition.frequency_Hz, self.condition.load_N
@@ -118,8 +118,8 @@ class SweepPointRun:
         if gain is None:
             self._drive(self.settings.first_amplitude_V)
         else:
-            self._foretold = self.memory.vibrator.near(f)
-            self._drive((1.0 if self._foretold else CAUTION) * lo / gain)
+            self._predicted = self.memory.vibrator.near(f)
+            self._drive((1.0 if self._predicted else CAUTION) * lo / gain)
         self._sampler.wait(self.settings.settling_s)
 
     def sample(self) -> None:
@@ -197,7 +197,7 @@ class SweepPointRun:
             return True
         self._looking = self._looking and abs(load.amplitude / lo - 1) > FAR_OFF
         correction = min(lo / load.amplitude, BOLDEST_CORRECTION)
-        if self._foretold:
+        if self._predicted:
             correction = min(max(correction, 1 / LARGEST_CORRECTION), LARGEST_CORRECTION)
         self._drive(self.memory.drive_V * correction)
         return False

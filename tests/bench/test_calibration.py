@@ -183,12 +183,12 @@ def spoiled(record: CalibrationRecord, **changes: Any) -> str:
     ("content", "told"),
     [
         (None, "No such file"),
-        (b"\xff\xfe\x00", "no calibration record"),
-        (b"", "no calibration record"),
+        (b"\xff\xfe\x00", "not a calibration record"),
+        (b"", "not a calibration record"),
         (b"[1, 2]", "does not state its kind"),
         (b'{"kind": 7}', "does not state its kind"),
         (b'{"kind": ["pvdf"]}', "does not state its kind"),
-        (b"[" * 100_000, "no calibration record"),
+        (b"[" * 100_000, "not a calibration record"),
         (spoiled(force_sensor()).encode(), "of kind force; one of kind pvdf is needed here"),
         (spoiled(film(), b_db=1).encode(), "b_db: unknown key"),
         (spoiled(film(), b_dB=quantity(None)).encode(), "b_dB has no value"),
@@ -197,7 +197,7 @@ def spoiled(record: CalibrationRecord, **changes: Any) -> str:
         (spoiled(film(), valid_until="2026-11-20T22:00:00Z").encode(), "not after date"),
         (spoiled(film(), covariance=[[1.0]]).encode(), "covariance: 6 x 6 numbers belong"),
         (spoiled(film(), inverse_corner_s=float("nan")).encode(), "inverse_corner_s"),
-        (as_text(film())[:-200].encode(), "no calibration record"),
+        (as_text(film())[:-200].encode(), "not a calibration record"),
     ],
 )
 def test_a_file_that_is_no_such_record_is_told_in_one_line(

@@ -76,7 +76,7 @@ def clock() -> WallClock:
 @pytest.fixture
 def links(clock: WallClock) -> Iterator[LinkWorkers]:
     workers = LinkWorkers(clock)
-    clock.each_slice(workers.look)
+    clock.each_slice(workers.poll)
     yield workers
     workers.close()
 
