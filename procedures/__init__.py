@@ -1,1 +1,1 @@
-"""What a person does at the bench: one module a kind of experiment."""
+"""The procedures: one package for each kind of experiment."""

@@ -1,16 +1,16 @@
 """ME-Messsysteme GSV-8 amplifier with a three-axis force sensor as a ForceSensor, serial.
 
 The sensor's bridges sit on channels 1 to 3. The amplifier streams mV/V as floats; calibration
-matrix and tare are applied here, so that a file holds both what came and what it means. Nothing is
-driven: there is nothing to make safe.
+matrix and tare are applied here, so that a file contains both the raw values and the forces.
+Nothing is driven: there is nothing to make safe.
 
 A response does not say which request it answers, and measurements come between request and
 response. So frames are routed by type, one request is under way at a time, and after a time-out or
 a broken answer the link is not trusted until a query whose answer has another length than those
 that are missing has been answered: late answers come before it and are dropped.
 
-A measurement frame has neither counter nor time stamp. A lost one shows only against bench time
-(`ForceAmplifier.frames_behind`); bytes that are no frame are an error at once.
+A measurement frame has neither counter nor time stamp. A lost frame can be noticed only by bench
+time (`ForceAmplifier.frames_behind`); bytes that are not a frame are an error at once.
 
 Settings go to the amplifier's EEPROM, so they are read first and written only where they differ.
 
@@ -51,9 +51,10 @@ INPUT_RANGE_MV_V = 3.5
 """Input range of the factory setting; with a user scale as large, floats are in mV/V."""
 MULTI_AXIS, AUTO_FILTER, MIN_MAX = 0x01, 0x02, 0x04
 READ_WAIT_S = 0.02
-"""Longest wait for bytes in one read: what a request may be kept waiting by the reader."""
+"""Longest wait for bytes in one read, which is how long the reader may delay a request."""
 WAITS = 2
-"""Times the time-out: a request may have to synchronise the link before it waits for its answer."""
+"""Longest wait of a request in time-outs: it may have to synchronise the link before it waits for
+its answer."""
 STREAMING = 0x08
 CRC16_ON = b"\x08"
 
@@ -61,17 +62,17 @@ Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[flo
 
 
 class MeGsv8Settings(BaseSettings):
-    """Where the amplifier is, and what its sensor is."""
+    """Settings of the amplifier and its sensor."""
 
     driver: Literal["me-gsv8"] = "me-gsv8"
     port: Wiring[str] = Field(min_length=1)
     """Serial port, for example /dev/ttyACM0 or COM5."""
     baudrate: int = Field(default=230_400, ge=19_200, le=3_500_000)
-    """Bits a second; without meaning over USB."""
+    """Bits per second; without meaning over USB."""
     timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=60)
     """Longest wait for an answer."""
     rate_S_s: float = Field(default=1000.0, ge=1, le=12_000)
-    """Frames a second that `connect` sets; `start` may ask for others."""
+    """Frames per second that `connect` sets; `start` may set another rate."""
     nominal_force_N: float = Field(default=50.0, gt=0)
     """The sensor's nominal force on each axis."""
     rated_output_mV_V: float = Field(default=0.6, gt=0)
@@ -80,7 +81,7 @@ class MeGsv8Settings(BaseSettings):
     """The calibration sheet's matrix, force in N by bridge output in mV/V; without one, nominal
     force by rated output on the diagonal, which neglects 0.4 to 2 % of crosstalk."""
     max_force_N: float | None = Field(default=None, gt=0)
-    """Largest force along any axis; the nominal force where it is not given."""
+    """Largest force along any axis; the nominal force if it is not given."""
     user_scale_mV_V: float = Field(default=INPUT_RANGE_MV_V, gt=0)
     """The amplifier's user scale and the input range that it stands for."""
 
@@ -174,14 +175,14 @@ ERRORS: dict[int, str] = {
 
 
 class GsvLink:
-    """One serial port with frames on it: requests one at a time, measurements on the side.
+    """A serial port with frames: one request at a time, while measurements may come in between.
 
     Any number of threads may call; each lock is held for one read or one request.
     """
 
     def __init__(self, settings: MeGsv8Settings, clock: Clock):
         self.crc = False
-        """Whether requests carry a CRC; set it once the amplifier is known to have it."""
+        """True if requests carry a CRC; set once the amplifier is known to support it."""
         self._settings = settings
         self._clock = clock
         self._port: Any = None
@@ -201,7 +202,7 @@ class GsvLink:
             return self._taken - self._frame_bytes
 
     def expect(self, layout: FrameLayout | None) -> None:
-        """From now on, a measurement of another layout is an error; nothing is, with None."""
+        """Treat measurements of another layout as an error from now on; with None accept all."""
         with self._reading:
             self._decoder.expected = layout
             self._decoder.crc_only = layout is not None and layout.crc
@@ -217,8 +218,8 @@ class GsvLink:
         self.discard()
 
     def request(self, command: GsvCommand, parameters: bytes = b"") -> bytes:
-        """Send a request and return the data of its answer; InstrumentError for an error code, a
-        broken answer or none."""
+        """Send a request and return the data of its answer. Raises InstrumentError for an error
+        code, a broken answer or none."""
         with self._failing(command), self._asking:
             self._open_port()
             if self._unanswered or self._responses:
@@ -226,10 +227,8 @@ class GsvLink:
             return self._ask(command, parameters)
 
     def collect(self) -> list[Measurements]:
-        """The measurements since the last call; waits for a few milliseconds where none has come.
-
-        Bytes that are no frame raise InstrumentError.
-        """
+        """Return the measurements since the last call; waits for a few milliseconds if none has
+        come. Raises InstrumentError for bytes that are not a frame."""
         with self._failing(None):
             if not self._frames:
                 self._receive()
@@ -239,7 +238,7 @@ class GsvLink:
             return frames
 
     def discard(self) -> None:
-        """Forget measurements that nobody collected."""
+        """Drop the measurements that were not collected."""
         with self._reading:
             self._frames, self._frame_bytes = [], 0
 
@@ -317,7 +316,7 @@ class GsvLink:
             raise serial.SerialException("the port was closed while it was written to") from error
 
     def _await(self, command: GsvCommand, strict: bool) -> GsvResponse:
-        """The next response; `strict` makes bytes that are no frame an error."""
+        """Return the next response; with `strict`, bytes that are not a frame are an error."""
         deadline = time.monotonic() + self._settings.timeout_s
         while not self._responses:
             if time.monotonic() > deadline:
@@ -334,8 +333,9 @@ class GsvLink:
         return self._responses.popleft()
 
     def _receive(self) -> int:
-        """Take what has come off the port, waiting for it a little, and route it; how many bytes
-        it was. Where another thread is at it, that one routes what this one waits for."""
+        """Read the bytes that have come to the port, with a short wait, and route their frames;
+        return the number of bytes. If another thread is reading, that one routes the frame that
+        this one waits for."""
         if not self._reading.acquire(timeout=READ_WAIT_S):
             return 0
         try:
@@ -399,7 +399,7 @@ class GsvLink:
             rejected = self._decoder.take_rejected()
         if rejected:
             raise self._error(
-                command, f"{len(rejected)} bytes came that are no frame: {rejected.hex(' ')}"
+                command, f"{len(rejected)} bytes came that are not a frame: {rejected.hex(' ')}"
             )
 
     def _refused(self, command: GsvCommand, parameters: bytes, code: int) -> InstrumentError:
@@ -439,22 +439,21 @@ class ForceAmplifier:
 
     @property
     def identity(self) -> Identity:
-        """Who answered at connect."""
+        """Identity of the amplifier as read when it was connected."""
         assert self._identity is not None, "connect() identifies before anything else"
         return self._identity
 
     @property
     def bytes_consumed(self) -> int:
-        """Bytes taken off the link since it was opened, less those that `read` has yet to give."""
+        """Bytes taken off the link since it was opened, less those that `read` has not returned
+        yet."""
         return self._link.bytes_consumed
 
     @property
     def frames_behind(self) -> float:
-        """Frames that bench time says are due since `start` and that `read` has not given.
-
-        A few on the way are normal; one that is lost stays. The amplifier's own clock makes it
-        drift by some 50 parts in a million. 0 while no stream runs.
-        """
+        """Number of frames that are due since `start` by bench time and that `read` has not
+        returned. A few on the way are normal; a lost one remains. The amplifier's own clock makes
+        it drift by some 50 parts in a million. 0 while no stream runs."""
         if self._started_s is None:
             return 0.0
         return (self._clock.now() - self._started_s) * self._rate - self._next
@@ -494,9 +493,10 @@ class ForceAmplifier:
         return self._rate
 
     def read(self) -> ForceFrames | None:
-        """The frames that have arrived, or None; waits a few milliseconds at most.
+        """Return the frames that have arrived, or None; waits a few milliseconds at most.
 
-        Bytes that are no frame raise InstrumentError, now and until the stream is started again.
+        Raises InstrumentError for bytes that are not a frame, now and until the stream is started
+        again.
         """
         if self._broken is not None:
             raise self._broken
@@ -516,7 +516,7 @@ class ForceAmplifier:
         return ForceFrames(first, raw, force, status & gsv_frames.SATURATED != 0)
 
     def stop(self) -> None:
-        """End the stream; frames that nobody read are dropped."""
+        """End the stream; frames that were not read are dropped."""
         self._started_s = None
         self._link.request(STOP_TRANSMISSION)
         self._link.discard()
@@ -532,17 +532,17 @@ class ForceAmplifier:
         return x, y, z
 
     def make_safe(self) -> None:
-        """Nothing: a sensor drives nothing, and its stream guards the rest of the bench."""
+        """Do nothing: a sensor drives nothing, and its stream guards the rest of the bench."""
 
     def close(self) -> None:
-        """Let go of the port; a stream goes on unheard until the next connect ends it."""
+        """Close the port; a stream continues unread until the next connect ends it."""
         self._started_s = None
         self._link.close()
 
     # --- settings of the amplifier -----------------------------------------------------------
 
     def _check_interface(self, state: bytes, serial_number: str) -> None:
-        """Whether this is a GSV-8, and silent."""
+        """Check that this is a GSV-8 and that it does not stream."""
         port = self._settings.port
         if (model := state[0] & 0x3F) != MODEL_NUMBER:
             raise InstrumentError(
@@ -556,12 +556,12 @@ class ForceAmplifier:
             raise InstrumentError(
                 DEVICE,
                 STOP_TRANSMISSION.name,
-                "the amplifier goes on streaming",
+                "the amplifier continues to stream",
                 f"check that nothing else talks to {port}",
             )
 
     def _prepare_values(self) -> None:
-        """Three floats a frame, in mV/V, without matrix, minima and maxima."""
+        """Set three floats per frame, in mV/V, without matrix, minima and maxima."""
         scale = self._settings.user_scale_mV_V
         for channel in CHANNELS:
             _, hundredths = struct.unpack(
@@ -644,4 +644,4 @@ def connect(settings: MeGsv8Settings, clock: Clock) -> ForceAmplifier:
 
 
 def make_safe(settings: MeGsv8Settings) -> None:
-    """Nothing: a sensor drives nothing, and whoever still reads it may need it."""
+    """Do nothing: a sensor drives nothing, and a program that still reads it may need it."""

@@ -12,7 +12,7 @@ A request or response ends with CRC-8 (polynomial 07, start 0), a measurement wi
 its length less 15 where the error code would stand.
 
 AA and 85 occur inside data, so a lost byte makes frames out of the middle of others. The decoder
-therefore drops one byte at a time until a whole frame fits, and tells every byte that it dropped.
+therefore drops one byte at a time until a whole frame fits, and reports every byte that it dropped.
 Frames of measurements come in runs of one layout: a run is checked and decoded as one array.
 
 Source: ME-Messsysteme, GSV Communication Protocol Specification (ba-gsvcom_en, 11/2022), p. 9-15.
@@ -37,12 +37,12 @@ SERIAL, SERIAL_WITH_CRC = 1, 3
 INT16, INT24, FLOAT32 = 1, 2, 3
 VALUE_BYTES = {INT16: 2, INT24: 3, FLOAT32: 4}
 INTEGER_FULL_SCALE = 1.05
-"""What the largest integer stands for, in input ranges; times the user scale in user units."""
+"""Value of the largest integer in input ranges; times the user scale in user units."""
 
 SATURATED, MULTI_AXIS_ERROR = 0x01, 0x02
 
 REJECTED_KEPT = 64
-"""How many of the bytes that were no frame are kept to be shown."""
+"""Number of dropped bytes that are recorded for an error message."""
 
 _MORE, _NO_FRAME = -1, 0
 _STATUS = np.uint8(0x0F)
@@ -50,7 +50,7 @@ _STATUS = np.uint8(0x0F)
 
 @dataclass(frozen=True)
 class FrameLayout:
-    """What the measurement frames of a stream look like."""
+    """The layout of a stream's measurement frames."""
 
     values: int
     """Values in a frame, 1 to 16."""
@@ -102,7 +102,7 @@ Frame = GsvResponse | Measurements
 
 
 def request(command: int, parameters: bytes = b"", crc: bool = False) -> bytes:
-    """A request as bytes; ValueError for more than 15 bytes of parameters."""
+    """Return a request as bytes. Raises ValueError for more than 15 bytes of parameters."""
     if len(parameters) > LONGEST_PARAMETERS:
         raise ValueError(f"{len(parameters)} parameter bytes are more than {LONGEST_PARAMETERS}")
     interface = SERIAL_WITH_CRC if crc else SERIAL
@@ -114,20 +114,20 @@ def request(command: int, parameters: bytes = b"", crc: bool = False) -> bytes:
 class Decoder:
     """Takes bytes as they arrive and gives responses and runs of measurements, in order.
 
-    `expected` narrows measurements to one layout and `crc_only` refuses frames without a CRC: what
-    is refused counts as bytes that are no frame.
+    `expected` narrows measurements to one layout and `crc_only` refuses frames without a CRC:
+    refused bytes are treated as bytes that are not a frame.
     """
 
     def __init__(self) -> None:
         self.expected: FrameLayout | None = None
         self.crc_only = False
         self.dropped = 0
-        """Bytes that were no frame, in all."""
+        """Total number of bytes that were not part of a frame."""
         self._rejected = bytearray()
         self._rest = b""
 
     def feed(self, data: bytes) -> list[Frame]:
-        """The frames that are complete with these bytes."""
+        """Return the frames that are complete with these bytes."""
         buffer = self._rest + data
         at, found = 0, list[Frame]()
         while at < len(buffer):
@@ -151,13 +151,13 @@ class Decoder:
         self._rejected.clear()
 
     def take_rejected(self) -> bytes:
-        """The first bytes that were no frame since this was last asked."""
+        """Return the first bytes that were not part of a frame since the last call."""
         rejected = bytes(self._rejected)
         self._rejected.clear()
         return rejected
 
     def _seek(self, buffer: bytes, at: int) -> int:
-        """The next place where a frame may begin."""
+        """Return the next place where a frame may begin."""
         begin = buffer.find(SYNC, at)
         begin = len(buffer) if begin < 0 else begin
         if begin > at:
@@ -169,7 +169,7 @@ class Decoder:
         self._rejected += data[: REJECTED_KEPT - len(self._rejected)]
 
     def _size(self, buffer: bytes, at: int) -> int:
-        """Bytes of the frame that begins here, `_MORE` where they do not tell, `_NO_FRAME`."""
+        """Bytes of the frame that begins here, `_MORE` if they are too few, or `_NO_FRAME`."""
         if len(buffer) < at + 2:
             return _MORE
         header = buffer[at + 1]
@@ -209,7 +209,8 @@ class Decoder:
 
 @cache
 def _layout(header: int, indicator: int) -> FrameLayout | None:
-    """The layout that a measurement's header and the upper half of its control byte tell."""
+    """Return the layout that a measurement's header and the upper half of its control byte
+    state."""
     data_type = indicator & 7
     if not indicator & 8 or data_type not in VALUE_BYTES:
         return None
@@ -226,7 +227,7 @@ def _response(frame: bytes) -> GsvResponse | None:
 
 
 def _measurements(buffer: bytes, at: int, layout: FrameLayout) -> Measurements | None:
-    """The run of frames of one layout that begins here, or None where not even one is whole."""
+    """Return the run of frames of one layout that begins here, or None if not even one is whole."""
     size = layout.size
     count = (len(buffer) - at) // size
     rows = np.frombuffer(buffer, np.uint8, count * size, at).reshape(count, size)
@@ -239,15 +240,15 @@ def _measurements(buffer: bytes, at: int, layout: FrameLayout) -> Measurements |
 
 
 def _whole_alone(buffer: bytes, at: int, layout: FrameLayout) -> bool:
-    """Whether a last frame is whole: a reader that keeps up gets one at a time, and for one frame
-    this is several times faster than an array."""
+    """Return whether a last frame is whole: a reader that keeps up gets one at a time, and for one
+    frame this is several times faster than an array."""
     frame = buffer[at : at + layout.size]
     known = frame[1] == layout.header and frame[2] >> 4 == 8 | layout.data_type
     return known and frame[-1] == END and not (layout.crc and crc16(frame[1:-1]))
 
 
 def _whole_rows(rows: npt.NDArray[np.uint8], layout: FrameLayout) -> int:
-    """How many of the rows, from the first, are whole frames of a layout."""
+    """Return how many of the rows, from the first, are whole frames of a layout."""
     whole, places, tables = _checks_by_place(layout)
     wrong = np.bitwise_xor.reduce(tables[places + rows], axis=1) != whole
     first = wrong.tobytes().find(True)
@@ -258,8 +259,8 @@ def _whole_rows(rows: npt.NDArray[np.uint8], layout: FrameLayout) -> int:
 def _checks_by_place(
     layout: FrameLayout,
 ) -> tuple[np.uint32, npt.NDArray[np.intp], npt.NDArray[np.uint32]]:
-    """What the bytes of a whole frame come to, combined by exclusive or; where each place's table
-    begins; the tables, one after the other.
+    """Return what the bytes of a whole frame come to, combined by exclusive or; where each place's
+    table begins; the tables, one after the other.
 
     The lower half is the CRC-16/Modbus, where the layout has one: a CRC is linear, so each byte
     contributes by value and place alone. Above it each place whose bits all frames of a layout
@@ -329,8 +330,8 @@ def crc16(data: bytes) -> int:
 
 
 def crc16_by_place(length: int) -> tuple[np.uint16, npt.NDArray[np.uint16]]:
-    """What the start value FFFF leaves after `length` bytes, and what each value of a byte at each
-    place contributes, (length, 256)."""
+    """Return what the start value FFFF leaves after `length` bytes, and what each value of a byte
+    at each place contributes, (length, 256)."""
     start = np.array([0xFFFF], np.uint16)
     for _ in range(length):
         start = _CRC16[start & 0xFF] ^ start >> 8

@@ -1,12 +1,13 @@
 """Roll of an object with a head over the artificial skin at constant normal force: paper 5.
 
 The object stands on the rotary stage, the rotary stage on the force sensor; the skin hangs on the
-x-z stage above it. A trial goes down until the head is felt, brings the normal force up and holds
-it by a servo on z, rests, and turns the object from upright to an angle and back: the head rolls
-along the skin. Where it begins decides between the two patterns of Figure 19.
+x-z stage above it. A trial lowers the skin until the head is felt, brings the normal force up and
+holds it by a servo on z, rests, and turns the object from upright to an angle and back, so that the
+head rolls along the skin. The start position decides between the two patterns of Figure 19.
 
-It rolls purely only if the rotary axis lies where the head touches. An axis h above that drags the
-skin by h times the angle; a first press measures h, and x takes it back while the object turns.
+The head rolls without sliding only if the rotary axis passes through the point of contact. An axis
+at height h above it drags the skin by h times the angle; a first press measures h, and x
+compensates for it while the object turns.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class RollTrial(TrialProcedure):
     settings: RollTrialSettings
     _series: RollSeries | None
 
-    # --- what will be done ----------------------------------------------------------------------
+    # --- planning -------------------------------------------------------------------------------
 
     def import_ahead(self) -> None:
         """Import what a trial needs: never while something is switched on."""
@@ -70,7 +71,7 @@ class RollTrial(TrialProcedure):
         import procedures.roll_trial.trial  # noqa: F401 - with numpy: not for `rig --help`
 
     def points(self) -> tuple[Point, ...]:
-        """One point a trial."""
+        """Return one point per trial."""
         settings = self.settings
         motion_s = settings.profile.duration_s + SETTLED_S
         aligned = settings.alignment != "none"
@@ -86,7 +87,7 @@ class RollTrial(TrialProcedure):
         return trial_points(settings, moves, motion_s, first_s)
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
-        """Bench time that the ways in z, homing and parking are expected to take, in s."""
+        """Return the expected bench time of the travel in z, homing and parking, in s."""
         settings = self.settings
         presses = settings.trials + (settings.alignment != "none")
         x_mm = (fixture.centre_mm or 0.0) + settings.start_mm
@@ -94,13 +95,13 @@ class RollTrial(TrialProcedure):
         return rotary_s + pressed_overhead_s(settings, fixture, homed, presses, x_mm)
 
     def check(self, bench: Bench) -> None:
-        """Refuse a fixture that does not say where the object is, or a roll beyond a stage's
+        """Refuse a fixture that does not state where the object is, or a roll beyond a stage's
         limits."""
         super().check(bench)
         fixture, settings = bench.settings.fixture, self.settings
         if fixture.centre_mm is None or fixture.upright_deg is None:
             raise ConfigurationError(
-                f"{bench.plan.source}: [fixture] does not say where the object stands",
+                f"{bench.plan.source}: [fixture] does not state where the object stands",
                 "add centre_mm, position of x at which the middle of the skin is above it, and "
                 "upright_deg, angle of the rotary stage at which it stands upright",
             )
@@ -126,7 +127,7 @@ class RollTrial(TrialProcedure):
             self._require(bench, "rotary.speed", fastest, named)
 
     def _require(self, bench: Bench, quantity: str, value: float, given: str) -> None:
-        """LimitError that names what was `given` unless the bench can reach a value."""
+        """Raise LimitError, which names the options `given`, unless the bench can reach a value."""
         from rig.bench.limits import require
 
         try:
@@ -143,12 +144,12 @@ class RollTrial(TrialProcedure):
         self.start_series(run)
         assert self._series is not None
         if self.settings.alignment == "none":
-            run.event("warning", "alignment", "how far the rotary axis is off is not known")
+            run.event("warning", "alignment", "the offset of the rotary axis is not known")
         rotary, x, tick_Hz = run.bench.rotary, run.bench.stage_x, self._series.rates.tick_Hz
         run.arm("x", x.stop, emergency=x.make_safe, done="x stage stopped")
         stopped = "rotary stage stopped"
         arm_pressed(run, "roll", lambda: _stand(run), rotary.make_safe, stopped, tick_Hz)
-        if not rotary.homed():  # the skin is clear of the object
+        if not rotary.homed():  # Now, while the skin is clear of the object.
             rotary.home()
 
     def new_series(self, rates: ServoRates, scales: dict[str, LoadScale]) -> RollSeries:
@@ -178,7 +179,7 @@ class RollTrial(TrialProcedure):
         trial.lift()
         return trial.reading()
 
-    # --- what came of it ------------------------------------------------------------------------
+    # --- afterwards -----------------------------------------------------------------------------
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
         """Patterns, forces and angle: means of the valid trials, and how many are valid."""
@@ -193,7 +194,7 @@ class RollTrial(TrialProcedure):
 
 
 def _stand(run: Run) -> None:
-    """Stop the object, and x whatever comes of that."""
+    """Stop the object, then x, even if stopping the object fails."""
     try:
         run.bench.rotary.stop()
     finally:

@@ -1,4 +1,4 @@
-"""What a roll trial records, what its readings hold, and how its file shows both."""
+"""The streams of a roll trial, the columns of its readings, and how the run file shows both."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""How the rotary stage turns in a roll trial: from upright to an angle and back, or any curve.
+"""Profiles of the rotary stage in a roll trial: from upright to an angle and back, or any curve.
 
-A profile gives the angle at any time, for what has to follow it, and the turns that make the stage
-go along it. A trapezoid of speed is the stage's own and takes two turns; a curve given as data is
-streamed to it as set points. Angles in deg from upright, times in s from the profile's begin.
+A profile gives the angle at any time, for the x stage that follows it, and the turns that make the
+stage follow it. The stage makes a trapezoid of speed itself, which takes two turns; a curve given
+as data is streamed to it as set points. Angles in deg from upright, times in s from the profile's
+begin.
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ from itertools import pairwise
 from typing import Protocol
 
 STREAM_AHEAD_S = 0.006
-"""How far before its time a set point is aimed at: what the stage follows behind (assumed)."""
+"""How long before its time a set point is sent: the stage's delay in following (assumed)."""
 
 
 @dataclass(frozen=True)
 class Turn:
-    """What the stage is told, and when."""
+    """One command to the stage, and its time."""
 
     at_s: float
     to_deg: float
@@ -27,25 +28,27 @@ class Turn:
 
 
 class Profile(Protocol):
-    """An angle over time."""
+    """The interface of a profile: an angle over time."""
 
     @property
     def duration_s(self) -> float:
-        """From its begin to its end."""
+        """Time from its beginning to its end in s."""
         ...
 
     def at_deg(self, time_s: float) -> float:
-        """Where the stage is to be; before the begin and after the end where it is to be there."""
+        """Return the angle at a time; before the beginning and after the end, that of the
+        respective end."""
         ...
 
     def turns(self, tick_s: float) -> tuple[Turn, ...]:
-        """What makes a stage that is told something once a tick go along it."""
+        """Return the turns that make a stage follow the profile with at most one command per
+        tick."""
         ...
 
 
 @dataclass(frozen=True)
 class ThereAndBack:
-    """A trapezoid of speed to an angle, a stay, and the same back (paper, Figure 17)."""
+    """A trapezoid of speed to an angle, a stay there, and the same back (paper, Figure 17)."""
 
     angle_deg: float
     speed_deg_s: float
@@ -54,7 +57,7 @@ class ThereAndBack:
 
     @property
     def way_s(self) -> float:
-        """From one end to the other: a short way is a triangle of speed."""
+        """Time from one end to the other in s; over a short way the speed is a triangle."""
         way_deg, speed = abs(self.angle_deg), self.speed_deg_s
         acceleration = self.acceleration_deg_s2
         if way_deg * acceleration < speed**2:
@@ -78,7 +81,7 @@ class ThereAndBack:
         return (Turn(0.0, self.angle_deg, *how), Turn(self.way_s + self.stay_s, 0.0, *how))
 
     def _gone_deg(self, time_s: float) -> float:
-        """How far along the way, some time after its begin."""
+        """Return the angle covered at a time after the beginning of a way."""
         time_s = min(max(time_s, 0.0), self.way_s)
         acceleration = self.acceleration_deg_s2
         ramp_s = min(self.speed_deg_s / acceleration, self.way_s / 2)
@@ -93,12 +96,12 @@ class ThereAndBack:
 
 @dataclass(frozen=True)
 class Curve:
-    """Angles at given times, straight between them."""
+    """Angles at given times, with linear interpolation."""
 
     times_s: tuple[float, ...]
     angles_deg: tuple[float, ...]
     acceleration_deg_s2: float
-    """That the stage may use to follow."""
+    """Acceleration that the stage may use to follow."""
 
     @property
     def duration_s(self) -> float:
@@ -116,12 +119,12 @@ class Curve:
 
     def turns(self, tick_s: float) -> tuple[Turn, ...]:
         """See `Profile`."""
-        told, here_deg = [], self.at_deg(0.0)
+        turns, here_deg = [], self.at_deg(0.0)
         for number in range(math.ceil(self.duration_s / tick_s)):
             at_s = number * tick_s
             to_deg = self.at_deg(at_s + tick_s + STREAM_AHEAD_S)
             if to_deg != here_deg:
                 speed_deg_s = abs(to_deg - here_deg) / tick_s
-                told.append(Turn(at_s, to_deg, speed_deg_s, self.acceleration_deg_s2))
+                turns.append(Turn(at_s, to_deg, speed_deg_s, self.acceleration_deg_s2))
             here_deg = to_deg
-        return tuple(told)
+        return tuple(turns)

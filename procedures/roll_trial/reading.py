@@ -1,4 +1,4 @@
-"""What a roll trial shows besides: the strips' peaks, the angle, and what was dragged."""
+"""The results of a roll trial: the strips' peaks, the angle, and the drag."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ if TYPE_CHECKING:
     from rig.run.points import Reading
 
 HIGH_Hz = 100.0
-"""Above, a roll has next to nothing (paper 5), and a slip has much."""
+"""Frequency above which a roll has almost no signal (paper 5) and a slip has much."""
 ZERO_S = 0.1
-"""Of rest before the roll: the strips' zero is its mean."""
+"""Length of the rest before the roll whose mean is the strips' zero."""
 
 
 @dataclass
 class RollTrialRecord(TrialRecord):
-    """What a roll trial has recorded so far; its motion is the roll, there and back."""
+    """The data of a roll trial so far; its motion is the roll there and back."""
 
     end_deg: float = 0.0
-    """Where the object stood at the end, from upright."""
+    """Angle of the object at the end, from upright."""
     rotation: list[tuple[float, float, float]] = field(default_factory=list)
-    """Time, angle from upright, the same commanded."""
+    """Rows of time, angle from upright, and commanded angle."""
 
 
 def reading_of(run: Run, record: RollTrialRecord, offset: Estimate | None) -> Reading:
-    """Figures of the trial, and why it does not count if it does not."""
+    """Return the results of the trial, and why it is invalid if it is."""
     settings: RollTrialSettings = run.settings
     reading = pressed_reading.reading_of(run, record)
     force, t = record.forces_N(), record.frame_times_s()
@@ -56,12 +56,12 @@ def reading_of(run: Run, record: RollTrialRecord, offset: Estimate | None) -> Re
     if error_deg > settings.angle_error_deg:
         doubts.append(f"angle error {error_deg:.2g} deg is above {settings.angle_error_deg:g} deg")
     reading["invalid"] = "; ".join(doubts)
-    run.check_stop()  # computing takes a while: still alive
+    run.check_stop()  # Computing takes a while, so a sign of life is due.
     return reading
 
 
 def _angles(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
-    """Largest errors: where the object stands still, and underway."""
+    """Return the largest errors of the angle, at rest and under way."""
     rows = np.array(record.rotation)
     since = rows[:, 0] - record.motion_from_s
     inside = (since >= 0) & (rows[:, 0] <= record.motion_to_s)
@@ -76,7 +76,8 @@ def _angles(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
 
 
 def _strips(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
-    """Largest excursions of both strips on the way there, and what of v_d lies above 100 Hz."""
+    """Return the largest excursions of both strips on the way there, and the energy of v_d above
+    100 Hz."""
     volts = np.concatenate(record.volts)
     t = np.arange(len(volts)) / DECIMATED_Hz - record.filter_delay_s
     before = (t >= record.motion_from_s - ZERO_S) & (t < record.motion_from_s)
@@ -94,7 +95,7 @@ def _strips(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
 
 
 def _lifted(record: RollTrialRecord, reading: Reading) -> Reading:
-    """On a simulated bench, whether the ridge with the strips left the head during the roll."""
+    """Return, on a simulated bench, whether the ridge with the strips left the head in the roll."""
     truth = reading.get("simulated_truth")
     if not truth:
         return {"ridge_lifted": None}

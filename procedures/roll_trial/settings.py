@@ -11,43 +11,43 @@ from procedures.roll_trial.profile import Curve, Profile, ThereAndBack
 
 NUDGES = (0, 1, 0, -1, 0)
 NUDGED_S = 0.35
-"""For a nudge, which measures the axis, and until the rubber is at rest."""
+"""Time of a nudge, which measures the axis, including the time until the rubber is at rest."""
 SETTLED_S = 0.05
-"""What a stage may be late at the end of its profile."""
+"""Time by which a stage may be late at the end of its profile."""
 HOMING_ROTARY_S = 1.0
-"""Expected of a rotary stage without a reference, and of bringing the object upright."""
+"""Expected time of homing the rotary stage and bringing the object upright."""
 
 
 class RollTrialSettings(PressedSettings):
-    """What a roll trial may be asked for."""
+    """Settings of a roll trial."""
 
     angle_deg: float = 3.5
-    """Angle that is rolled from upright and back (paper 5); positive rolls towards +x."""
+    """Angle of the roll from upright and back (paper 5); positive rolls towards +x."""
     turn_speed_deg_s: float = Field(default=12.0, gt=0)
     """Largest speed of the turn."""
     turn_acceleration_deg_s2: float = Field(default=60.0, gt=0)
-    """Of the turn."""
+    """Acceleration of the turn."""
     stay_s: float = Field(default=0.3, ge=0, le=60)
     """Stay at the angle, before the way back."""
     profile_times_s: tuple[float, ...] = ()
-    """Times of a curve of angles that is rolled instead, from 0."""
+    """Times of a curve of angles, from 0, that replaces --angle."""
     profile_angles_deg: tuple[float, ...] = ()
-    """Its angles, from 0 back to 0."""
+    """Angles of that curve, from 0 back to 0."""
     start_mm: float = -5.0
-    """Place on the skin, from its middle, at which the roll begins: -5 mm rolls over the third
+    """Position on the skin, from its middle, at which the roll begins: -5 mm rolls over the third
     ridge (Figure 19 b), -6.5 mm up to it (19 a)."""
     alignment: Literal["compensate", "measure", "none"] = "compensate"
-    """Before the first trial: measure how far the rotary axis is off and have x take it back; only
-    measure it; or neither."""
+    """Before the first trial: measure the offset of the rotary axis and compensate for it by x;
+    only measure it; or neither."""
     largest_offset_mm: float = Field(default=1.0, gt=0)
-    """Offset of the axis, as measured, that is left uncompensated and refused: 2 mm drag the skin
-    by half of what makes it slip."""
+    """With --alignment measure: refuse to roll if the rotary axis is off by more than this. (2 mm
+    already produces half the tangential force needed to slip.)"""
     angle_error_deg: float = Field(default=0.02, gt=0)
-    """Error of the angle at the ends of the roll beyond which a trial does not count."""
+    """Largest error of the angle at the ends of the roll; a trial above it is marked invalid."""
     force_error_rms_percent: float = Field(default=3.0, gt=0)
-    """Error of the normal force during the roll, rms, beyond which a trial does not count."""
+    """Maximum rms normal-force error during the roll; a trial above it is marked invalid."""
     force_error_peak_percent: float = Field(default=10.0, gt=0)
-    """Its largest error beyond which a trial does not count."""
+    """Maximum normal-force error at any time of the roll; a trial above it is marked invalid."""
 
     @model_validator(mode="after")
     def _can_be_rolled(self) -> RollTrialSettings:
@@ -65,7 +65,7 @@ class RollTrialSettings(PressedSettings):
 
     @property
     def profile(self) -> Profile:
-        """What is rolled."""
+        """Profile of the roll."""
         if self.profile_times_s:
             own = (self.profile_times_s, self.profile_angles_deg)
             return Curve(*own, acceleration_deg_s2=self.turn_acceleration_deg_s2)
@@ -75,11 +75,11 @@ class RollTrialSettings(PressedSettings):
 
     @property
     def angles_deg(self) -> tuple[float, float]:
-        """Between which it is rolled."""
+        """Smallest and largest angle of the roll."""
         angles = self.profile_angles_deg or (0.0, self.angle_deg)
         return min(angles), max(angles)
 
     @property
     def updates_a_tick(self) -> int:
-        """See `PressedSettings`: x may follow the turn."""
+        """Updates per tick; see `PressedSettings`. x may have to follow the turn."""
         return 2 if self.alignment == "compensate" else 1

@@ -1,4 +1,4 @@
-"""One roll trial under way: the measurement of the rotary axis, and the roll itself."""
+"""The run of one roll trial: the measurement of the rotary axis, and the roll itself."""
 
 from __future__ import annotations
 
@@ -28,27 +28,29 @@ if TYPE_CHECKING:
     from rig.run.points import Reading
 
 UPRIGHT_deg_s, UPRIGHT_deg_s2 = 10.0, 100.0
-"""How the object is brought upright, the skin being clear of it."""
+"""Speed and acceleration at which the object is brought upright, with the skin clear of it."""
 NUDGE_mm, NUDGE_deg = 0.02, 0.5
-"""By how much x and the object are moved to either side to measure the axis: far below a slip."""
+"""Moves of x and of the object to either side that measure the axis: far too small for a slip."""
 NUDGE_mm_s, NUDGE_deg_s, NUDGE_deg_s2 = 0.2, 2.0, 20.0
 MEASURED_S = 0.1
-"""Stretch of force at the end of a nudge's rest that is its result."""
+"""Length of the force record at the end of a nudge's rest that is averaged."""
 MOST_POLLS_Hz = 50.0
-"""How often three axes and the DAQ are asked at most: a hundred times would fill every tick."""
+"""Highest rate at which three axes and the DAQ are polled: 100 Hz would fill every tick."""
 LARGEST_COMPENSATED_mm = 8.0
-"""Beyond, the object stands wrong: x would have to follow as fast as the head rolls."""
+"""Largest offset that x compensates: beyond it x would have to follow as fast as the head rolls,
+which means that the object is mounted wrongly."""
 SLOWEST_mm_s = 0.02
 CATCH_UP = 1.02
-"""How much faster than the turn wants it x goes: it fills its ticks, and is there in time."""
+"""Speed of x relative to the speed that the turn requires: its moves fill the ticks and end in
+time."""
 
 
 @dataclass(frozen=True)
 class RotaryPoll:
-    """The rotary stage's answer to where it is; angles from upright."""
+    """A polled position of the rotary stage; angles from upright."""
 
     at_s: float = 0.0
-    """When it was asked, on the run's clock: the middle between question and answer."""
+    """Bench time of the poll: the middle between request and answer."""
     angle_deg: float = 0.0
     commanded_deg: float = 0.0
 
@@ -71,11 +73,11 @@ class PolledRotary:
 
     @property
     def angle_deg(self) -> float:
-        """The measured angle from upright, asked from the stage in the calling thread."""
+        """Return the measured angle from upright, queried from the stage in the calling thread."""
         return self.stage.angle_deg() - self.upright_deg
 
     def poll(self) -> None:
-        """Ask the stage where it is, in the calling thread."""
+        """Poll the stage in the calling thread."""
         commanded_deg, asked_s = self.commanded_deg, self._clock.now()
         angle_deg = self.angle_deg
         self.latest = RotaryPoll((asked_s + self._clock.now()) / 2, angle_deg, commanded_deg)
@@ -85,26 +87,26 @@ class PolledRotary:
         self._links.ask("rotary", "poll", self.poll)
 
     def ask_turn(self, turn: Turn) -> None:
-        """Ask the stage's link to begin a turn, or to change the one under way."""
+        """Request, on the stage's link worker, a turn or a change of the turn under way."""
         to_deg = self.upright_deg + turn.to_deg
         speeds = (turn.speed_deg_s, turn.acceleration_deg_s2)
         self._links.ask("rotary", "turn", partial(self.stage.start_turn, to_deg, *speeds))
 
     def row(self) -> tuple[float, float]:
-        """Angle and commanded angle as polled last, for the record."""
+        """Return angle and commanded angle of the latest poll, for the record."""
         return self.latest.angle_deg, self.latest.commanded_deg
 
 
 @dataclass
 class RollSeries(PressedSeries):
-    """What the trials of a series have taught the ones that follow."""
+    """What the trials of a series have learned for the following ones."""
 
     offset: Estimate | None = None
-    """How far the rotary axis lies above where the head touches, mm; None where not measured."""
+    """Height of the rotary axis above the point of contact in mm; None if not measured."""
 
 
 class HeadTrial(PressedTrial):
-    """A trial on an object with a head, which the rotary stage carries."""
+    """Base of a trial on an object with a head that the rotary stage carries."""
 
     even_moves = True
     series: RollSeries
@@ -132,14 +134,15 @@ class HeadTrial(PressedTrial):
 
 
 class AlignmentTrial(HeadTrial):
-    """A press that measures how far the rotary axis is off: nothing is recorded."""
+    """A press that measures the offset of the rotary axis; nothing is recorded."""
 
     def __init__(self, run: Run, series: RollSeries):
         super().__init__(run, 0, series)
 
     def measure(self) -> Estimate:
-        """Nudge x, then the object, to either side and back, and see what each does to the
-        tangential force; LimitError for an offset of which too much would be left."""
+        """Nudge x, then the object, to either side and back, and compare the effects on the
+        tangential force. Returns the offset of the rotary axis; raises LimitError if too much of it
+        would remain."""
         self.bring_upright()
         self.make_ready(self.start_mm)
         self.press()
@@ -149,21 +152,21 @@ class AlignmentTrial(HeadTrial):
         ]
         self.lift()
         offset = axis_offset(along_x, turned)
-        found = f"the rotary axis lies {offset.value:.2f} mm above where the head touches"
+        found = f"the rotary axis lies {offset.value:.2f} mm above the point of contact"
         error = f"standard error {offset.standard_error:.2f} mm"
         self.run.event("info", "alignment", f"{found}, {error}")
         compensated, left_mm = self.settings.alignment == "compensate", abs(offset.value)
         if compensated:
             left_mm = max(left_mm - LARGEST_COMPENSATED_mm, 0.0)
         if left_mm > self.settings.largest_offset_mm:
-            why = "x is not to take it back"
+            why = "x is not to compensate for it"
             if compensated:
-                why = f"x takes back {LARGEST_COMPENSATED_mm:g} mm at most"
+                why = f"x compensates {LARGEST_COMPENSATED_mm:g} mm at most"
             raise LimitError(
                 f"rotary: {found}, {error}; {why}, and {left_mm:.2f} mm are more than the "
-                f"{self.settings.largest_offset_mm:g} mm that may be left (largest_offset_mm)",
+                f"{self.settings.largest_offset_mm:g} mm that may remain (--largest-offset)",
                 "mount the object anew, the top of its head on the axis of the rotary stage, or "
-                "have x take it back with --alignment compensate",
+                "have x compensate for it with --alignment compensate",
             )
         return offset
 
@@ -182,20 +185,20 @@ class AlignmentTrial(HeadTrial):
 
 
 class RollTrialRun(HeadTrial):
-    """A roll trial: what turns is the object, and x takes back what the rotary axis is off."""
+    """A roll trial: the object turns, and x compensates for the offset of the rotary axis."""
 
     def __init__(self, run: Run, number: int, series: RollSeries):
         super().__init__(run, number, series)
         self._offset_mm = 0.0
-        """How far the rotary axis is off, as far as x takes it back."""
+        """Offset of the rotary axis that x compensates for."""
         if series.offset is not None and self.settings.alignment == "compensate":
             self._offset_mm = series.offset.value
         self._profile = self.settings.profile
         self._turns = list(self._profile.turns(series.rates.tick_s))
 
     def roll(self) -> None:
-        """Turn the object along the profile under the held normal force, x taking back what the
-        axis is off; hold it a moment longer."""
+        """Turn the object along the profile under the held normal force while x compensates for the
+        offset of the axis; then hold the force a moment longer."""
         self.begin_motion()
         self.x.in_motion = self.rotary.in_motion = True
         self.run_ticks(self._profile.duration_s + SETTLED_S, self._roll_on)
@@ -207,7 +210,7 @@ class RollTrialRun(HeadTrial):
         self.record.end_deg = self.rotary.angle_deg
 
     def _roll_on(self, tick: Tick) -> bool:
-        """Ask the rotary stage for the turns that are due, have x follow, hold F_n."""
+        """Request the turns that are due, have x follow, and hold F_n."""
         since_s = tick.began_s - self.record.begun_s - self.record.motion_from_s
         while self._turns and self._turns[0].at_s <= since_s + self.series.rates.tick_s / 2:
             self.rotary.ask_turn(self._turns.pop(0))
@@ -218,7 +221,7 @@ class RollTrialRun(HeadTrial):
         return True
 
     def _take_back(self, since_s: float) -> None:
-        """Move x by what the turn will have dragged the skin by at the next tick."""
+        """Move x by the distance that the turn will have dragged the skin at the next tick."""
         tick_s = self.series.rates.tick_s
         soon_s = since_s + tick_s + self.delay_s
         shift_mm = -self._offset_mm * math.sin(math.radians(self._profile.at_deg(soon_s)))
@@ -227,5 +230,5 @@ class RollTrialRun(HeadTrial):
         self.x.start_move(target_mm, max(speed_mm_s, SLOWEST_mm_s))
 
     def reading(self) -> Reading:
-        """Return the figures of the trial, and why it is not valid if it is not."""
+        """Return the results of the trial, and why it is invalid if it is."""
         return reading_of(self.run, self.record, self.series.offset) | self.record_load_rates()

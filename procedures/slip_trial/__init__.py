@@ -1,12 +1,12 @@
 """Slide of the artificial skin on a plate at constant normal force: paper 4.1.
 
-The skin hangs on the x-z stage above the plate, the plate lies on the force sensor. A trial goes
-down until the plate is felt, brings the normal force up and holds it by a servo on z, rests, slides
-along x, and lifts off. The strips are sampled all the while, gap by gap the same: what was lost
-ends the trial.
+The skin hangs on the x-z stage above the plate, the plate lies on the force sensor. A trial lowers
+the skin until the plate is felt, brings the normal force up and holds it by a servo on z, rests,
+slides along x, and lifts off. The strips are sampled without gaps all the time: lost samples end
+the trial.
 
-Every tick takes what the force sensor and the DAQ have sent, records it, and moves z by what the
-force asks for. Whatever ends a trial, x stops first, then z goes up.
+Every tick reads the new data of force sensor and DAQ, records them, and moves z as the force servo
+requires. Whatever ends a trial, x stops first, then z goes up.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class SlipTrial(TrialProcedure):
     settings: SlipTrialSettings
     _series: SlipSeries | None
 
-    # --- what will be done ----------------------------------------------------------------------
+    # --- planning -------------------------------------------------------------------------------
 
     def import_ahead(self) -> None:
         """Import what a trial needs: never while something is switched on."""
@@ -60,7 +60,7 @@ class SlipTrial(TrialProcedure):
         import procedures.slip_trial.trial  # noqa: F401 - with numpy: not for `rig --help`
 
     def points(self) -> tuple[Point, ...]:
-        """One point a trial."""
+        """Return one point per trial."""
         settings = self.settings
         motion_s = settings.slide_s
         rehearsal_s = pressing_s(settings) + motion_s + AFTER_S
@@ -73,7 +73,7 @@ class SlipTrial(TrialProcedure):
         return trial_points(settings, moves, motion_s, first_s)
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
-        """Bench time that the ways in z, homing and parking are expected to take, in s."""
+        """Return the expected bench time of the travel in z, homing and parking, in s."""
         settings = self.settings
         presses = settings.trials + settings.rehearsed(settings.tick_s)
         return pressed_overhead_s(
@@ -115,7 +115,7 @@ class SlipTrial(TrialProcedure):
         trial.lift()
         return trial.reading()
 
-    # --- what came of it ------------------------------------------------------------------------
+    # --- afterwards -----------------------------------------------------------------------------
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
         """Friction and servo: means and standard deviations of the valid trials, how many are

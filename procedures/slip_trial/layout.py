@@ -1,4 +1,4 @@
-"""What the readings of a slip trial hold, and how its file shows them and its streams."""
+"""The columns of a slip trial's readings, and how the run file shows them and the streams."""
 
 from __future__ import annotations
 

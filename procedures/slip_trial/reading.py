@@ -1,4 +1,4 @@
-"""What a slip trial shows besides: friction, and how a ramp was followed."""
+"""The results of a slip trial: friction, and how well a ramp was followed."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ FRICTION_COLUMNS = (
 
 @dataclass
 class SlipTrialRecord(TrialRecord):
-    """What a slip trial has recorded so far; its motion is the slide or the ramp."""
+    """The data of a slip trial so far; its motion is the slide or the ramp."""
 
     ramp_to_s: float | None = None
-    """Until when the tangential force followed its ramp, if there was one."""
+    """Time until which the tangential force followed its ramp, if there was one."""
 
 
 def reading_of(run: Run, record: SlipTrialRecord) -> Reading:
-    """Figures of the trial, and why it does not count if it does not."""
+    """Return the results of the trial, and why it is invalid if it is."""
     settings: SlipTrialSettings = run.settings
     reading = pressed_reading.reading_of(run, record)
     force, t = record.forces_N(), record.frame_times_s()
@@ -48,7 +48,7 @@ def reading_of(run: Run, record: SlipTrialRecord) -> Reading:
     }
     reading |= _ramp(settings, record, t, force)
     reading |= _friction(run, record, t[held], force[held])
-    run.check_stop()  # computing takes a while: still alive
+    run.check_stop()  # Computing takes a while, so a sign of life is due.
     return reading
 
 
@@ -58,7 +58,7 @@ def _ramp(
     t: npt.NDArray[np.float64],
     force: npt.NDArray[np.float64],
 ) -> Reading:
-    """How well the tangential force followed its ramp until the skin slipped."""
+    """Return how well the tangential force followed its ramp until the skin slipped."""
     if record.ramp_to_s is None:
         return {"ramp_error_rms_N": None, "ramp_to_s": None}
     since = t - record.motion_from_s

@@ -9,35 +9,36 @@ from pydantic import Field, model_validator
 from procedures.pressed.settings import DELAY_S, PressedSettings
 
 UNREHEARSED_mm = 0.0175
-"""Travel within delay and tick up to which the servo holds the force through a slide that it has
-not seen, whatever the friction (decision 0035)."""
+"""Travel within delay and tick up to which the servo holds the force in an unrehearsed slide,
+whatever the friction (decision 0035)."""
 SLID_ON_mm = 0.3
-"""How far a slide goes on after a ramp, for the kinetic coefficient."""
+"""Length of the slide that follows a ramp, for the kinetic coefficient."""
 FRICTION = 0.7
-"""Expected of the skin on the plate: where a ramp slips."""
+"""Expected friction coefficient of the skin on the plate, from which the end of a ramp is
+estimated."""
 SEEN_S = 0.04
-"""Expected from the end of a slide until it is seen."""
+"""Expected time from the end of a slide until it is noticed."""
 
 
 class SlipTrialSettings(PressedSettings):
-    """What a slip trial may be asked for."""
+    """Settings of a slip trial."""
 
     loading: Literal["slide", "ramp"] = "slide"
-    """What drags the skin: a slide at constant speed, or a tangential force that rises evenly."""
+    """Loading of the skin: a slide at constant speed, or a tangential force that rises linearly."""
     speed_mm_s: float = Field(default=0.5, gt=0)
-    """Speed of the slide; of a ramp, its limit and the speed after gross slip."""
+    """Speed of the slide; for a ramp, the largest speed and the speed after gross slip."""
     distance_mm: float = Field(default=1.0, gt=0)
-    """Length of the slide; of a ramp, the longest."""
+    """Length of the slide; for a ramp, the largest length."""
     ramp_N_s: float = Field(default=2.0, gt=0)
-    """Rate at which a ramp has the tangential force rise."""
+    """Rate of the tangential force in a ramp."""
     ramp_to_N: float = Field(default=10.0, gt=0)
-    """Tangential force at which a ramp ends where nothing has slipped."""
+    """Tangential force at which a ramp ends if nothing has slipped."""
     direction: Literal["+x", "-x"] = "+x"
     """Direction of the slide."""
     start_mm: float = 10.0
     """Position of the x stage at which a trial begins."""
     rehearsal: Literal["auto", "always", "never"] = "auto"
-    """A first slide without a record, from which the servo learns; auto: where it is needed."""
+    """Unrecorded practice slide for the force servo to learn from. auto: only when needed."""
 
     @model_validator(mode="after")
     def _ramp_fits(self) -> SlipTrialSettings:
@@ -50,14 +51,14 @@ class SlipTrialSettings(PressedSettings):
 
     @property
     def longest_slide_s(self) -> float:
-        """What a slide or a ramp may take at most."""
+        """Longest time that a slide or a ramp may take."""
         ramps_s = 2 * self.speed_mm_s / self.acceleration_mm_s2
         rise_s = self.ramp_to_N / self.ramp_N_s if self.loading == "ramp" else 0.0
         return rise_s + self.distance_mm / self.speed_mm_s + ramps_s + 1.0
 
     @property
     def slide_s(self) -> float:
-        """What a slide or a ramp is expected to take."""
+        """Time that a slide or a ramp is expected to take."""
         way_s = self.distance_mm / self.speed_mm_s + self.speed_mm_s / self.acceleration_mm_s2
         if self.loading == "slide":
             return way_s + SEEN_S
@@ -67,11 +68,11 @@ class SlipTrialSettings(PressedSettings):
 
     @property
     def updates_a_tick(self) -> int:
-        """See `PressedSettings`."""
+        """Updates per tick; see `PressedSettings`."""
         return 2 if self.loading == "ramp" else 1
 
     def rehearsed(self, tick_s: float, delay_s: float = DELAY_S) -> bool:
-        """Whether a series begins with a slide that only teaches the servo."""
+        """Return whether a series begins with a rehearsal."""
         if self.rehearsal != "auto":
             return self.rehearsal == "always"
         return self.speed_mm_s * (delay_s + tick_s) > UNREHEARSED_mm
@@ -83,5 +84,5 @@ class SlipTrialSettings(PressedSettings):
 
     @property
     def end_mm(self) -> float:
-        """Where the slide ends."""
+        """Position of x at which the slide ends."""
         return self.start_mm + self.along * self.distance_mm

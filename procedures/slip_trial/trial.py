@@ -1,4 +1,4 @@
-"""One slip trial under way: the slide or the ramp under the held force."""
+"""The run of one slip trial: the slide or the ramp under the held force."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 @dataclass
 class SlipSeries(PressedSeries):
-    """What the trials of a series have taught the ones that follow."""
+    """What the trials of a series have learned for the following ones."""
 
     shift: ContactShift | None = None
-    """What the first slide has shown, in which the servo had no such knowledge."""
+    """Change of the contact that the first slide has shown; the servo knew none in that slide."""
 
 
 class SlipTrialRun(PressedTrial):
-    """A slip trial: what slides is x."""
+    """A slip trial, in which the x stage slides."""
 
     series: SlipSeries
     settings: SlipTrialSettings
@@ -43,20 +43,21 @@ class SlipTrialRun(PressedTrial):
 
     @property
     def needs_rehearsal(self) -> bool:
-        """Whether a slide that only teaches the servo has to come first."""
+        """Return whether a rehearsal has to come first."""
         asked = self.settings.rehearsed(self.series.rates.tick_s, self.delay_s)
         return asked and self.series.shift is None
 
     def rehearse(self) -> None:
-        """Press, slide and lift without a record: the servo learns what the slide does to the
-        normal force."""
+        """Press, slide and lift without a record, from which the servo learns the effect of the
+        slide on the normal force."""
         self.make_ready(self.settings.start_mm)
         self.press()
         self.slide()
         self.lift()
 
     def slide(self) -> None:
-        """Drag the skin along x under the held normal force, and hold it a moment longer."""
+        """Drag the skin along x under the held normal force; then hold the force a moment
+        longer."""
         settings, series, x = self.settings, self.series, self.x
         x.commanded_mm, x.in_motion = settings.end_mm, True
         arrival = ArrivalWatch(x, series.rates.tick_Hz)
@@ -71,7 +72,7 @@ class SlipTrialRun(PressedTrial):
         x.in_motion = False
 
     def _steadily(self, arrival: ArrivalWatch) -> Callable[[Tick], bool]:
-        """Have x slide to its end at constant speed; hold F_n."""
+        """Begin the slide of x at constant speed; the returned tick holds F_n until its end."""
 
         def pull(tick: Tick) -> bool:
             self.hold_tick(tick)
@@ -82,8 +83,8 @@ class SlipTrialRun(PressedTrial):
         return pull
 
     def _ramp(self, arrival: ArrivalWatch) -> Callable[[Tick], bool]:
-        """Have the tangential force rise until the skin slips as a whole and a little further, or
-        to where the ramp is to end; hold F_n."""
+        """Begin the ramp; the returned tick raises the tangential force until the skin slips as a
+        whole and a little further, or until the end of the ramp, and holds F_n."""
         settings, along, force = self.settings, self.settings.along, self.recorder.force
         ramp = ForceRamp(
             settings.ramp_N_s, settings.speed_mm_s, self.series.rates.tick_s, self.delay_s
@@ -114,5 +115,5 @@ class SlipTrialRun(PressedTrial):
         return pull
 
     def reading(self) -> Reading:
-        """Return the figures of the trial, and why it is not valid if it is not."""
+        """Return the results of the trial, and why it is invalid if it is."""
         return reading_of(self.run, self.record) | self.record_load_rates()

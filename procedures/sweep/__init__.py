@@ -2,12 +2,12 @@
 
 The paper's chapter 3: the film is preloaded, a vibrator adds a sinusoidal load, and at each
 frequency load cell and film are sampled together. A sine is fitted to both; their ratio is the
-film's complex response. The load is held constant over frequency ("data1"), or takes several
-levels at each ("data2", paper 3.2). After a scan of the whole range come further points in the
-drops that it shows.
+film's complex response. The load is constant over frequency ("data1"), or takes several levels at
+each ("data2", paper 3.2). After a scan of the whole range, further points are measured in the
+notches that it shows.
 
-A point is taken in `procedures.sweep.point`, a record in `procedures.sweep.sampling`; what is
-carried from one point to the next is in `procedures.sweep.memory`.
+`procedures.sweep.point` measures a point, `procedures.sweep.sampling` a record;
+`procedures.sweep.memory` has what is carried from one point to the next.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ if TYPE_CHECKING:
     from rig.bench.connected import Bench
     from rig.run.context import Run
 
-# --- what a point is expected to take, measured on the simulated film ---
+# --- expected times of a point, measured on the simulated film ---
 QUIET_S_Hz2 = 9.0
-"""Time at 1 Hz, falling with the square of the frequency, in which noise allows `QUIET_dB` at 1 N:
-what the film gives rises with both."""
+"""Time at 1 Hz in which noise allows `QUIET_dB` at 1 N; it falls with the square of frequency and
+load, because the film's signal rises with both."""
 QUIET_dB = 0.05
 RINGS_BELOW_Hz, RINGS_S = 600.0, 0.03
-"""Where ringing is waited for, and how long."""
+"""Frequency below which a point waits for ringing to decay, and the time of that wait."""
 KNOWN_WITHIN = 1.3
-"""Ratio of two frequencies in a row beyond which the drive is not foretold well."""
+"""Ratio of two successive frequencies beyond which the drive is not predicted well."""
 LEVELLING_RECORDS, LEVELLING_S = 2.5, 0.03
-"""What finding it takes then."""
+"""Records and time that finding the drive then takes."""
 
 
 class Sweep(Procedure):
@@ -68,18 +68,19 @@ class Sweep(Procedure):
     def __init__(self, settings: SweepSettings):
         super().__init__(settings)
         self._memory: SweepMemory | None = None
-        """What the sweep has learned so far; None before it is armed for the first time."""
+        """Knowledge of the sweep so far; None before it is armed for the first time."""
 
-    # --- what will be done ----------------------------------------------------------------------
+    # --- planning -------------------------------------------------------------------------------
 
     def import_ahead(self) -> None:
-        """Import scipy and the analysis: never while something is switched on."""
+        """Import scipy and the analysis, so that nothing is imported while something is switched
+        on."""
         import scipy.special  # noqa: F401
 
         import rig.analysis.film.gain_curve  # noqa: F401
 
     def points(self) -> tuple[Point, ...]:
-        """The first plan: the grid, or the frequencies asked for, each at every load."""
+        """Return the first plan: the grid, or the given frequencies, each at every load."""
         settings = self.settings
         preload.refuse_impossible(
             settings.preload_N, max(settings.levels_N), LARGEST_SHARE_OF_PRELOAD
@@ -92,7 +93,7 @@ class Sweep(Procedure):
         return _points_at(settings, frequencies)
 
     def refine(self, readings: Sequence[Reading]) -> tuple[Point, ...]:
-        """The second plan: further frequencies in the notches that the grid has shown."""
+        """Return the second plan: further frequencies in the notches that the grid has shown."""
         settings = self.settings
         if settings.frequencies_Hz or not settings.points_per_half_width:
             return ()
@@ -104,21 +105,21 @@ class Sweep(Procedure):
         scanned = [reading for reading in readings if _id_of(reading) in grid]
         try:
             return _points_at(settings, refine_Hz(_grid(settings), curve_of(scanned)))
-        except CurveError:  # too short or too narrow a grid shows no notch
+        except CurveError:  # A grid that is too short or too narrow shows no notch.
             return ()
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
-        """Bench time that preloading, listening and parking are expected to take, in s."""
+        """Return the expected bench time of preloading, listening and parking, in s."""
         return preload.duration_s(fixture, self.settings.preload_N, homed) + LISTENED * LISTEN_S
 
     def check(self, bench: Bench) -> None:
-        """Refuse a fixture that does not say where contact has to be felt."""
+        """Refuse a fixture that does not state the contact range."""
         contact_range_mm(bench)
 
-    # --- doing it -------------------------------------------------------------------------------
+    # --- acting ---------------------------------------------------------------------------------
 
     def arm(self, run: Run) -> None:
-        """Preload the film and listen; then start the vibrator, barely moving."""
+        """Preload the film and measure the noise; then start the vibrator at a small amplitude."""
         from procedures.sweep.memory import SweepMemory
         from procedures.sweep.sampling import listen
 
@@ -148,22 +149,23 @@ class Sweep(Procedure):
         generator.output(True)
 
     def take(self, run: Run, point: Point) -> Reading:
-        """Hold the load at this frequency and measure until the gain is known well enough."""
+        """Set the load at this frequency and measure until the gain is known well enough."""
         from procedures.sweep.point import SweepPointRun
 
         assert self._memory is not None, "arm() comes first"
         measurement = SweepPointRun(run, point.condition, self._memory)
         measurement.follow_preload()
-        measurement.drive_as_foretold()
+        measurement.drive_as_predicted()
         measurement.sample()
         while not measurement.is_over():
             measurement.sample()
         return measurement.reading()
 
-    # --- what came of it ------------------------------------------------------------------------
+    # --- afterwards -----------------------------------------------------------------------------
 
     def summarise(self, readings: Sequence[Reading]) -> Mapping[str, Any]:
-        """Range, typical gain, how well it is known, and the film's model where there is enough."""
+        """Return range, typical gain and its error, and the film's model if there are enough
+        points."""
         from procedures.sweep.summary import figures, model
 
         if not readings:
@@ -242,7 +244,7 @@ def _point(
 def _expected_s(
     settings: SweepSettings, condition: SweepCondition, last: SweepCondition | None, record_s: float
 ) -> float:
-    """Time that a point after `last` is expected to take with records of `record_s` at least."""
+    """Return the expected time of a point after `last` with records of at least `record_s`."""
     quieter = QUIET_dB / (settings.target_error_dB * condition.load_N * condition.frequency_Hz)
     level_s = record_s if record_s >= LONG_RECORD_S else 2 * record_s
     expected_s = max(level_s, QUIET_S_Hz2 * quieter**2)

@@ -1,4 +1,4 @@
-"""What a sweep's readings hold, and how they become the plots of its run file."""
+"""The columns of a sweep's readings, and the plots of its run file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def reading_of(response: Response, load: SineFit, voltage: SineFit, settled_at_s: float) -> Reading:
-    """One frequency's reading: response with its errors, both tones, when it was taken."""
+    """Return the reading of one frequency: response with its errors, both tones, and times."""
     return {
         "frequency_Hz": response.frequency_Hz,
         "gain_dB": response.gain_dB,
@@ -35,7 +35,7 @@ def reading_of(response: Response, load: SineFit, voltage: SineFit, settled_at_s
 
 
 def phasor_columns(name: str, unit: str, tone: SineFit) -> Reading:
-    """A fitted tone as columns of the reading."""
+    """Return a fitted tone as columns of the reading."""
     return {
         f"{name}_amplitude_{unit}": tone.amplitude,
         f"{name}_phase_deg": math.degrees(math.atan2(tone.phasor.imag, tone.phasor.real)),

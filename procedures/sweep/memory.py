@@ -1,4 +1,4 @@
-"""What a sweep carries from point to point: what it has learned, and what vibrates at present."""
+"""The knowledge that a sweep carries from point to point, and the present vibration."""
 
 from __future__ import annotations
 
@@ -16,41 +16,43 @@ if TYPE_CHECKING:
     from rig.run.points import Reading
 
 FOLLOW_S = 0.05
-"""Least stretch of the static force that is followed."""
+"""Shortest time over which the static force is averaged to follow it."""
 FOLLOWED_S = 0.02
-"""What a move after the creep takes."""
+"""Duration of a move that follows the creep."""
 
 
 @dataclass
 class SweepMemory:
-    """What a sweep has learned so far, and the vibration under way."""
+    """The knowledge of a sweep so far, and the present vibration."""
 
     preload: Preload
     vibrator: LearnedGain = field(default_factory=LearnedGain)
-    """Load by drive, N/V."""
+    """Ratio of load to drive in N/V."""
     film: LearnedGain = field(default_factory=LearnedGain)
-    """Film voltage by load, V/N."""
+    """Ratio of film voltage to load in V/N."""
     mains: dict[str, LearnedMains] = field(
         default_factory=lambda: {channel: LearnedMains() for channel in CHANNELS}
     )
-    """By channel, in the channel's unit."""
+    """Mains lines by channel, in the channel's unit."""
     error_of_one_second: dict[str, float] = field(default_factory=dict)
     """Standard error of each channel's amplitude from one second of record, in its unit."""
     surprise: float = 1.0
-    """How far the load was from the one foretold, relative, at the latest point."""
+    """Relative error of the predicted load at the latest point."""
     drive_V: float = 0.0
-    """Amplitude that the generator is set to."""
+    """Present amplitude of the generator."""
     frequency_Hz: float = 0.0
-    """Frequency that it is set to."""
+    """Present frequency of the generator."""
     since_s: float = 0.0
-    """When the present frequency began."""
+    """Time at which the present frequency began."""
     slow_until_s: float = 0.0
-    """When a vibration so slow that a short mean of the force does not average it out ended."""
+    """Time at which a vibration ended that was too slow for a short mean of the force to average it
+    out."""
     followed_s: float = 0.0
-    """When the latest move after the creep was over: what came before says nothing of it."""
+    """Time at which the latest move after the creep ended; earlier force values do not include its
+    effect."""
 
     def recall(self, reading: Reading) -> None:
-        """Learn from a reading that an earlier attempt has kept."""
+        """Learn from a reading that an earlier attempt has recorded."""
         frequency, load = (
             float(reading["frequency_Hz"] or 0),
             float(reading["load_amplitude_N"] or 0),
@@ -59,22 +61,23 @@ class SweepMemory:
         self.film.learn(frequency, 10 ** (float(reading["gain_dB"] or 0) / 20))
 
     def learn_noise(self, channel: str, tone: SineFit) -> None:
-        """How well one second would tell an amplitude, from what a fit has left over."""
+        """Learn the standard error of an amplitude from one second of record from the residuals of
+        a fit."""
         self.error_of_one_second[channel] = tone.residual_rms * math.sqrt(2 / tone.rate_Hz)
 
     def begin_vibration(self, frequency_Hz: float, amplitude_V: float, now_s: float) -> None:
-        """From a film at rest."""
+        """Note the beginning of a vibration of the film at rest."""
         self.frequency_Hz, self.drive_V = frequency_Hz, amplitude_V
         self.since_s = self.slow_until_s = now_s
 
     def change_vibration(self, frequency_Hz: float, amplitude_V: float, now_s: float) -> None:
-        """To another frequency or amplitude; a frequency that stays goes on counting."""
+        """Note a change of frequency or amplitude; `since_s` changes with the frequency only."""
         if frequency_Hz != self.frequency_Hz:
             self.frequency_Hz, self.since_s = frequency_Hz, now_s
         self.drive_V = amplitude_V
 
     def hold_preload(self, run: Run) -> None:
-        """While nothing vibrates yet: follow the film's creep until it is slow."""
+        """Follow the film's creep until it is slow, before anything vibrates."""
         self.preload.hold(run, FOLLOW_S, FOLLOWED_S)
 
     def follow_preload(self, run: Run) -> None:

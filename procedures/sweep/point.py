@@ -1,9 +1,10 @@
-"""One point of a sweep: a drive that gives the load, records until the gain is known.
+"""The measurement of one point of a sweep: find the drive for the load, then record until the gain
+is known.
 
-The drive is foretold from what the vibrator did at frequencies nearby, and corrected where the load
-is not the one asked for. No time constant is assumed: records count once two in a row agree, and
-where ringing was seen to sink, its own decay tells how much longer to wait. A record that the noise
-makes long anyway averages over all ringing.
+The drive is predicted from the vibrator's response at frequencies nearby, and corrected if the load
+is wrong. No time constant is assumed: records are valid once two successive ones agree, and if
+ringing was seen to decay, the decay itself determines how much longer to wait. A record that has to
+be long because of noise averages over all ringing.
 """
 
 from __future__ import annotations
@@ -27,83 +28,89 @@ if TYPE_CHECKING:
 
 # --- the drive ---
 CAUTION = 0.1
-"""Share of the wanted load at a frequency of which nothing is known."""
+"""Fraction of the wanted load at a frequency of which nothing is known."""
 TRUSTED_PREDICTION_ERROR = 0.003
 """Relative error of the last prediction of the load from which the next one is trusted."""
 LOOK_BEFORE_S = 0.1
-"""A record that long is not begun with a drive that may be wrong: a short one tells first."""
+"""Length of a record that is not begun with an uncertain drive: a short record checks the load
+first."""
 KEPT_WITHIN = 0.75
-"""Of the tolerance of the load: from there on the drive is corrected."""
+"""Fraction of the load's tolerance above which the drive is corrected."""
 FAR_OFF = 0.25
 """Relative error of a load after which the corrected drive is not trusted either."""
 BOLDEST_CORRECTION = 20.0
-"""Of the drive in one step, upwards, whatever the load cell says: it may be half unplugged."""
+"""Largest increase of the drive in one step, whatever the load cell reads: it may be half
+unplugged."""
 LARGEST_CORRECTION = 1.4
-"""Of the drive in one step where it was foretold from nearby: more is a bad record."""
+"""Largest correction of a drive that was predicted from nearby: a larger one means a bad record."""
 
 # --- waits after a change ---
 LARGE_STEP = 1.5
-"""Ratio of the drive now to the drive before beyond which no record averages over the ringing."""
+"""Ratio of the new drive to the one before beyond which no record averages over the ringing."""
 LEAP = 1.1
-"""Ratio of two frequencies in a row beyond which everything rings anew."""
+"""Ratio of two successive frequencies beyond which everything rings anew."""
 LEAP_S = 0.02
-"""Wait after that, where a record is too short to average over it."""
+"""Wait after such a leap if the record is too short to average over the ringing."""
 VERY_LONG_RECORD_S = 0.15
-"""One as long needs no wait either."""
+"""Length of a record that needs no wait after a leap."""
 RINGING_S = 0.015
-"""That wait after a change of frequency."""
+"""Wait after a smaller change of frequency."""
 CORRECTED_S = 0.008
-"""And after a mere correction of the drive."""
+"""Wait after a correction of the drive."""
 
-# --- what counts as settled ---
+# --- settling -----------------
 AGREEMENT = 8e-4
-"""Relative difference of two records in a row, beyond their noise, that counts as settled."""
+"""Relative difference of two successive records, beyond their noise, up to which they are
+settled."""
 CLEAR_RINGING = 2.0
-"""A first difference so many times what agrees is ringing and not noise."""
+"""Ratio of the first difference to `AGREEMENT` above which it is ringing and not noise."""
 SILENCE_S = 2.0
-"""Time at a point after which a film that shows nothing is told."""
+"""Time at a point after which a film without a signal is reported."""
 
 FITTED_PARAMETERS = 7
-"""Of a record, taken for all: offset, the tone, two mains lines."""
+"""Parameters of a fit, the same for all records: offset, the tone, two mains lines."""
 STATIC_S = 0.05
-"""Least stretch of the force that a reading's preload is the mean of."""
+"""Shortest time over which the force is averaged for a reading's preload."""
 
 
 class SweepPointRun:
-    """The measurement of one point: the drive, the valid records, and what is asked of them."""
+    """The measurement of one point: the drive, the valid records, and the length of the next
+    one."""
 
     def __init__(self, run: Run, condition: SweepCondition, memory: SweepMemory):
         self.run, self.condition = run, condition
         self.memory = memory
         self.settings: SweepSettings = run.settings
         self.kept: list[FittedRecord] = []
-        """Records in a row at the present drive."""
+        """Successive records at the present drive."""
         self._sampler = RecordSampler(run, condition, memory)
         self._begun_s = run.clock.now()
         self._driven_s = 0.0
-        """When the drive was changed."""
+        """Time at which the drive was changed."""
         self._seen_ringing: tuple[float, float] | None = None
-        """When two records in a row first disagreed since, and by how much."""
+        """Time at which two successive records first disagreed since that change, and their
+        difference."""
         self._outlasted = False
-        """Whether it has been waited for that ringing to die away."""
+        """True after the wait for that ringing to decay."""
         self._leapt = False
-        """Whether the drive was changed so much that what rings is large beside the tone."""
-        self._foretold = False
-        """Whether the drive was foretold from frequencies nearby."""
+        """True if the drive was changed so much that the ringing is large compared with the
+        tone."""
+        self._predicted = False
+        """True if the drive was predicted from frequencies nearby."""
         self._looking = False
-        """Whether the next record only has to tell the load: its prediction is not trusted."""
+        """True if the next record only has to check the load, whose prediction is not trusted."""
         self._latest_N = math.nan
         """Load of the latest record; NaN before the first."""
 
     # --- the phases -----------------------------------------------------------------------------
 
     def follow_preload(self) -> None:
-        """Follow the film's creep before anything is changed."""
+        """Follow the film's creep before the vibration is changed."""
         self.memory.follow_preload(self.run)
 
-    def drive_as_foretold(self) -> None:
-        """With the drive that should give the load, or a share of it where nothing is known; then
-        the wait that was asked for."""
+    def drive_as_predicted(self) -> None:
+        """Set the drive that should give the load, or a fraction of it if nothing is known; then
+        wait as the settings require."""
         f, lo = self.condition.frequency_Hz, self.condition.load_N
         gain = self.memory.vibrator.at(f)
         costly = self._averages() and self._sampler.whole_length_s > LOOK_BEFORE_S
@@ -111,12 +118,12 @@ class SweepPointRun:
         if gain is None:
             self._drive(self.settings.first_amplitude_V)
         else:
-            self._foretold = self.memory.vibrator.near(f)
-            self._drive((1.0 if self._foretold else CAUTION) * lo / gain)
+            self._predicted = self.memory.vibrator.near(f)
+            self._drive((1.0 if self._predicted else CAUTION) * lo / gain)
         self._sampler.wait(self.settings.settling_s)
 
     def sample(self) -> None:
-        """One record more at the present drive."""
+        """Take one further record at the present drive."""
         sampled = self._sampler.take(self._needs(), only_load=self._looking)
         self.kept.append(sampled)
         if math.isnan(self._latest_N):
@@ -124,9 +131,12 @@ class SweepPointRun:
         self._latest_N = sampled.load.amplitude
 
     def is_over(self) -> bool:
-        """Whether load and film are steady and the gain is known well enough; if they are not, the
-        drive is corrected or what rings is waited for. A point that takes too long is over where
-        it is steady, and InstrumentError where it never was."""
+        """Return whether load and film are steady and the gain is known well enough; if not,
+        correct the drive or wait for the ringing to decay. A point that takes too long is over if
+        it is steady.
+
+        Raises InstrumentError if it takes too long and was never steady.
+        """
         late = self.run.clock.now() - self._begun_s > self.settings.longest_point_s
         if self._is_level() and self._is_settled():
             if self._sampler.physics_s > SILENCE_S:
@@ -137,7 +147,7 @@ class SweepPointRun:
         return False
 
     def reading(self) -> Reading:
-        """Record what counts, and what it shows."""
+        """Record the valid samples and return the reading."""
         run, condition, kept, sampler = self.run, self.condition, self.kept, self._sampler
         for sampled in kept:
             run.record_raw("waveform", sampled.record)
@@ -180,38 +190,39 @@ class SweepPointRun:
             self._sampler.wait(RINGING_S if changed else CORRECTED_S)
 
     def _is_level(self) -> bool:
-        """Whether the load is the one asked for; if it is not, the drive is corrected."""
+        """Return whether the load is within its tolerance; if not, correct the drive."""
         lo = self.condition.load_N
         load = self.kept[-1].load
         if abs(load.amplitude / lo - 1) <= self._tolerance(load):
             return True
         self._looking = self._looking and abs(load.amplitude / lo - 1) > FAR_OFF
         correction = min(lo / load.amplitude, BOLDEST_CORRECTION)
-        if self._foretold:
+        if self._predicted:
             correction = min(max(correction, 1 / LARGEST_CORRECTION), LARGEST_CORRECTION)
         self._drive(self.memory.drive_V * correction)
         return False
 
     def _tolerance(self, load: SineFit) -> float:
-        """Most of what a kept point may be off; the noise of a short record is no deviation."""
+        """Return the largest allowed deviation of the load; the noise of a short record is not a
+        deviation."""
         noise = 2 * load.standard_error / self.condition.load_N
         return min(max(KEPT_WITHIN * 1e-2 * self.settings.load_tolerance_percent, noise), 5e-2)
 
     # --- settling -------------------------------------------------------------------------------
 
     def _averages(self) -> bool:
-        """Whether one record averages over all ringing."""
+        """Return whether one record averages over all ringing."""
         return self._sampler.whole_length_s >= LONG_RECORD_S and not self._leapt
 
     def _needs(self) -> RecordNeeds:
-        """How long the next record has to be: what is missing after those that are kept."""
+        """Return the length that the next record needs in addition to the valid ones."""
         if not self.kept and not (self._outlasted or self._averages()):
             return self._sampler.first_look()
         return self._sampler.missing_after(sum(sampled.duration_s for sampled in self.kept))
 
     def _is_settled(self) -> bool:
-        """Whether the last two records agree; those before are forgotten where they do not."""
-        if self._looking:  # it was too short to count
+        """Return whether the last two records agree; drop the earlier ones if they do not."""
+        if self._looking:  # It was too short to be valid.
             self._looking = False
             self.kept.clear()
             return False
@@ -230,7 +241,7 @@ class SweepPointRun:
         return False
 
     def _agree(self) -> bool:
-        """Whether load and response of the last two records are the same within their noise."""
+        """Return whether load and response of the last two records are equal within their noise."""
         before, last = self.kept[-2:]
         difference_N = abs(before.load.amplitude - last.load.amplitude)
         noise_N = AGREEMENT_SIGMAS * math.hypot(
@@ -242,10 +253,10 @@ class SweepPointRun:
         return abs(before.response.value - last.response.value) <= visible
 
     def _outlast_ringing(self, now: float, visible: float, size: float) -> None:
-        """Where ringing was seen to sink below what can be seen, wait until it matters no more.
+        """If ringing was seen to decay below what can be resolved, wait until it no longer matters.
 
-        It took so long from the first difference to less than ``visible``: that tells the longest
-        time constant it may have.
+        The time from the first difference to one below ``visible`` gives the longest possible time
+        constant.
         """
         if self._seen_ringing is None:
             return
@@ -260,8 +271,8 @@ class SweepPointRun:
             self._outlasted = True
 
     def _is_known(self) -> bool:
-        """Whether the gain's standard error is below the target: without the first record, which
-        may hold the end of the ringing, if that does."""
+        """Return whether the gain's standard error is below the target; the first record, which may
+        contain the end of the ringing, is left out if that suffices."""
         target = self.settings.target_error_dB
         for kept in (self.kept[1:], self.kept):
             if not kept:
@@ -273,16 +284,18 @@ class SweepPointRun:
         return False
 
     def _load_is_right(self) -> bool:
-        """Whether the records' mean load is within the tolerance: their noise averages out."""
+        """Return whether the records' mean load is within the tolerance: their noise averages
+        out."""
         mean = sum(s.load.amplitude for s in self.kept) / len(self.kept)
         return abs(mean / self.condition.load_N - 1) <= 1e-2 * self.settings.load_tolerance_percent
 
     def _refuse_restless(self) -> None:
-        """The time limit is over, and the load was never right and steady."""
+        """Raise InstrumentError: the time limit has passed and the load was never right and
+        steady."""
         raise InstrumentError(
             "generator",
             f"load at {self.condition.frequency_Hz:g} Hz",
             f"{self._latest_N:.4g} N after {self.settings.longest_point_s:g} s, "
-            f"{self.condition.load_N:g} N wanted; two records in a row never agreed on it",
-            "look for something loose in the vibrator's line, or allow more time and tolerance",
+            f"{self.condition.load_N:g} N wanted; no two successive records agreed",
+            "check the vibrator's line for something loose, or allow more time and tolerance",
         )

@@ -1,9 +1,10 @@
-"""Static preload: approach until contact is felt, bring the force up under control, hold, let go.
+"""The static preload: approach until contact is felt, bring the force up under control, hold,
+release.
 
-What a person does by hand with one eye on the force: park, zero the sensor, go down quickly to
-where nothing can be yet, slowly until something is, then up to the preload no faster than the
-force may rise. The film creeps under it, so the force is followed for as long as the run lasts.
-Whatever ends the run, the stage is stopped, and moved away where it still can be.
+As a person would by hand while watching the force: park, zero the sensor, go down quickly to just
+before the contact range, slowly until contact is felt, then raise the force at a limited rate to
+the preload. The film creeps under it, so the force is followed for as long as the run lasts.
+Whatever ends the run, the stage is stopped, and moved away if it still can be.
 """
 
 from __future__ import annotations
@@ -39,65 +40,68 @@ if TYPE_CHECKING:
     from rig.run.context import Run
 
 TICK_S = 0.01
-"""From one step of the control of the force to the next."""
+"""Interval between two steps of the force control."""
 MIN_FORCE_RATE_S_S = 1 / TICK_S
-"""Fewest frames a second of a force sensor: one for every step of the control."""
+"""Lowest frame rate of a force sensor: one frame for every step of the control."""
 CHECKED_EVERY_S = 0.02
-"""From one check of the force to the next in an approach; the limit is watched all the time."""
+"""Interval between two checks of the force in an approach; the limit is watched all the time."""
 FORCE_WINDOW_S = 0.005
-"""Stretch of force that a step takes the mean of: one frame at least."""
+"""Time over which a step averages the force: one frame at least."""
 CONTACT_N = 0.4
 """Force that means contact: far above the sensor's noise, far below the preload."""
 APPROACH_mm_s = 0.5
 LATE_S = 1.0
-"""Beyond what the approach needs at this speed, before it is ended."""
+"""Time beyond that needed for the approach at its speed after which it is ended."""
 RISE_N_s = 25.0
-"""How fast the force may rise."""
+"""Largest rate of the force."""
 FIRST_STIFFNESS_N_mm = 1000.0
-"""Taken for the film's until its own is known: stiffer than any, for a small first step."""
+"""Stiffness assumed until the film's own is known: stiffer than any film, for a small first
+step."""
 KNOWN_AFTER_mm = 0.02
-"""Compression from which the film's own stiffness is believed."""
+"""Compression from which the measured stiffness of the film is used."""
 AHEAD_S = 0.1
-"""Of motion at the wanted speed: how far ahead of the stage its target is put at most, so that a
-program that is late does not press on, nor one that hangs until the drive has noticed, and a
-stiffness that came out wrong does no harm."""
+"""Largest distance of the target ahead of the stage, as time of motion at the wanted speed. It
+bounds the motion of a late or hanging program until the drive's time-out, and the effect of a wrong
+stiffness."""
 CLOSE = 0.002
-"""Relative error of the force that is left alone."""
+"""Relative error of the force that is not corrected."""
 HELD = 0.01
-"""Relative error within which the force has to stay to count as held."""
+"""Relative error within which the force is held."""
 HOLD_S = 0.3
 PATIENCE_S = 15.0
-"""From contact to a held force, at most."""
+"""Longest time from contact to a held force."""
 GONE_S = 0.1
-"""What was felt and is not there for so long was no contact: something has shaken the sensor."""
+"""Time without force after which a contact is rejected: something has shaken the sensor."""
 CREEP_PATIENCE_S = 60.0
-"""Until a held film creeps slowly enough to leave it alone, at most."""
+"""Longest time until a held film creeps slowly enough to begin."""
 WORTH_mm = 0.002
-"""A move at least so far tells the film's stiffness."""
+"""Smallest move from which the film's stiffness is estimated."""
 
 
 @dataclass
 class Preload:
-    """A film under force: where contact was felt, how stiff it is, how well the force was met."""
+    """A preloaded film: position of contact, stiffness, and quality of the preload."""
 
     target_N: float
     contact_mm: float
     stiffness_N_mm: float
     reached_N: float
     overshoot: float
-    """Largest excess on the way up, relative."""
+    """Largest relative excess of the force on the way up."""
     settling_s: float
-    """From contact to the force being held."""
+    """Time from contact until the force was held."""
     position_mm: float
-    """Where the stage was told to be."""
+    """Commanded position of the stage."""
     zero: ForceZero = field(default_factory=ForceZero)
-    """Of the force sensor, before the film was touched."""
+    """Zero of the force sensor, from before the contact."""
     _moved: tuple[float, float] | None = None
-    """How far the latest move went, mm, and the force before it."""
+    """Length of the latest move in mm, and the force before it."""
 
     def hold(self, run: Run, stretch_s: float, pause_s: float) -> None:
-        """Follow the film until it creeps slowly; InstrumentError where it does not come to that.
-        A move has its effect within `pause_s`."""
+        """Follow the film until it creeps slowly. Raises InstrumentError if it never does.
+
+        A move has its effect within `pause_s`.
+        """
         give_up_s = run.clock.now() + CREEP_PATIENCE_S
         while self.follow(run, stretch_s):
             run.clock.sleep(stretch_s + pause_s)
@@ -107,13 +111,13 @@ class Preload:
                     "preload",
                     f"{felt_N(run, stretch_s):.4g} N, followed for {CREEP_PATIENCE_S:g} s and not "
                     f"within {100 * CLOSE:g} % of {self.target_N:g} N",
-                    "look at the film and its clamp: something gives way, or the stage hunts",
+                    "check the film and its clamp: something gives way, or the stage hunts",
                 )
 
     def follow(self, run: Run, stretch_s: float) -> bool:
-        """Bring the mean force of the latest stretch back where the film has crept; one small move
-        at most, and whether there was one. The stretch has to be of whole periods of what
-        vibrates."""
+        """Correct the mean force of the latest `stretch_s` for the film's creep by one small move
+        at most; return whether there was one. `stretch_s` has to contain whole periods of the
+        vibration."""
         missing_N = self.target_N - felt_N(run, stretch_s)
         self._learn_stiffness(self.target_N - missing_N)
         if abs(missing_N) <= CLOSE * self.target_N:
@@ -122,9 +126,10 @@ class Preload:
             raise TripError(
                 f"force_sensor reads a preload of {self.target_N - missing_N:.3g} N where stage_z "
                 f"had pressed with {self.target_N:g} N",
-                "look at the film and its clamp: something has given way",
+                "check the film and its clamp: something has given way",
             )
-        creep_N = CLOSE * self.target_N if missing_N > 0 else 0.0  # it will go on creeping
+        # Aims beyond the target, because the film continues to creep.
+        creep_N = CLOSE * self.target_N if missing_N > 0 else 0.0
         step_mm = (missing_N + creep_N) / self.stiffness_N_mm
         self.position_mm += step_mm
         self._moved = step_mm, self.target_N - missing_N
@@ -132,9 +137,9 @@ class Preload:
         return True
 
     def _learn_stiffness(self, force_N: float) -> None:
-        """A film that answered the latest move with more than was expected is stiffer than it was
-        taken for, since the force rises faster the further it is pressed, or since contact was felt
-        too early: moves that are too long would never come to an end."""
+        """Raise the assumed stiffness if the latest move had more effect than expected: the force
+        rises faster the further the film is pressed, or contact was felt too early. Without this,
+        moves would stay too long and the control would never settle."""
         if self._moved is None:
             return
         (step_mm, before_N), self._moved = self._moved, None
@@ -144,7 +149,7 @@ class Preload:
 
 
 def refuse_impossible(preload_N: float, load_N: float, share: float) -> None:
-    """LimitError where the largest load could lift the indentor off the film."""
+    """Raise LimitError if the largest load could lift the indentor off the film."""
     if load_N >= share * preload_N:
         raise LimitError(
             f"a load of {load_N:g} N peak is not below {share:g} of the preload of {preload_N:g} N:"
@@ -154,7 +159,8 @@ def refuse_impossible(preload_N: float, load_N: float, share: float) -> None:
 
 
 def press(run: Run, target_N: float) -> Preload:
-    """Bring the film under `target_N` and hold it; the way back is armed before it is touched."""
+    """Press the film with `target_N` and hold it; the shutdown action is registered before
+    contact."""
     bench = run.bench
     first_mm, last_mm = contact_range_mm(bench)
     stream_force(run, MIN_FORCE_RATE_S_S, "the control of the preload")
@@ -163,14 +169,14 @@ def press(run: Run, target_N: float) -> Preload:
     zero = tare_in_free_air(run)
     come_close(run, CONTACT_N, FORCE_WINDOW_S, CHECKED_EVERY_S)
     while (pressed := _press_from(run, _approach(run, first_mm, last_mm), target_N)) is None:
-        run.event("warning", "preload", "what was felt is gone again: the approach goes on")
+        run.event("warning", "preload", "the contact was not confirmed: the approach continues")
     pressed.zero = zero
     return pressed
 
 
 def duration_s(fixture: FixtureSettings, target_N: float, homed: bool) -> float:
-    """Bench time that `press` and the way back are expected to take; a stage that is `homed` waits
-    where it is parked."""
+    """Return the expected bench time of `press` and the retreat; a stage that is `homed` is parked
+    already."""
     slow_from_mm, contact_mm, parked_mm = expected_contact_mm(fixture)
     return (
         (0.0 if homed else HOMING_S + travel_s(parked_mm))
@@ -186,7 +192,8 @@ def duration_s(fixture: FixtureSettings, target_N: float, homed: bool) -> float:
 
 
 def _approach(run: Run, first_mm: float, last_mm: float) -> float:
-    """Go on slowly until something is felt, small targets ahead of the stage; where that was."""
+    """Move slowly until contact is felt, with small targets ahead of the stage; return its
+    position."""
     stage, clock = run.bench.stage_z, run.clock
     patience_s = (last_mm - stage.position_mm()) / APPROACH_mm_s + LATE_S
     begin_s = clock.now()
@@ -207,8 +214,8 @@ def _approach(run: Run, first_mm: float, last_mm: float) -> float:
 
 
 def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload | None:
-    """From contact to the held preload: small targets ahead of the stage, as stiff as it proves;
-    None where it was no contact."""
+    """Go from contact to the held preload in small targets ahead of the stage that depend on the
+    measured stiffness; None if the contact was not confirmed."""
     stage, clock = run.bench.stage_z, run.clock
     start_s, held_since_s = clock.now(), None
     felt_s = start_s
@@ -219,7 +226,8 @@ def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload | None:
         largest_N = max(largest_N, force_N)
         here_mm = stage.position_mm()
         pressed_mm = here_mm - contact_mm
-        if force_N > CONTACT_N / 2 or pressed_mm > KNOWN_AFTER_mm:  # a film does not go away
+        # Later than this it is a real contact: a film does not disappear.
+        if force_N > CONTACT_N / 2 or pressed_mm > KNOWN_AFTER_mm:
             felt_s = clock.now()
         elif clock.now() - felt_s >= GONE_S:
             return None
@@ -252,11 +260,12 @@ def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload | None:
         "preload",
         f"{felt_N(run, FORCE_WINDOW_S):.3g} N after {PATIENCE_S:g} s, {target_N:g} N wanted; the "
         f"stage stands at {stage.position_mm():.3f} mm",
-        "look at the film and its clamp",
+        "check the film and its clamp",
     )
 
 
 def _speed(stiffness_N_mm: float, missing_N: float) -> float:
-    """Full rise far away, then what covers the rest in a few ticks."""
+    """Return the speed of full rise far from the target, and near it the one that needs a few
+    ticks."""
     rise_N_s = min(RISE_N_s, max(abs(missing_N) / (5 * TICK_S), 1.0))
     return min(APPROACH_mm_s, rise_N_s / stiffness_N_mm)

@@ -1,8 +1,8 @@
-"""Records of load cell and film at one condition: how long, on which ranges, and the tones in them.
+"""Records of load cell and film at one condition: their length, their ranges and the tones in them.
 
-A record lasts as long as the noise of those before it says, in whole cycles, and longer where that
-tells a mains line that matters from the tone. A range that turns out too small is left for a larger
-one. What a fit shows is learned at once, and refused where nothing can come of it.
+The noise of earlier records determines the length of a record, in whole cycles; it is longer if
+that separates a significant mains line from the tone. A range that proves too small is replaced by
+a larger one. The result of each fit is learned at once, and refused if it is useless.
 """
 
 from __future__ import annotations
@@ -33,25 +33,26 @@ if TYPE_CHECKING:
     from rig.run.context import Run
 
 NO_SIGNAL_ERRORS = 5.0
-"""A tone whose amplitude is below this many standard errors is none."""
+"""Amplitude in standard errors below which there is no tone."""
 FIRST_LOOK = 3.0
-"""The first record at a frequency has to show the gain within so many times the target only."""
+"""Error of the first record at a frequency relative to the target error."""
 HARMLESS = 0.2
-"""A mains line that bends the gain by less than this share of the target is not fitted."""
+"""Effect of a mains line on the gain, relative to the target error, below which it is not
+fitted."""
 MAINS_LINES = 5
 LISTEN_MARGIN = 2.0
-"""Of a range over the largest value that was heard."""
+"""Ratio of a range to the largest value in the noise record."""
 
 
 @dataclass(frozen=True)
 class FittedRecord:
-    """One record and what the fits make of it."""
+    """One record and the results of its fits."""
 
     record: Record
     load: SineFit
-    """In newtons."""
+    """Fit of the load in newtons."""
     voltage: SineFit
-    """In volts."""
+    """Fit of the film's voltage in volts."""
     response: Response
 
     @property
@@ -61,7 +62,7 @@ class FittedRecord:
 
 
 def listen(run: Run, memory: SweepMemory) -> None:
-    """Before anything vibrates: the noise of both channels, and the mains in them."""
+    """Measure the noise of both channels and the mains lines in them, before anything vibrates."""
     settings, daq = run.settings, run.bench.daq
     rate = settings.slowest_rate_S_s if settings.rate_S_s is None else settings.rate_S_s
     ranges = daq.ranges_V()
@@ -84,34 +85,31 @@ def listen(run: Run, memory: SweepMemory) -> None:
 
 
 def volts_per_unit(run: Run, channel: str) -> float:
-    """What a channel's tone is measured by: the load in newtons, the film in volts."""
+    """Return the volts per unit of a channel's tone: newtons for the load, volts for the film."""
     return run.bench.load_cell.sensitivity_V_N if channel == "load_cell" else 1.0
 
 
 class RecordSampler:
-    """The records of one point, one after the other."""
+    """Takes the records of one point, one after the other."""
 
     def __init__(self, run: Run, condition: SweepCondition, memory: SweepMemory):
         self.run, self.condition = run, condition
         self.memory = memory
         self.settings: SweepSettings = run.settings
         self.physics_s = 0.0
-        """Time that went into waiting and sampling, and not into commands and computing."""
+        """Time spent on waiting and sampling, without commands and computing."""
         self.largest_load_N = 0.0
         self._ranges: dict[str, float] = {}
-        """Input ranges that turned out too small, by channel: larger ones are taken."""
+        """Input ranges that proved too small, by channel: larger ones are used."""
 
     def wait(self, seconds: float) -> None:
-        """Let what was changed settle."""
+        """Wait for a change to settle."""
         self.physics_s += seconds
         self.run.clock.sleep(seconds)
 
     def take(self, needs: RecordNeeds, only_load: bool) -> FittedRecord:
-        """One record more; one that was too large for its range is taken again on a larger.
-
-        One that `only_load` is wanted of spends nothing on the mains, and the film learns nothing
-        from it.
-        """
+        """Take one further record; one that exceeds its range is repeated on a larger range. With
+        `only_load` the mains are not fitted, and nothing is learned of the film."""
         daq, f = self.run.bench.daq, self.condition.frequency_Hz
         while True:
             acquisition = self._acquisition(needs, only_load)
@@ -133,12 +131,13 @@ class RecordSampler:
     # --- how long -------------------------------------------------------------------------------
 
     def first_look(self) -> RecordNeeds:
-        """What a record needs that only has to tell whether it has settled."""
+        """Return the needs of a record that only has to show whether the point has settled."""
         own = self.settings
         return self._needs(FIRST_LOOK * own.target_error_dB, self._error_of_one_second_dB())
 
     def missing_after(self, sampled_s: float) -> RecordNeeds:
-        """What the next record needs to reach the target together with so much that is kept."""
+        """Return the needs of the next record to reach the target together with `sampled_s` of
+        valid records."""
         own, target = self.settings, self.settings.target_error_dB
         error = self._error_of_one_second_dB()
         if error is not None:
@@ -149,7 +148,7 @@ class RecordSampler:
 
     @functools.cached_property
     def whole_length_s(self) -> float:
-        """Length of the one record that would reach the target by itself, as known at first."""
+        """Return the length of a single record that would reach the target, as known at first."""
         f = self.condition.frequency_Hz
         rate = self.settings.rate_at(f)
         return record_samples(f, rate, self.missing_after(0.0), self._all_mains()) / rate
@@ -160,7 +159,8 @@ class RecordSampler:
         return RecordNeeds(shortest_s, own.longest_point_s, target_dB, error_dB)
 
     def _error_of_one_second_dB(self) -> float | None:  # noqa: N802 - the unit keeps its capital
-        """Standard error of the gain from one second; None while film or noise are unknown."""
+        """Return the standard error of the gain from one second; None while film or noise are
+        unknown."""
         lo, memory = self.condition.load_N, self.memory
         film = memory.film.at(self.condition.frequency_Hz)
         if film is None or not memory.error_of_one_second:
@@ -187,14 +187,14 @@ class RecordSampler:
         return Acquisition(tuple(channels), rate, samples)
 
     def _expected(self, channel: str) -> float:
-        """Amplitude of a channel in its unit; 0 for a film of which nothing is known."""
+        """Return the expected amplitude of a channel in its unit; 0 for an unknown film."""
         lo = self.condition.load_N
         if channel == "load_cell":
             return lo
         return (self.memory.film.at(self.condition.frequency_Hz) or 0.0) * lo
 
     def _overloaded(self, record: Record) -> bool:
-        """Whether a channel stood at the end of its range, and there is a larger one to take."""
+        """Return whether a channel was at the end of its range and there is a larger range."""
         again = False
         for name, range_V in zip(record.scaling.channels, record.scaling.range_V, strict=True):
             if not record.clipped(name):
@@ -217,7 +217,7 @@ class RecordSampler:
             limit = affordable_inflation(needs, duration_s)
         lines: Sequence[float] = mains_lines(mains_Hz, MAINS_LINES)
         if not strong and duration_s * mains_Hz < 1:
-            lines = ()  # less than a period of weak mains is as good as an offset
+            lines = ()  # Less than a period of weak mains cannot be distinguished from an offset.
         found = fit_sine(
             record.volts(channel) / volts_per_unit(self.run, channel),
             record.scaling.rate_S_s,
@@ -230,7 +230,7 @@ class RecordSampler:
         return found
 
     def strong_mains(self, channel: str) -> list[float]:
-        """The mains lines that could matter to a channel, in Hz."""
+        """Return the mains lines that could matter to a channel, in Hz."""
         own = self.settings
         harmless = HARMLESS * own.target_error_dB / DB_PER_RELATIVE * self._expected(channel)
         return self.memory.mains[channel].strong(own.mains_Hz, MAINS_LINES, harmless)
@@ -239,23 +239,24 @@ class RecordSampler:
         return sorted({line for channel in CHANNELS for line in self.strong_mains(channel)})
 
 
-# --- what can be wrong --------------------------------------------------------------------------
+# --- faults -------------------------------------------------------------------------------------
 
 
 def shows(tone: SineFit) -> bool:
-    """Whether a tone is more than noise."""
+    """Return whether a tone is more than noise."""
     return tone.amplitude > NO_SIGNAL_ERRORS * tone.standard_error
 
 
 def refuse_no_load(load: SineFit) -> None:
-    """A vibrator that does not drive, or a load cell that does not see it."""
+    """Raise InstrumentError for a vibrator that does not drive or a load cell that does not
+    measure."""
     if not shows(load):
         remedy = "check generator, vibrator amplifier and load cell, and their cables"
         raise _only_noise(load, "load_cell", "load", "N", remedy)
 
 
 def refuse_silence(voltage: SineFit) -> None:
-    """A film that is torn, unclamped or not connected gives noise."""
+    """Raise InstrumentError for a film without a signal: torn, unclamped or not connected."""
     if not shows(voltage):
         remedy = "check that the film is clamped, whole and connected to its amplifier"
         raise _only_noise(voltage, "film", "signal", "V", remedy)
@@ -272,7 +273,7 @@ def _only_noise(tone: SineFit, device: str, what: str, unit: str, remedy: str) -
 
 
 def refuse_overload(run: Run, load: SineFit) -> None:
-    """The load may not exceed what film and cell stand."""
+    """Raise LimitError for a load above the limit of film and load cell."""
     limit = run.bench.load_cell.max_load_N
     if load.amplitude > limit:
         raise TripError(
@@ -283,7 +284,7 @@ def refuse_overload(run: Run, load: SineFit) -> None:
 
 
 def refuse_saturation(record: Record, channel: str, range_V: float, frequency_Hz: float) -> None:
-    """A clipped sine fits beautifully and wrongly."""
+    """Raise InstrumentError for a clipped record: a fit of it would look good and be wrong."""
     raise InstrumentError(
         "daq",
         f"channel {channel} at {frequency_Hz:g} Hz",
@@ -294,12 +295,11 @@ def refuse_saturation(record: Record, channel: str, range_V: float, frequency_Hz
 
 
 def warn_of_mains(run: Run, found: SineFit, strong: Sequence[float]) -> None:
-    """A strong mains line that could not be told from the tone."""
+    """Warn of a strong mains line that cannot be separated from the tone."""
     for line in set(found.unresolved_Hz) & set(strong):
         run.event(
             "warning",
             "mains",
             f"{found.frequency_Hz:g} Hz is too close to the mains line at {line:g} Hz for a record "
-            f"of {found.n / found.rate_Hz:.3g} s: what the mains adds cannot be told from the "
-            "signal",
+            f"of {found.n / found.rate_Hz:.3g} s: the mains cannot be separated from the signal",
         )

@@ -11,78 +11,80 @@ from rig.core.settings import Settings
 
 CHANNELS = ("load_cell", "film")
 HIGHEST_RATE_S_S = 500e3
-"""Two channels of the slower of the DAQs this was written for."""
+"""Highest sampling rate: two channels of the slower DAQ that this was written for."""
 LARGEST_SHARE_OF_PRELOAD = 0.8
-"""A larger load could lift the indentor off the film (paper 3.1 keeps it pressed)."""
+"""Largest load as a fraction of the preload: a larger one could lift the indentor off the film
+(paper 3.1 requires contact)."""
 FEW_CYCLES = 2
-"""A record holds so many cycles where that costs no more than twice the shortest record."""
+"""Cycles of a record if they take no more than twice the shortest record."""
 LISTEN_S = 0.5
 """Length of the record before anything vibrates."""
 LISTENED = 2
-"""How often it is expected to be taken: again on the ranges that the first one shows to fit."""
+"""Expected number of such records: one more on the ranges that the first one shows to fit."""
 LONG_RECORD_S = 0.03
-"""A record that has to be as long averages over all ringing: one is enough, else it takes two."""
+"""Length from which one record averages over all ringing and is enough; shorter ones take two."""
 
 
 class SweepCondition(NamedTuple):
-    """What a point is taken at."""
+    """The condition of a point."""
 
     frequency_Hz: float
     load_N: float
-    """Peak."""
+    """Sinusoidal load, peak."""
     repeat: int = 1
 
 
 class SweepSettings(Settings):
-    """What a sweep can be told."""
+    """Settings of a sweep."""
 
     frequencies_Hz: tuple[float, ...] = ()
-    """Frequencies in ascending order; none for the grid, which is refined where drops are."""
+    """Frequencies to measure, ascending, e.g. 20,200,2kHz. Default: automatic grid from --lowest to
+    --highest, refined around notches."""
     load_N: float = Field(default=1.0, gt=0)
     """Sinusoidal load, peak."""
     loads_N: tuple[float, ...] = ()
-    """Several loads at each frequency, peak, in place of one."""
+    """Several loads at each frequency, peak, instead of one."""
     preload_N: float = Field(default=25.0, gt=0)
-    """Static force that the film is held under."""
+    """Static force on the film."""
     load_tolerance_percent: float = Field(default=1.0, gt=0, le=50)
-    """How far the load of a kept point may be from the one asked for."""
+    """Largest deviation of the load of a recorded point from its set point."""
     target_error_dB: float = Field(default=0.05, gt=0, le=10)
-    """Standard error of the gain up to which a point is measured."""
+    """Standard error of the gain at which the measurement of a point ends."""
     longest_point_s: float = Field(default=20.0, gt=0, le=600)
-    """Time a point may take, at most."""
+    """Longest time that a point may take."""
     lowest_Hz: float = Field(default=2.0, gt=0)
     """First frequency of the grid."""
     highest_Hz: float = Field(default=20e3, gt=0)
     """Last frequency of the grid."""
     coarse_per_decade: int = Field(default=10, ge=1, le=1000)
-    """Frequencies a decade below fine_from_Hz."""
+    """Points per decade below --fine-from."""
     fine_from_Hz: float = Field(default=200.0, gt=0)
-    """Where the fine part of the grid begins."""
+    """Frequency at which the fine part of the grid begins."""
     fine_per_decade: int = Field(default=60, ge=1, le=1000)
-    """Frequencies a decade from there on."""
+    """Points per decade from --fine-from on."""
     points_per_half_width: int = Field(default=6, ge=0, le=100)
-    """Further points within each half-width of a drop that the grid shows; 0 for none."""
+    """Further points within each half-width of a notch that the grid shows; 0 for none."""
     repeats: int = Field(default=1, ge=1, le=1000)
-    """How often each condition is measured."""
+    """Number of measurements of each condition."""
     order: Literal["auto", "ascending", "descending", "random"] = "auto"
-    """Order of the points; auto takes a list as it is, and the grid from its high end, where
-    records are short and cheap to learn from."""
+    """Order of the points. auto: a list in its own order, the grid from its high end, where records
+    are short."""
     order_seed: int = Field(default=0, ge=0)
     """Seed of the random order."""
     settling_s: float = Field(default=0.0, ge=0, le=60)
     """Wait after a change of frequency, before records are compared."""
     shortest_record_s: float = Field(default=0.0065, gt=0, le=60)
-    """Length of a record, at least."""
+    """Shortest length of a record."""
     samples_per_cycle: float = Field(default=20.0, ge=2.5)
-    """The sampling rate follows the frequency by this factor."""
+    """Ratio of sampling rate to frequency."""
     slowest_rate_S_s: float = Field(default=64e3, gt=0)
-    """Sampling rate, at least: it keeps the front end's noise from folding."""
+    """Lowest sampling rate, which prevents aliasing of the front end's noise."""
     rate_S_s: float | None = Field(default=None, gt=0)
-    """One sampling rate for all points, in place of one that follows the frequency."""
+    """Fixed sampling rate for all points. Default: --samples-per-cycle times the frequency."""
     first_amplitude_V: float = Field(default=0.05, gt=0)
-    """Generator amplitude, peak, with which a sweep that knows nothing yet begins."""
+    """Generator amplitude, peak, at the beginning of a sweep."""
     mains_Hz: float = Field(default=50.0, gt=0)
-    """Mains frequency, whose lines are fitted beside the tone."""
+    """Mains frequency, whose lines are fitted together with the tone."""
 
     @field_validator("frequencies_Hz", "loads_N")
     @classmethod
@@ -110,18 +112,19 @@ class SweepSettings(Settings):
         return self
 
     def rate_at(self, frequency_Hz: float) -> float:
-        """Sampling rate for a frequency, S/s."""
+        """Return the sampling rate for a frequency, in S/s."""
         if self.rate_S_s is not None:
             return self.rate_S_s
         wanted = max(self.slowest_rate_S_s, self.samples_per_cycle * frequency_Hz)
         return min(wanted, max(HIGHEST_RATE_S_S, 2.5 * frequency_Hz))
 
     def shortest_at(self, frequency_Hz: float) -> float:
-        """Shortest record at a frequency, s: one cycle at least, a few where they are short."""
+        """Return the length of the shortest record at a frequency in s: one cycle, or a few short
+        ones."""
         few = FEW_CYCLES / frequency_Hz
         return max(self.shortest_record_s, 1 / frequency_Hz, min(few, 2 * self.shortest_record_s))
 
     @property
     def levels_N(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital
-        """The loads at each frequency."""
+        """Loads at each frequency."""
         return self.loads_N or (self.load_N,)

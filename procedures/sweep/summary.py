@@ -1,4 +1,4 @@
-"""What the readings of a sweep show together: its curve, figures of it, and the film's model."""
+"""The summary of a sweep: its curve, figures of it, and the film's model."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from rig.analysis.response.curve import CurveError, ResponseCurve, points_of
 from rig.run.points import Reading
 
 NEAR_200 = 1.26
-"""Ratio to 200 Hz that is still near: a tenth of a decade, the coarse grid's step."""
+"""Largest ratio to 200 Hz of a frequency near it: a tenth of a decade, the coarse grid's step."""
 FEWEST_FOR_A_MODEL = 12
-"""Frequencies, for the film's model to be fitted."""
+"""Fewest frequencies from which the film's model is fitted."""
 
 
 def curve_of(readings: Sequence[Reading]) -> ResponseCurve:
-    """The readings as the analysis takes them; CurveError where they are no curve."""
+    """Return the readings as a response curve. Raises CurveError if they do not form one."""
     return ResponseCurve.of(
         *points_of(partial(_column, readings)),
         degrees=_column(readings, "degrees"),
@@ -30,8 +30,8 @@ def curve_of(readings: Sequence[Reading]) -> ResponseCurve:
 
 
 def figures(readings: Sequence[Reading]) -> dict[str, Any]:
-    """Range, gain near 200 Hz if that was measured, how well gains are known, deviations of the
-    load; of one reading at least."""
+    """Return range, gain near 200 Hz if measured, errors of the gain, and deviations of the load;
+    needs at least one reading."""
     frequencies = [float(r["frequency_Hz"] or 0) for r in readings]
     errors = sorted(float(r["gain_standard_error_dB"] or 0) for r in readings)
     return {
@@ -51,13 +51,12 @@ def figures(readings: Sequence[Reading]) -> dict[str, Any]:
 
 
 def model(readings: Sequence[Reading], several_loads: bool) -> dict[str, Any]:
-    """What the analysis of the gain curve says, with its dependence on the load where several were
-    asked for; nothing for a sweep too short for it."""
+    """Return the results of the gain curve's analysis, with its dependence on the load if several
+    were measured; empty for a sweep that is too short for it."""
     if len({reading["frequency_Hz"] for reading in readings}) < FEWEST_FOR_A_MODEL:
         return {}
-    from rig.analysis.film.gain_curve import (
-        analyse,  # takes long: never while something is switched on
-    )
+    # Takes long to import, so never imported while something is switched on.
+    from rig.analysis.film.gain_curve import analyse
 
     def of_loads(name: str) -> npt.NDArray[np.float64] | None:
         return _column(readings, name) if several_loads else None
@@ -77,7 +76,8 @@ def model(readings: Sequence[Reading], several_loads: bool) -> dict[str, Any]:
 
 
 def _gain_near_200(readings: Sequence[Reading]) -> dict[str, Any]:
-    """The gain nearest to 200 Hz, its standard error; nothing where none was measured near it."""
+    """Return the gain nearest to 200 Hz and its standard error; empty if none was measured
+    near it."""
     nearest = min(readings, key=lambda r: abs(math.log(float(r["frequency_Hz"] or 1) / 200)))
     frequency = float(nearest["frequency_Hz"] or 1)
     if not 1 / NEAR_200 <= frequency / 200 <= NEAR_200:
@@ -90,6 +90,6 @@ def _gain_near_200(readings: Sequence[Reading]) -> dict[str, Any]:
 
 
 def _column(readings: Sequence[Reading], name: str) -> npt.NDArray[np.float64]:
-    """A column of the run's table, (n,)."""
+    """Return a column of the run's table, (n,)."""
     source = LAYOUT.column(name).key
     return np.array([float(reading[source] or 0) for reading in readings])

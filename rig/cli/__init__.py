@@ -1,4 +1,4 @@
-"""The command line: parses, calls, prints; no logic of its own."""
+"""The command line: parses options, calls the library, prints results; it has no further logic."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 from types import FrameType
 
 SIGNALS_THAT_END = (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-"""Beside SIGINT, which Python turns into KeyboardInterrupt."""
+"""Signals that end a command, in addition to SIGINT, which Python turns into KeyboardInterrupt."""
 
 
 def main() -> None:
@@ -28,23 +28,23 @@ def main() -> None:
         perform(sys.argv[1:])
     except KeyboardInterrupt:
         sys.exit(_code(signal.SIGINT))
-    finally:  # what Python still clears away would answer an exception with a complaint
+    finally:  # An exception while Python shuts down would print a traceback.
         for number in SIGNALS_THAT_END:
             signal.signal(number, _leave_at_once)
 
 
 def _leave(number: int, _: FrameType | None) -> None:
-    """Before a run has begun there is nothing to make safe."""
+    """Leave before a run has begun, when there is nothing to make safe."""
     sys.exit(_code(number))
 
 
 def _leave_at_once(number: int, _: FrameType | None) -> None:
-    """Everything is done: what was printed is kept, and nothing else is left."""
+    """Leave at once after everything is done; output that was printed is flushed."""
     with contextlib.suppress(OSError, ValueError):
         sys.stdout.flush()
     os._exit(_code(number))
 
 
 def _code(number: int) -> int:
-    """The exit code of a command that a signal has ended, as a shell reports it."""
+    """Return the exit code of a command that a signal has ended, as a shell reports it."""
     return 128 + number

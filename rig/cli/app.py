@@ -1,8 +1,8 @@
-"""The application ``rig``: its commands, put together so that ``rig --help`` comes at once.
+"""The application ``rig``: its commands, assembled so that ``rig --help`` is fast.
 
 The modules of commands import what is expensive inside their commands. Typer reads the types of
-every option it is given, for which it imports pydantic; so it gets the function of the command that
-was asked for, and of the others only a line for the list, read from their sources.
+every option it is given, for which it imports pydantic; so it gets the function of the given
+command only, and for the others one line of the list, read from their sources.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ says so.
 def perform(arguments: Sequence[str]) -> None:
     """Perform a command line and end the process with its exit code.
 
-    With ``--json`` stdout carries an object for one that cannot be understood, too.
+    With ``--json`` stdout gets an object even for a command line that cannot be parsed.
     """
     as_json = "--json" in arguments
     try:
@@ -71,8 +71,8 @@ def perform(arguments: Sequence[str]) -> None:
 
 
 def build(arguments: Sequence[str]) -> typer.Typer:
-    """The application for this command line; ConfigurationError where the procedure that it asks
-    for cannot be used. Procedures that are broken and not asked for are listed as unavailable."""
+    """Return the application for this command line. Raises ConfigurationError if its procedure
+    cannot be used. Other procedures that are broken are listed as unavailable."""
     app = typer.Typer(
         name="rig",
         help=HELP,
@@ -86,7 +86,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     own = (*COMMANDS, *GROUPS)
     listed = asked not in own and asked not in installed
     for name in installed:
-        if name in own:  # a package does not replace a command of the program
+        if name in own:  # A package must not replace a command of this program.
             if asked is None:
                 say(f"warning: a procedure {name!r} is installed, which is the name of a command")
             continue
@@ -117,7 +117,7 @@ def _add(app: typer.Typer, name: str, text: str, function: Callable[..., None]) 
 
 
 def _summary(name: str) -> str:
-    """What the list of commands says of a procedure, without importing it."""
+    """Return the line of a procedure in the list of commands, without importing it."""
     try:
         return summary(PROCEDURES, name)
     except BrokenPackageError as error:
@@ -142,4 +142,4 @@ def _first_line(docstring: str | None) -> str:
 
 
 def _not_asked() -> None:
-    """Stands in the list of commands for what another command line asks for."""
+    """Placeholder in the list for the commands that this command line does not call."""

@@ -33,7 +33,7 @@ Folder = Annotated[
     Path | None,
     typer.Argument(help="Folder of the batch [the latest in the results].", metavar="[FOLDER]"),
 ]
-Results = Annotated[Path, typer.Option(help="Where to look for the latest batch.")]
+Results = Annotated[Path, typer.Option(help="Folder in which the latest batch is found.")]
 BenchPath = Annotated[
     Path | None,
     typer.Option(help="Bench file; without one, the batch file's, ./bench.toml or simulated."),

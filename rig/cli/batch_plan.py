@@ -52,7 +52,7 @@ def schema() -> None:
 
 
 def as_object(prepared: PreparedBatch, free_B: int) -> dict[str, Any]:
-    """The object that ``--json`` prints."""
+    """Return the object that ``--json`` prints."""
     forecast, expected = prepared.forecast, prepared.expected
     return {
         "name": prepared.batch.batch.name,
@@ -157,7 +157,7 @@ def _size(size_B: float) -> str:
 
 
 def _existing(folder: Path) -> Path:
-    """The folder, or the nearest one around it that exists."""
+    """Return the folder, or the nearest one around it that exists."""
     folder = folder.absolute()
     while not folder.exists():
         folder = folder.parent

@@ -38,12 +38,12 @@ if TYPE_CHECKING:
 
 
 LARGE_CROSSTALK_PERCENT = 10.0
-"""A sensor of two crossed or tilted axes."""
+"""Crosstalk above which two axes of the sensor are probably crossed or tilted."""
 LARGEST_TOLERANCE_PERCENT = 5.0
-"""Of weights that are worth calibrating with."""
+"""Largest tolerance of weights that are good enough for a calibration."""
 SHORTEST_READING_S, LONGEST_WAIT_S = 0.1, 60.0
 TEMPERATURES_degC = (-40.0, 85.0)
-"""Between which the sensors and the film work at all."""
+"""Range of temperature in which sensors and film work."""
 app = typer.Typer(
     name="calibrate",
     help=(__doc__ or "").split("\n", 1)[0],
@@ -63,38 +63,43 @@ DIRECTIONS: dict[str, Vector] = {
 }
 
 To = Annotated[
-    Path | None, typer.Option(help="Folder for the record [calibrations/ beside the bench file].")
+    Path | None, typer.Option(help="Folder for the record [calibrations/ next to the bench file].")
 ]
 Operator = Annotated[str, typer.Option(help="Who calibrates [the login name].")]
 Valid = Annotated[
-    str | None, typer.Option(help="How long the record holds, for example 90d.", metavar="DAYS")
+    str | None,
+    typer.Option(help="Period of validity of the record, for example 90d.", metavar="DAYS"),
 ]
 Temperature = Annotated[
-    float | None, typer.Option(help="Of the surroundings, in degrees Celsius.", metavar="degC")
+    float | None, typer.Option(help="Ambient temperature in degrees Celsius.", metavar="degC")
 ]
-Notes = Annotated[str, typer.Option(help="Anything worth keeping.")]
+Notes = Annotated[str, typer.Option(help="Remarks.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 BenchOption = Annotated[
     Path | None, typer.Option(help="Bench file; without one, ./bench.toml or the simulated bench.")
 ]
-Weights = Annotated[str, typer.Option(help="Known forces to be put on, rising.", metavar="N,N,…")]
+Weights = Annotated[str, typer.Option(help="Known forces to apply, ascending.", metavar="N,N,…")]
 Tolerance = Annotated[
-    float, typer.Option(help="Limit of the weights' common error.", min=0, metavar="percent")
+    float, typer.Option(help="Relative tolerance of the weight set.", min=0, metavar="percent")
 ]
-Duration = Annotated[str, typer.Option(help="Length of a reading.", metavar="s")]
+Duration = Annotated[str, typer.Option(help="Duration of a reading.", metavar="s")]
 Settling = Annotated[str, typer.Option(help="Wait before a reading.", metavar="s")]
-Preload = Annotated[str, typer.Option(help="Force that stands on it all the time.", metavar="N")]
+Preload = Annotated[
+    str, typer.Option(help="Constant force on the sensor in addition to the weights.", metavar="N")
+]
 Yes = Annotated[bool, typer.Option("--yes", help="Do not wait for Enter (simulated bench only).")]
 Results = Annotated[Path, typer.Option(help="Folder with the guard's report.")]
 Seed = Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0)]
-World = Annotated[Path | None, typer.Option(help="World settings (TOML) of a simulated bench.")]
+World = Annotated[
+    Path | None, typer.Option(help="Physical parameters of the simulated bench (TOML).")
+]
 WorldLog = Annotated[Path | None, typer.Option(help="File for a simulated bench's own log.")]
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """The options that all records have in common."""
+    """Options that all records have in common."""
 
     to: Path | None
     operator: str
@@ -127,7 +132,7 @@ class Wanted:
 
 @dataclass(frozen=True)
 class WeighingOptions:
-    """The options that both calibrations from weights have in common."""
+    """Options that both calibrations with weights have in common."""
 
     bench: Path | None
     weights: str
@@ -154,7 +159,7 @@ def pvdf(
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Level b and corner of a film, from the run file of a sweep."""
+    """Determine level b and corner of a film from the run file of a sweep."""
     wanted = Wanted(to, operator, valid, temperature, notes, as_json)
     with reported(debug, as_json):
         from rig.cli.film_record import analysed, doubts, film_record, sentences
@@ -169,10 +174,10 @@ def pvdf(
             fields = wanted.fields("pvdf", date, run.header.user.name)
             record = film_record(run, analysis, film, fields)
             bench_file = Path(run.header.bench_file)
-        beside = bench_file.parent if bench_file.is_file() else Path()
+        folder = bench_file.parent if bench_file.is_file() else Path()
         for line in sentences(record, analysis):
             say(line)
-        _finish(record, wanted, beside / FOLDER, doubts(record))
+        _finish(record, wanted, folder / FOLDER, doubts(record))
 
 
 @app.command("force")
@@ -180,10 +185,12 @@ def force(
     bench: BenchOption = None,
     weights: Weights = "5N,10N,20N",
     axes: Annotated[
-        str, typer.Option(help="Directions in which weights are put on.", metavar="±AXIS,…")
+        str, typer.Option(help="Directions in which weights are applied.", metavar="±AXIS,…")
     ] = "+x,-x,+y,-y,+z",
-    sensor: Annotated[str, typer.Option(help="Its name [serial number of the amplifier].")] = "",
-    rate: Annotated[str, typer.Option(help="Frames a second.", metavar="1/s")] = "1000",
+    sensor: Annotated[
+        str, typer.Option(help="Name of the sensor [serial number of the amplifier].")
+    ] = "",
+    rate: Annotated[str, typer.Option(help="Frames per second.", metavar="1/s")] = "1000",
     tolerance: Tolerance = 0.02,
     duration: Duration = "2s",
     settling: Settling = "1s",
@@ -201,7 +208,8 @@ def force(
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Zero and matrix of the force sensor, from known weights on each axis, step by step."""
+    """Determine zero and matrix of the force sensor from known weights on each axis, step by
+    step."""
     wanted = Wanted(to, operator, valid, temperature, notes, as_json)
     options = WeighingOptions(
         bench, weights, tolerance, duration, settling, preload, yes, results, seed, world, world_log
@@ -237,7 +245,7 @@ def force(
 def load_cell(
     bench: BenchOption = None,
     weights: Weights = "2N,5N,10N",
-    sensor: Annotated[str, typer.Option(help="Its name [as the bench file has it].")] = "",
+    sensor: Annotated[str, typer.Option(help="Name of the load cell [as in the bench file].")] = "",
     input_range: Annotated[
         str, typer.Option("--range", help="Input range of the DAQ's channel.", metavar="V")
     ] = "1.25V",
@@ -258,7 +266,8 @@ def load_cell(
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Zero and static sensitivity of the load cell, from known weights along z, step by step."""
+    """Determine zero and static sensitivity of the load cell from known weights along z, step by
+    step."""
     wanted = Wanted(to, operator, valid, temperature, notes, as_json)
     options = WeighingOptions(
         bench, weights, tolerance, duration, settling, preload, yes, results, seed, world, world_log
@@ -295,7 +304,7 @@ def load_cell(
 
 
 def _refuse_changed(file: Path) -> None:
-    """FoundWrongError where the run file is not, byte by byte, the one that was written."""
+    """Raises FoundWrongError if the run file is not, byte by byte, the one that was written."""
     from rig.files.checksum import checksum_findings
 
     if findings := list(checksum_findings(file)):
@@ -360,10 +369,10 @@ def _at_the_bench(
 
 
 def _refuse_weightless(bench: Bench, slaved: bool, yes: bool) -> None:
-    """Somebody has to put the weights on: a person, or the bench that this command started."""
+    """Refuse a bench on which neither a person nor the bench itself can put the weights on."""
     if bench.simulated and not slaved:
         raise ConfigurationError(
-            f"{bench.plan.source} is a simulated bench in real time: nobody can put weights on it",
+            f"{bench.plan.source} is a simulated bench in real time: weights cannot be put on it",
             "leave the bench file out: then the command's own simulated bench does it",
         )
     if yes and not slaved:
@@ -416,7 +425,9 @@ def _rate(rate: float, reach: Reach) -> float:
 def _name_of_cell(bench: Bench) -> str:
     named = str(getattr(bench.load_cell, "name", ""))
     if not named and not bench.simulated:
-        raise ConfigurationError("which load cell is it", "give its serial number with --sensor")
+        raise ConfigurationError(
+            "the bench file does not name the load cell", "give its serial number with --sensor"
+        )
     return named or "simulated load cell"
 
 
@@ -516,7 +527,8 @@ def _finish(record: CalibrationRecord, wanted: Wanted, folder: Path, warnings: l
 
 
 def _beside(source: str) -> Path:
-    """The folder of records beside the bench file; here where the bench has no file."""
+    """Return the folder of records next to the bench file, or in the current folder without a
+    file."""
     from rig.instruments.calibration import FOLDER
 
     bench_file = Path(source)
@@ -529,7 +541,7 @@ def _directions(text: str) -> list[Vector]:
         if word.strip() not in DIRECTIONS:
             known = ", ".join(sorted(DIRECTIONS))
             raise ConfigurationError(
-                f"--axes: {word.strip()!r} is no direction", f"take of {known}"
+                f"--axes: {word.strip()!r} is not a direction", f"choose among {known}"
             )
         found.append(DIRECTIONS[word.strip()])
     if missing := [axis for k, axis in enumerate("xyz") if not any(d[k] for d in found)]:
@@ -575,7 +587,7 @@ def _timing(options: WeighingOptions) -> Timing:
 
 
 def _number(text: str, unit: str, option: str) -> float:
-    """A finite number from an option's text, with or without its unit."""
+    """Return a finite number from an option's text, with or without its unit."""
     from rig.core.units import quantity
 
     try:

@@ -37,7 +37,7 @@ def detect(
     ] = None,
     to: Annotated[
         Path | None,
-        typer.Option(help="Folder for the results [processed beside each file].", metavar="DIR"),
+        typer.Option(help="Folder for the results [processed/ next to each file].", metavar="DIR"),
     ] = None,
     jobs: Annotated[
         int | None,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rig.run.points import Reading
 
 LONGEST_LIST = 8
-"""Numbers of a list that are shown one by one."""
+"""Longest list whose numbers are shown one by one."""
 
 Files = Annotated[
     list[Path], typer.Argument(help="Run files and processed files (.h5) or journals (.rigj).")
@@ -145,8 +145,8 @@ def recover(files: Files, debug: Debug = False) -> None:
 
 
 def _results(header: RunHeader, readings: Sequence[Reading]) -> dict[str, Any]:
-    """The procedure's own summary of the readings, where it is installed and still takes them; one
-    that is broken costs a line, not the command."""
+    """Return the procedure's own summary of the readings, where it is installed and still takes
+    them; one that is broken costs a line, not the command."""
     from pydantic import ValidationError
 
     from rig.core.entry_points import PROCEDURES, names

@@ -1,5 +1,5 @@
-"""The command that makes a bench safe. It imports nothing that it does not need: it has to work
-beside whatever else is broken."""
+"""The command that makes a bench safe. It imports only what it needs, because it has to work when
+other parts of the program or of the installation are broken."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def make_safe(
 ) -> None:
     """Put every instrument of a bench into its safe state: motion stopped, outputs off.
 
-    An instrument whose driver is broken, or whose table in the bench file is wrong, does not keep
-    the others from it. A run on the bench is not waited for: it fails when its instruments stop
-    without its command. Ctrl-C does not interrupt it.
+    An instrument whose driver is broken, or whose table in the bench file is wrong, does not
+    prevent making the others safe. A run on the bench is not waited for: it fails when its
+    instruments stop without its command. Ctrl-C does not interrupt it.
     """
     from rig.run.stopping import StopFlag
 

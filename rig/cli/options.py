@@ -1,4 +1,4 @@
-"""Settings on the command line: one option a field, ``normal_force_N`` as ``--normal-force 4N``.
+"""Settings on the command line: one option per field, ``normal_force_N`` as ``--normal-force 4N``.
 
 A value may be a bare number in the field's own unit or carry any unit that converts to it
 (``--settling 200ms``). Lists are separated by commas.
@@ -22,7 +22,7 @@ from rig.run.bench_selector import require_variant, simulated_variants
 
 
 def _variant(name: str | None) -> str | None:
-    """The name of an installed variant of the simulated bench, or None for the usual one."""
+    """Return the name of an installed variant of the simulated bench, or None for the usual one."""
     try:
         return None if name is None else require_variant(name)
     except ValueError as error:
@@ -30,8 +30,8 @@ def _variant(name: str | None) -> str | None:
 
 
 def _variants() -> str:
-    """The choices as a help text shows them; a simulated bench that is broken says so when it is
-    started."""
+    """Return the choices as a help text shows them; a simulated bench that is broken says so when
+    it is started."""
     try:
         return f"[{'|'.join(simulated_variants())}]"
     except (ImportError, ConfigurationError):
@@ -108,7 +108,7 @@ def _refused(model: type[Settings], given: Mapping[str, str | None], item: Any) 
 
 
 def _short(info: FieldInfo) -> tuple[str, ...]:
-    """The letter that a field asks for, as ``json_schema_extra={"short": "-n"}``."""
+    """Return the letter that a field asks for, as ``json_schema_extra={"short": "-n"}``."""
     extra = info.json_schema_extra
     return (str(extra["short"]),) if isinstance(extra, dict) and "short" in extra else ()
 

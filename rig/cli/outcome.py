@@ -1,4 +1,4 @@
-"""How commands end: errors as one line on stderr, the exit code of the contract."""
+"""The ends of commands: errors as one line on stderr, and the exit code."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ log.addHandler(logging.NullHandler())
 
 
 class _Log(logging.FileHandler):
-    """A log that cannot be written disturbs nobody: it opens its file with its first record."""
+    """A log file that is opened with its first record, and ignored if it cannot be written."""
 
     def emit(self, record: logging.LogRecord) -> None:
         with contextlib.suppress(OSError):
@@ -26,21 +26,21 @@ class _Log(logging.FileHandler):
 
 
 def start_log(results: Path) -> None:
-    """Keep warnings, errors and tracebacks in ``rig.log`` beside the results, where possible."""
+    """Log warnings, errors and tracebacks to ``rig.log`` in the results folder, if possible."""
     with contextlib.suppress(OSError):
         results.mkdir(parents=True, exist_ok=True)
         handler = _Log(results / "rig.log", delay=True)
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
         log.addHandler(handler)
     log.propagate = False
-    logging.raiseExceptions = False  # a log that cannot be written must not disturb a run
+    logging.raiseExceptions = False  # A log that cannot be written must not disturb a run.
 
 
 @contextlib.contextmanager
 def reported(debug: bool = False, as_json: bool = False) -> Iterator[None]:
-    """Turn what a command raises into one line and an exit code; ``--debug`` shows tracebacks.
+    """Turn an exception of a command into one line and an exit code; ``--debug`` shows tracebacks.
 
-    With `as_json` stdout carries an object for a command that could not even begin, too.
+    With `as_json` stdout gets an object even for a command that could not begin.
     """
     try:
         yield
@@ -52,7 +52,7 @@ def reported(debug: bool = False, as_json: bool = False) -> Iterator[None]:
 
 
 def report(error: RigError, debug: bool = False, as_json: bool = False) -> int:
-    """Tell why a command has not begun; its exit code."""
+    """Report why a command has not begun; return its exit code."""
     stopped = error.code in STOPPED_BY_SIGNAL
     if stopped:
         say(error.one_line())
@@ -72,7 +72,7 @@ def report(error: RigError, debug: bool = False, as_json: bool = False) -> int:
 
 
 def tell_failure(error: RigError, debug: bool = False) -> None:
-    """One failure as one line on stderr, its traceback in the log."""
+    """Report a failure as one line on stderr, with its traceback in the log."""
     for part in error.parts():
         log.error("%s", part.one_line(), exc_info=part)
         say(f"error: {part.one_line()}")
@@ -83,11 +83,11 @@ def tell_failure(error: RigError, debug: bool = False) -> None:
 
 
 def say(text: str) -> None:
-    """One line for a person."""
+    """Print one line for a person to stderr."""
     print(printable(text), file=sys.stderr, flush=True)  # noqa: T201 - the command line's own voice
 
 
 def printable(text: str) -> str:
-    """The text with control characters and what no encoding has as escapes: a name or a title in a
-    file has no business with the terminal."""
+    """Return the text with control characters and unencodable characters escaped: a name or a title
+    from a file must not control the terminal."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

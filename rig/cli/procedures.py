@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ProcedureRequest(BenchRequest):
-    """The options that every procedure has."""
+    """Options that every procedure has."""
 
     as_json: bool = False
     user: str = ""
@@ -42,19 +42,23 @@ def _common(
     results: Annotated[Path, typer.Option(help="Folder for run files.")] = Path("results"),
     seed: Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0)] = 0,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check and rehearse on the simulated bench; no file.")
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Check the settings and run the procedure on a simulated bench; nothing is saved.",
+        ),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
-    user: Annotated[str, typer.Option(help="Who runs it.")] = "",
-    sample: Annotated[str, typer.Option(help="What is on the bench.")] = "",
-    notes: Annotated[str, typer.Option(help="Anything worth keeping.")] = "",
+    user: Annotated[str, typer.Option(help="Name of the person who runs it.")] = "",
+    sample: Annotated[str, typer.Option(help="Sample on the bench.")] = "",
+    notes: Annotated[str, typer.Option(help="Remarks.")] = "",
     figures: Annotated[bool, typer.Option(help="Draw the figures of the run.")] = True,
     allow_expired: Annotated[
         bool, typer.Option("--allow-expired", help="Use calibration records that have expired.")
     ] = False,
     stages: SimulatedStages = None,
     world: Annotated[
-        Path | None, typer.Option(help="World settings (TOML) of a simulated bench.")
+        Path | None, typer.Option(help="Physical parameters of the simulated bench (TOML).")
     ] = None,
     fault: Annotated[
         Path | None, typer.Option(help="Fault plan (TOML) of a simulated bench.")
@@ -68,9 +72,10 @@ def _common(
 
 
 def command(name: str) -> Callable[..., None]:
-    """The command function of a procedure, with an option for each of its settings.
+    """Return the command function of a procedure, with an option for each of its settings.
 
-    ConfigurationError where the procedure cannot be used."""
+    Raises ConfigurationError if the procedure cannot be used.
+    """
     from rig.run.load_procedure import load_procedure
 
     procedure = load_procedure(name)

@@ -1,4 +1,4 @@
-"""What a person sees of a run: progress on stderr, the closing lines, ``--json`` on stdout."""
+"""The output of a run: progress on stderr, the closing lines, ``--json`` on stdout."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 
 
 class _Eta(ProgressColumn):
-    """The time that is left, as far as it can be estimated."""
+    """Column of the progress bar with the estimated remaining time."""
 
     def render(self, task: Task) -> Text:
-        """One cell of the progress bar."""
+        """Return the cell of the progress bar."""
         left_s = task.time_remaining
         return Text("ETA estimating…" if left_s is None else f"ETA {duration(left_s)}")
 
 
 class ConsoleObserver(RunObserver):
-    """Progress with the time left on a terminal; one plain line a point where there is none."""
+    """Shows a progress bar on a terminal, else one plain line per point."""
 
     def __init__(self, procedure: type[Procedure], simulated: bool = False):
         self._procedure = procedure
@@ -43,7 +43,7 @@ class ConsoleObserver(RunObserver):
         self._task = TaskID(0)
         self._weights: Mapping[str, float] = {}
         self._interrupted = False
-        """Whether the run is paused or on hold."""
+        """True if the run is paused or on hold."""
 
     def __enter__(self) -> Self:
         return self
@@ -54,7 +54,7 @@ class ConsoleObserver(RunObserver):
 
     @property
     def observer_name(self) -> str:
-        """What a warning calls this observer."""
+        """Name of this observer in a warning."""
         return "the progress display"
 
     def planned(self, points: Sequence[Point], recorded: Set[str], overhead_s: float) -> None:
@@ -73,7 +73,7 @@ class ConsoleObserver(RunObserver):
             what = f"{count(to_do, 'further ' + one, 'further ' + several)} ({len(recorded)} done)"
         about = duration(left_s + overhead_s)
         self._say(f"{self._procedure.name}: {what}, about {about}{self._bench_time}")
-        if self._progress is not None:  # a plan before this one is done
+        if self._progress is not None:  # The earlier plan is done.
             self._progress.stop()
         if self._console.is_terminal:
             self._progress = Progress(
@@ -101,7 +101,7 @@ class ConsoleObserver(RunObserver):
         self._say(f"{level}: {message}")
 
     def state(self, name: str) -> None:
-        """See `RunObserver`. What a stop does is said where the signal is noticed."""
+        """See `RunObserver`. The signal's handler shows what a stop does."""
         if name == PAUSED:
             self._say("PAUSED (bench is safe). Ctrl-Z continues, Ctrl-C ends the run.")
         elif name == RUNNING and self._interrupted:
@@ -125,7 +125,8 @@ def finish(
     figures: bool,
     debug: bool,
 ) -> None:
-    """Report failures and warnings, the summary and, last, how the run ended and how to go on."""
+    """Report failures and warnings, the summary and, last, how the run ended and how to
+    continue."""
     for failure in outcome.failures:
         if outcome.status != "stopped":
             tell_failure(failure, debug)
@@ -154,14 +155,14 @@ def _tell_summary(outcome: RunOutcome) -> None:
                 say(f"  {sentence}")
         elif isinstance(value, list):
             say(f"  {name}: {', '.join(f'{item:.6g}' for item in value)}")
-        elif not isinstance(value, dict):  # tables are for --json
+        elif not isinstance(value, dict):  # Tables are shown by --json only.
             say(f"  {name}: {value:.6g}" if isinstance(value, float) else f"  {name}: {value}")
     if outcome.file is not None:
         print(outcome.file, flush=True)  # noqa: T201 - stdout carries data
 
 
 def finish_dry_run(procedure: type[Procedure], outcome: RunOutcome, as_json: bool) -> None:
-    """Report what a dry run found: whether it works, and how long it takes."""
+    """Report the result of a dry run: whether the procedure works, and how long it takes."""
     for failure in outcome.failures:
         tell_failure(failure)
     for warning in outcome.warnings:
@@ -178,7 +179,8 @@ def finish_dry_run(procedure: type[Procedure], outcome: RunOutcome, as_json: boo
 def closing_lines(
     procedure: type[Procedure], outcome: RunOutcome, drawn: Sequence[Path]
 ) -> list[str]:
-    """How the run ended, where its data are, what state the bench is in, and how to go on."""
+    """Return lines on how the run ended, where its data are, the state of the bench, and how to
+    continue."""
     ended = _ending(outcome)
     lines = [f"{ended[0].upper()}{ended[1:]}: {_done(procedure, outcome)}"]
     if outcome.duration_s:
@@ -218,7 +220,7 @@ def _bench_state(outcome: RunOutcome) -> str:
 
 
 def as_object(outcome: RunOutcome, figures: list[str]) -> dict[str, Any]:
-    """The object that ``--json`` prints."""
+    """Return the object that ``--json`` prints."""
     return {
         "file": None if outcome.file is None else str(outcome.file),
         "journal": None if outcome.journal is None else str(outcome.journal),

@@ -1,4 +1,4 @@
-"""Commands about the bench itself: be a simulated one, make one safe."""
+"""The command ``rig simulate``, which serves a simulated bench."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def simulate(
     fixture: Annotated[
         Literal["film-clamp", "plate", "semi-spherical-object"],
-        typer.Option(help="What is mounted."),
+        typer.Option(help="Mounted fixture."),
     ] = "film-clamp",
     stages: SimulatedStages = None,
     replace: Annotated[
@@ -30,7 +30,9 @@ def simulate(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of films and noise.", min=0)] = 0,
-    world: Annotated[Path | None, typer.Option(help="World settings (TOML).")] = None,
+    world: Annotated[
+        Path | None, typer.Option(help="Physical parameters of the simulated bench (TOML).")
+    ] = None,
     fault: Annotated[Path | None, typer.Option(help="Fault plan (TOML).")] = None,
     world_log: Annotated[Path | None, typer.Option(help="File for the World's own log.")] = None,
     write: Annotated[
@@ -74,7 +76,7 @@ def _replaced(given: list[str]) -> dict[str, str]:
 
 
 def _write_bench_file(path: Path, text: str) -> None:
-    """Write it whole or not at all: another program may be waiting for the file to appear."""
+    """Write the file whole or not at all: another program may be waiting for it to appear."""
     try:
         write_text(path, text, durable=False)
     except OSError as error:

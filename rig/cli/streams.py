@@ -1,7 +1,7 @@
-"""Output streams that outlast whoever reads them.
+"""Output streams that work on after their reader has closed them.
 
-A run writes to a terminal or a pipe that may be gone at any moment. What cannot be shown is lost;
-the run goes on and ends in order.
+A run writes to a terminal or a pipe that may close at any moment. Output is then lost; the run
+continues and ends in order.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ STANDARD_FILES = (0, 1, 2)
 
 
 class LastingStream(io.TextIOWrapper):
-    """Text to a file descriptor; from its first failure on, to nowhere."""
+    """Text stream to a file descriptor that drops everything after its first failure."""
 
     def __init__(self, file: int):
         super().__init__(
@@ -27,7 +27,7 @@ class LastingStream(io.TextIOWrapper):
         )
 
     def write(self, text: str) -> int:
-        """Write what can be written."""
+        """Write the text if the descriptor still works."""
         try:
             return super().write(text)
         except OSError:
@@ -35,7 +35,7 @@ class LastingStream(io.TextIOWrapper):
             return len(text)
 
     def flush(self) -> None:
-        """Flush what can be flushed."""
+        """Flush the text if the descriptor still works."""
         try:
             super().flush()
         except OSError:
@@ -48,17 +48,19 @@ class LastingStream(io.TextIOWrapper):
 
 
 def outlast_readers() -> None:
-    """Make stdout and stderr lasting; those that were closed from the start go nowhere, so that no
-    file of the run takes their place."""
+    """Install safe stdout and stderr. Those that were closed from the start go to /dev/null, so
+    that no file of the run gets their descriptor."""
     for file in STANDARD_FILES:
         try:
             os.fstat(file)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free: this one
+            os.open(
+                os.devnull, os.O_RDWR
+            )  # open() returns the lowest free descriptor, which is this one.
     sys.stdout, sys.stderr = LastingStream(1), LastingStream(2)
 
 
 def say_at_once(text: str) -> None:
-    """A line on stderr from a signal's handler, which may have interrupted another line."""
+    """Write a line to stderr from a signal's handler, which may have interrupted another line."""
     with contextlib.suppress(OSError):
         os.write(2, f"\r{text}\n".encode() if os.isatty(2) else f"{text}\n".encode())

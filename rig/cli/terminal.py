@@ -161,7 +161,7 @@ def in_a_line(status: JogStatus) -> str:
         values = " ".join(
             f"{axis} {value:+.2f}" for axis, value in zip("xyz", status.force_N, strict=True)
         )
-        parts.append(f"force (not tared) {values} N{over}")
+        parts.append(f"force {values} N{over} (not tared)")
     parts += [_axis_in_words(axis, status) for axis in status.axes if axis is not status.chosen]
     return " | ".join(parts)
 

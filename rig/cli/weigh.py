@@ -1,4 +1,4 @@
-"""Weights on a sensor, step by step: what is asked, the answer, the reading, again or further.
+"""The dialogue of weighing, step by step: instruction, answer, reading, repetition.
 
 The person is asked on stderr and answers on stdin. On a simulated bench the bench itself puts the
 weights on.
@@ -24,17 +24,17 @@ Vector = tuple[float, float, float]
 
 LOOK_EVERY_S = 0.02
 TRIES_ALONE = 3
-"""Readings of one step that may be rejected where nobody can look after it."""
+"""Number of rejected readings of one step after which weighing without a person ends."""
 
 
 class QuitError(RigError):
-    """The person at the terminal had enough."""
+    """Raised when the person at the terminal quits."""
 
     code = ExitCode.SIGINT
 
 
 class WeighingOperator:
-    """Who puts the weights on: somebody at stdin, or nobody where the bench does it."""
+    """Asks the person at stdin to put the weights on; on a simulated bench the bench does it."""
 
     def __init__(self, check_stop: Callable[[], None], present: bool):
         self._check_stop = check_stop
@@ -42,11 +42,11 @@ class WeighingOperator:
         self._typed = b""
 
     def asked(self, text: str, repeatable: bool) -> bool:
-        """Ask to go on; False where the reading before is to be taken again. q raises QuitError."""
+        """Ask to continue; return False to repeat the previous reading. Raises QuitError for q."""
         if not self.present:
             say(text)
             return True
-        choices = "Enter" + (", r repeats the reading before" if repeatable else "") + ", q quits"
+        choices = "Enter" + (", r repeats the previous reading" if repeatable else "") + ", q quits"
         while True:
             say(f"{text} [{choices}]")
             answer = self._line().strip().lower()
@@ -54,10 +54,10 @@ class WeighingOperator:
                 raise QuitError("stopped with q")
             if answer == "" or (answer == "r" and repeatable):
                 return answer == ""
-            say(f"{answer!r} is no answer")
+            say(f"{answer!r} is not an answer")
 
     def _line(self) -> str:
-        """The next line of stdin, with a look at the stop signals every 20 ms."""
+        """Return the next line of stdin, checking for stop signals every 20 ms."""
         while b"\n" not in self._typed:
             self._check_stop()
             if not select.select([sys.stdin], [], [], LOOK_EVERY_S)[0]:
@@ -73,9 +73,10 @@ class WeighingOperator:
 def weigh(
     forces_N: Sequence[Vector], scale: Scale, person: WeighingOperator, clock: Clock
 ) -> list[Mean]:  # fmt: skip
-    """A reading under each of the known forces, in this order; the person may repeat any last one.
+    """Return a reading under each of the known forces, in this order; the latest one may be
+    repeated.
 
-    Raises QuitError, and RejectedError where nobody is there to look after a bad reading.
+    Raises QuitError, and without a person RejectedError for a bad reading.
     """
     largest_N = max(abs(value) for force in forces_N for value in force)
     means: list[Mean] = []
@@ -83,7 +84,7 @@ def weigh(
     while True:
         done = len(means)
         if done == len(forces_N):
-            if person.asked("all readings are taken: fit and write the record", done > 0):
+            if person.asked("all readings are done: fit and write the record", done > 0):
                 return means
             means.pop()
             continue
@@ -93,7 +94,7 @@ def weigh(
             continue
         if not clock.act("weigh", force_N=list(forces_N[done])) and not person.present:
             raise ConfigurationError(
-                "nobody is there to put the weights on", "run it at a terminal"
+                "no person is there to put the weights on", "run it at a terminal"
             )
         try:
             mean = scale.read(largest_N)
@@ -109,7 +110,7 @@ def weigh(
 
 
 def instruction_for(force_N: Vector) -> str:
-    """What to put on the sensor."""
+    """Return the instruction which weight to put on the sensor."""
     for axis, value in zip("xyz", force_N, strict=True):
         if value:
             return f"put {abs(value):g} N on {'+' if value > 0 else '-'}{axis}"

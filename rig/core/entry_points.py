@@ -126,7 +126,7 @@ def load(group: str, name: str, find_fault: Callable[[Any], str | None] | None =
 
 def summary(group: str, name: str) -> str:
     """Return the first line of the docstring of a registered class or module, read from its source;
-    "" where there is no source to read, or the class is defined in another module.
+    "" if there is no source to read, or if the class is defined in another module.
 
     Neither the module nor a package around it is imported. Raises BrokenPackageError if there is no
     such module, or where its source or that of a package around it does not parse.

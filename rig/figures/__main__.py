@@ -1,4 +1,4 @@
-"""``python -m rig.figures FILE`` draws all figures of a file beside it (`rig.figures.drawing`).
+"""``python -m rig.figures FILE`` draws all figures of a file next to it (`rig.figures.drawing`).
 
 One JSON object on stdout: ``files``, the pictures drawn, and ``warnings``, sentences.
 """
@@ -18,7 +18,8 @@ def main() -> None:
     """Draw the file that the command line names."""
     file = Path(sys.argv[1])
     try:
-        with contextlib.redirect_stdout(sys.stderr):  # what a figure prints is not the answer
+        # Text that a figure function prints must not mix with the answer.
+        with contextlib.redirect_stdout(sys.stderr):
             drawn = draw(file)
         answer = {"files": [str(path) for path in drawn.files], "warnings": list(drawn.warnings)}
     except RigError as error:

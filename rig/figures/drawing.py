@@ -1,7 +1,7 @@
-"""Drawing the registered figures of a file, here or in a child process.
+"""Draw the registered figures of a file, in this or in a child process.
 
-`draw` is what happens; `draw_in_child` has ``python -m rig.figures FILE`` do it, so that a figure
-that crashes or does not end costs a finished run nothing but its picture.
+`draw` draws them; `draw_in_child` has ``python -m rig.figures FILE`` call it, so that a figure that
+crashes or does not end cannot harm a finished run.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TIMEOUT_S = 120.0
-"""How long a child process may take for all figures of a file; those of a sweep take two seconds
-of processor time."""
+"""Longest time of a child process for all figures of a file; those of a sweep take two seconds of
+processor time."""
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """What was drawn of a file, and one sentence for each figure that could not be."""
+    """The figures drawn of a file, and one sentence for each figure that could not be drawn."""
 
     files: tuple[Path, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -37,9 +37,9 @@ class Drawn:
 def draw(file: Path, folder: Path | None = None) -> Drawn:
     """Draw all registered figures of a run file or processed file as PNG and SVG.
 
-    They are written to `folder`, or beside the file. A run without a completed point has no
-    figures. A figure that fails, and a folder that cannot be written to, are warnings. RunFileError
-    where the file itself cannot be read.
+    They are written to `folder`, or next to the file. A run without a completed point has no
+    figures. A figure that fails, and a folder that cannot be written to, are warnings. Raises
+    RunFileError if the file itself cannot be read.
     """
     with ExitStack() as stack:
         opened, kind, simulated = _open(file, stack)
@@ -55,7 +55,7 @@ def draw(file: Path, folder: Path | None = None) -> Drawn:
 
 
 def draw_in_child(file: Path) -> Drawn:
-    """Draw all figures of a file in a child process. Whatever happens to it is a warning."""
+    """Draw all figures of a file in a child process; any failure of it becomes a warning."""
     command = [sys.executable, "-P", "-m", "rig.figures", str(file)]
     again = f"`rig show {file}` draws it again"
     try:
@@ -88,21 +88,21 @@ def draw_in_child(file: Path) -> Drawn:
 
 
 class _NoPlaceError(RigError):
-    """The folder does not take a picture, so it takes none of the others either."""
+    """Raised if the folder cannot be written to, so that no further figure is tried."""
 
 
 class _Drawing:
     """The pictures of one file."""
 
     def __init__(self, place: Path, simulated: bool):
-        """`place` is the file that the pictures are named after, in the folder they go to."""
+        """Prepare the pictures, which are named after the file `place` and go to its folder."""
         self.files: list[Path] = []
         self.warnings: list[str] = []
         self._place, self._simulated = place, simulated
         self._suffixes: set[str] = set()
 
     def add(self, registered: RegisteredFigure, opened: Any) -> None:
-        """Draw one registered figure; what it raises becomes a warning."""
+        """Draw one registered figure; an exception of it becomes a warning."""
         try:
             for suffix, figure in _figures(registered, opened).items():
                 if suffix in self._suffixes:
@@ -135,8 +135,8 @@ class _Drawing:
 
 
 def _open(file: Path, stack: ExitStack) -> tuple[Any, str, bool]:
-    """The open file, the kind of its figures (empty where there is nothing to draw), and whether it
-    comes from a simulated bench."""
+    """Return the open file, the kind of its figures (empty if there is nothing to draw), and
+    whether it comes from a simulated bench."""
     from rig.files.processed.reader import ProcessedFile, is_processed
     from rig.files.runfile.reader import RunFile
 
@@ -149,7 +149,7 @@ def _open(file: Path, stack: ExitStack) -> tuple[Any, str, bool]:
 
 
 def _figures(registered: RegisteredFigure, opened: Any) -> dict[str, Figure]:
-    """What the registered function draws of the open file, by the suffix of each file name."""
+    """Return the figures that the registered function draws, by the suffix of each file name."""
     from matplotlib.figure import Figure
 
     given = registered.load()(opened)

@@ -1,7 +1,7 @@
 """The analysed sweep in pictures, in the manner of the paper's figures 5 and 7, and its linearity.
 
-The functions draw arrays and an analysis; they open no file and do not say whether the data are
-simulated: ``rig.figures.style.save`` does. Gains in dB re 1 V/N.
+The functions draw arrays and an analysis; they open no file, and `rig.figures.style.save` marks
+simulated data. Gains in dB re 1 V/N.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from rig.analysis.response.complex_response import Reals
 
 ERROR_BARS = 2.0
-"""Standard errors on either side."""
+"""Half length of an error bar in standard errors."""
 CURVE_POINTS = 2000
 DROP_LABEL_SHARE = 0.18
-"""Of the axes' height: the label of a drop with the line that leads to it."""
+"""Height of a notch's label with its line, as a fraction of the axes' height."""
 _EXPLAINED = {
     "printed": "printed: eq. (4) as it stands, Ω + S",
     "ohmic": "ohmic: eq. (4) with 1/A4 for A4, so that units agree",
@@ -39,7 +39,8 @@ _COLOURS = {"printed": "C3", "ohmic": "C2", "circuit": "C1"}
 
 
 def draw_gain(curve: ResponseCurve, analysis: SweepAnalysis, title: str = "") -> Figure:
-    """Figure 5: measured gain, fitted curve, drops by their frequency, eq. (2), residuals below."""
+    """Draw Figure 5: measured gain, fitted curve, notches, the line of eq. (2), and residuals
+    below."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 6.2))
         gain, residual = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3.4, 1]})
@@ -66,7 +67,8 @@ def draw_readings(
     given: CircuitSettings = SKIN_STRIP,
     title: str = "",
 ) -> Figure:
-    """Figure 7: three readings of eq. (4) with the circuit ``given``, as they are and shifted."""
+    """Draw Figure 7: three predictions from eq. (4) with the circuit ``given``, absolute and
+    shifted."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 6.6))
         plain, shifted = figure.subplots(2, 1, sharex=True)
@@ -82,8 +84,8 @@ def draw_readings(
             label = f"{name}, {_signed(-offset, 1)} dB"
             shifted.plot(f, computed - offset, label=label, **line)
         _mark_corners(shifted, analysis)
-        plain.set_title("Readings of equation (4) as they are", fontsize=9)
-        shifted.set_title("The same, each shifted to the measured level", fontsize=9)
+        plain.set_title("Predictions from eq. (4), absolute", fontsize=9)
+        shifted.set_title("Predictions from eq. (4), shifted to match the measurement", fontsize=9)
         plain.legend(loc="lower right", frameon=False, fontsize=8)
         shifted.legend(loc="upper left", frameon=False)
         _frequency_axis(shifted, curve.frequencies)
@@ -94,7 +96,8 @@ def draw_readings(
 
 
 def draw_linearity(linearity: LoadLinearity, title: str = "") -> Figure:
-    """Slope of the gain over load at each frequency: zero where the film is linear (data2)."""
+    """Draw the change of gain per decade of load at each frequency; it is zero for a linear film
+    (data2)."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 3.4), layout="constrained")
         axes = figure.subplots()
@@ -109,7 +112,7 @@ def draw_linearity(linearity: LoadLinearity, title: str = "") -> Figure:
         axes.axhline(mean.value, color="C1", linewidth=1, label=f"mean: {mean} of load")
         axes.axhspan(mean.low, mean.high, color="C1", alpha=0.25, linewidth=0)
         axes.axhline(0, color="0.3", linestyle="--", linewidth=0.9, label="linear film")
-        axes.set_ylabel("Gain over load (dB/decade)")
+        axes.set_ylabel("Change of gain per decade of load (dB)")
         figure.legend(loc="outside lower center", ncols=2, frameon=False)
         _frequency_axis(axes, linearity.frequencies)
         if title:
@@ -118,7 +121,7 @@ def draw_linearity(linearity: LoadLinearity, title: str = "") -> Figure:
 
 
 def _points(axes: Axes, frequencies: Reals, values: Reals, errors: Reals, what: str) -> None:
-    """One point a frequency, with its error bars."""
+    """Draw one point per frequency with its error bars."""
     axes.errorbar(
         frequencies,
         values,
@@ -135,7 +138,7 @@ def _points(axes: Axes, frequencies: Reals, values: Reals, errors: Reals, what: 
 def _fitted(analysis: SweepAnalysis) -> str:
     b, corner = analysis.level, analysis.corner.value
     pole = f"corner {corner:.0f} Hz" if np.isfinite(corner) else "no corner"
-    drops = f"{len(analysis.drops)} drop{'s' * (len(analysis.drops) != 1)}"
+    drops = f"{len(analysis.drops)} notch{'es' * (len(analysis.drops) != 1)}"
     if analysis.slopes is None:
         return f"fit: b = {_signed(b.value, 2)} dB, {pole}, {drops}"
     low, high = analysis.slopes.band_Hz
@@ -151,13 +154,13 @@ def _plain_line(axes: Axes, curve: ResponseCurve, level_dB: float) -> None:
         "--",
         color="0.3",
         linewidth=0.9,
-        label=f"eq. (2), plain: 20 log f {_signed(level_dB, 2)} dB",
+        label=f"20 dB/decade line fitted without corner (paper, eq. 2): {_signed(level_dB, 2)} dB",
         zorder=4,
     )
 
 
 def _mark_drops(axes: Axes, analysis: SweepAnalysis) -> None:
-    """Frequency and depth under the bottom of each drop, with room for them above the axis."""
+    """Write frequency and depth under each notch, with room for them above the axis."""
     if not analysis.drops:
         return
     lowest = float(_dB(analysis.fit.model.response(_bottoms(analysis))).min())
@@ -191,17 +194,17 @@ def _residuals(axes: Axes, curve: ResponseCurve, analysis: SweepAnalysis) -> Non
 
 
 def _mark_corners(axes: Axes, analysis: SweepAnalysis) -> None:
-    """Corner found, and the one R_PV C_PV predicts."""
+    """Mark the measured corner and the one that R_PV C_PV predicts."""
     bottom, top = axes.get_ylim()
     for value, name, place in (
-        (analysis.corner.value, "found", "right"),
-        (analysis.circuit.film_corner_Hz, "$R_{PV}C_{PV}$", "left"),
+        (analysis.corner.value, "corner, measured", "right"),
+        (analysis.circuit.film_corner_Hz, "corner of $R_{PV}C_{PV}$", "left"),
     ):
         if not np.isfinite(value):
             continue
         axes.axvline(value, color="0.3", linestyle=":", linewidth=0.9)
         axes.annotate(
-            f"{_hertz(value)}\n{name}",
+            f"{name}:\n{_hertz(value)}",
             (value, bottom),
             (-3 if place == "right" else 3, 3),
             textcoords="offset points",
@@ -217,24 +220,24 @@ def _frequency_axis(axes: Axes, frequencies: Reals) -> None:
 
 
 def _fine(curve: ResponseCurve, analysis: SweepAnalysis) -> Reals:
-    """Frequencies of a smooth line, the bottoms of the drops among them."""
+    """Return the frequencies of a smooth line, including the bottoms of the notches."""
     grid = np.geomspace(curve.frequencies[0], curve.frequencies[-1], CURVE_POINTS)
     return np.unique(np.concatenate([grid, _bottoms(analysis)]))
 
 
 def _bottoms(analysis: SweepAnalysis) -> Reals:
-    """Frequencies of the drops' bottoms, (drops,)."""
+    """Return the frequencies of the notches' bottoms, (notches,)."""
     return np.array([drop.frequency.value for drop in analysis.drops])
 
 
 def _hertz(frequency: float) -> str:
-    """Four figures, never an exponent."""
+    """Return a frequency with four figures and without an exponent."""
     digits = max(0, 3 - int(np.floor(np.log10(frequency))))
     return f"{frequency:.{digits}f} Hz"
 
 
 def _signed(number: float, digits: int) -> str:
-    """With a sign and a true minus."""
+    """Return a number with its sign and a true minus."""
     return f"{number:+.{digits}f}".replace("-", "−")
 
 

@@ -1,4 +1,4 @@
-"""An imported recording in a picture: both strips, their difference, and forces if it has any.
+"""The figure of an imported recording: both strips, their difference, and its forces.
 
 Long recordings are drawn as the band between the smallest and largest of every few samples, which
 looks the same on paper and makes no file of a hundred megabytes.
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from rig.files.runfile.reader import RunFile
 
 MOST_DRAWN = 8000
-"""Points of a curve: several for each dot of the picture's width."""
+"""Largest number of points of a curve: several for each dot of the picture's width."""
 MILLIVOLTS_BELOW_V = 1.0
 
 
 def draw_recording(run: RunFile) -> Figure:
-    """Both strips, their difference, and the forces if there are any, over time."""
+    """Draw both strips, their difference, and the forces if there are any, over time."""
     series = {waveform.stream: waveform for waveform in run.waveforms()}
     signals, force = series["signals"], series.get("force")
     volts = {name: signals.values(name) for name in ("v_d", "v_1", "v_2")}
@@ -63,8 +63,8 @@ def draw_recording(run: RunFile) -> Figure:
 def thinned(
     t: NDArray[np.float64], values: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A curve of MOST_DRAWN points at most with the same extremes: of every group of samples the
-    smallest and the largest, in their order."""
+    """Return a curve of at most MOST_DRAWN points with the same extremes: the smallest and the
+    largest of every group of samples, in their order."""
     size = -(-2 * len(values) // MOST_DRAWN)
     if size <= 2:
         return t, values

@@ -1,4 +1,5 @@
-"""A low-pass in pictures, as the paper's Figure 14: gain, phase, group delay, step response."""
+"""The figure of a low-pass filter, as the paper's Figure 14: gain, phase, group delay, step
+response."""
 
 from __future__ import annotations
 
@@ -15,13 +16,13 @@ if TYPE_CHECKING:
     from rig.analysis.low_pass_curves import LowPassCurves, LowPassSummary
 
 BELOW_STOP_BAND_dB = 40.0
-"""What is shown of the gain below the attenuation that was asked for."""
+"""Range of gain shown below the specified attenuation."""
 
 
 def draw_low_pass(
     name: str, asked_dB: float, curves: LowPassCurves, summary: LowPassSummary
 ) -> Figure:
-    """The four curves; phase and group delay up to the lobes, where both mean nothing."""
+    """Draw the four curves; phase and group delay end at the lobes, where they have no meaning."""
     f = curves.frequency_Hz
     passed = f < summary.lobes_from_Hz
     with mpl.rc_context(STYLE):
@@ -64,7 +65,7 @@ def draw_low_pass(
         for axes in (gain, phase, delay, step):
             legend_above(axes)
         figure.suptitle(
-            f"Low-pass {name}: {summary.taps} taps at {summary.rate_Hz:g} Hz",
+            f"Low-pass filter '{name}': {summary.taps} taps at {summary.rate_Hz:g} Hz",
             fontsize=9,
             parse_math=False,
         )

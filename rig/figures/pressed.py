@@ -1,4 +1,4 @@
-"""What the figures of trials with the skin pressed on an object have in common."""
+"""Common parts of the figures of trials with the skin pressed on an object."""
 
 from __future__ import annotations
 
@@ -15,32 +15,34 @@ if TYPE_CHECKING:
     from rig.files.runfile.reader import RunFile, Waveform
 
 TRIALS_SHOWN = 20
-"""Trials that get a figure of their own; the file holds them all."""
+"""Largest number of trials with a figure; the file contains all trials."""
 BEFORE_S = 0.3
-"""What is shown before the force is felt; the file holds all of it."""
+"""Time shown before the contact; the file contains all of the record."""
 LEAST_FORCE = 0.1
-"""Share of the normal force from which the object counts as touched."""
+"""Fraction of the normal force from which the object is considered touched."""
 
 
 def seconds(waveform: Waveform) -> NDArray[np.float64]:
-    """Times of an equally spaced record's rows, since its start."""
+    """Return the times of the rows of an equally spaced record, since its start."""
     first = next(iter(waveform.counts.values()))
     return np.arange(len(first)) / (waveform.rate_Hz or 1.0)
 
 
 def shade(panels: Iterable[Axes], begin_s: float, end_s: float, what: str) -> None:
-    """Mark the motion in every panel, named in the first."""
+    """Shade the time of the motion in every panel, with a label in the first."""
     for number, axes in enumerate(panels):
         label = None if number else what
         axes.axvspan(begin_s, end_s, color="C2", alpha=0.07, linewidth=0, label=label)
 
 
 def show_allowed_error(axes: Axes, run: RunFile) -> None:
-    """The rms error beyond which a trial does not count, as a band."""
+    """Draw the rms error above which a trial is invalid."""
     allowed = float(run.settings.get("force_error_rms_percent", 0.0))
     if allowed:
-        label = f"rms up to {allowed:g} % counts"
-        axes.axhspan(-allowed, allowed, color="0.5", alpha=0.12, linewidth=0, label=label)
+        # Lines, not a band: the limit is on the rms, the curve shows the instantaneous error.
+        label = f"validity limit: rms ≤ {allowed:g} %"
+        axes.axhline(allowed, color="0.5", linewidth=0.8, linestyle=":", label=label)
+        axes.axhline(-allowed, color="0.5", linewidth=0.8, linestyle=":")
 
 
 def from_touch_on(
@@ -53,8 +55,8 @@ def from_touch_on(
 
 
 def heading(figure: Figure, run: RunFile, number: int, point: str) -> int:
-    """Title, file, and why the trial does not count if it does not; how many lines that is."""
+    """Write title, file, and why the trial is invalid if it is; return the number of lines."""
     doubt = str(run.column("invalid")[number])
-    invalid = f"\ndoes not count: {doubt}" if doubt else ""
+    invalid = f"\ninvalid: {doubt}" if doubt else ""
     figure.suptitle(f"{run.header.title}: {point}\n{run.path.name}{invalid}", fontsize=9)
     return 3 if doubt else 2

@@ -1,5 +1,4 @@
-"""What a detector found in a trial: v_d, the predictive signal, and the events where they were
-decided."""
+"""The figure of a detector's result in a trial: v_d, the predictive signal, and the events."""
 
 from __future__ import annotations
 
@@ -28,11 +27,11 @@ MARKS: dict[EventKind, tuple[str, str]] = {
 }
 """Colour and line of each kind of event."""
 AROUND_S = 0.5
-"""What is shown before the first and after the last event; the file holds all of it."""
+"""Time shown before the first and after the last event; the file contains all of the trial."""
 
 
 def draw_trials(processed: ProcessedFile) -> dict[str, Figure]:
-    """One figure a trial: the first has the file's name, the others add their own."""
+    """Draw one figure per trial: the first has the file's name, the others append their own."""
     return {
         "" if number == 0 else f"-{trial.id}": draw_trial(processed, trial)
         for number, trial in enumerate(processed.trials()[:TRIALS_SHOWN])
@@ -40,7 +39,7 @@ def draw_trials(processed: ProcessedFile) -> dict[str, Figure]:
 
 
 def draw_trial(processed: ProcessedFile, trial: DetectedTrial) -> Figure:
-    """Both signals around the events, or over the whole trial where it has none, and the
+    """Draw both signals around the events, or over the whole trial if it has none, and the
     confidence of each event below."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 5.6))
@@ -66,7 +65,7 @@ def draw_trial(processed: ProcessedFile, trial: DetectedTrial) -> Figure:
         settings = processed.settings
         figure.suptitle(
             f"{processed.title}: {trial.id}\n"
-            f"detector {settings.logic} {processed.version}: {_told(trial)}\n"
+            f"detector {settings.logic} {processed.version}: {_in_words(trial)}\n"
             f"{processed.path.name}",
             fontsize=9,
             parse_math=False,
@@ -76,7 +75,8 @@ def draw_trial(processed: ProcessedFile, trial: DetectedTrial) -> Figure:
 
 
 def _mark_events(panels: tuple[Axes, Axes], confidence: Axes, trial: DetectedTrial) -> None:
-    """A line an event through the signals, named once a kind; its confidence below."""
+    """Draw a line per event through the signals, with one label per kind, and its confidence
+    below."""
     for kind, (colour, line) in MARKS.items():
         events = [event for event in trial.events if event.kind == kind]
         for number, event in enumerate(events):
@@ -89,7 +89,7 @@ def _mark_events(panels: tuple[Axes, Axes], confidence: Axes, trial: DetectedTri
             confidence.plot(times, sure, "o", markersize=4, color=colour)
 
 
-def _told(trial: DetectedTrial) -> str:
+def _in_words(trial: DetectedTrial) -> str:
     first = next((event for event in trial.events if event.kind == "incipient slip"), None)
     return "no slip found" if first is None else f"first slip at {first.time_s:.3f} s"
 
@@ -97,6 +97,6 @@ def _told(trial: DetectedTrial) -> str:
 def _with_gaps(
     trial: DetectedTrial, values: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times and values with a NaN in every gap, so that no line is drawn across it."""
+    """Return times and values with a NaN in every gap, so that no line is drawn across it."""
     behind = np.flatnonzero(np.diff(trial.sample) > 1) + 1
     return np.insert(trial.time_s, behind, np.nan), np.insert(values, behind, np.nan)

@@ -1,4 +1,4 @@
-"""Which figures a file gets: the entry points of the group ``rig.figures``.
+"""The figures of each kind of file: the entry points of the group ``rig.figures``.
 
 The name of an entry point says which files its figure belongs to:
 
@@ -9,10 +9,9 @@ Before the first dot stands the name of a procedure, `import` for an imported re
 `processed` for a processed file. The value is ``module:function``. The function takes the open file
 (`rig.files.runfile.reader.RunFile`, or `rig.files.processed.reader.ProcessedFile`) and returns a
 matplotlib Figure, or Figures by the suffix that each adds to the file's name: "" for the first. An
-empty dictionary means that this file gives nothing to draw.
+empty dictionary means that there is nothing to draw in this file.
 
-Nothing is imported here before a figure is loaded. A package that is broken costs its own figures
-only.
+Nothing is imported here before a figure is loaded. A broken package loses only its own figures.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ if TYPE_CHECKING:
 
 GROUP = "rig.figures"
 PROCESSED = "processed"
-"""Before the dot in the names of figures of processed files."""
+"""Name before the dot of the figures of processed files."""
 OWN_PACKAGE = "tactile-rig"
 _NAME = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)?")
 
 Draw = Callable[[Any], "Figure | Mapping[str, Figure]"]
-"""What an entry point names: takes the open file."""
+"""The function that an entry point names; its argument is the open file."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +45,14 @@ class RegisteredFigure:
 
     @property
     def suffix(self) -> str:
-        """What its name adds to the file's: "" for the figure of the procedure itself."""
+        """Suffix that the figure adds to the file's name: "" for the figure of the procedure
+        itself."""
         _, dot, what = self.entry.name.partition(".")
         return f"-{what}" if dot else ""
 
     @property
     def package(self) -> str:
-        """The name of the package that declares it."""
+        """Name of the package that declares it."""
         return "an unknown package" if self.entry.dist is None else self.entry.dist.name
 
     def __str__(self) -> str:

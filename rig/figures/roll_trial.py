@@ -1,5 +1,5 @@
-"""A roll trial in pictures, in the manner of the paper's Figures 17 and 19: the turn, both strips'
-signals and their difference, the forces, and how well the normal force was held."""
+"""The figures of a roll trial, in the manner of the paper's Figures 17 and 19: the turn, both
+strips' signals and their difference, the forces, and the error of the normal force."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def draw_trials(run: RunFile) -> dict[str, Figure]:
-    """One figure a trial: the first has the run's name, the others add their own."""
+    """Draw one figure per trial: the first has the run's name, the others append their own."""
     points = run.point_ids()[:TRIALS_SHOWN]
     return {
         "" if number == 0 else f"-{point}": draw_trial(run, number, point)
@@ -32,7 +32,7 @@ def draw_trials(run: RunFile) -> dict[str, Figure]:
 
 
 def draw_trial(run: RunFile, number: int, point: str) -> Figure:
-    """Angle, strips, difference, forces and force error over time; the roll is shaded."""
+    """Draw angle, strips, difference, forces and force error over time, with the roll shaded."""
     series = {w.stream: w for w in run.waveforms(point)}
     signals, force, rotation = series["signals"], series["force"], series["rotation"]
     begin, end = (float(run.column(name)[number]) for name in ("roll_from", "roll_to"))

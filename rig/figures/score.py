@@ -1,4 +1,4 @@
-"""Figures of a score: ROC, what is found against noise, drop and speed, and the delays."""
+"""The figures of a score: ROC, detection rate by noise, friction drop and speed, and delays."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ SHOWN_TRAITS = {
     "speed_mm_s": "speed (mm/s)",
 }
 MOST_SHOWN_ALARMS = 0.5
-"""End of a ROC's axis of false alarms: nobody works beyond it."""
+"""End of the ROC's axis of false alarms; a detector with more is useless."""
 DELAYS_MS = (-60.0, 1e3 * FOUND_WITHIN_S)
-"""Shown of the histograms; what is earlier is counted in their first bar."""
+"""Range of the histograms; earlier alarms are contained in the first bar."""
 BAR_MS = 2.0
 
 
 def draw_roc(results: Sequence[ContenderResult], title: str) -> Figure:
-    """Slips found over false alarms at thresholds from 1/8 to 8 times a contender's own."""
+    """Draw detected slips over false alarms at thresholds from 1/8 to 8 times a contender's own."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9, 4.6), layout="constrained")
         panels = figure.subplots(1, len(AXES), sharey=True)
@@ -56,7 +56,7 @@ def draw_roc(results: Sequence[ContenderResult], title: str) -> Figure:
 
 
 def draw_found(results: Sequence[ContenderResult], title: str) -> Figure:
-    """The share of slips found by noise, drop of friction and speed, with 95 % intervals."""
+    """Draw the detection rate by noise, friction drop and speed, with 95 % intervals."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9, 3.8), layout="constrained")
         panels = figure.subplots(1, len(SHOWN_TRAITS), sharey=True)
@@ -65,11 +65,11 @@ def draw_found(results: Sequence[ContenderResult], title: str) -> Figure:
             for at, (one, colour) in enumerate(_coloured(results)):
                 groups = [g for g in one.groups if g.trait == trait and "found" in g.score]
                 bins = [group.bin for group in groups]
-                aside = 0.6 * ((at + 0.5) / len(results) - 0.5)
+                shift = 0.6 * ((at + 0.5) / len(results) - 0.5)
                 found = [group.score["found"] for group in groups]
                 value = np.array([each.value for each in found])
                 axes.errorbar(
-                    np.arange(len(groups)) + aside, value,
+                    np.arange(len(groups)) + shift, value,
                     [value - [each.low for each in found], [each.high for each in found] - value],
                     fmt="o", ms=4, lw=1.0, color=colour, label=one.contender.name,
                 )  # fmt: skip
@@ -84,12 +84,14 @@ def draw_found(results: Sequence[ContenderResult], title: str) -> Figure:
             figure.legend(
                 handles, labels, loc="outside lower center", ncols=len(handles), frameon=False
             )
-        figure.suptitle(f"Slips found by what they were like, 95 % intervals, {title}")
+        figure.suptitle(
+            f"Detection rate by noise, friction drop and speed, 95 % intervals, {title}"
+        )
     return figure
 
 
 def draw_delays(results: Sequence[ContenderResult], title: str) -> Figure:
-    """How long after the whole ridge slipped each found slip was told, a panel a contender."""
+    """Draw the delay of each detection after the full-ridge slip, in one panel per contender."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9, 0.9 + 1.15 * len(results)), layout="constrained")
         panels = figure.subplots(len(results), 1, sharex=True, squeeze=False)[:, 0]
@@ -107,7 +109,7 @@ def draw_delays(results: Sequence[ContenderResult], title: str) -> Figure:
         figure.supylabel("slips", fontsize=9)
         panels[-1].set_xlim(*DELAYS_MS)
         panels[-1].set_xlabel(
-            "alarm after the slip of the whole ridge (ms); the first bar holds all that is earlier"
+            "detection delay after full-ridge slip (ms); the first bar contains all earlier alarms"
         )
         figure.suptitle(f"Delay of the alarms that found a slip, {title}")
     return figure

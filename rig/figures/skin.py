@@ -1,7 +1,7 @@
 """Figures of the skin model: a trial, the 4.2 history, the deformed skin, the design map.
 
-Everything drawn here is simulated and says so in its title. Functions draw arrays; they open no
-file.
+Everything drawn here is simulated and marked so in its title. The functions draw arrays; they open
+no file.
 """
 
 from __future__ import annotations
@@ -34,13 +34,14 @@ SIMULATED = "simulated (model)"
 STATUS_COLOURS = ("#f2f2f2", "#4477aa", "#ee6677")
 STATUS_NAMES = ("apart", "stick", "slip")
 LARGEST_SHOWN_MM = 0.8
-"""Displacement on paper that a magnified section may reach; grooves are 0.6 mm wide."""
+"""Largest displacement in the picture of a magnified section; grooves are 0.6 mm wide."""
 
 
 def draw_trial(
     trial: SkinTrial, ridge_of_node: NDArray[np.int64], watched: int, title: str
 ) -> Figure:
-    """v_1, v_2, v_d, forces and the stick-slip map over time; `watched` is 1 for the leftmost."""
+    """Draw v_1, v_2, v_d, forces and the stick-slip map over time; ridge `watched` is 1 for the
+    leftmost."""
     figure, (volts, difference, forces, sticks) = _panels(
         (9, 9.5), 4, f"{title}, {SIMULATED}", (1, 1.3, 1, 2)
     )
@@ -63,20 +64,23 @@ def draw_trial(
 
 
 def draw_history(history: History, watched: int, title: str) -> Figure:
-    """Figures 12 and 13 of the paper: forces, stress difference, its rate, and who slips."""
+    """Draw Figures 12 and 13 of the paper: forces, stress difference, its rate, and the slipping
+    ridges."""
     figure, (forces, difference, rate, sticks) = _panels(
         (9, 9.5), 4, f"{title}, {SIMULATED}", (1.2, 1, 1.2, 2)
     )
     step = history.step
     _forces(forces, step, history.normal_force_N, history.tangential_force_N)
-    forces.plot(step, history.friction_force_N, lw=0.9, ls="--", label="$F_t$ passed on")
+    forces.plot(
+        step, history.friction_force_N, lw=0.9, ls="--", label="$F_t$ transmitted to the plate"
+    )
     _legend_above(forces)
     difference.plot(step, history.difference * 1e3, lw=0.9, color="k")
     difference.set_ylabel(f"$σ(S_1) - σ(S_2)$\nridge {watched} (kPa)")
     fast = np.gradient(history.difference * 1e3)
     rate.plot(step, fast, lw=0.6, color="0.7", label="each step")
     rate.plot(step, _running_mean(fast, 21), lw=1.3, color="k", label="mean of 21 steps")
-    rate.set_ylabel("its rate\n(kPa a step)")
+    rate.set_ylabel("its rate\n(kPa per step)")
     rate.legend(loc="lower left", ncols=2, frameon=False)
     whole = history.truth.whole_slip_s[watched - 1]
     if np.isfinite(whole):
@@ -84,7 +88,7 @@ def draw_history(history: History, watched: int, title: str) -> Figure:
         for axis in (difference, rate):
             axis.axvline(at, color="#ee6677", lw=0.9)
         difference.annotate(
-            f"ridge {watched} slips whole ", (at, 0.06), xycoords=("data", "axes fraction"),
+            f"all of ridge {watched} slips ", (at, 0.06), xycoords=("data", "axes fraction"),
             ha="right", color="#ee6677",
         )  # fmt: skip
     _stick_slip(sticks, step.astype(float), history.status, history.ridge_of_node)
@@ -96,7 +100,7 @@ def draw_history(history: History, watched: int, title: str) -> Figure:
 def draw_deformed(
     instants: list[tuple[str, DeformedSkin]], settings: SkinSettings, component: int, title: str
 ) -> Figure:
-    """The deformed section with one stress (0, 1, 2 for σ_xx, σ_yy, σ_xy) at some instants."""
+    """Draw the deformed section with one stress (0, 1, 2 for σ_xx, σ_yy, σ_xy) at some instants."""
     largest = max(np.abs(skin.displacement_mm).max() for _, skin in instants)
     magnified = (
         float(np.floor(LARGEST_SHOWN_MM / largest)) if 0 < largest < LARGEST_SHOWN_MM else 1.0
@@ -128,7 +132,7 @@ def draw_deformed(
             axis.set_ylabel("y (mm)")
             axis.set_title(name, fontsize=9, loc="left")
         axes[-1, 0].set_xlabel(
-            "x (mm); thin rectangles: the strips $S_1$, $S_2$ of each ridge, where they are at rest"
+            "x (mm); thin rectangles: the strips $S_1$, $S_2$ of each ridge, at rest"
         )
         figure.colorbar(
             patches, ax=list(axes[:, 0]), shrink=0.8, extend="both",
@@ -139,7 +143,8 @@ def draw_deformed(
 
 
 def draw_map(found: DesignMap, ridge: int) -> Figure:
-    """Hump and HF peak of one ridge over the strips' place, and over all ridges at the best."""
+    """Draw hump and HF peak of one ridge over the strips' position, and of all ridges at the best
+    one."""
     settings, names = found.settings, [f"$σ_{{{c}}}$" for c in found.components]
     quantities = (("hump", found.hump_V, "RdBu_r"), ("HF peak", found.peak_V, "viridis"))
     with mpl.rc_context(STYLE):
@@ -165,12 +170,12 @@ def draw_map(found: DesignMap, ridge: int) -> Figure:
                 where = f"{settings.offsets_mm[at[1]]:g}, {settings.bottoms_mm[at[0]]:g} mm"
                 label = f"{'hump' if values is found.hump_V else 'HF peak'} at {where}"
                 axis.plot(ridges, values[:, at[0], at[1], column] * 1e3, "o-", ms=3, label=label)
-            axis.set_title(f"best place of ridge {ridge} in {name} (mV)", fontsize=9)
+            axis.set_title(f"best position of ridge {ridge} in {name} (mV)", fontsize=9)
             axis.set_xlabel("ridge")
             axis.set_xticks(ridges)
             axis.set_ylim(top=1.35 * axis.get_ylim()[1])
             axis.legend(frameon=False, fontsize=7.5, loc="upper left")
-        figure.suptitle(f"Where strips belong: $v_d$ of a slide, {SIMULATED}")
+        figure.suptitle(f"$v_d$ in a slide, by strip position, {SIMULATED}")
     return figure
 
 
@@ -212,7 +217,7 @@ def _forces(axis: Axes, time: Floats | NDArray[np.int64], normal: Floats, along:
 def _stick_slip(
     axis: Axes, time: Floats, status: Statuses, ridge_of_node: NDArray[np.int64]
 ) -> None:
-    """One band a ridge, one line a node: apart, stick or slip."""
+    """Draw one band per ridge and one line per node: separated, sticking or slipping."""
     every = max(1, status.shape[0] // 2000)
     seen = np.minimum(status[::every], STICK + 1).astype(np.int8)
     seen[status[::every] == SLIP_MINUS] = STICK + 1
@@ -235,7 +240,7 @@ def _stick_slip(
 
 
 def _legend_above(axis: Axes, handles: list[Patch] | None = None) -> None:
-    """A legend above the axes' right corner, where it hides nothing."""
+    """Place a legend above the axes' right corner, where it hides nothing."""
     axis.legend(
         **({} if handles is None else {"handles": handles}),
         loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=8, frameon=False,
@@ -244,11 +249,11 @@ def _legend_above(axis: Axes, handles: list[Patch] | None = None) -> None:
 
 
 def _mark_events(axis: Axes, trial: SkinTrial, watched: int) -> None:
-    """When the neighbour and the watched ridge slip whole, and when everything slips."""
+    """Mark the slip of all of the neighbouring and the watched ridge, and gross slip."""
     truth = trial.truth
-    events = [(truth.whole_slip_s[watched - 1], f"ridge {watched} slips whole", 0.06)]
+    events = [(truth.whole_slip_s[watched - 1], f"all of ridge {watched} slips", 0.06)]
     if watched > 1:
-        events.append((truth.whole_slip_s[watched - 2], f"ridge {watched - 1} slips whole", 0.06))
+        events.append((truth.whole_slip_s[watched - 2], f"all of ridge {watched - 1} slips", 0.06))
     events.append((truth.gross_slip_s, "gross slip", 0.06))
     for at, text, height in events:
         if np.isfinite(at):
@@ -266,7 +271,7 @@ def _headroom(axis: Axes, values: Floats) -> None:
 
 
 def _running_mean(values: Floats, width: int) -> Floats:
-    """Centred mean; shorter at the ends."""
+    """Return the centred running mean, whose window is shorter at the ends."""
     summed = np.concatenate([[0.0], np.cumsum(values)])
     at = np.arange(values.size)
     low = np.maximum(at - width // 2, 0)

@@ -1,5 +1,5 @@
-"""A slip trial in pictures: the strips' signal in the manner of the paper's Figure 10, the forces
-with their ratio, and how well the normal force was held."""
+"""The figures of a slip trial: the strips' signal in the manner of the paper's Figure 10, the
+forces with their ratio, and the error of the normal force."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from rig.files.runfile.reader import RunFile
 
 REASON_WIDTH = 80
-"""Characters of a line that fits into a panel."""
+"""Number of characters of a line that fits into a panel."""
 
 
 def draw_trials(run: RunFile) -> dict[str, Figure]:
-    """One figure a trial: the first has the run's name, the others add their own."""
+    """Draw one figure per trial: the first has the run's name, the others append their own."""
     points = run.point_ids()[:TRIALS_SHOWN]
     return {
         "" if number == 0 else f"-{point}": draw_trial(run, number, point)
@@ -41,7 +41,7 @@ def draw_trials(run: RunFile) -> dict[str, Figure]:
 
 
 def draw_trial(run: RunFile, number: int, point: str) -> Figure:
-    """Signal, forces, ratio and force error over time; the slide or the ramp is shaded."""
+    """Draw signal, forces, ratio and force error over time, with the slide or the ramp shaded."""
     series = {w.stream: w for w in run.waveforms(point)}
     signals, force = series["signals"], series["force"]
     begin, end = (float(run.column(name)[number]) for name in ("slide_from", "slide_to"))
@@ -98,5 +98,5 @@ def _coefficients(axes: Axes, run: RunFile, number: int) -> None:
             axes.axhline(found, color=colour, linestyle="--", linewidth=0.8, label=label)
     why = str(run.column("no_friction")[number]) if "no_friction" in run.columns() else ""
     if why:
-        told = textwrap.fill(f"no friction coefficients: {why}", REASON_WIDTH)
-        axes.text(0.02, 0.9, told, transform=axes.transAxes, va="top", fontsize=8)
+        text = textwrap.fill(f"no friction coefficients: {why}", REASON_WIDTH)
+        axes.text(0.02, 0.9, text, transform=axes.transAxes, va="top", fontsize=8)

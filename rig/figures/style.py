@@ -1,4 +1,4 @@
-"""How every figure looks and is kept."""
+"""The common style of all figures, and how they are saved."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ STYLE: Any = {
 }
 
 FREQUENCY_MARGIN = 1.15
-"""Ratio of the axis' ends to the first and last frequency."""
+"""Ratio of the axis' ends to the lowest and highest frequency."""
 NUMBERED_SPAN = 1e3
-"""Over so large a ratio of frequencies the numbers at 2 and 5 would touch each other."""
+"""Ratio of frequencies from which the numbers at 2 and 5 would touch each other."""
 
 
 def save(figure: Figure, run_file: Path, simulated: bool) -> list[Path]:
-    """Write the figure as PNG and SVG beside its run file, marked where it is simulated."""
+    """Write the figure as PNG and SVG next to its run file, with a mark if it is simulated."""
     import matplotlib as mpl
 
     if simulated:
@@ -72,7 +72,8 @@ def _save_svg(figure: Figure, run_file: Path) -> Path:
 
 
 def set_margins(figure: Figure, *, top: float = 0.35, between: float = 0.08) -> None:
-    """Fixed margins: axes lie at the same place in every run's figure, and nothing is searched.
+    """Set fixed margins, so that axes are in the same place in every figure and no layout is
+    computed.
 
     ``top`` in inches; ``between`` stacked axes as a part of their height.
     """
@@ -87,7 +88,7 @@ def set_margins(figure: Figure, *, top: float = 0.35, between: float = 0.08) -> 
 
 
 def decades(axes: Axes, lowest_Hz: float, highest_Hz: float) -> None:
-    """A logarithmic frequency axis from `lowest_Hz` to `highest_Hz`, with a margin.
+    """Make a logarithmic frequency axis from `lowest_Hz` to `highest_Hz`, with a margin.
 
     Ticks at 1, 2 and 5 (all nine take longer to draw than everything else in the figure), the
     latter two with numbers where there is room; evenly spaced ones over less than a decade.
@@ -109,7 +110,8 @@ def decades(axes: Axes, lowest_Hz: float, highest_Hz: float) -> None:
 
 
 def show_at_least(axes: Axes, span: float) -> None:
-    """Limits of y not closer than `span`: noise does not fill the picture of a single point."""
+    """Set limits of y at least `span` apart, so that noise does not fill the panel of a single
+    point."""
     low, high = axes.get_ylim()
     if high - low < span:
         middle = (low + high) / 2
@@ -117,7 +119,7 @@ def show_at_least(axes: Axes, span: float) -> None:
 
 
 def legend_above(axes: Axes) -> None:
-    """A legend in one line above the axes' right corner, where it hides nothing."""
+    """Place a legend in one line above the axes' right corner, where it hides nothing."""
     handles, _ = axes.get_legend_handles_labels()
     if handles:
         axes.legend(
@@ -132,7 +134,7 @@ def legend_above(axes: Axes) -> None:
 
 
 def _lay_out(figure: Figure) -> None:
-    """Find the margins once for all files: it takes as long as drawing one."""
+    """Compute the margins once for all file formats: it takes as long as drawing one."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)

@@ -19,13 +19,14 @@ if TYPE_CHECKING:
 REFERENCE_SLOPE_DB_DECADE = 20.0
 """First-order (stress-rate) characteristic of the paper's eq. (2), drawn for comparison."""
 REFERENCE_TO_HZ = 1000.0
-"""Points up to here decide its level."""
+"""Highest frequency of the points that determine the level of the reference line."""
 LEAST_SPAN_DB, LEAST_SPAN_DEG, LEAST_DEVIATION_PERCENT = 1.0, 2.0, 0.1
-"""Axes never show less, so that a single point is not a picture of its noise."""
+"""Smallest spans of the axes, so that noise does not fill the panel of a single point."""
 
 
 def draw_fitted_gain(run: RunFile) -> dict[str, Figure]:
-    """The measured gain with the fitted curve; nothing for a sweep too short for a fit."""
+    """Draw the measured gain with the fitted curve; empty for a sweep that is too short for a
+    fit."""
     from rig.figures.gain_curve import draw_gain
 
     curve, analysis = _analysed(run)
@@ -35,7 +36,8 @@ def draw_fitted_gain(run: RunFile) -> dict[str, Figure]:
 
 
 def draw_circuit_readings(run: RunFile) -> dict[str, Figure]:
-    """The three readings of the film's circuit; nothing for a sweep too short for a fit."""
+    """Draw the three predictions of the film's circuit; empty for a sweep that is too short for a
+    fit."""
     from rig.figures.gain_curve import draw_readings
 
     curve, analysis = _analysed(run)
@@ -45,7 +47,8 @@ def draw_circuit_readings(run: RunFile) -> dict[str, Figure]:
 
 
 def draw_load_linearity(run: RunFile) -> dict[str, Figure]:
-    """How the gain depends on the load; nothing for a sweep of one load or too short for a fit."""
+    """Draw the dependence of the gain on the load; empty for a sweep of one load or too short for a
+    fit."""
     from rig.figures.gain_curve import draw_linearity
 
     _, analysis = _analysed(run) if _several_loads(run) else (None, None)
@@ -59,7 +62,7 @@ def _several_loads(run: RunFile) -> bool:
 
 
 def _analysed(run: RunFile) -> tuple[ResponseCurve | None, SweepAnalysis | None]:
-    """The responses and what the analysis makes of them; (None, None) for a sweep too short."""
+    """Return the responses and their analysis; (None, None) for a sweep that is too short."""
     from rig.analysis.film.gain_curve import analyse
     from rig.analysis.response.curve import CurveError, points_of
 
@@ -80,8 +83,8 @@ def _analysed(run: RunFile) -> tuple[ResponseCurve | None, SweepAnalysis | None]
 
 
 def draw_measured(run: RunFile) -> Figure:
-    """Gain, phase and deviation of the load over frequency, a colour a load; error bars are two
-    standard errors."""
+    """Draw gain, phase and deviation of the load over frequency, with one colour per load; error
+    bars are two standard errors."""
     frequency, gains, wanted = run.column("frequency"), run.column("gain"), run.column("load_set")
     deviation = 100 * (run.column("load_amplitude") / wanted - 1)
     loads = np.unique(wanted)
@@ -107,7 +110,7 @@ def draw_measured(run: RunFile) -> Figure:
         _reference(gain, frequency, gains)
         gain.set_ylabel("Gain (dB re 1 V/N)")
         gain.legend(
-            loc="lower right", frameon=False, title="load, peak (± 2 standard errors)",
+            loc="lower right", frameon=False, title="peak load",
             title_fontsize=8,
         )  # fmt: skip
         phase.set_ylabel("Phase (°)")
@@ -125,7 +128,7 @@ def _title(run: RunFile) -> str:
 
 
 def _tolerance(axes: mpl.axes.Axes, run: RunFile, deviation: np.ndarray) -> None:
-    """What the load may deviate by, as a band, around all that it did."""
+    """Draw the allowed deviation of the load as a band, with limits of y around all deviations."""
     allowed = float(run.settings.get("load_tolerance_percent", 0.0))
     axes.axhspan(-allowed, allowed, color="0.5", alpha=0.12, linewidth=0)
     axes.set_ylabel(f"Load error (%),\n± {allowed:g} % allowed" if allowed else "Load error (%)")
@@ -134,8 +137,8 @@ def _tolerance(axes: mpl.axes.Axes, run: RunFile, deviation: np.ndarray) -> None
 
 
 def _reference(axes: mpl.axes.Axes, frequency: np.ndarray, gain: np.ndarray) -> None:
-    """A line of 20 dB/decade through the median of the points up to 1000 Hz; none through one
-    point."""
+    """Draw a line of 20 dB/decade through the median of the points up to 1000 Hz, unless there is
+    only one."""
     inside = frequency <= REFERENCE_TO_HZ
     if not inside.any() or frequency.min() == frequency.max():
         return

@@ -57,16 +57,16 @@ def takeover_notice(path: Path) -> str | None:
         report = json.loads(path.read_text())
         if report["safe"] is not True or report.get("told") or "file" not in report:
             return None
-        told = (
+        notice = (
             f"the guard of an earlier run had to act at {report['time']}: {report['cause']}; "
             "the bench was made safe"
         )
         if report["journal"] is not None:
-            told += f"; data: {report['file']}; continue with: rig resume {report['journal']}"
+            notice += f"; data: {report['file']}; continue with: rig resume {report['journal']}"
     except (OSError, ValueError, KeyError, TypeError):
         return None
     _mark_reported(path, report)
-    return told
+    return notice
 
 
 def _mark_reported(path: Path, report: dict[str, Any]) -> None:

@@ -261,7 +261,7 @@ def test_the_same_seed_gives_the_same_readings(rig: Any) -> None:
         (("force", "--weights", "5,ten"), 2, ("--weights ten",)),
         (("force", "--weights", "0,5"), 2, ("above 0 N",)),
         (("force", "--axes", "+x,+y"), 2, ("leaves out z",)),
-        (("force", "--axes", "+x,+y,up"), 2, ("'up' is no direction",)),
+        (("force", "--axes", "+x,+y,up"), 2, ("'up' is not a direction",)),
         (("force", "--rate", "90000"), 4, ("--rate 90000 is outside",)),
         (("force", "--duration", "0"), 2, ("--duration",)),
         (("force", "--tolerance", "9"), 2, ("--tolerance 9", "0 to 5 percent")),
@@ -301,7 +301,7 @@ def test_a_simulated_bench_in_real_time_has_nobody_for_the_weights(rig: Any) -> 
     simulator.wait_for("drive it")
     ended = rig.run("calibrate", "load-cell", "--bench", "sim.toml")
     assert ended.code == 2, ended.stderr
-    assert "nobody can put weights on it" in ended.errors[0]
+    assert "weights cannot be put on it" in ended.errors[0]
     simulator.send(signal.SIGTERM)
     assert simulator.finish().code == 0
 
@@ -387,9 +387,9 @@ def test_a_person_goes_on_with_enter_and_repeats_with_r(rig: Any, terminal: Any)
     at = terminal(*CELL)
     at.wait_for("1/4: take all weights off [Enter, q quits]")
     at.answer("what?")
-    at.wait_for("'what?' is no answer")
+    at.wait_for("'what?' is not an answer")
     at.answer("")
-    at.wait_for("2/4: put 2 N on +z [Enter, r repeats the reading before, q quits]")
+    at.wait_for("2/4: put 2 N on +z [Enter, r repeats the previous reading, q quits]")
     at.answer("")
     at.wait_for("3/4: put 5 N on +z")
     at.answer("r")

@@ -45,9 +45,9 @@ def test_eighty_columns_hold_the_chosen_axis_and_the_force() -> None:
     axes = tuple(JogAxis(name, "mm", 0, 40, 0.1, 1.0) for name in ("stage_z", "stage_x", "rotary"))
     places = {axis.name: AxisPosition(-12.3456, False) for axis in axes}
     line = in_a_line(JogStatus(axes, places, axes[2], axes[2], (-10.0, -10.0, -10.0), True))
-    force = "force (not tared) x -10.00 y -10.00 z -10.00 N OVER THE LIMIT"
+    force = "force x -10.00 y -10.00 z -10.00 N OVER THE LIMIT (not tared)"
     assert line[:79].startswith(
-        "rotary -12.346 mm (not homed) moving | force (not tared) x -10.00 y -10.00 z -10.00"
+        "rotary -12.346 mm (not homed) moving | force x -10.00 y -10.00 z -10.00"
     )
     assert line.endswith(
         f"{force} | stage_z -12.346 mm (not homed) | stage_x -12.346 mm (not homed)"

@@ -241,9 +241,9 @@ def test_measurements_between_request_and_response_are_kept_and_those_before_dro
 @pytest.mark.parametrize(
     ("wire", "told"),
     [
-        ("00 FF", "2 bytes came that are no frame: 00 ff"),
-        ("AA 11 B0 00000000 00000000 85", "12 bytes came that are no frame: aa 11 b0"),
-        (MEASURED[3:].replace(" ", ""), "15 bytes came that are no frame: 12 b0 3e"),
+        ("00 FF", "2 bytes came that are not a frame: 00 ff"),
+        ("AA 11 B0 00000000 00000000 85", "12 bytes came that are not a frame: aa 11 b0"),
+        (MEASURED[3:].replace(" ", ""), "15 bytes came that are not a frame: 12 b0 3e"),
     ],
 )
 def test_bytes_that_are_no_frame_end_the_stream_until_it_is_started_again(

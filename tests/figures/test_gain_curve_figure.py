@@ -47,9 +47,9 @@ def test_the_gain_figure_names_level_corner_slope_and_every_drop(film):
     for expected in (
         "b = −72.0",
         "corner 20",
-        "2 drops",
+        "2 notches",
         "slope 2 to 2000 Hz 19.5",
-        "eq. (2), plain",
+        "20 dB/decade line fitted without corner (paper, eq. 2)",
     ):
         assert expected in written
     for drop in film[1].drops:

@@ -60,7 +60,7 @@ def test_a_push_in_free_air_is_no_contact_and_the_stage_does_not_hunt_for_the_pr
     assert ended.code == 0, ended.stderr
     with RunFile.open(rig.only("*.h5")) as run:
         said = [message.decode() for message in run.entry["events/message"][()]]
-        assert "what was felt is gone again: the approach goes on" in said
+        assert "the contact was not confirmed: the approach continues" in said
         assert run.column("preload") == pytest.approx(23.6, rel=0.02)
     stood = [x for x in rig.log() if (x["device"], x["what"]) == ("stage_z", "at-rest")]
     assert len(stood) < 25

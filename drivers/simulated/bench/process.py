@@ -66,7 +66,7 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
         settle()
         bench.force.pump()
         if monitor is not None:
-            monitor.look(world.now_us)
+            monitor.check(world.now_us)
 
     async def follow_real_time() -> None:
         while True:

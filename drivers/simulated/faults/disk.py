@@ -23,7 +23,7 @@ _WRITING = frozenset("wax+")
 
 
 class FaultyDisk:
-    """The file system of `folder` as its faults make it."""
+    """The file system of `folder` with its faults."""
 
     def __init__(self, faults: Iterable[FileFault], folder: Path):
         self._faults = tuple(faults)
@@ -32,7 +32,7 @@ class FaultyDisk:
         self._genuine: dict[tuple[Any, str], Callable[..., Any]] = {}
 
     def install(self) -> None:
-        """From now on."""
+        """Install the shim, from now on."""
         for module, name, shim in (
             (os, "open", self._open),
             (os, "mkdir", self._change),
@@ -49,7 +49,7 @@ class FaultyDisk:
             setattr(module, name, _shimmed(shim, genuine))
 
     def remove(self) -> None:
-        """Give the calls back; a second time it does nothing."""
+        """Remove the shim; a second call does nothing."""
         for (module, name), genuine in self._genuine.items():
             setattr(module, name, genuine)
         self._genuine.clear()
@@ -119,7 +119,7 @@ class FaultyDisk:
                 raise _error(fault, what)
 
     def _room(self, wanted: int, what: Any) -> int:
-        """How many bytes of a write fit; the error of the disk where none do."""
+        """Return how many bytes of a write fit. Raises the error of the disk if none do."""
         room = wanted
         for fault in self._faults:
             if isinstance(fault, DiskFault):

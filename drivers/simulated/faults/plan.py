@@ -1,4 +1,5 @@
-"""Fault plans: what is to go wrong on a simulated bench, as a TOML file that is checked at once.
+"""Fault plans: the faults of a simulated bench, as a TOML file that is checked completely when it
+is read.
 
     [[fault]]
     device = "daq"
@@ -20,10 +21,10 @@
     kind = "disk-full"      # under the recording's file calls: keyed to bytes written
     after_bytes = 50000
 
-This module says what a plan can ask for, of which device, and why not. It does nothing itself:
+This module defines which faults a plan may contain for which device. It applies none itself:
 `faults.wire` acts at the wire, `world.schedule` in the World, `faults.disk` under the file calls.
-Nothing is drawn at random: in slaved time the same plan does the same at the same instant. All
-kinds are described in docs/fault-plans.md.
+Nothing is random: in virtual time the same plan has the same effect at the same instant. All kinds
+are described in docs/fault-plans.md.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ LONGEST_AFTER_s = 36_000.0
 
 
 class Placed(Settings):
-    """What begins at a moment that repeats exactly."""
+    """A fault that begins at a moment that repeats exactly."""
 
     device: str
     """The device's name in the simulated bench."""
@@ -63,13 +64,13 @@ class Placed(Settings):
     """Whose task; None: the device's own."""
     acquisition: int | None = Field(default=None, ge=1)
     """During which acquisition of the DAQ since the World began. None, and no `move` either:
-    `after_s` counts from the World's beginning."""
+    `after_s` is measured from the World's beginning."""
     after_s: float = Field(default=0.0, ge=0, le=LONGEST_AFTER_s)
     """How long after that began."""
 
     @property
     def task(self) -> TaskStart | None:
-        """The task from whose beginning `after_s` counts; None means the World's beginning."""
+        """The task from whose beginning `after_s` is measured; None means the World's beginning."""
         if self.acquisition is not None:
             return DAQ, self.acquisition
         return None if self.move is None else (self.of or self.device, self.move)
@@ -93,13 +94,14 @@ class ReplyFault(Placed):
     """Beginning of a command in the request (upper or lower case, without its leading colon)."""
 
     def matches(self, request: bytes) -> bool:
-        """Whether a command of the request begins as asked."""
+        """Return whether a command of the request begins as asked."""
         prefix = self.command.encode().upper()
         units = request.upper().split(b";")
         return any(unit.strip().lstrip(b":").startswith(prefix) for unit in units)
 
     def disturbs(self, occurrence: int, since_us: int) -> bool:
-        """Whether the n-th matching request is disturbed, so long after the first one was."""
+        """Return whether the n-th matching request is disturbed, given the time since the first
+        disturbed one."""
         if occurrence < self.at:
             return False
         if self.for_s is not None:
@@ -309,7 +311,7 @@ class FaultPlan(Settings):
         devices: Iterable[str] = DEVICES,
         devices_by_kind: Mapping[str, tuple[str, ...]] = DEVICES_BY_FAULT,
     ) -> FaultPlan:
-        """The plan in a TOML file; `devices` are the names that exist on this bench,
+        """Return the plan in a TOML file; `devices` are the names that exist on this bench,
         `devices_by_kind` says to which of them each kind can happen there.
 
         Raises ConfigurationError for an unreadable file, unknown keys, kinds or devices, and for a

@@ -2,7 +2,7 @@
 
 This module decides what becomes of a reply on its way; it touches neither instrument nor client.
 The instrument always receives the request and acts on it, as one does whose answer is lost; only
-behind a half-open connection nothing receives it. What a reply looks like, its protocol knows
+behind a half-open connection nothing receives it. The form of a reply is known to its protocol
 (`WireDialect`).
 
 A new kind is one more function in `_KINDS`, and a line in `faults.plan`.
@@ -43,7 +43,7 @@ def _never(reply: bytes, code: object = None) -> bytes | None:
 
 @dataclass(frozen=True)
 class WireDialect:
-    """How a protocol reports that something went wrong; each returns None where a reply cannot."""
+    """How a protocol reports that something went wrong; each returns None if a reply cannot."""
 
     error: Callable[[bytes, int], bytes | None] = _never
     """The reply with an error code in it instead of success."""
@@ -98,7 +98,7 @@ class WireFaults:
         """World time in us at which each fault disturbed its first request, by index."""
 
     def link(self) -> FaultyLink:
-        """The faults as one connection meets them."""
+        """Return the faults as one connection meets them."""
         return FaultyLink(self)
 
     def fault_for(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
@@ -134,10 +134,10 @@ class FaultyLink:
         self.faults = faults
         self.withheld: list[WireReply] = []
         self.half_open = False
-        """Whether what is sent on it reaches no instrument any more."""
+        """True if what is sent on it reaches no instrument any more."""
 
     def exchange(self, request: bytes, reply: bytes | None, tag: int = 0) -> Delivery:
-        """What becomes of a request's reply (None: it has none); ``tag`` comes back with it."""
+        """Return the delivery of a request's reply (None if it has none), together with ``tag``."""
         fault = self.faults.fault_for(request, reply)
         whole = None if reply is None else WireReply(reply, tag)
         if isinstance(fault, ErrorReply):
@@ -160,7 +160,7 @@ def _name(fault: ReplyFault) -> str:
 
 
 def _spoilt(reply: WireReply | None, spoil: Callable[[bytes], bytes | None]) -> Delivery:
-    """The reply, made into something else where there is one."""
+    """Return the reply, made into something else where there is one."""
     if reply is None:
         return Delivery()
     return Delivery((WireReply(spoil(reply.data) or b"", reply.tag),))
@@ -171,7 +171,7 @@ def _silence(link: FaultyLink, reply: WireReply | None) -> Delivery:
 
 
 def _garbage(link: FaultyLink, reply: WireReply | None) -> Delivery:
-    """Every byte but the last turned over: same length, same end, no ASCII."""
+    """Return every byte but the last turned over: same length, same end, no ASCII."""
     return _spoilt(reply, lambda data: data[:-1].translate(_TURNED_OVER) + data[-1:])
 
 

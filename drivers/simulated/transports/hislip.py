@@ -1,8 +1,8 @@
 """The server side of HiSLIP (IVI-6.1, versions 1.0 and 2.0 without encryption), without I/O.
 
-This module may turn the bytes of TCP connections into events and events into bytes. It may not
-open a socket, wait, or know SCPI. A session is two connections: the synchronous one carries
-messages and replies, the asynchronous one locks, status and device clear.
+This module may turn the bytes of TCP connections into events and events into bytes. It may not open
+a socket, wait, or know SCPI. A session is two connections: the synchronous one carries messages and
+replies, the asynchronous one locks, status and device clear.
 
     connection:  NEW --Initialize--------> SYNCHRONOUS     NEW --AsyncInitialize--> ASYNCHRONOUS
     session:     HALF_OPEN --AsyncInitialize--> READY --AsyncDeviceClear--> CLEARING
@@ -11,7 +11,7 @@ messages and replies, the asynchronous one locks, status and device clear.
 Simplifications, all allowed to a server or invisible to a client that reads its replies: always
 synchronised mode, never overlapped; a lock that is taken is refused at once, whatever time-out the
 client offers, because nothing here waits; `Interrupted` is never sent, since a reply is on the wire
-before the next message is looked at and clients discard an old one by its message id; no service
+before the next message is handled and clients discard an old one by its message id; no service
 requests; no descriptors, TLS or SASL (they are answered with error 1).
 """
 
@@ -203,7 +203,7 @@ class Session:
     """What waits until another session gives up its exclusive lock."""
 
     def reply(self, message_id: int, data: bytes) -> list[Event]:
-        """A response, cut to the client's maximum message size."""
+        """Return a response, cut to the client's maximum message size."""
         if self.state is not SessionState.READY:
             return []
         self.unread_reply = True
@@ -216,7 +216,7 @@ class Session:
         ]
 
     def status(self, status_byte: int) -> list[Event]:
-        """The answer to a status query."""
+        """Return the answer to a status query."""
         if self.asynchronous is None or self.state is SessionState.CLOSED:
             return []
         answer = encode(MessageType.ASYNC_STATUS_RESPONSE, status_byte & 0xFF)
@@ -233,11 +233,11 @@ class HislipServerProtocol:
         self._last_number = 0
 
     def connect(self) -> Connection:
-        """A client has opened a TCP connection."""
+        """Return a client has opened a TCP connection."""
         return Connection(self)
 
     def open_session(self, connection: Connection) -> Session | None:
-        """A new session on its synchronous connection, or None when there are too many."""
+        """Return a new session on its synchronous connection, or None when there are too many."""
         if len(self.sessions) >= self._max_sessions:
             return None
         self._last_number = self._last_number % 0xFFFF + 1
@@ -293,7 +293,7 @@ class HislipServerProtocol:
         return [event for other in self.sessions.values() for event in _take_held(other)]
 
     def lock_holders(self) -> int:
-        """How many sessions hold a lock of any kind."""
+        """Return how many sessions hold a lock of any kind."""
         return sum(s.shared_lock is not None or s is self.exclusive for s in self.sessions.values())
 
 
@@ -313,7 +313,7 @@ class Connection:
         self._skip = 0
 
     def receive(self, data: bytes) -> list[Event]:
-        """The events that ``data`` causes, in order."""
+        """Return the events that ``data`` causes, in order."""
         self._buffer += data
         events: list[Event] = []
         for message in self._messages(events):
@@ -321,14 +321,14 @@ class Connection:
         return events
 
     def lost(self) -> list[Event]:
-        """The TCP connection is gone: so is its session."""
+        """Return the TCP connection is gone: so is its session."""
         self.role = ChannelRole.CLOSED
         return self._server.close_session(self.session) if self.session is not None else []
 
     # --- framing -----------------------------------------------------------------------------
 
     def _messages(self, events: list[Event]) -> Iterator[_Message]:
-        """Complete messages; oversized payloads are skipped as they come, never kept."""
+        """Complete messages; oversized payloads are skipped as they come, never stored."""
         while self.role is not ChannelRole.CLOSED:
             skipped = min(self._skip, len(self._buffer))
             del self._buffer[:skipped]

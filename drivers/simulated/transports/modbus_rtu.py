@@ -2,7 +2,7 @@
 
 The protocol core knows frames, checksums, gaps and how long bytes take on the wire; what is behind
 the registers is a `LineDevice`. One line has several of them, and each hears every frame: a valid
-one to anybody `heard` by all feeds all their communication time-outs.
+one to any drive, `heard` by all, resets the communication time-outs of all.
 
 Functions: 3 (read registers), 6 and 16 (write), 8/0 (echo), 23 (write, then read). Source: Modbus
 over Serial Line V1.02; Modbus Application Protocol Specification V1.1b3.
@@ -44,7 +44,7 @@ class LineDevice(Registers, Protocol):
 
 
 def crc16(data: bytes) -> int:
-    """The checksum of a frame, low byte first on the wire."""
+    """Return the checksum of a frame, low byte first on the wire."""
     crc = 0xFFFF
     for byte in data:
         crc ^= byte
@@ -54,7 +54,7 @@ def crc16(data: bytes) -> int:
 
 
 def frame(unit: int, pdu: bytes) -> bytes:
-    """A PDU with its address and checksum."""
+    """Return a PDU with its address and checksum."""
     body = bytes([unit]) + pdu
     return body + struct.pack("<H", crc16(body))
 
@@ -122,11 +122,11 @@ class RtuLine:
                 yield exchange
 
     def frames_until(self, now_us: int) -> bytes:
-        """A slave says nothing of its own accord."""
+        """Return a slave says nothing of its own accord."""
         return b""
 
     def _next_frame(self) -> bytes | None:
-        """The frame at the front; None where there is none or not yet a whole one."""
+        """Return the frame at the front; None if there is none or not yet a whole one."""
         length = _length(self._buffer)
         if length is not None and len(self._buffer) < length:
             return None

@@ -41,7 +41,7 @@ class Registers(Protocol):
     """What is behind the registers; `by` names the connection. Answers at once."""
 
     def read(self, address: int, count: int, by: str) -> Sequence[int]:
-        """The registers, or ModbusError."""
+        """Return the registers, or ModbusError."""
         ...
 
     def write(self, address: int, values: Sequence[int], by: str) -> None:
@@ -61,7 +61,7 @@ class RegisterDevice(Registers, Protocol):
 
 
 def describe(pdu: bytes) -> bytes:
-    """A request in words that a fault plan can name: ``FC3 100``, ``FC16 0``, ``FC43``."""
+    """Return a request in words that a fault plan can name: ``FC3 100``, ``FC16 0``, ``FC43``."""
     code = pdu[0]
     if code in (3, 4, 6, 8, 16, 23) and len(pdu) >= 3:
         return b"FC%d %d" % (code, int.from_bytes(pdu[1:3], "big"))
@@ -69,14 +69,14 @@ def describe(pdu: bytes) -> bytes:
 
 
 def reply_to(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
-    """The reply PDU to a request PDU over TCP."""
+    """Return the reply PDU to a request PDU over TCP."""
     return answer_of(pdu, device, by, _FUNCTIONS)
 
 
 def answer_of(
     pdu: bytes, device: D, by: str, functions: Mapping[int, Callable[[bytes, D, str], bytes]]
 ) -> bytes:
-    """The reply PDU to a request PDU; `functions` gives what follows the function code."""
+    """Return the reply PDU to a request PDU; `functions` gives what follows the function code."""
     try:
         if pdu[0] not in functions:
             raise ModbusError(ILLEGAL_FUNCTION)
@@ -130,7 +130,7 @@ def _identify(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
         raise ModbusError(ILLEGAL_VALUE)
     if first > last or first not in objects:
         first = 0  # an unknown object to begin with means from the beginning
-    body, told, more, following = b"", 0, 0, 0
+    body, included, more, following = b"", 0, 0, 0
     for number in sorted(n for n in objects if first <= n <= last):
         text = objects[number].encode("ascii", "replace")
         entry = bytes([number, len(text)]) + text
@@ -138,9 +138,9 @@ def _identify(pdu: bytes, device: RegisterDevice, by: str) -> bytes:
             more, following = 0xFF, number
             break
         body += entry
-        told += 1
+        included += 1
     conformity = 0x82  # regular identification, stream and single access
-    return bytes([14, code, conformity, more, following, told]) + body
+    return bytes([14, code, conformity, more, following, included]) + body
 
 
 _FUNCTIONS: Mapping[int, Callable[[bytes, RegisterDevice, str], bytes]] = {
@@ -162,7 +162,7 @@ def _registers(device: Registers, address: int, count: int, by: str) -> bytes:
 
 
 def _values(data: bytes, count: int, most: int) -> list[int]:
-    """The register values behind a byte count."""
+    """Return the register values behind a byte count."""
     if not 1 <= count <= most or len(data) != 1 + 2 * count or data[0] != 2 * count:
         raise ModbusError(ILLEGAL_VALUE)
     return list(struct.unpack(f">{count}H", data[1:]))
@@ -188,7 +188,7 @@ class FrameSplitter:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[tuple[int, int, bytes]]:
-        """The complete frames so far; ModbusFrameError where there can be none."""
+        """Return the complete frames so far. Raises ModbusFrameError if there can be none."""
         self._buffer += data
         frames = []
         while len(self._buffer) >= _HEADER.size:
@@ -204,7 +204,7 @@ class FrameSplitter:
 
 
 def frame(transaction: int, unit: int, pdu: bytes) -> bytes:
-    """A PDU with its header."""
+    """Return a PDU with its header."""
     return _HEADER.pack(transaction, 0, len(pdu) + 1, unit) + pdu
 
 

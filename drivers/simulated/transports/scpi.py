@@ -63,7 +63,7 @@ def block(data: bytes) -> bytes:
 
 
 def _after_block(data: bytes | bytearray, at: int) -> int | None:
-    """Where the block that begins at ``at`` ends; None while its length is still incomplete.
+    """Return where the block that begins at ``at`` ends; None while its length is still incomplete.
 
     What turns out not to be a block ends after its ``#``. The end may lie beyond the data.
     """
@@ -79,7 +79,7 @@ def _after_block(data: bytes | bytearray, at: int) -> int | None:
 
 
 def _after(data: bytes, at: int) -> int:
-    """Where the string, list or block that begins at ``at`` ends."""
+    """Return where the string, list or block that begins at ``at`` ends."""
     mark = data[at : at + 1]
     if mark == b"#":
         end = _after_block(data, at)
@@ -108,7 +108,7 @@ class MessageSplitter:
         self._scanned = 0
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The messages that ``data`` completes, without their terminators."""
+        """Return the messages that ``data`` completes, without their terminators."""
         self._buffer += data
         messages, start = [], 0
         while hit := _BOUNDARY.search(self._buffer, self._scanned):
@@ -257,7 +257,7 @@ class Rest:
 
 
 def short_form(word: str) -> str:
-    """The short form of a mnemonic written as in manuals: ``FREQuency`` gives ``FREQ``."""
+    """Return the short form of a mnemonic written as in manuals: ``FREQuency`` gives ``FREQ``."""
     return "".join(letter for letter in word if not letter.islower())
 
 
@@ -302,7 +302,8 @@ _PATTERN_TOKEN = re.compile(r"[\[\]:|?]|\*?[A-Za-z]+#?")
 
 
 def compile_pattern(pattern: str) -> re.Pattern[str]:
-    """A manual's notation as an expression over upper-case headers; a group for every ``#``."""
+    """Return a manual's notation as an expression over upper-case headers; a group for every
+    ``#``."""
     parts = []
     for token in _PATTERN_TOKEN.findall(pattern):
         if token in "[]:|?":
@@ -418,7 +419,7 @@ class ScpiInstrument(ABC):
             self._errors[-1] = ScpiError(-350)
 
     def status_byte(self, message_available: bool = False) -> int:
-        """The status byte; ``message_available`` is known to the transport alone."""
+        """Return the status byte; ``message_available`` is known to the transport alone."""
         status = _SUMMARY_ERRORS if self._errors else 0
         status |= _SUMMARY_MESSAGE if message_available else 0
         status |= _SUMMARY_EVENTS if self._event_status & self._event_enable else 0
@@ -482,7 +483,8 @@ def _byte(call: Call) -> int:
 
 
 def _read_header(unit: bytes, path: str) -> tuple[str, str, bytes]:
-    """A unit's absolute header, the path it leaves for the next unit, and its parameters' bytes.
+    """Return a unit's absolute header, the path it leaves for the next unit, and its parameters'
+    bytes.
 
     A header without a leading colon continues at the level of the one before it in the same
     message; common commands leave that level alone (SCPI-1999 volume 1, 6.2.4).

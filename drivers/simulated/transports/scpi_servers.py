@@ -18,7 +18,7 @@ _NO_ERROR = f'+0,"{ERROR_TEXT[0]}"'.encode()
 
 
 def _queued_error(reply: bytes, code: int) -> bytes | None:
-    """A reply to an error query, with an entry that the queue does not have."""
+    """Return a reply to an error query, with an entry that the queue does not have."""
     if _NO_ERROR not in reply:
         return None
     return reply.replace(_NO_ERROR, b'%+d,"Device-specific error"' % code)

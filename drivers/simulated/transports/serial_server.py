@@ -9,7 +9,7 @@ follows as the client reads. A client that does not read loses measurements, as 
 beyond `LONGEST_BACKLOG` bytes of queue, what an instrument sends without being asked is dropped,
 whole batches at a time, and counted in ``bytes_lost``. Answers are never dropped.
 
-``bytes_sent`` counts what was handed to the kernel or stands in the queue, since the server was
+``bytes_sent`` is the number of bytes handed to the kernel or in the queue, since the server was
 made: all of it reaches a client that reads on. A slaved clock waits for exactly that.
 """
 
@@ -28,7 +28,7 @@ from drivers.simulated.ports import SerialInstrument, TimePort
 
 LONGEST_BACKLOG = 64 * 1024
 TICK_S = 0.001
-"""How often a server in real time looks whether its instrument has something to say, and whether
+"""How often a server in real time polls whether its instrument has something to send, and whether
 the kernel takes more of the queue."""
 READ_BYTES = 65536
 

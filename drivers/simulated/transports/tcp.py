@@ -62,13 +62,13 @@ class TcpServer(ABC):
             await server.wait_closed()
 
     def next_number(self) -> int:
-        """A number for a new connection, from 1."""
+        """Return a number for a new connection, from 1."""
         self._connections += 1
         return self._connections
 
     @abstractmethod
     def _accept(self) -> TcpPeer:
-        """What serves a new connection."""
+        """Return the handler of a new connection."""
 
     def _accept_counted(self) -> TcpPeer:
         self._accepted += 1

@@ -7,7 +7,7 @@ microseconds.
 
 The setpoint follows trapezoidal profiles. The carriage follows the setpoint unless an external
 force larger than the drive's force limit holds it back: then it stands where it is, and the
-following error grows until its window is left. That, and the limit switches, are looked at once a
+following error grows until its window is left. That, and the limit switches, are checked once a
 millisecond of World time while the axis moves, as a drive's own cycle does.
 """
 
@@ -33,7 +33,7 @@ LONGEST_LIGHT_s = 0.1
 LEAST_SPEED_mm_s = 2.0
 """A load that is left alone may rise as if it were moved so fast: rubber recovers (assumed)."""
 HISTORY_KEPT = 20_000
-"""Stretches of motion kept: minutes of servo motion at 100 retargets a second."""
+"""Number of recorded motions: minutes of servo motion at 100 retargets per second."""
 
 Load = Callable[[float, int], float]
 """Force in N along the axis's positive direction on a carriage at (position in mm, World us)."""
@@ -126,7 +126,7 @@ def stopping_distance(velocity_mm_s: float, deceleration_mm_s2: float) -> float:
 
 
 def stop_profile(velocity_mm_s: float, deceleration_mm_s2: float) -> list[Phase]:
-    """A controlled stop."""
+    """Return a controlled stop."""
     if velocity_mm_s == 0:
         return []
     braking = -math.copysign(deceleration_mm_s2, velocity_mm_s)
@@ -177,7 +177,7 @@ class MotionPath:
         return self._starts[-1]
 
     def at(self, t_s: float) -> tuple[float, float]:
-        """Position and velocity; before the kept history, its first state."""
+        """Position and velocity; before the recorded history, its first state."""
         index = max(bisect_right(self._starts, t_s) - 1, 0)
         stretch = self._stretches[index]
         return stretch.at(max(t_s, stretch.start_s))
@@ -199,7 +199,7 @@ class MotionPath:
         return result
 
     def highest_mm(self, begin_s: float, end_s: float) -> float:
-        """The largest position between two times."""
+        """Return the largest position between two times."""
         first = max(bisect_right(self._starts, begin_s) - 1, 0)
         last = max(bisect_right(self._starts, end_s), first + 1)
         highest = -math.inf
@@ -250,7 +250,7 @@ class AxisCommand:
     deceleration_mm_s2: float
 
     def profile(self, position_mm: float, velocity_mm_s: float) -> list[Phase]:
-        """How to get there from a state of motion."""
+        """Return the motion to a position from a state of motion."""
         return move_profile(
             self.target_mm - position_mm,
             velocity_mm_s,
@@ -267,7 +267,7 @@ class SimulatedAxis:
         self.mechanics = mechanics
         self._force_limit_N = mechanics.peak_force_N
         self.seeks_fixed_stop = False
-        """Whether being held back is what the motion is for."""
+        """True if being held back is what the motion is for."""
         self.stiffest_load_N_mm = math.inf
         """No load in its way rises faster, where that is known: then a force far below the limit is
         not asked for in vain."""
@@ -304,7 +304,7 @@ class SimulatedAxis:
         self._force_limit_N, self._asked, self._light_until_us = limit_N, None, 0
 
     def move(self, now_us: int, command: AxisCommand) -> None:
-        """Go to a position, also out of a motion under way; ValueError for a speed of nothing."""
+        """Go to a position, also out of a motion under way. Raises ValueError for a speed of 0."""
         if not command.speed_mm_s > 0:
             raise ValueError(f"cannot move at {command.speed_mm_s} mm/s")
         self.settle(now_us)
@@ -332,47 +332,47 @@ class SimulatedAxis:
 
     @property
     def settling(self) -> bool:
-        """Whether its history is being brought up to date just now."""
+        """True if its history is being brought up to date just now."""
         return self._settling
 
     def position(self, t_us: int) -> float:
-        """Where the carriage is or was, in mm."""
+        """Return the position of the carriage at a time, in mm."""
         self.settle(t_us)
         return self._carriage.at(t_us * 1e-6)[0]
 
     def positions(self, times_us: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-        """The same at several ascending times."""
+        """Return the same at several ascending times."""
         if times_us.size:
             self.settle(int(times_us[-1]))
         return self._carriage.positions(np.asarray(times_us * 1e-6, np.float64))
 
     def highest_mm(self, begin_us: int, end_us: int) -> float:
-        """The largest of its positions between two instants."""
+        """Return the largest of its positions between two instants."""
         self.settle(end_us)
         return self._carriage.highest_mm(begin_us * 1e-6, end_us * 1e-6)
 
     def velocity(self, t_us: int) -> float:
-        """The carriage's velocity in mm/s."""
+        """Return the carriage's velocity in mm/s."""
         self.settle(t_us)
         return self._carriage.at(t_us * 1e-6)[1]
 
     def acceleration(self, t_us: int) -> float:
-        """The carriage's acceleration in mm/s^2."""
+        """Return the carriage's acceleration in mm/s^2."""
         self.settle(t_us)
         return self._carriage.acceleration(t_us * 1e-6)
 
     def following_error(self, t_us: int) -> float:
-        """How far the carriage lags behind the setpoint, in mm."""
+        """Return how far the carriage lags behind the setpoint, in mm."""
         self.settle(t_us)
         return self._setpoint.at(t_us * 1e-6)[0] - self._carriage.at(t_us * 1e-6)[0]
 
     def finished(self, t_us: int) -> bool:
-        """Whether the setpoint has come to its end."""
+        """Return whether the setpoint has come to its end."""
         self.settle(t_us)
         return t_us * 1e-6 >= self._setpoint.rests_from_s
 
     def happenings(self, now_us: int) -> list[Happening]:
-        """What the axis met since this was last asked, in order."""
+        """Return the events of the axis since the last call, in order."""
         self.settle(now_us)
         met, self._happenings = self._happenings, []
         return met
@@ -445,13 +445,13 @@ class SimulatedAxis:
         self._light_until_us = t_us + math.floor(1e6 * min(light_s, LONGEST_LIGHT_s))
 
     def fastest_since_mm_s(self, t_us: int) -> float:
-        """What its speed cannot have exceeded since then, and does not until the next command."""
+        """Return an upper bound of its speed from then until the next command."""
         fastest = abs(self._setpoint.at(t_us * 1e-6)[1])
         for at_us, speed_mm_s in reversed(self._commanded):
             fastest = max(fastest, speed_mm_s)
             if at_us <= t_us:
                 return fastest
-        return math.inf  # more commands than are kept
+        return math.inf  # more commands than are recorded
 
     def _stay(self, t_us: int, position: float, wanted: float, going: float) -> None:
         """The carriage stands; it goes again when the setpoint has come back to it.

@@ -1,10 +1,10 @@
-"""How skin and object meet: what the stages' positions make of approach, place and rotation.
+"""The geometry of skin and object: approach, position and rotation from the stages' positions.
 
 The skin hangs on the x-z stage, its middle above the object where x stands at `centre_mm`. A plate
 lies still. A head is carried by the rotary stage: its centre lies the head's radius below its top,
 and the axis of rotation where pure rolling wants it, at the height of the top, or `axis_offset_mm`
-above that. A turn by ϕ from upright swings the centre sideways by (R + h) sin ϕ and up by
-(R + h) (1 - cos ϕ), while R ϕ is what pure rolling takes: an offset h shears the skin by h ϕ.
+above that. A turn by ϕ from upright swings the centre sideways by (R + h) sin ϕ and up by (R + h)
+(1 - cos ϕ), while R ϕ is what pure rolling takes: an offset h shears the skin by h ϕ.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ class Carriage(Protocol):
     """What carries the skin along one axis."""
 
     def positions_mm(self, times_us: Times) -> Reals:
-        """Where it is or was at ascending World times."""
+        """Return its position at ascending World times."""
         ...
 
     def highest_mm(self, begin_us: int, end_us: int) -> float:
-        """The largest of its positions between two World times."""
+        """Return the largest of its positions between two World times."""
         ...
 
 
@@ -78,12 +78,12 @@ class Below(Protocol):
         ...
 
     def apart(self, begin_us: int, end_us: int) -> bool:
-        """Whether it surely does not meet the undeformed skin between two World times: where that
-        is quickly known."""
+        """Return whether it surely does not meet the undeformed skin between two World times: where
+        that is quickly known."""
         ...
 
     def at(self, times_us: Times) -> ContactGeometry:
-        """How it meets the skin at ascending World times."""
+        """Return its contact with the skin at ascending World times."""
         ...
 
 
@@ -129,7 +129,7 @@ class HeadBelow:
         return self.settings.body
 
     def apart(self, begin_us: int, end_us: int) -> bool:
-        """See `Below`: a head that turns is looked at."""
+        """See `Below`: here for a head that turns."""
         return False
 
     def at(self, times_us: Times) -> ContactGeometry:

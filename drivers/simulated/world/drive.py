@@ -1,4 +1,4 @@
-"""What every simulated drive shares: one axis, its faults, and its history for the World.
+"""The common part of all simulated drives: one axis, its faults, and its history for the World.
 
 No protocol: a drive of a model adds its registers or commands. Everything is evaluated lazily at
 exact World times: what was due before a request or a question happens first, in its order and at
@@ -43,7 +43,7 @@ class SimulatedDrive(ABC, Generic[F]):
         self._drive_name = name
         self._port = port
         self._moving = False
-        """Whether a motion has begun whose end has not been seen."""
+        """True if a motion has begun whose end has not been seen."""
         self._speed_share = 1.0
         """The share of a commanded speed that the axis reaches."""
         self._runs_to_mm: float | None = None
@@ -54,23 +54,24 @@ class SimulatedDrive(ABC, Generic[F]):
     # --- the World's side ---------------------------------------------------------------------
 
     def position_mm(self, t_us: int) -> float:
-        """Where the carriage is or was at a World time."""
+        """Return the position of the carriage at a World time."""
         self.settle(t_us)
         return self.axis.position(t_us)
 
     def positions_mm(self, times_us: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-        """Where the carriage is or was at ascending World times; shape of `times_us`."""
+        """Return the position of the carriage at ascending World times, in the shape of
+        `times_us`."""
         if times_us.size:
             self.settle(int(times_us[-1]))
         return self.axis.positions(times_us)
 
     def highest_mm(self, begin_us: int, end_us: int) -> float:
-        """The largest position between two World times."""
+        """Return the largest position between two World times."""
         self.settle(end_us)
         return self.axis.highest_mm(begin_us, end_us)
 
     def velocity_mm_s(self, t_us: int) -> float:
-        """How fast the carriage moves or moved at a World time."""
+        """Return the speed of the carriage at a World time."""
         self.settle(t_us)
         return self.axis.velocity(t_us)
 
@@ -98,13 +99,13 @@ class SimulatedDrive(ABC, Generic[F]):
         """A fault of the drive itself begins: its number, a limit switch, a lost reference."""
 
     def _own_due(self, now_us: int) -> Due | None:
-        """What else was due by now and has not happened, such as a communication time-out."""
+        """Return further events that are due by now, such as a communication time-out."""
         return None
 
     # --- faults -------------------------------------------------------------------------------
 
     def _next_due(self, now_us: int) -> Due | None:
-        """The earliest of what is due by now."""
+        """Return the earliest of what is due by now."""
         due = [one for one in (self._own_due(now_us),) if one is not None]
         if (fault_us := self._schedule.due(now_us)) is not None:
             due.append((fault_us, self._apply_fault))

@@ -17,7 +17,7 @@ from drivers.simulated.ports import Excitation
 from rig.physics.modal import Complexes, DrivenOutputs, ModalSystem, SineDrive
 
 SEGMENTS_KEPT = 4096
-"""History kept: far more changes than happen within any acquisition."""
+"""Number of recorded changes: far more than happen within any acquisition."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class DrivenLine:
 
     @property
     def frequency_Hz(self) -> float:  # noqa: N802 - the unit keeps its capital
-        """Frequency of the present drive; 0 where there is none."""
+        """Frequency of the present drive; 0 if there is none."""
         drive = self._segments[-1].drive
         return drive.frequency_Hz if drive.amplitude else 0.0
 
@@ -67,7 +67,7 @@ class DrivenLine:
     def output(self, column: int, times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """One output at ascending World times; shape of `times_s`.
 
-        Times before the kept history see its first segment's start.
+        Times before the recorded history see its first segment's start.
         """
         if not len(times_s):
             return np.empty(0)

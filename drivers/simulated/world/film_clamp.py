@@ -1,8 +1,8 @@
-"""The film's clamp in the World: what the stage's position makes of the static force, over time.
+"""The film's clamp in the World: the static force from the stage's position, over time.
 
 A history of the force, one value a millisecond of World time, computed when it is asked for and
-kept for a while, so that a converter may sample the past. It asks the axis where it was and may not
-move it.
+stored for a while, so that a converter may sample the past. It asks the axis where it was and may
+not move it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Reals = npt.NDArray[np.float64]
 
 GRID_us = 1000
 KEPT = 30_000
-"""Milliseconds of history kept: longer than any acquisition's way to its reader."""
+"""Milliseconds of stored history: longer than any acquisition's way to its reader."""
 
 
 class ClampedFilm:

@@ -31,7 +31,7 @@ FRAME_VALUES = slice(3, 15)
 FRAME_BYTES = (16, 18)
 """Without and with a CRC."""
 
-Tell = Callable[[str, object], None]
+Report = Callable[[str, object], None]
 
 
 class WatchSettings(Settings):
@@ -45,7 +45,7 @@ class WatchSettings(Settings):
 
 
 class Monitor:
-    """Looks at one World. `force_N` gives what the stages press with, (n,) World seconds to (n, 3);
+    """Monitors one World. `force_N` gives what the stages press with, (n,) World seconds to (n, 3);
     `active` names what moves or is driven now."""
 
     def __init__(
@@ -53,9 +53,14 @@ class Monitor:
         settings: WatchSettings,
         force_N: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]],
         active: Callable[[], Iterable[str]],
-        tell: Tell,
+        report: Report,
     ):
-        self._settings, self._force_N, self._active, self._tell = settings, force_N, active, tell
+        self._settings, self._force_N, self._active, self._report = (
+            settings,
+            force_N,
+            active,
+            report,
+        )
         self._before = max(1, round(settings.reaction_s * 1e6 / STEP_us))
         self._recent = np.zeros(self._before)
         """Forces at the steps before the next one, N."""
@@ -64,7 +69,7 @@ class Monitor:
         """Largest rise within one reaction since the force went over its limit."""
         self._told = False
 
-    def look(self, now_us: int) -> None:
+    def check(self, now_us: int) -> None:
         """Check everything since the last call."""
         times = np.arange(self._next_us, now_us + 1, STEP_us)
         if not times.size:
@@ -82,7 +87,7 @@ class Monitor:
     def over(self) -> None:
         """The World ends, and with it the run: report what is still active."""
         for what in self._active():
-            self._tell("violation", f"{what} although no run is active")
+            self._report("violation", f"{what} although no run is active")
 
     def _judge(self, force_N: float, rise_N: float) -> None:
         excess = force_N - self._settings.force_limit_N
@@ -92,7 +97,7 @@ class Monitor:
         self._allowed_N = max(self._allowed_N, rise_N)
         if excess > self._allowed_N and not self._told:
             self._told = True
-            self._tell(
+            self._report(
                 "violation",
                 f"force of {force_N:.3g} N, {excess:.3g} N over its limit, which it rose by "
                 f"{self._allowed_N:.3g} N at most in {self._settings.reaction_s:g} s",
@@ -102,8 +107,8 @@ class Monitor:
 class WatchedLine:
     """A serial instrument whose frames are written down, each by the CRC-32 of its values."""
 
-    def __init__(self, instrument: SerialInstrument, tell: Tell):
-        self._instrument, self._tell = instrument, tell
+    def __init__(self, instrument: SerialInstrument, report: Report):
+        self._instrument, self._report = instrument, report
 
     def exchanges(self, data: bytes, by: str) -> Iterable[Exchange]:
         """Those of the instrument."""
@@ -115,5 +120,5 @@ class WatchedLine:
         size = FRAME_BYTES[bool(sent and sent[1] & 0x20)]
         if sent and sent[1] & 15 == 2 and len(sent) % size == 0:
             frames = (sent[at : at + size] for at in range(0, len(sent), size))
-            self._tell("frames", [zlib.crc32(frame[FRAME_VALUES]) for frame in frames])
+            self._report("frames", [zlib.crc32(frame[FRAME_VALUES]) for frame in frames])
         return sent

@@ -68,10 +68,10 @@ def mount_skin(
     stage_x: Carriage,
     rotary_deg: Where | None = None,
 ) -> float:
-    """The stages carry the skin above the plate, or above the head that the rotary stage turns:
-    where they are or were. Takes the skin from the user's cache, or makes it; ConfigurationError
-    for settings that do not fit. Gives how steeply the force on a stage can rise at most, in N/mm.
-    """
+    """Return the stages carry the skin above the plate, or above the head that the rotary stage
+    turns: where they are or were. Takes the skin from the user's cache, or makes it. Raises
+    ConfigurationError for settings that do not fit. Gives how steeply the force on a stage can rise
+    at most, in N/mm."""
     touch_mm = settings.skin_mount.contact_mm
     below: Below = PlateBelow(touch_mm, stage_z, stage_x)
     if isinstance(settings, HeadWorldSettings):

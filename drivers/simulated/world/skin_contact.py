@@ -1,4 +1,4 @@
-"""The skin above an object in the World: what the stages' positions make of force and volts.
+"""The skin above an object in the World: force and volts from the stages' positions.
 
 The skin hangs on the carriage of the x-z stage, ridges down, its first ridge towards +x; below it
 the object, a plate or a head on the rotary stage, stands on the force sensor. z presses, x slides,
@@ -7,7 +7,7 @@ sensor's z; F_t is what it drags the object with, positive along x while the sta
 The stages are pushed back with -F_n and -F_t. Seen from the skin the object slides towards +x when
 the stage does: the reference slide of `rig.physics.trials`.
 
-The contact goes in whole steps (0.1 ms), computed when asked for and kept for a while, so that a
+The contact goes in whole steps (0.1 ms), computed when needed and stored for a while, so that a
 converter may sample the past. What a step finds from the stages' positions at its beginning is
 force and volts at its end, so a value that was returned never changes; between steps it is linear.
 The same motion gives the same bits, whatever the stretches of time in which it was asked for:
@@ -40,11 +40,11 @@ if TYPE_CHECKING:
     from rig.physics.skin.condensed import CondensedSkin
 
 Reals = npt.NDArray[np.float64]
-Tell = Callable[[str, object], None]
+Report = Callable[[str, object], None]
 """Writes what happened to the World's log."""
 
 KEPT_s = 30.0
-"""History kept: longer than any acquisition's way to its reader."""
+"""Length of the stored history: longer than any acquisition's way to its reader."""
 BLOCK_STEPS = 100
 """Steps between the instants at which the skin may come to rest."""
 TOLD_STEPS = 5 * BLOCK_STEPS
@@ -77,15 +77,15 @@ class SkinContact:
         contact: ContactSettings,
         transducer: TransducerSettings,
         below: Below,
-        tell: Tell,
+        report: Report,
     ):
-        """`below` says how skin and object meet. ValueError for a step that no millisecond holds a
-        whole number of; loading the compiled step takes its time here."""
+        """Prepare the contact, whose geometry is `below`. Raises ValueError for a step that no
+        millisecond holds a whole number of; loading the compiled step takes its time here."""
         self.step_us = round(contact.step_us)
         if self.step_us != contact.step_us or 1000 % self.step_us:
             raise ValueError(
                 f"contact.step_us {contact.step_us:g} us must be whole and divide 1000 us: "
-                "the stages look at their load once a millisecond"
+                "the stages poll their load once a millisecond"
             )
         self.failure: str | None = None
         """Why the contact stands still since a step had no solution."""
@@ -93,8 +93,8 @@ class SkinContact:
         self._contact, self._transducer = contact, transducer
         self._below = below
         self._rolls = not isinstance(below.body, Plate)
-        self._tell = tell
-        self.record = SlipRecord(skin.ridge, mount.ridge - 1, self.step_us, tell)
+        self._report = report
+        self.record = SlipRecord(skin.ridge, mount.ridge - 1, self.step_us, report)
         self._kept = round(KEPT_s * 1e6) // self.step_us
         self._results = np.zeros((4, 2 * self._kept))
         """By step: F_t, F_n, volts of S1 and S2; column 0 is that of step ``_oldest``."""
@@ -137,7 +137,7 @@ class SkinContact:
         return tangential, normal
 
     def truth(self) -> dict[str, Any]:
-        """The record of touches and slips with the friction behind it, as JSON."""
+        """Return the record of touches and slips with the friction behind it, as JSON."""
         friction = self._contact.friction
         return {
             **self.record.truth(),
@@ -182,8 +182,8 @@ class SkinContact:
         self._turned_rad = float(passed.turned_rad[-1])
 
     def _shaken_mm(self, x_mm: Reals, first: int) -> Reals:
-        """The object as the skin sees it in the steps from `first` on, x being where the stages
-        mean it."""
+        """Return the object as the skin sees it in the steps from `first` on, x being where the
+        stages mean it."""
         if not self._mount.jitter_um:
             return x_mm
         turns = self._mount.jitter_Hz * 1e-6 * self.step_us * (first + np.arange(x_mm.size))
@@ -257,7 +257,7 @@ class SkinContact:
         self.record.judge()
         self.failure = f"after {self._steps * self.step_us} us: {why}"
         self._stepper = None
-        self._tell("contact-failed", self.failure)
+        self._report("contact-failed", self.failure)
 
     def _fresh_stepper(self) -> ContactStepper | SlicedStepper:
         body, ridge = self._below.body, self._mount.ridge - 1

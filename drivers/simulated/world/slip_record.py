@@ -1,8 +1,9 @@
-"""Ground truth of the skin on its plate: when it touched, when which ridge slipped, when all of it.
+"""Ground truth of the skin on its plate: times of touch-down, of each ridge's slip and of gross
+slip.
 
 Works on the nodes' statuses and the plate's position, block by block. A touch is judged from the
-moment on at which the plate moves after the touch-down, or after the point was announced: while
-the force grows, nodes at the contact's edge slip in any trial. World times in us.
+moment on at which the plate moves after the touch-down, or after the point was announced: while the
+force grows, nodes at the contact's edge slip in any trial. World times in us.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class _Slide:
 
     from_us: int
     watch: SlipWatch
-    told: set[int] = field(default_factory=set)
+    reported: set[int] = field(default_factory=set)
     """Ridges whose slip was logged, from 1; 0 stands for all of the skin."""
 
     def us(self, seconds: float) -> int | None:
@@ -44,13 +45,14 @@ class SlipRecord:
         ridge_of_node: npt.NDArray[np.int64],
         watched_ridge: int,
         step_us: int,
-        tell: Callable[[str, object], None],
+        report: Callable[[str, object], None],
     ):
-        """`watched_ridge` counts from 0; `tell` logs each event by name, with its value."""
+        """Record the contact of the skin. `watched_ridge` is a number from 0; `report` logs each
+        event by name, with its value."""
         self._ridge_of_node = ridge_of_node
         self._watched = watched_ridge
         self._step_us = step_us
-        self._tell = tell
+        self._report = report
         self._touching = False
         self._since_us = 0
         self._touch_downs: list[int] = []
@@ -73,7 +75,7 @@ class SlipRecord:
 
     def add(self, done: int, status: Statuses, plate_mm: Reals) -> None:
         """Take the statuses (k, nodes) and the plate's positions (k,), as the stage means them, of
-        the steps that follow the first `done`; `judge` looks at them."""
+        the steps that follow the first `done`; `judge` evaluates them."""
         if not self._waiting:
             self._done = done
         self._waiting.append((status, plate_mm))
@@ -129,11 +131,14 @@ class SlipRecord:
         if self._touching:
             self._rest_mm = self._slide = None
         (self._touch_downs if self._touching else self._lift_offs).append(at_us)
-        self._tell("touch-down" if self._touching else "lift-off", {"at_us": at_us})
+        self._report("touch-down" if self._touching else "lift-off", {"at_us": at_us})
 
     def _follow(self, step: int, status: Statuses, plate_mm: Reals) -> None:
         """Statuses of steps in touch; those from the first motion on are judged."""
-        if self._slide is not None and len(self._slide.told) > int(self._ridge_of_node.max()) + 1:
+        if (
+            self._slide is not None
+            and len(self._slide.reported) > int(self._ridge_of_node.max()) + 1
+        ):
             return  # every ridge has slipped, and all of them together: nothing is left to find
         if self._slide is None:
             if self._rest_mm is None:
@@ -151,9 +156,9 @@ class SlipRecord:
     def _tell_slips(self, slide: _Slide) -> None:
         truth = slide.watch.truth()
         found = {ridge + 1: at for ridge, at in enumerate(truth.whole_slip_s) if np.isfinite(at)}
-        for ridge in sorted(found.keys() - slide.told, key=lambda one: (found[one], one)):
-            slide.told.add(ridge)
-            self._tell("slip", {"ridge": ridge, "at_us": slide.us(found[ridge])})
-        if np.isfinite(truth.gross_slip_s) and 0 not in slide.told:
-            slide.told.add(0)
-            self._tell("gross-slip", {"at_us": slide.us(truth.gross_slip_s)})
+        for ridge in sorted(found.keys() - slide.reported, key=lambda one: (found[one], one)):
+            slide.reported.add(ridge)
+            self._report("slip", {"ridge": ridge, "at_us": slide.us(found[ridge])})
+        if np.isfinite(truth.gross_slip_s) and 0 not in slide.reported:
+            slide.reported.add(0)
+            self._report("gross-slip", {"at_us": slide.us(truth.gross_slip_s)})

@@ -19,7 +19,7 @@ class WorldTimeline:
 
     @property
     def slaved(self) -> bool:
-        """Whether time moves only by `advance`."""
+        """True if time moves only by `advance`."""
         return self._free_since_ns is None
 
     @property

@@ -96,7 +96,7 @@ W = TypeVar("W", bound=WorldSettings)
 
 
 def read_world(path: str | None, kind: type[W] = WorldSettings) -> W:  # type: ignore[assignment]
-    """World settings from a TOML file; defaults where there is none."""
+    """World settings from a TOML file; defaults if there is none."""
     if path is None:
         return kind()
     tables = read_toml(Path(path), "file of World settings")
@@ -183,8 +183,8 @@ class World:
             self._skin.catch_up(self.now_us)
 
     def truth(self) -> dict[str, Any]:
-        """What really happened since the point was announced, as JSON; nothing where the World
-        keeps no such record."""
+        """Return what really happened since the point was announced, as JSON; nothing where the
+        World keeps no such record."""
         if self._skin is None:
             return {}
         self.settle()
@@ -213,7 +213,7 @@ class World:
     def pressed_N(  # noqa: N802
         self, times_s: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """The part of it by which the stages press and the vibrator shakes."""
+        """Return the part of it by which the stages press and the vibrator shakes."""
         if self._skin is not None:
             return self._skin.force_N(times_s)
         force = np.zeros((len(times_s), 3))
@@ -249,7 +249,7 @@ class World:
 
     @property
     def driven(self) -> bool:
-        """Whether the vibrator's terminals carry anything."""
+        """True if the vibrator's terminals carry anything."""
         return self._excitation is not None and self._excitation.on
 
     def excite(self, channel: int, excitation: Excitation, by: str) -> None:
@@ -283,7 +283,8 @@ class World:
             self._elsewhere[fault.device](fault, t_us)
 
     def begin_acquisition(self) -> int:
-        """A fresh acquisition number; its noise is keyed by the point and its place in it."""
+        """Return a fresh acquisition number; its noise is keyed by the point and its place in
+        it."""
         number = len(self._acquisition_keys)
         self._acquisition_keys[number] = (*self._point_key, self._acquisitions_of_point)
         self._acquisitions_of_point += 1
@@ -300,7 +301,8 @@ class World:
         count: int,
         skew_s: tuple[float, ...],
     ) -> npt.NDArray[np.float64]:
-        """What the terminals carry at the samples' instants: (count, len(terminals)) volts."""
+        """Return the voltages of the terminals at the samples' instants: (count, len(terminals))
+        volts."""
         nominal = start_us * 1e-6 + (first + np.arange(count)) / rate_S_s
         result = np.empty((count, len(terminals)))
         for k, terminal in enumerate(terminals):

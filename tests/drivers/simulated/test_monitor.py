@@ -36,7 +36,7 @@ def violations(force: npt.NDArray[np.float64], every: int = 7) -> list[object]:
 
     monitor = Monitor(LIMIT, force_N, lambda: (), lambda what, value: told.append((what, value)))
     for now_ms in range(0, len(force), every):
-        monitor.look(1000 * now_ms)
+        monitor.check(1000 * now_ms)
     return told
 
 
