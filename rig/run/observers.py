@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.errors import LONGEST_REASON, shortened
+from rig.core.threads import start_thread
 
 if TYPE_CHECKING:
     from rig.run.points import Point, Reading
@@ -63,6 +64,11 @@ class RunObserver:
         """Take note that the run file is complete."""
 
 
+ANNOUNCED_S = 5.0
+"""Longest wait for observers to take note that the bench is being made safe: one that blocks must
+not keep the data from being saved."""
+
+
 class Observers(RunObserver):
     """Forwards every call to several observers, each isolated from the exceptions of the others."""
 
@@ -71,8 +77,11 @@ class Observers(RunObserver):
         self._warn = warn
         """Function that records a warning; called once for each observer that fails."""
         self._failed: set[int] = set()
-        self._announcing: threading.Thread | None = None
-        """Thread that reports to the observers that the bench is being made safe."""
+        self._making_safe = threading.Event()
+        # Started here, before anything moves: making safe must not depend on a thread that the
+        # computer may refuse to start by then.
+        self._announcer = threading.Thread(target=self._announce, name="observers", daemon=True)
+        start_thread(self._announcer)
 
     def planned(self, points: Sequence[Point], recorded: Set[str], overhead_s: float) -> None:
         """See `RunObserver`."""
@@ -93,10 +102,7 @@ class Observers(RunObserver):
     def making_safe(self) -> None:
         """Report the state ``making safe`` without waiting for the observers: one that blocks must
         not delay the shutdown actions. The next call of another method waits for it."""
-        self._announcing = threading.Thread(
-            target=self._call_each, args=(lambda one: one.state(MAKING_SAFE),), daemon=True
-        )
-        self._announcing.start()
+        self._making_safe.set()
 
     def saving(self) -> None:
         """See `RunObserver`."""
@@ -107,10 +113,13 @@ class Observers(RunObserver):
         self._each(lambda one: one.saved(run_file))
 
     def _each(self, call: Callable[[RunObserver], None]) -> None:
-        if self._announcing is not None:
-            self._announcing.join()
-            self._announcing = None
+        if self._making_safe.is_set():
+            self._announcer.join(ANNOUNCED_S)
         self._call_each(call)
+
+    def _announce(self) -> None:
+        self._making_safe.wait()
+        self._call_each(lambda one: one.state(MAKING_SAFE))
 
     def _call_each(self, call: Callable[[RunObserver], None]) -> None:
         for observer in self._observers:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from textwrap import indent
 from typing import Any
 
 import pytest
@@ -48,11 +49,11 @@ def test_the_page_s_own_test_passes(rig: Any) -> None:
 
 def test_the_motion_along_x_that_the_page_shows_runs(rig: Any) -> None:
     page = Page(PAGE, rig)
-    (motion,) = (b for b in page.text.split("```python\n") if b.startswith("    def moves"))
+    (motion,) = (b for b in page.text.split("```python\n") if b.startswith("def moves"))
     hold = "    def under_force(self, trial):\n        trial.hold(self.settings.hold_s)\n"
     assert hold in page.files["lab_creep/creep.py"]
     page.make(
-        (hold, motion.partition("```")[0]),
+        (hold, indent(motion.partition("```")[0], "    ")),
         ("        hold_s:", "        way_mm: float = 0.3\n        hold_s:"),
         ("import Column\n", "import Column\nfrom rig.run.points import Move\n"),
     )

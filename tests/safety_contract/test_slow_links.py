@@ -25,14 +25,17 @@ SHORT = ("--distance", "1mm", "--speed", "0.5mm/s", "--json", "--no-figures")
 HANGS = """
 import time
 import procedures.slip_trial.trial as trial
-steadily = trial.Trial._steadily
-def hang_in_the_slide(self, tick):
-    if tick.number > 20:
-        open("hangs", "w").close()
-        while True:
-            time.sleep(0.01)
-    return steadily(self, tick)
-trial.Trial._steadily = hang_in_the_slide
+steadily = trial.SlipTrialRun._steadily
+def hang_in_the_slide(self, arrival):
+    pull = steadily(self, arrival)
+    def pull_until_it_hangs(tick):
+        if tick.number > 20:
+            open("hangs", "w").close()
+            while True:
+                time.sleep(0.01)
+        return pull(tick)
+    return pull_until_it_hangs
+trial.SlipTrialRun._steadily = hang_in_the_slide
 """
 NOTHING_MORE = """
 import pathlib, sys, threading
