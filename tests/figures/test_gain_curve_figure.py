@@ -75,7 +75,7 @@ def test_the_readings_figure_shows_all_three_their_offsets_and_both_corners(film
         "ohmic, +6.0 dB",
         "circuit, +17.3 dB",
         "6631 Hz",
-        "found",
+        "corner, measured",
         "printed: eq. (4) as it stands",
         "ohmic: eq. (4) with 1/A4",
         "circuit: Kirchhoff",
@@ -85,7 +85,7 @@ def test_the_readings_figure_shows_all_three_their_offsets_and_both_corners(film
 
 def test_a_film_without_corner_and_drops_is_drawn_too():
     curve, analysis = measured(FilmModel(-78.0, 0.0))
-    assert "0 drops" in texts(draw_gain(curve, analysis))
+    assert "0 notches" in texts(draw_gain(curve, analysis))
     assert "6631 Hz" in texts(draw_readings(curve, analysis))
 
 
