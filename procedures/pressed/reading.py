@@ -110,7 +110,7 @@ class TrialRecord:
 
 def reading_of(run: Run, record: TrialRecord) -> Reading:
     """How the force was held during the motion, how the record went, both clocks, the truth of a
-    simulated bench; and why the trial does not count if it does not (``invalid``)."""
+    simulated bench; and why the trial is invalid if it is (``invalid``)."""
     settings: PressedSettings = run.settings
     force, t = record.forces_N(), record.frame_times_s()
     held = (t >= record.motion_from_s) & (t <= record.motion_to_s)

@@ -68,35 +68,36 @@ TOUCH_DRIFT = {
 
 
 class PressedSettings(BaseSettings):
-    """What any trial with the skin pressed on an object may be asked for."""
+    """Settings that all trials with the skin pressed on an object share."""
 
     normal_force_N: float = Field(default=4.0, gt=0)
-    """Normal force, held by the servo (paper 2.2: all nine ridges touch at 4 N)."""
+    """Set point of the normal force (paper 2.2: all nine ridges touch at 4 N)."""
     acceleration_mm_s2: float = Field(default=200.0, gt=0)
-    """Of the stages, as their drives are set."""
+    """Acceleration configured in the stage drives."""
     rest_s: float = Field(default=0.3, ge=0, le=60)
     """Rest under the held force, before the motion."""
     trials: int = Field(default=1, ge=1, le=10_000, json_schema_extra={"short": "-n"})
-    """How many trials are made."""
+    """Number of trials."""
     retry_invalid: int = Field(default=0, ge=0, le=100)
-    """How often a trial that does not count is made again."""
+    """How many times an invalid trial is repeated."""
     force_error_rms_percent: float = Field(default=2.0, gt=0)
-    """Error of the normal force during the motion, rms, beyond which a trial does not count."""
+    """Maximum rms error of the normal force in the motion; a trial above it is marked invalid."""
     force_error_peak_percent: float = Field(default=5.0, gt=0)
-    """Its largest error beyond which a trial does not count."""
+    """Maximum error of the normal force in the motion; a trial above it is marked invalid."""
     overshoot_percent: float = Field(default=10.0, gt=0)
-    """By how much the force may have gone beyond the normal force before the motion; beyond, a
-    trial does not count."""
+    """Maximum overshoot of the normal force before the motion; a trial above it is marked
+    invalid."""
     late_ticks_percent: float = Field(default=1.0, ge=0, le=100)
-    """Share of late ticks beyond which a trial does not count."""
+    """Maximum share of late servo ticks; a trial above it is marked invalid."""
     largest_force_N: float = Field(default=15.0, gt=0)
-    """Force along any axis at which everything stops."""
+    """Safety limit on each force axis; exceeding it stops the bench."""
     tick_Hz: float | None = Field(default=None, ge=20, le=500)
-    """Ticks of the servo; left out, 100 a second, or as many as the stages' links have time for."""
+    """Update rate of the force servo. Default: 100 Hz, or the fastest that the stage connection
+    allows."""
     rate_S_s: float = Field(default=10e3, ge=10e3, le=50e3)
     """Sampling rate of the strips; a whole multiple of 1000."""
     block_s: float = Field(default=0.02, ge=0.002, le=0.2)
-    """Of the strips' samples: as long as they may be old when they are seen during the trial."""
+    """Length of a DAQ read block; upper bound on the delay of live data."""
     range_V: float = Field(default=1.25, gt=0)
     """Input range of the strips' channels, bipolar."""
     object: str = ""
@@ -217,7 +218,7 @@ def summary_of(readings: Sequence[Reading], names: Sequence[str]) -> dict[str, A
 
 
 def _touch_gains_of(readings: Sequence[Reading]) -> dict[str, float]:
-    """Each strip's mean gain in dB re 1 V s/N. A trial that does not count was pressed all the
+    """Each strip's mean gain in dB re 1 V s/N. An invalid trial was pressed all the
     same."""
     found = {}
     for number in (1, 2):
