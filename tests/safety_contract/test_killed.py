@@ -132,7 +132,7 @@ def test_a_run_whose_guard_was_killed_says_so_and_goes_on(rig):
     os.kill(guard, signal.SIGKILL)
     ended = running.finish()
     assert ended.code == 0, ended.stderr
-    words = "the guard has died: if this run dies as well, nobody makes the bench safe"
+    words = "the guard has died: if this run dies as well, nothing makes the bench safe"
     assert f"warning: {words}" in ended.stderr
     assert ended.object["warnings"] == [words]
     assert rig.outputs() == [True, False]
