@@ -104,6 +104,7 @@ def perform(
     with the run's exit code."""
     from rig.cli.report import ConsoleObserver, finish, finish_dry_run
     from rig.cli.streams import say_at_once
+    from rig.figures.drawing import DrawingProcess
     from rig.run.stopping import StopFlag
 
     with ExitStack() as stack:
@@ -115,7 +116,8 @@ def perform(
         else:
             start_log(results)
         with stop.nothing_connected():
-            bench = BenchSelector(say).select(request, stack, procedure.fixtures[0])
+            selector = BenchSelector(say, while_it_boots=lambda: _import_for(procedure))
+            bench = selector.select(request, stack, procedure.fixtures[0])
         from rig.run.execute import execute
         from rig.run.job import RunJob
 
@@ -135,11 +137,22 @@ def perform(
         )
         simulated = bench.plan.settings.simulation is not None
         console = stack.enter_context(ConsoleObserver(type(procedure), simulated=simulated))
+        drawing = None
+        if request.figures and not request.dry_run:
+            drawing = stack.enter_context(DrawingProcess())
         outcome = execute(job, bench.plan, bench.clock, stop, console)
         if bench.started is not None:
             bench.started.wait()
         if request.dry_run:
             finish_dry_run(type(procedure), outcome, request.as_json)
         else:
-            finish(type(procedure), outcome, request.as_json, request.figures, request.debug)
+            finish(type(procedure), outcome, request.as_json, drawing, request.debug)
     raise typer.Exit(int(outcome.code))
+
+
+def _import_for(procedure: Procedure) -> None:
+    """Import what a run of a procedure needs, which takes about half a second."""
+    import rig.run.execute  # noqa: F401
+    from rig.run.checked_procedure import CheckedProcedure
+
+    CheckedProcedure(procedure).import_ahead()

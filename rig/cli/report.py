@@ -12,7 +12,7 @@ from rich.text import Text
 
 from rig.cli.outcome import say, tell_failure
 from rig.core.units import count, duration
-from rig.figures.drawing import Drawn, draw_in_child
+from rig.figures.drawing import DrawingProcess, Drawn
 from rig.run.observers import HOLD, PAUSED, RUNNING, RunObserver
 
 if TYPE_CHECKING:
@@ -122,11 +122,11 @@ def finish(
     procedure: type[Procedure],
     outcome: RunOutcome,
     as_json: bool,
-    figures: bool,
+    drawing: DrawingProcess | None,
     debug: bool,
 ) -> None:
     """Report failures and warnings, the summary and, last, how the run ended and how to
-    continue."""
+    continue. `drawing` draws the figures; None for none."""
     for failure in outcome.failures:
         if outcome.status != "stopped":
             tell_failure(failure, debug)
@@ -135,8 +135,8 @@ def finish(
     if outcome.taken_over is not None:
         say(outcome.taken_over.summary)
     drawn = Drawn()
-    if figures and outcome.file is not None and outcome.points_done:
-        drawn = draw_in_child(outcome.file)
+    if drawing is not None and outcome.file is not None and outcome.points_done:
+        drawn = drawing.draw(outcome.file)
     outcome.warnings.extend(drawn.warnings)
     for warning in outcome.warnings:
         say(f"warning: {warning}")

@@ -1,26 +1,39 @@
-"""``python -m rig.figures FILE`` draws all figures of a file next to it (`rig.figures.drawing`).
+"""``python -m rig.figures`` draws the figures of a file, whose path it reads from stdin.
 
-One JSON object on stdout: ``files``, the pictures drawn, and ``warnings``, sentences.
+They are written next to the file (`rig.figures.drawing`). The path is a JSON
+string on a line of its own. One JSON object on stdout: ``files``, the
+pictures drawn, and ``warnings``, sentences. Where the input ends without a path nothing is drawn.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import os
 import sys
 from pathlib import Path
 
 from rig.core.errors import RigError
 from rig.figures.drawing import draw
 
+NICENESS = 5
+"""Taking data and recording them have priority over drawing."""
+
 
 def main() -> None:
-    """Draw the file that the command line names."""
-    file = Path(sys.argv[1])
+    """Import what drawing needs, then draw the file that the standard input names."""
+    os.nice(NICENESS)
+    import rig.figures.style
+    import rig.files.runfile.reader
+
+    rig.figures.style.import_ahead()
+    asked = sys.stdin.readline()
+    if not asked:
+        return
     try:
         # Text that a figure function prints must not mix with the answer.
         with contextlib.redirect_stdout(sys.stderr):
-            drawn = draw(file)
+            drawn = draw(Path(json.loads(asked)))
         answer = {"files": [str(path) for path in drawn.files], "warnings": list(drawn.warnings)}
     except RigError as error:
         answer = {"files": [], "warnings": [f"no figure was drawn: {error.one_line()}"]}

@@ -1,6 +1,6 @@
 """Draw the registered figures of a file, in this or in a child process.
 
-`draw` draws them; `draw_in_child` has ``python -m rig.figures FILE`` call it, so that a figure that
+`draw` draws them; `DrawingProcess` has ``python -m rig.figures`` call it, so that a figure that
 crashes or does not end cannot harm a finished run.
 """
 
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from rig.core.errors import RigError
 from rig.figures.registry import PROCESSED, RegisteredFigure, figures_of
@@ -54,37 +54,60 @@ def draw(file: Path, folder: Path | None = None) -> Drawn:
         return Drawn(tuple(drawing.files), tuple(drawing.warnings))
 
 
-def draw_in_child(file: Path) -> Drawn:
-    """Draw all figures of a file in a child process; any failure of it becomes a warning."""
-    command = [sys.executable, "-P", "-m", "rig.figures", str(file)]
-    again = f"`rig show {file}` draws it again"
-    try:
-        ended = subprocess.run(
-            command,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=TIMEOUT_S,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return Drawn(
-            warnings=(f"no figure was drawn: it took longer than {TIMEOUT_S:g} s; {again}",)
-        )
-    except OSError as error:
-        return Drawn(
-            warnings=(f"no figure was drawn: {error.strerror}: {command[0]}; {again}",),
-        )
-    try:
-        answer = json.loads(ended.stdout)
-        return Drawn(tuple(Path(path) for path in answer["files"]), tuple(answer["warnings"]))
-    except (ValueError, KeyError, TypeError):
-        last = ended.stderr.strip().splitlines()[-1:]
-        why = last[0] if last else f"exit code {ended.returncode}"
-        return Drawn(
-            warnings=(f"no figure was drawn: the process that draws ended early ({why}); {again}",)
-        )
+class DrawingProcess:
+    """A child process that draws the figures of one file, or of none.
+
+    It is started before its file exists, because importing matplotlib takes as long as drawing a
+    figure: while a run takes its points, there is time for it. The process runs with low priority.
+    Its only tie to this process is its standard input, so that it ends when this process does.
+    """
+
+    def __init__(self) -> None:
+        self._child: subprocess.Popen[str] | None = None
+        self._why_not = ""
+        command = [sys.executable, "-P", "-m", "rig.figures"]
+        try:
+            self._child = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                errors="replace",
+                start_new_session=True,  # Ctrl-C at the terminal ends the run, not its figures
+            )
+        except OSError as error:
+            self._why_not = f"{error.strerror}: {command[0]}"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the process if it was not asked to draw."""
+        if self._child is not None and self._child.returncode is None:
+            self._child.kill()
+            self._child.communicate()
+
+    def draw(self, file: Path) -> Drawn:
+        """Draw all figures of a file; any failure of the process becomes a warning."""
+        again = f"`rig show {file}` draws it again"
+        if self._child is None:
+            return _not_drawn(f"{self._why_not}; {again}")
+        try:
+            answered, said = self._child.communicate(json.dumps(str(file)) + "\n", TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            return _not_drawn(f"it took longer than {TIMEOUT_S:g} s; {again}")
+        try:
+            answer = json.loads(answered)
+            return Drawn(tuple(Path(path) for path in answer["files"]), tuple(answer["warnings"]))
+        except (ValueError, KeyError, TypeError):
+            last = said.strip().splitlines()[-1:]
+            why = last[0] if last else f"exit code {self._child.returncode}"
+            return _not_drawn(f"the process that draws ended early ({why}); {again}")
+
+
+def _not_drawn(reason: str) -> Drawn:
+    return Drawn(warnings=(f"no figure was drawn: {reason}",))
 
 
 class _NoPlaceError(RigError):

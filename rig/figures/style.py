@@ -29,6 +29,13 @@ NUMBERED_SPAN = 1e3
 """Ratio of frequencies from which the numbers at 2 and 5 would touch each other."""
 
 
+def import_ahead() -> None:
+    """Import what every figure needs, which takes as long as drawing one."""
+    import matplotlib.backends.backend_agg
+    import matplotlib.backends.backend_svg
+    import matplotlib.figure  # noqa: F401
+
+
 def save(figure: Figure, run_file: Path, simulated: bool) -> list[Path]:
     """Write the figure as PNG and SVG next to its run file, with a mark if it is simulated."""
     import matplotlib as mpl

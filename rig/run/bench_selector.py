@@ -77,6 +77,9 @@ class BenchSelector:
     """Function that shows a line to a person."""
     paced: bool = False
     """True if a simulated bench's time passes at a person's pace."""
+    while_it_boots: Callable[[], None] = lambda: None
+    """Function that is called while a simulated bench boots, which takes about a second; nothing is
+    connected yet."""
 
     def select(
         self,
@@ -132,6 +135,7 @@ class BenchSelector:
         from rig.run.guard import GUARD_SUFFIX
 
         self._report_takeovers(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
+        self.while_it_boots()
         ready = started.ready()
         why = "dry run" if request.dry_run else f"no {BENCH_FILE} found in {Path.cwd()}"
         self.say(f"SIMULATED bench ({why}; seed {request.seed}). {NOT_MEASURED}")

@@ -13,7 +13,7 @@ from procedures.sweep import Sweep
 from rig.cli import report
 from rig.cli.report import ConsoleObserver, closing_lines
 from rig.core.errors import ExitCode
-from rig.figures.drawing import Drawn
+from rig.figures.drawing import DrawingProcess, Drawn
 from rig.run.arming import ShutdownFailure
 from rig.run.outcome import RunOutcome
 from rig.run.points import Point
@@ -90,42 +90,43 @@ def test_plans_pauses_and_points_are_one_line_each(capsys: pytest.CaptureFixture
     ]
 
 
-@pytest.fixture
-def drawn_of(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """The run files that figures were asked of; each gives one picture and one warning."""
-    asked: list[Path] = []
+class Drawing(DrawingProcess):
+    """Draws one picture of each file that it is asked to draw, with one warning."""
 
-    def draw_in_child(file: Path) -> Drawn:
-        asked.append(file)
+    def __init__(self) -> None:
+        self.files: list[Path] = []
+
+    def draw(self, file: Path) -> Drawn:
+        self.files.append(file)
         return Drawn((file.with_suffix(".png"),), ("the figure x of y could not be drawn: z",))
 
-    monkeypatch.setattr(report, "draw_in_child", draw_in_child)
-    return asked
 
-
-def closing(capsys: pytest.CaptureFixture[str], done: int, figures: bool) -> tuple[dict, str]:
+def closing(
+    capsys: pytest.CaptureFixture[str], done: int, drawing: Drawing | None
+) -> tuple[dict, str]:
     outcome = RunOutcome("complete", ExitCode.DONE, 2, done, file=Path("r.h5"))
-    report.finish(Sweep, outcome, as_json=True, figures=figures, debug=False)
+    report.finish(Sweep, outcome, as_json=True, drawing=drawing, debug=False)
     printed = capsys.readouterr()
     return json.loads(printed.out), printed.err
 
 
 def test_figures_are_listed_and_one_that_fails_is_a_warning(
-    drawn_of: list[Path], capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    answer, told = closing(capsys, done=2, figures=True)
-    assert drawn_of == [Path("r.h5")]
+    drawing = Drawing()
+    answer, told = closing(capsys, 2, drawing)
+    assert drawing.files == [Path("r.h5")]
     assert (answer["figures"], answer["exit"]) == (["r.png"], 0)
     assert answer["warnings"] == ["the figure x of y could not be drawn: z"]
     assert "warning: the figure x of y could not be drawn: z\n" in told
     assert "Saved: r.h5 and 1 figure (PNG and SVG)\n" in told
 
 
-@pytest.mark.parametrize(("done", "figures"), [(0, True), (2, False)])
+@pytest.mark.parametrize(("done", "drawing"), [(0, Drawing()), (2, None)])
 def test_without_a_completed_point_nothing_is_drawn_and_nothing_is_said(
-    drawn_of: list[Path], capsys: pytest.CaptureFixture[str], done: int, figures: bool
+    capsys: pytest.CaptureFixture[str], done: int, drawing: Drawing | None
 ) -> None:
-    answer, told = closing(capsys, done, figures)
-    assert drawn_of == []
+    answer, told = closing(capsys, done, drawing)
+    assert drawing is None or drawing.files == []
     assert (answer["figures"], answer["warnings"]) == ([], [])
     assert "figure" not in told

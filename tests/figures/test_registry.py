@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
 import recorded_trials as trials
 
 from rig.figures import drawing
-from rig.figures.drawing import Drawn, draw, draw_in_child
+from rig.figures.drawing import DrawingProcess, Drawn, draw
 from rig.figures.registry import figures_of
 
 MODULE = """
@@ -117,6 +117,21 @@ def test_nothing_to_draw_is_no_failure(lab: Laboratory) -> None:
     lab.declare(lab_trial="lab_figures:nothing")
     assert draw(lab.run()) == Drawn()
     assert draw(lab.run("unheard-of")) == Drawn()
+
+
+def draw_in_child(file: Path) -> Drawn:
+    with DrawingProcess() as process:
+        return process.draw(file)
+
+
+def test_a_process_that_is_not_asked_ends_and_draws_nothing(lab: Laboratory) -> None:
+    lab.declare(lab_trial=PLAIN)
+    lab.run()
+    with DrawingProcess() as process:
+        child = process._child
+    assert child is not None
+    assert child.returncode is not None
+    assert lab.pictures == set()
 
 
 def test_a_run_without_a_completed_point_has_no_figures(lab: Laboratory) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import json
 import os
 import signal
@@ -51,6 +52,9 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
     log = Path(options.world_log) if options.world_log else None
     world = World(settings, options.seed, options.slaved, log, faults.of(TimedFault))
     bench = Instruments(world, options, faults)
+    # What has been imported stays until the end: no collection has to examine it, the one at the
+    # interpreter's end included, for which a run would wait.
+    gc.freeze()
     monitor = bench.monitor(settings.watch)
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
