@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from procedures.pressed.force import TrialForce
     from procedures.pressed.links import TrialLinks
     from procedures.pressed.reading import TrialRecord
+    from procedures.pressed.ticks import TrialTicks
     from rig.control.force_servo import ContactShift, ForceServo
-    from rig.control.tick_loop import Tick
 
 SILENT_S = 0.5
 """Where z does not answer for longer, nothing holds the force: what moves has to stop. A stalled
@@ -29,13 +29,15 @@ class ForceHold:
         links: TrialLinks,
         force: TrialForce,
         record: TrialRecord,
+        ticks: TrialTicks,
         at_rest_s: float,
     ):
         self._servo, self._z, self._links = servo, z, links
-        self._force, self._record = force, record
+        self._force, self._record, self._ticks = force, record, ticks
         self._at_rest_s = at_rest_s
         """From when on z has stood where the servo begins: an older force is not for it."""
-        self._ticks_since_step = 0
+        self._stepped_at = ticks.begun
+        """Number of the tick of the latest step."""
 
     @property
     def shift(self) -> ContactShift:
@@ -45,10 +47,6 @@ class ForceHold:
     def begin_motion(self, expected: ContactShift | None) -> None:
         """The next step is the first of a motion; `expected` is the `shift` of one like it."""
         self._servo.slide_begins(expected)
-
-    def count_tick(self, tick: Tick) -> None:
-        """Note that a tick has begun, and how many were missed before it."""
-        self._ticks_since_step += 1 + tick.missed
 
     def step(self, force_N: float) -> None:
         """Give z a new target.
@@ -70,8 +68,7 @@ class ForceHold:
         if not self._links.is_idle("stage_z") or force.measured_s < self._at_rest_s:
             self._record.held_back += 1
             return
-        step = self._servo.step(
-            force_N, self._ticks_since_step, self._z.target_late_s, force.older_s
-        )
-        self._ticks_since_step = 0
+        passed = self._ticks.begun - self._stepped_at
+        step = self._servo.step(force_N, passed, self._z.target_late_s, force.older_s)
+        self._stepped_at = self._ticks.begun
         self._z.start_move(self._z.commanded_mm + step.increment_mm, step.speed_mm_s)

@@ -19,8 +19,14 @@ from rig.control.approach import Approach, search_speed_mm_s
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
-    from procedures.pressed.trial import PressedTrial
+    from procedures.pressed.axes import PressingStage
+    from procedures.pressed.reading import TrialRecord
+    from procedures.pressed.recorder import TickRecorder
+    from procedures.pressed.series import PressedSeries
+    from procedures.pressed.settings import PressedSettings
+    from procedures.pressed.ticks import TrialTicks
     from rig.control.tick_loop import Tick
+    from rig.run.context import Run
 
 TAP = 0.15
 """Share of the normal force that the tap lets go. The clocks need a twentieth (`clock_offset`)."""
@@ -29,96 +35,116 @@ PATIENCE_S = 10.0
 """From contact to a held force, at most."""
 
 
-def press_down(trial: PressedTrial) -> float:
-    """Press the object with the normal force, and return the contact's stiffness in N/mm."""
-    settings, rates = trial.settings, trial.series.rates
-    down = Approach(
-        settings.normal_force_N, rates.approach_s, trial.delay_s, settings.acceleration_mm_s2
-    )
-    _go_near(trial)
-    _go_down(trial, down)
-    return down.stiffness_N_mm
+class Press:
+    """The press of one trial, from near the object to rest under the normal force."""
 
+    def __init__(
+        self,
+        run: Run,
+        series: PressedSeries,
+        record: TrialRecord,
+        z: PressingStage,
+        recorder: TickRecorder,
+        ticks: TrialTicks,
+    ):
+        self._run, self._series, self._record = run, series, record
+        self._z, self._recorder, self._ticks = z, recorder, ticks
+        self._settings: PressedSettings = run.settings
+        self._delay_s = recorder.force.timing.delay_s(series.rates)
+        """From a command to the first force that shows it."""
 
-def tap(trial: PressedTrial, stiffness_N_mm: float) -> float:
-    """Let go a little and press on again; return when z is at rest after it, on the run's clock.
-
-    A force that only rises would not show how far the clocks of force sensor and DAQ are apart.
-    """
-    here_mm = trial.z.commanded_mm
-    back_mm = TAP * trial.settings.normal_force_N / stiffness_N_mm
-    at_rest_s = 0.0
-    for position_mm in (here_mm - back_mm, here_mm):
-        trial.z.start_move(position_mm, TAP_mm_s)
-        at_rest_s = trial.run.clock.now() + TAP_S / 2
-        trial.run_ticks(TAP_S, trial.record_only)
-    return at_rest_s
-
-
-def _go_near(trial: PressedTrial) -> None:
-    """Go to shortly before the place where a trial of this series has felt the object. One that is
-    met on the way is pressed with the normal force at most."""
-    if trial.series.contact_mm is None:
-        return
-    z, settings, rates = trial.z, trial.settings, trial.series.rates
-    near_mm = trial.series.contact_mm - NEAR_mm
-    speed_mm_s = search_speed_mm_s(
-        settings.normal_force_N, trial.delay_s + rates.approach_s, settings.acceleration_mm_s2
-    )
-    z.start_move(near_mm, speed_mm_s)
-
-    def on_tick(tick: Tick) -> bool:
-        felt = trial.collect(tick, wait=True) > CONTACT_N
-        here_mm = z.latest.position_mm
-        if felt:
-            z.start_move(here_mm, speed_mm_s)
-        return not felt and here_mm < near_mm - BOTTOM_mm
-
-    way_mm = near_mm - contact_range_mm(trial.run.bench)[0] + CLEAR_mm
-    trial.run_ticks(way_mm / speed_mm_s + PATIENCE_S, on_tick, rates.approach_s)
-
-
-def _go_down(trial: PressedTrial, down: Approach) -> None:
-    """Go slowly until the object is felt, and on until the force is there."""
-    z, force = trial.z, trial.recorder.force
-    first_mm, last_mm = contact_range_mm(trial.run.bench)
-    touched = arrived = False
-
-    def on_tick(tick: Tick) -> bool:
-        nonlocal touched, arrived
-        force_N = trial.collect(tick, wait=True)
-        polled, behind_s = z.latest, force.older_s + z.target_late_s
-        here_mm = polled.position_mm
-        step = down.step(polled.at_s, here_mm, force.measured_s, force_N, behind_s)
-        if step.touched and not touched:
-            touched = True
-            trial.record.contact_mm = trial.series.contact_mm = here_mm
-            if here_mm < first_mm:
-                refuse_early_contact(trial.run, force_N, CONTACT_N)
-        arrived = step.arrived
-        z.start_move(min(here_mm + step.ahead_mm, last_mm), step.speed_mm_s)
-        return not arrived and (touched or here_mm < last_mm - BOTTOM_mm)
-
-    longest_s = (last_mm - first_mm + CLEAR_mm) / down.search_mm_s + PATIENCE_S
-    trial.run_ticks(longest_s, on_tick, trial.series.rates.approach_s)
-    if not arrived:
-        z.stage.stop()
-        raise _no_force(trial, touched, longest_s)
-
-
-def _no_force(trial: PressedTrial, touched: bool, within_s: float) -> InstrumentError:
-    """Return why the normal force was not reached in this time."""
-    run = trial.run
-    here_mm = trial.z.stage.position_mm()
-    force_N = felt_N(run, trial.recorder.force.timing.window_s)
-    if touched:
-        return InstrumentError(
-            "stage_z",
-            "press",
-            f"{force_N:.3g} N at {here_mm:.3f} mm, {trial.settings.normal_force_N:g} N wanted",
-            "look at the skin and the object; correct contact_to_mm if it may go further",
+    def down(self) -> float:
+        """Press the object with the normal force, and return the contact's stiffness in N/mm."""
+        settings, rates = self._settings, self._series.rates
+        way_down = Approach(
+            settings.normal_force_N, rates.approach_s, self._delay_s, settings.acceleration_mm_s2
         )
-    if here_mm < contact_range_mm(run.bench)[1] - BOTTOM_mm:
-        return not_there(run, within_s)
-    check = "the object stands on the force sensor and that the sensor is connected"
-    return nothing_felt(run, force_N, CONTACT_N, check)
+        self._go_near()
+        self._go_down(way_down)
+        return way_down.stiffness_N_mm
+
+    def tap(self, stiffness_N_mm: float) -> float:
+        """Let go a little and press on again; return when z is at rest after it, on the run's
+        clock.
+
+        A force that only rises would not show how far the clocks of force sensor and DAQ are apart.
+        """
+        z, clock = self._z, self._run.clock
+        here_mm = z.commanded_mm
+        back_mm = TAP * self._settings.normal_force_N / stiffness_N_mm
+        at_rest_s = 0.0
+        for position_mm in (here_mm - back_mm, here_mm):
+            z.start_move(position_mm, TAP_mm_s)
+            at_rest_s = clock.now() + TAP_S / 2
+            self._ticks.run(TAP_S, self._record_only)
+        return at_rest_s
+
+    def _record_only(self, tick: Tick) -> bool:
+        self._recorder.collect(tick)
+        return True
+
+    def _go_near(self) -> None:
+        """Go to shortly before the place where a trial of this series has felt the object. One that
+        is met on the way is pressed with the normal force at most."""
+        if self._series.contact_mm is None:
+            return
+        z, settings, rates = self._z, self._settings, self._series.rates
+        near_mm = self._series.contact_mm - NEAR_mm
+        speed_mm_s = search_speed_mm_s(
+            settings.normal_force_N, self._delay_s + rates.approach_s, settings.acceleration_mm_s2
+        )
+        z.start_move(near_mm, speed_mm_s)
+
+        def on_tick(tick: Tick) -> bool:
+            felt = self._recorder.collect(tick, wait=True) > CONTACT_N
+            here_mm = z.latest.position_mm
+            if felt:
+                z.start_move(here_mm, speed_mm_s)
+            return not felt and here_mm < near_mm - BOTTOM_mm
+
+        way_mm = near_mm - contact_range_mm(self._run.bench)[0] + CLEAR_mm
+        self._ticks.run(way_mm / speed_mm_s + PATIENCE_S, on_tick, rates.approach_s)
+
+    def _go_down(self, way_down: Approach) -> None:
+        """Go slowly until the object is felt, and on until the force is there."""
+        z, force = self._z, self._recorder.force
+        first_mm, last_mm = contact_range_mm(self._run.bench)
+        touched = arrived = False
+
+        def on_tick(tick: Tick) -> bool:
+            nonlocal touched, arrived
+            force_N = self._recorder.collect(tick, wait=True)
+            polled, behind_s = z.latest, force.older_s + z.target_late_s
+            here_mm = polled.position_mm
+            step = way_down.step(polled.at_s, here_mm, force.measured_s, force_N, behind_s)
+            if step.touched and not touched:
+                touched = True
+                self._record.contact_mm = self._series.contact_mm = here_mm
+                if here_mm < first_mm:
+                    refuse_early_contact(self._run, force_N, CONTACT_N)
+            arrived = step.arrived
+            z.start_move(min(here_mm + step.ahead_mm, last_mm), step.speed_mm_s)
+            return not arrived and (touched or here_mm < last_mm - BOTTOM_mm)
+
+        longest_s = (last_mm - first_mm + CLEAR_mm) / way_down.search_mm_s + PATIENCE_S
+        self._ticks.run(longest_s, on_tick, self._series.rates.approach_s)
+        if not arrived:
+            z.stage.stop()
+            raise self._no_force(touched, longest_s)
+
+    def _no_force(self, touched: bool, within_s: float) -> InstrumentError:
+        """Return why the normal force was not reached in this time."""
+        run = self._run
+        here_mm = self._z.stage.position_mm()
+        force_N = felt_N(run, self._recorder.force.timing.window_s)
+        if touched:
+            return InstrumentError(
+                "stage_z",
+                "press",
+                f"{force_N:.3g} N at {here_mm:.3f} mm, {self._settings.normal_force_N:g} N wanted",
+                "look at the skin and the object; correct contact_to_mm if it may go further",
+            )
+        if here_mm < contact_range_mm(run.bench)[1] - BOTTOM_mm:
+            return not_there(run, within_s)
+        check = "the object stands on the force sensor and that the sensor is connected"
+        return nothing_felt(run, force_N, CONTACT_N, check)

@@ -25,13 +25,13 @@ from procedures.pressed.axes import ArrivalWatch, PolledStage, PressingStage
 from procedures.pressed.contact import TRAVEL_mm_s, come_close, tare_in_free_air
 from procedures.pressed.hold import ForceHold
 from procedures.pressed.links import TrialLinks
-from procedures.pressed.press import press_down, tap
+from procedures.pressed.press import Press
 from procedures.pressed.reading import CONTACT_N, DECIMATED_Hz
 from procedures.pressed.recorder import TickRecorder
 from procedures.pressed.settings import AFTER_S
+from procedures.pressed.ticks import TrialTicks
 from rig.bench.limits import require
 from rig.control.force_servo import ForceServo, settings_from
-from rig.control.tick_loop import tick_loop
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
@@ -71,9 +71,8 @@ class PressedTrial:
         self.x = PolledStage(run, "stage_x", bench.stage_x, self.links)
         poll_rate_Hz = min(rates.poll_rate_Hz, most_polls_Hz)
         self.recorder = TickRecorder(run, record, self.links, (self.z, self.x), poll_rate_Hz)
+        self._ticks = TrialTicks(run, self.links, self.recorder, record.loops, rates.tick_s)
         self._hold: ForceHold | None = None
-        self._next_tick_s = 0.0
-        """When the first tick of the next loop is due, on the run's clock."""
 
     # --- the phases -----------------------------------------------------------------------------
 
@@ -96,8 +95,9 @@ class PressedTrial:
     def press(self) -> None:
         """Press the object with the normal force, no faster than the force allows; tap, and rest
         under the servo. The contact's stiffness is learnt on the way."""
-        settings = self.settings
-        stiffness_N_mm = self.record.stiffness_N_mm = press_down(self)
+        settings, record = self.settings, self.record
+        press = Press(self.run, self.series, record, self.z, self.recorder, self._ticks)
+        stiffness_N_mm = record.stiffness_N_mm = press.down()
         servo = ForceServo(
             settings_from(
                 settings.normal_force_N,
@@ -108,11 +108,10 @@ class PressedTrial:
                 self.even_moves,
             )
         )
-        at_rest_s = tap(self, stiffness_N_mm)
-        self.record.tapped_s = self.since_s()
-        self._hold = ForceHold(
-            servo, self.z, self.links, self.recorder.force, self.record, at_rest_s
-        )
+        at_rest_s = press.tap(stiffness_N_mm)
+        record.tapped_s = self.since_s()
+        force, ticks = self.recorder.force, self._ticks
+        self._hold = ForceHold(servo, self.z, self.links, force, record, ticks, at_rest_s)
         self.hold(settings.rest_s)
 
     def hold(self, seconds: float) -> None:
@@ -125,7 +124,7 @@ class PressedTrial:
 
         `expected` is what an earlier motion of this kind has shown (`contact_shift`).
         """
-        self.wait_for_tick()
+        self._ticks.wait()
         self.record.motion_from_s = self.since_s()
         self._held().begin_motion(expected)
 
@@ -192,44 +191,15 @@ class PressedTrial:
 
     # --- ticks ----------------------------------------------------------------------------------
 
-    def run_ticks(
-        self, longest_s: float, on_tick: Callable[[Tick], bool], tick_s: float | None = None
-    ) -> None:
-        """Call `on_tick` in every tick of the servo, or every `tick_s`, for `longest_s` or until it
-        returns False. One loop follows another as one tick follows another."""
-
-        def whole(tick: Tick) -> bool:
-            if self._hold is not None:
-                self._hold.count_tick(tick)
-            continues = on_tick(tick)
-            self.recorder.poll_if_due()
-            return continues
-
-        self.wait_for_tick()
-        begin_s, tick_Hz = self.run.clock.now(), 1 / (tick_s or self.series.rates.tick_s)
-        with self.links.working(), self.recorder.loop(tick_Hz):
-            done = tick_loop(self.run, tick_Hz, longest_s, whole)
-        self._next_tick_s = begin_s + done.ticks / tick_Hz
-        self.record.loops.append(done)
+    def run_ticks(self, longest_s: float, on_tick: Callable[[Tick], bool]) -> None:
+        """Call `on_tick` in every tick of the servo for `longest_s` or until it returns False. One
+        loop follows another as one tick follows another."""
+        self._ticks.run(longest_s, on_tick)
 
     def hold_tick(self, tick: Tick) -> bool:
         """Collect and record, and move z by what the force asks for; always True."""
-        self._held().step(self.collect(tick))
+        self._held().step(self.recorder.collect(tick))
         return True
-
-    def record_only(self, tick: Tick) -> bool:
-        """Collect and record without controlling the force; always True."""
-        self.collect(tick)
-        return True
-
-    def collect(self, tick: Tick, wait: bool = False) -> float:
-        """Poll and record what is due, and return the latest normal force in N; with `wait`, the
-        stages are polled and their answers waited for."""
-        return self.recorder.collect(tick, wait)
-
-    def wait_for_tick(self) -> None:
-        """Wait until the first tick of the next loop is due."""
-        self.run.clock.sleep(max(0.0, self._next_tick_s - self.run.clock.now()))
 
     def since_s(self) -> float:
         """Return the time since the record began."""

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from measured import heading, row, target
 
-from procedures.pressed import trial as pressed_trial
+from procedures.pressed import ticks as pressed_ticks
 from procedures.slip_trial import SlipTrial
 from rig.bench.plan import read_bench
 from rig.control import tick_loop as loop
@@ -196,7 +196,7 @@ def run_timed(folder, bench_file):
             loops.append((begin_s, time.monotonic(), done.ticks, done.late))
         return done
 
-    pressed_trial.tick_loop = timed
+    pressed_ticks.tick_loop = timed
     settings = SlipTrial.Settings(tick_Hz=RATE_Hz, distance_mm=2.0, trials=2)
     job = RunJob(procedure=SlipTrial(settings), seed=0, results=folder)
     outcome = execute(job, read_bench(bench_file), WallClock(), StopFlag())

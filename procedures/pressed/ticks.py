@@ -1,0 +1,57 @@
+"""The tick loops of a trial, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from rig.control.tick_loop import tick_loop
+
+if TYPE_CHECKING:
+    from procedures.pressed.links import TrialLinks
+    from procedures.pressed.recorder import TickRecorder
+    from rig.control.tick_loop import LoopStatistics, Tick
+    from rig.run.context import Run
+
+
+class TrialTicks:
+    """Runs loops of ticks, in each of which the links work and the recorder polls what is due."""
+
+    def __init__(
+        self,
+        run: Run,
+        links: TrialLinks,
+        recorder: TickRecorder,
+        loops: list[LoopStatistics],
+        tick_s: float,
+    ):
+        """`tick_s` is the servo's tick; the statistics of each loop are added to `loops`."""
+        self._run, self._links, self._recorder = run, links, recorder
+        self._loops, self._tick_s = loops, tick_s
+        self._next_tick_s = 0.0
+        """When the first tick of the next loop is due, on the run's clock."""
+        self.begun = 0
+        """Ticks that have begun or were missed since the trial began."""
+
+    def run(
+        self, longest_s: float, on_tick: Callable[[Tick], bool], tick_s: float | None = None
+    ) -> None:
+        """Call `on_tick` in every tick of the servo, or every `tick_s`, for `longest_s` or until it
+        returns False. One loop follows another as one tick follows another."""
+
+        def whole(tick: Tick) -> bool:
+            self.begun += 1 + tick.missed
+            continues = on_tick(tick)
+            self._recorder.poll_if_due()
+            return continues
+
+        self.wait()
+        begin_s, tick_Hz = self._run.clock.now(), 1 / (tick_s or self._tick_s)
+        with self._links.working(), self._recorder.loop(tick_Hz):
+            done = tick_loop(self._run, tick_Hz, longest_s, whole)
+        self._next_tick_s = begin_s + done.ticks / tick_Hz
+        self._loops.append(done)
+
+    def wait(self) -> None:
+        """Wait until the first tick of the next loop is due."""
+        self._run.clock.sleep(max(0.0, self._next_tick_s - self._run.clock.now()))
