@@ -222,7 +222,8 @@ class _Execution:
         for error in self.run.failures:
             if not self.outcome.failures:
                 self._failed_late(error)
-            else:  # the cause is reported already: this followed from it
+            elif all(error.message != known.message for known in self.outcome.failures):
+                # The cause is reported already: this followed from it.
                 self.outcome.warnings.append(error.one_line())
         if self.outcome.off_failures:
             self.outcome.code = ExitCode.UNSAFE

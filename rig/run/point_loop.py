@@ -1,7 +1,8 @@
 """The loop over the points of a run, with the treatment of disturbed points.
 
 a hold (pause, silent sensor)   the bench is made safe, the run waits until the condition has
-                                passed, arms again and retakes the point
+                                passed, arms again and retakes the point; where the bench was
+                                not made safe the run ends
 a trip (a limit was exceeded)   the bench is made safe, the run arms again and retakes the point
                                 once; a second trip of the same point ends the run
 an invalid reading              the point is retaken without arming, as often as the setting
@@ -16,7 +17,7 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from rig.core.errors import ExitCode, LimitError, RigError
+from rig.core.errors import ExitCode, LimitError, RigError, UnsafeError
 from rig.files.journal.recorder import Recorder
 from rig.run.arming import ShutdownFailure
 from rig.run.checked_procedure import CheckedProcedure
@@ -174,6 +175,8 @@ class PointLoop:
         if failures:
             reasons = "; ".join(f"{f.name}: {f.reason}" for f in failures)
             raise RigError(reasons, None, ExitCode.INSTRUMENT) from hold
+        if self._run.failures:
+            raise _not_safe(self._run.failures) from hold
         self._phases.enter(RunPhase.ON_HOLD)
         if not asked_for:
             self._observers.event(
@@ -209,3 +212,15 @@ class PointLoop:
         except LimitError as refused:
             hint = remedy(refused, self._run.bench)
             raise LimitError(f"point {point.id}: {refused.message}", hint) from refused
+
+
+def _not_safe(failures: Sequence[RigError]) -> RigError:
+    """Return why a run does not continue after a hold during which making safe has failed.
+
+    That is UnsafeError in the words of the failure, since an object may still be under force and no
+    other attempt follows. A trip alone keeps its exit code: the way back was completed after it.
+    """
+    for failure in failures:
+        if not isinstance(failure, TripError):
+            return UnsafeError(failure.message, failure.hint)
+    return failures[0]

@@ -241,6 +241,26 @@ def test_a_force_sensor_that_is_silent_for_a_while_is_a_hold(rig, case):
         assert run.column("preload").min() > 24, "pressed anew, though it creeps"
 
 
+def test_a_run_does_not_continue_after_a_hold_that_left_the_film_pressed(rig):
+    """The sensor falls silent while a point is taken; something presses on it when the stage has
+    gone up for the hold, and no longer when the hold is over."""
+    push = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 3.0\n'
+    pressed = f'{push}for_s = 3.0\nmove = 4\nof = "stage_z"\nafter_s = 0.3\n'
+    plan = rig.fault(f"{silence(MEASURING, 0.6)}\n{pressed}")
+    ended = rig.sweep("--frequencies", "2,3,300", "--order", "descending", "--fault", plan)
+
+    assert ended.code == 7, ended.stderr
+    (told,) = [line for line in ended.stderr.splitlines() if "is still pressed with" in line]
+    assert told.startswith("error: stage_z: unload: the film is still pressed with ")
+    assert "Resumed." not in ended.stderr
+    assert "Bench is stopped, but check it (see above)" in ended.stderr
+    assert rig.outputs() == [True, False], "not switched on again"
+    assert [round(mm) for mm in moves(rig)].count(5) == 2, "parked, and up for the hold"
+    with RunFile.open(rig.only("*.h5")) as run:
+        assert run.outcome.status == "failed"
+        assert held(run) == 1
+
+
 @pytest.mark.thorough
 def test_a_force_sensor_that_is_silent_while_the_stage_is_homed_is_a_hold(rig):
     """There is no way back yet to a place that nobody knows, and nothing is pressed."""
