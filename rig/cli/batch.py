@@ -58,7 +58,7 @@ def run(
 
         from rig.batch.execute.prepare import prepare
         from rig.batch.execute.start import begin
-        from rig.core.units import plural, time_span
+        from rig.core.units import counted, time_span
 
         now = datetime.now().astimezone()
         prepared = prepare(file, bench, now, say)
@@ -69,7 +69,7 @@ def run(
             takes += " of virtual time"
         else:
             takes += f", until {forecast.ends:%Y-%m-%d %H:%M:%S}"
-        say(f"batch {folder.path}: {plural(len(prepared.plan.runs), 'run')}, {takes}")
+        say(f"batch {folder.path}: {counted(len(prepared.plan.runs), 'run')}, {takes}")
         _supervise(folder, as_json)
 
 
@@ -93,7 +93,7 @@ def resume(
         from rig.batch.folder import find_folder
         from rig.batch.plan.settings import BatchFile
         from rig.batch.queue import Queue
-        from rig.core.units import plural
+        from rig.core.units import counted
 
         found = find_folder(folder, results)
         with Queue.open(found.queue) as queue:
@@ -106,7 +106,7 @@ def resume(
             else:
                 refuse_changes(queue, BatchFile.model_validate_json(queue.meta("file")))
             if retry_failed:
-                say(f"{plural(queue.put_back(), 'run')} queued again")
+                say(f"{counted(queue.put_back(), 'run')} queued again")
         _supervise(found, as_json)
 
 

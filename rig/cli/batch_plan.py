@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rig.cli.outcome import reported, say
-from rig.core.units import plural, time_span
+from rig.core.units import counted, time_span
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -126,7 +126,7 @@ def _summary(prepared: PreparedBatch, free_B: int) -> Iterator[str]:
     forecast = prepared.forecast
     name, runs = prepared.batch.batch.name, len(prepared.plan.runs)
     yield (
-        f"{name}: {plural(runs, 'run')} ({plural(len(prepared.plan.conditions), 'condition')}), "
+        f"{name}: {counted(runs, 'run')} ({counted(len(prepared.plan.conditions), 'condition')}), "
         f"about {time_span(forecast.duration_s)} ± {time_span(forecast.spread_s)}, "
         f"from {forecast.begins:%Y-%m-%d %H:%M:%S} to {forecast.ends:%Y-%m-%d %H:%M:%S}"
     )
@@ -136,7 +136,7 @@ def _summary(prepared: PreparedBatch, free_B: int) -> Iterator[str]:
     if forecast.stop_by is not None and forecast.in_time < runs:
         yield (
             f"warning: stop_by {forecast.stop_by:%Y-%m-%d %H:%M:%S}: {forecast.in_time} of "
-            f"{plural(runs, 'run')} will have ended by then; continue with `rig batch resume`"
+            f"{counted(runs, 'run')} will have ended by then; continue with `rig batch resume`"
         )
     for one in forecast.expiring:
         allowed = prepared.batch.batch.allow_expired

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, Tex
 from rich.text import Text
 
 from rig.cli.outcome import say, tell_failure
-from rig.core.units import count, duration
+from rig.core.units import counted, duration
 from rig.figures.drawing import DrawingProcess, Drawn
 from rig.run.observers import HOLD, PAUSED, RUNNING, RunObserver
 
@@ -65,12 +65,14 @@ class ConsoleObserver(RunObserver):
         one, several = self._procedure.point_name
         to_do = len(points) - len(recorded)
         if not recorded:
-            what = count(to_do, one, several)
+            what = counted(to_do, one, several)
         elif first_plan:
-            all_of_them = count(len(points), one, several)
+            all_of_them = counted(len(points), one, several)
             what = f"resuming, {len(recorded)} of {all_of_them} done, {to_do} to go"
         else:
-            what = f"{count(to_do, 'further ' + one, 'further ' + several)} ({len(recorded)} done)"
+            what = (
+                f"{counted(to_do, 'further ' + one, 'further ' + several)} ({len(recorded)} done)"
+            )
         about = duration(left_s + overhead_s)
         self._say(f"{self._procedure.name}: {what}, about {about}{self._bench_time}")
         if self._progress is not None:  # The earlier plan is done.
@@ -189,7 +191,7 @@ def closing_lines(
     lines[0] += " (simulated)." if outcome.simulated else "."
     if outcome.file is not None:
         pictures = len({path.with_suffix("") for path in drawn})
-        figures = f" and {count(pictures, 'figure', 'figures')} (PNG and SVG)" if drawn else ""
+        figures = f" and {counted(pictures, 'figure')} (PNG and SVG)" if drawn else ""
         lines.append(f"Saved: {outcome.file}{figures}")
     if outcome.made_safe:
         lines.append(f"{_bench_state(outcome)}: {', '.join(outcome.made_safe)}.")
@@ -207,7 +209,7 @@ def _ending(outcome: RunOutcome) -> str:
 
 
 def _done(procedure: type[Procedure], outcome: RunOutcome) -> str:
-    planned = count(outcome.points_planned, *procedure.point_name)
+    planned = counted(outcome.points_planned, *procedure.point_name)
     return f"{outcome.points_done} of {planned}"
 
 

@@ -40,14 +40,10 @@ def time_span(seconds: float) -> str:
     return " ".join(f"{number} {unit}" for number, unit in parts if number)
 
 
-def plural(number: int, noun: str) -> str:
-    """Return a number and a noun in singular or plural: ``1 run``, ``3 runs``."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
-def count(number: int, one: str, several: str) -> str:
-    """Return a number with the noun `one` or `several`: ``1 trial``, ``3 trials``."""
-    return f"{number} {one if number == 1 else several}"
+def counted(number: int, one: str, several: str = "") -> str:
+    """Return a number with its noun: ``1 run``, ``3 runs``. The plural is `several`, or has an
+    s."""
+    return f"{number} {one if number == 1 else several or one + 's'}"
 
 
 def parse(text: str, annotation: Any, unit: str | None) -> Any:

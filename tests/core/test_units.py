@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rig.core.units import plural, time_span
+from rig.core.units import counted, time_span
 
 
 @pytest.mark.parametrize(
@@ -25,4 +25,4 @@ def test_a_time_span_has_two_units_at_most(seconds: float, shown: str) -> None:
 
 
 def test_one_thing_is_singular() -> None:
-    assert [plural(number, "run") for number in (0, 1, 2)] == ["0 runs", "1 run", "2 runs"]
+    assert [counted(number, "run") for number in (0, 1, 2)] == ["0 runs", "1 run", "2 runs"]

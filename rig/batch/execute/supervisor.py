@@ -29,7 +29,7 @@ from rig.batch.queue import Queue
 from rig.batch.report.heartbeat import Heartbeat, HeartbeatRecord, HeartbeatState
 from rig.batch.report.notify import Notifier
 from rig.core.errors import ExitCode
-from rig.core.units import plural
+from rig.core.units import counted
 from rig.run.stopping import StopFlag
 
 POLL_EVERY_S = 0.1
@@ -106,7 +106,7 @@ class Supervisor:
                 self._add_job(number, procedure)
             self._queue.set_meta("state", "running")
             self._queue.add_event("info", f"started (process {os.getpid()})")
-            self._notify("start", f"{plural(self._queue.remaining().runs, 'run')} to take")
+            self._notify("start", f"{counted(self._queue.remaining().runs, 'run')} to take")
             code = self._workers()
             self._finish_files()
             self._progress.text = self._queue.meta("state")
@@ -259,7 +259,9 @@ class Supervisor:
         """Make the files of all finished runs. A stop request leaves out those that are not under
         way; `rig batch resume` makes them."""
         if self._stop.requested is None and len(self._postprocess):
-            self._say(f"finishing: making the files of {plural(len(self._postprocess), 'run')} ...")
+            self._say(
+                f"finishing: making the files of {counted(len(self._postprocess), 'run')} ..."
+            )
         while len(self._postprocess) and self._stop.requested is None:
             self._write_heartbeat("finishing")
             self._make_files(start=True)
@@ -268,7 +270,7 @@ class Supervisor:
             self._save_result(result)
         if missing := len(self._queue.unprocessed()):
             self._say(
-                f"the files of {plural(missing, 'run')} are still to be made; "
+                f"the files of {counted(missing, 'run')} are still to be made; "
                 f"rig batch resume {self._folder.path} makes them"
             )
 

@@ -36,7 +36,7 @@ from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchFile
 from rig.batch.queue import AttemptResult, Claim, Queue
 from rig.core.errors import ExitCode, RigError
-from rig.core.units import plural
+from rig.core.units import counted
 from rig.run.bench_selector import BenchRequest, BenchSelector, ChosenBench, start_simulated
 from rig.run.observers import PAUSED, RunObserver
 from rig.run.stopping import StopFlag, StopRequestedError
@@ -363,9 +363,9 @@ class Worker:
     def _set_aside(self, claim: Claim) -> None:
         name = claim.condition.id
         failed = self._queue.failures_of(name)
-        why = f"{plural(failed, 'run')} failed"
+        why = f"{counted(failed, 'run')} failed"
         left_out = self._queue.set_aside(name, why)
-        text = f"condition {name}: {why}; {plural(left_out, 'queued run')} left out"
+        text = f"condition {name}: {why}; {counted(left_out, 'queued run')} left out"
         self._queue.add_event("warning", text)
         self._send("note", level="warning", text=text)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from rig.batch.folder import BatchFolder
 from rig.batch.queue import Queue, RemainingWork, RunRow, RunState
-from rig.core.units import plural, time_span
+from rig.core.units import counted, time_span
 
 LATEST = 5
 """How many of the latest failures and events are shown."""
@@ -68,7 +68,7 @@ class BatchStatus:
         total = sum(self.counts.values())
         marker = "SIMULATED " if self.simulated else ""
         shown = [f"{marker}batch {self.name}: {self._state()} ({self.folder.path})"]
-        parts = [f"{self.counts['done']} of {plural(total, 'run')} done"]
+        parts = [f"{self.counts['done']} of {counted(total, 'run')} done"]
         parts += [f"{n} {state}" for state, n in self.counts.items() if n and state != "done"]
         shown.append(", ".join(parts))
         if self.current is not None and self.running:
@@ -81,7 +81,7 @@ class BatchStatus:
             shown.append(f"remaining: {time_span(self.remaining.bench_s)}{spread}{ends}")
         shown.append(f"elapsed: {time_span(self.bench_s)} of bench time")
         if self.unprocessed:
-            shown.append(f"files of {plural(self.unprocessed, 'run')} still to be made")
+            shown.append(f"files of {counted(self.unprocessed, 'run')} still to be made")
         shown += [f"failed: run {r.number} {r.condition}: {r.reason}" for r in self.failures]
         shown += [f"{time[:19]} {level}: {text}" for time, level, text in self.events]
         if not self.running and (self.remaining.runs or self.unprocessed):
