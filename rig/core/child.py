@@ -1,8 +1,9 @@
-"""Running one of our modules in a child process, with bounds on what it may use.
+"""Child processes with bounds on what they may use.
 
-For work that may crash or never return inside a library's C code, where no thread and no signal
-handler of the calling process can stop it: reading a damaged HDF5 or MATLAB file. The child is
-``python -P -m MODULE``: it reads its input from stdin and writes its answer to stdout.
+For work that may crash, never return or write without end: reading a damaged HDF5 or MATLAB file,
+where no thread and no signal handler of the calling process can interrupt a library's C code, or a
+program of somebody else's. `run_module` waits for one of our modules; a `Child` is asked now and
+then how it is getting on.
 """
 
 from __future__ import annotations
@@ -10,15 +11,47 @@ from __future__ import annotations
 import contextlib
 import os
 import resource
+import select
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import IO
 
 MAX_MEMORY_BYTES = 8 << 30
 """Limit on a child's address space: several times the largest dataset that is read in one piece."""
 MAX_ANSWER_BYTES = 1 << 30
-"""Limit on what a child may write to stdout."""
+"""Limit on the answer of a child that is waited for."""
+TAIL_BYTES = 1 << 16
+"""How much of the end of an output is returned where nothing else is asked for. A child that writes
+faster than it is polled waits for its pipe, and meets its time limit."""
+CHUNK_BYTES = 1 << 20
+"""More than a pipe holds: one read empties it."""
+CHECK_EVERY_S = 0.1
+"""How often a child is checked that has closed its outputs or handed them on."""
+KILLED_S = 5.0
+"""How long a killed process may take to disappear before it is left to the system."""
+
+
+@dataclass(frozen=True)
+class ChildResult:
+    """How a child ended."""
+
+    failure: str
+    """Empty where its exit code was 0; else the exit code, the signal or the time limit."""
+    output: bytes
+    """The end of what it wrote to stdout."""
+    complaint: str = ""
+    """The end of what it wrote to stderr, if that was read."""
+    timed_out: bool = False
+    """Whether it was killed because its time was over."""
+
+    @property
+    def reason(self) -> str:
+        """Why it failed, with the last line of its complaint."""
+        return ": ".join([self.failure, *self.complaint.strip().splitlines()[-1:]])
 
 
 class ChildError(Exception):
@@ -33,6 +66,91 @@ class ChildError(Exception):
         self.timed_out = timed_out
 
 
+class Child:
+    """A child process in a session of its own: no Ctrl-C of the terminal reaches it, and it can be
+    killed together with everything that it has started."""
+
+    def __init__(
+        self,
+        program: Sequence[str],
+        timeout_s: float,
+        *,
+        given: bytes = b"",
+        longest_output: int = TAIL_BYTES,
+        stderr: int | IO[bytes] = subprocess.PIPE,
+        environment: Mapping[str, str] | None = None,
+        inherited: Sequence[int] = (),
+    ):
+        """Start `program` with `given` on its standard input.
+
+        `longest_output` is how many bytes of stdout are returned, the last ones; `stderr` is where
+        that goes if it is not to be read; `environment` is added to this process's; `inherited` are
+        file descriptors that stay open in it. OSError where it cannot be started.
+        """
+        stdin = os.memfd_create("given")  # a pipe could fill up while the program hangs
+        try:
+            _write_all(stdin, given)
+            self._process = subprocess.Popen(
+                program,
+                stdin=stdin,
+                stdout=subprocess.PIPE,
+                stderr=stderr,
+                env=None if environment is None else {**os.environ, **environment},
+                pass_fds=inherited,
+                start_new_session=True,
+            )
+        finally:
+            os.close(stdin)
+        self._output = _Output(self._process.stdout, longest_output)
+        self._complaint = _Output(self._process.stderr, TAIL_BYTES)
+        self._timeout_s = timeout_s
+        self._deadline_s = time.monotonic() + timeout_s
+
+    @property
+    def pid(self) -> int:
+        """The process id, which is that of its session, too."""
+        return self._process.pid
+
+    @property
+    def output_bytes(self) -> int:
+        """How much it has written to stdout so far."""
+        return self._output.bytes
+
+    def poll(self) -> ChildResult | None:
+        """Return how it ended, or None while it is at work; returns at once. At its time limit it
+        is killed. After a result there is nothing more to ask."""
+        code, timed_out = self._process.poll(), False  # First: what it has written is then there.
+        self._output.read()
+        self._complaint.read()
+        if code is not None:
+            failure = _why(code)
+        elif time.monotonic() >= self._deadline_s:
+            self.kill()
+            failure, timed_out = f"it did not finish within {self._timeout_s:g} s", True
+        else:
+            return None
+        self._output.close()
+        self._complaint.close()
+        complaint = self._complaint.end.decode(errors="replace")
+        return ChildResult(failure, self._output.end, complaint, timed_out)
+
+    def wait(self, at_most_s: float) -> None:
+        """Wait until it writes something, or may have ended, no longer than this."""
+        pipes = [output.pipe for output in (self._output, self._complaint) if output.pipe]
+        if pipes:
+            select.select(pipes, [], [], at_most_s)
+        else:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(at_most_s)
+
+    def kill(self) -> None:
+        """End it and all processes of its session at once."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(KILLED_S)
+
+
 def run_module(
     module: str,
     arguments: Sequence[str] = (),
@@ -42,74 +160,99 @@ def run_module(
     max_memory_bytes: int = MAX_MEMORY_BYTES,
     max_answer_bytes: int = MAX_ANSWER_BYTES,
 ) -> bytes:
-    """Run ``python -m module arguments``, give it `given` on stdin, and return its stdout.
+    """Run ``python -P -m module arguments``, give it `given` on stdin, and return its stdout.
 
     Blocks for at most `timeout_s`. The child is killed when its time is over and when this call is
     left by an exception such as KeyboardInterrupt; nothing of it stays behind.
 
-    Raises ChildError if the child did not finish in time, was ended by a signal (a crash, or more
-    memory, output or processor time than allowed), or ended with an exit code other than 0; the
-    last line that it wrote to stderr is then part of the reason.
+    Raises ChildError if the child could not be started, did not finish in time, wrote more than
+    `max_answer_bytes`, was ended by a signal (a crash, or more memory or processor time than
+    allowed), or ended with an exit code other than 0; the last line that it wrote to stderr is then
+    part of the reason.
     """
     # -P keeps the current folder out of sys.path: a file there named like a module of the standard
     # library would otherwise be imported in its place.
-    command = [sys.executable, "-P", "-m", module, *arguments]
-    with _memory_file() as answer, _memory_file() as complaint:
-        with subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=answer, stderr=complaint
-        ) as process:
-            try:
-                _limit(process.pid, timeout_s, max_memory_bytes, max_answer_bytes)
-                process.communicate(given, timeout=timeout_s)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                reason = f"it did not finish within {timeout_s:.0f} s"
-                raise ChildError(reason, timed_out=True) from None
-            except BaseException:
-                process.kill()
-                raise
-        if process.returncode != 0:
-            raise ChildError(_why(process.returncode, _content(complaint)))
-        return _content(answer)
-
-
-@contextlib.contextmanager
-def _memory_file() -> Iterator[int]:
-    # A file in memory, not a pipe: its size can be limited for the child, and no thread of ours has
-    # to empty it while the child runs.
-    descriptor = os.memfd_create("child")
+    program = [sys.executable, "-P", "-m", module, *arguments]
     try:
-        yield descriptor
+        child = Child(program, timeout_s, given=given, longest_output=max_answer_bytes)
+    except OSError as error:
+        raise ChildError(f"it could not be started: {error}") from None
+    ended = None
+    try:
+        _limit(child.pid, timeout_s, max_memory_bytes)
+        while ended is None and child.output_bytes <= max_answer_bytes:
+            child.wait(CHECK_EVERY_S)
+            ended = child.poll()
     finally:
-        os.close(descriptor)
+        if ended is None:
+            child.kill()
+    if ended is None or child.output_bytes > max_answer_bytes:
+        raise ChildError(f"its answer is longer than {max_answer_bytes} bytes")
+    if ended.failure:
+        raise ChildError(ended.reason, timed_out=ended.timed_out)
+    return ended.output
 
 
-def _limit(pid: int, timeout_s: float, memory_bytes: int, answer_bytes: int) -> None:
+class _Output:
+    """The end of what a child writes to a pipe."""
+
+    def __init__(self, pipe: IO[bytes] | None, longest: int):
+        self.pipe, self._longest = pipe, longest
+        """None where it is not read, and after its end."""
+        self._content = bytearray()
+        self.bytes = 0
+        if pipe is not None:
+            os.set_blocking(pipe.fileno(), False)
+
+    @property
+    def end(self) -> bytes:
+        """The last bytes of it."""
+        return bytes(self._content)
+
+    def read(self) -> None:
+        """Read what is there, one chunk at most."""
+        if self.pipe is None:
+            return
+        try:
+            chunk = os.read(self.pipe.fileno(), CHUNK_BYTES)
+        except BlockingIOError:
+            return
+        if not chunk:
+            self.close()
+            return
+        self.bytes += len(chunk)
+        self._content += chunk
+        del self._content[: -self._longest]
+
+    def close(self) -> None:
+        """Close the pipe."""
+        if self.pipe is not None:
+            self.pipe.close()
+            self.pipe = None
+
+
+def _write_all(descriptor: int, content: bytes) -> None:
+    view = memoryview(content)
+    while view:
+        view = view[os.write(descriptor, view) :]
+    os.lseek(descriptor, 0, os.SEEK_SET)
+
+
+def _limit(pid: int, timeout_s: float, memory_bytes: int) -> None:
     """Limit a child that has just been started and is still loading Python."""
     # If this process is killed, no process is left to kill the child when its time is over. The
-    # limit
-    # of processor time then ends a child that is caught in an endless loop.
+    # limit of processor time then ends a child that is caught in an endless loop.
     processor_s = int(2 * timeout_s) + 1
     with contextlib.suppress(ProcessLookupError):  # it has ended already
         for limit, value in (
             (resource.RLIMIT_AS, memory_bytes),
-            (resource.RLIMIT_FSIZE, answer_bytes),
             (resource.RLIMIT_CPU, processor_s),
         ):
             resource.prlimit(pid, limit, (value, value))
 
 
-def _content(descriptor: int) -> bytes:
-    size = os.fstat(descriptor).st_size
-    content = bytearray()
-    while len(content) < size and (read := os.pread(descriptor, 1 << 24, len(content))):
-        content += read
-    return bytes(content)
-
-
-def _why(returncode: int, complaint: bytes) -> str:
-    lines = complaint.decode(errors="replace").strip().splitlines()
-    ended = "error"
-    if returncode < 0:
-        ended = signal.Signals(-returncode).name
-    return ": ".join([ended, *lines[-1:]])
+def _why(code: int) -> str:
+    """Return an exit code in words; empty for 0."""
+    if code < 0:
+        return signal.Signals(-code).name
+    return f"exit code {code}" if code else ""

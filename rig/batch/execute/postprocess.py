@@ -30,7 +30,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
-from rig.batch.child import ChildResult, TimedChild
+from rig.core.child import Child, ChildResult
 from rig.core.errors import RigError
 
 LONGEST_S = 1800.0
@@ -104,7 +104,7 @@ class PostprocessQueue:
         joined by another one over the same files."""
         self._log, self._inherited, self._longest_s = log, inherited, longest_s
         self._jobs: deque[PostprocessJob] = deque()
-        self._child: TimedChild | None = None
+        self._child: Child | None = None
 
     def __len__(self) -> int:
         """How many runs are without their files."""
@@ -151,10 +151,10 @@ class PostprocessQueue:
         program += [] if job.detect else ["--no-detect"]
         program += [] if job.figures else ["--no-figures"]
         try:
-            self._child = TimedChild(
+            self._child = Child(
                 program,
                 self._longest_s,
-                other=self._log,
+                stderr=self._log,
                 environment=ONE_THREAD,
                 inherited=self._inherited,
             )
@@ -166,11 +166,11 @@ class PostprocessQueue:
 
 def _result_of(job: PostprocessJob, ended: ChildResult) -> PostprocessResult:
     """What a process reported; an error where it died, was killed or reported nothing."""
-    lines = ended.output.strip().splitlines()
+    output = ended.output.decode(errors="replace").strip()
     if not ended.failure:
         with contextlib.suppress(ValueError, LookupError, TypeError):
-            return replace(result_from(json.loads(lines[-1])), journal=job.journal)
-    why = ended.failure or f"no result: {ended.output.strip()[-LONGEST_QUOTE:]!r}"
+            return replace(result_from(json.loads(output.splitlines()[-1])), journal=job.journal)
+    why = ended.failure or f"no result: {output[-LONGEST_QUOTE:]!r}"
     return PostprocessResult(
         job.journal, error=f"{job.journal}: the process that makes its files failed: {why}"
     )

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from rig.batch.child import TimedChild
 from rig.batch.plan.settings import NotifySettings, Occasion
+from rig.core.child import Child
 from rig.core.errors import ConfigurationError
 
 LONGEST_S = 10.0
@@ -102,7 +102,7 @@ class Notifier:
     def __init__(self, settings: NotifySettings, longest_s: float = LONGEST_S):
         self._settings, self._longest_s = settings, longest_s
         self._waiting: deque[_Delivery] = deque()
-        self._under_way: tuple[_Delivery, TimedChild] | None = None
+        self._under_way: tuple[_Delivery, Child] | None = None
         self._warnings: list[str] = []
 
     def notify(
@@ -167,14 +167,12 @@ class Notifier:
                 return
             self._under_way = None
             if ended.failure:
-                complaint = ended.output.strip().splitlines()[-1:]
-                self._fail(delivery, ": ".join([ended.failure, *complaint]))
+                self._fail(delivery, ended.reason)
         while self._under_way is None and self._waiting:
             delivery = self._waiting.popleft()
             try:
-                child = TimedChild(
-                    delivery.program, self._longest_s, given=delivery.given, read="stderr"
-                )
+                given = delivery.given.encode(errors="replace")
+                child = Child(delivery.program, self._longest_s, given=given)
             except (OSError, ValueError) as error:
                 self._fail(delivery, str(error))
             else:
