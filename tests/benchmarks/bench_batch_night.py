@@ -114,7 +114,7 @@ def simulation(folder: Path) -> str:
 
 def take(folder: Path) -> tuple[float, int, int, list[int]]:
     """The one command, and the person; wall time, holds, restarts, exit codes."""
-    begun, holds, codes = time.monotonic(), 0, []
+    begun, holds, codes, attempts = time.monotonic(), 0, [], 0
     arguments = ["batch", "run", "night.toml"]
     while True:
         process = subprocess.Popen(
@@ -127,8 +127,12 @@ def take(folder: Path) -> tuple[float, int, int, list[int]]:
                 holds += 1
                 subprocess.run([*RIG, "batch", "resume"], cwd=folder, check=True)
         codes.append(process.wait())
-        if not ask(folder_of(folder / "results"), "SELECT 1 FROM run WHERE state = 'queued'"):
+        batch, before = folder_of(folder / "results"), attempts
+        if not ask(batch, "SELECT 1 FROM run WHERE state = 'queued'"):
             return time.monotonic() - begun, holds, len(codes) - 1, codes
+        ((attempts,),) = ask(batch, "SELECT count(*) FROM attempt")
+        if attempts == before:
+            raise SystemExit(f"the batch does not continue: exit code {codes[-1]}")
         arguments = ["batch", "resume"]
 
 

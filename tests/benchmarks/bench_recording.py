@@ -1,8 +1,6 @@
 """What recording and compiling cost: prints figures, judges no times.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_recording.py``.
-
-Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_recording.py``.
 """
 
 import sys

@@ -38,7 +38,7 @@ def test_from_overload_to_the_command_on_the_wire(rig, blocked):
         )  # fmt: skip
         serving.wait_for("Ctrl-C ends it")
         path.write_text(path.read_text().replace("timeout_ms = 1000", "timeout_ms = 5000"))
-        rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "2,3,300")
+        ended = rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "2,3,300")
         serving.send(signal.SIGINT)
         serving.finish()
         log = rig.log()
@@ -51,6 +51,8 @@ def test_from_overload_to_the_command_on_the_wire(rig, blocked):
             if off and on_before and on_before[-1]["value"]:
                 delays.append((off[0] - begin_us) * 1e-3)
         found = ", ".join(f"{delay_ms:.2f}" for delay_ms in delays[before:])
+        # Each of them is a trip that the run reports, not the end of a point or of the run.
+        assert len(delays) - before == ended.stderr.count("is over the limit"), ended.stderr
         print(f"run {repeat + 1} of {runs}: {found or 'no trip'} ms", flush=True)
     row("overload to generator off", delays, "ms", 2)
     p50, p99 = np.quantile(delays, [0.5, 0.99])
