@@ -138,4 +138,5 @@ def measured(journals: list[Path], log: IO[bytes]) -> dict[str, list[np.ndarray]
             found["files being made"].append(lateness_ms())
             done += len(results)
     print(f"\nfiles of {done} runs made in {ROUNDS * WINDOW_S:g} s beside the loop")
+    assert done, "nothing was made beside the loop"
     return found

@@ -53,7 +53,7 @@ def test_random_trials_break_nothing(tmp_path: Path) -> None:
 
 def test_roll_trials_break_nothing(tmp_path: Path) -> None:
     befallen = soak([draw(seed, 0.0, 1.0) for seed in SEEDS[:ROLLS]], tmp_path)
-    assert CHOSEN or min(befallen[kind] for kind in ROTARY_KINDS)
+    assert CHOSEN or min(befallen[kind] for kind in ROTARY_KINDS) >= ROLLS // 200
 
 
 def soak(trials: Sequence[Trial], tmp_path: Path) -> Counter[str]:
