@@ -113,7 +113,7 @@ def tick_loop(
     There are ``duration_s * rate_Hz`` ticks (rounded), the first at once; the first and the last
     are never missed. An exception of a tick, a watcher or a stop request ends the loop. Raises
     TooSlowError if for more than `BEHIND_FOR_S` every tick was preceded by missed ones. Raises
-    Raises ValueError for a rate that is not above 0 and at most `HIGHEST_RATE_Hz`, or a duration
+    ValueError for a rate that is not above 0 and at most `HIGHEST_RATE_Hz`, or a duration
     that is not a finite number of at least 0.
     """
     if not 0 < rate_Hz <= HIGHEST_RATE_Hz:

@@ -1,7 +1,8 @@
 """What a batch is planned to take and what it takes.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_batch_plan.py``; alone on the machine:
-the real-time part means nothing beside other load.
+the real-time part means nothing beside other load. `RIG_REPEATS=5` for five short runs in real time
+instead of twenty.
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ import signal
 import time
 
 import pytest
-from measured import heading, row, target
+from measured import heading, repeats, row, target
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
 
-RUNS = 20
+RUNS = repeats(20)
 KINDS = (
     ("slip-trial", "", ()),
     ("slip-trial", "trials = 4", ("-n", "4")),
@@ -64,7 +65,7 @@ def test_bench_time_of_every_kind_of_run(rig):
 
 
 @pytest.mark.parametrize("fixture", SHORT)
-def test_twenty_short_runs_in_real_time(rig, fixture):
+def test_short_runs_in_real_time(rig, fixture):
     heading(f"rig simulate --fixture {fixture}; rig batch run of {RUNS} short runs on it")
     simulator = rig.start("simulate", "--fixture", fixture, "--write", "sim.toml")
     simulator.wait_for("drive it")

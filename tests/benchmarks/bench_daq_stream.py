@@ -33,7 +33,7 @@ APART = 10_000
 BLOCK_ROWS = 2500
 TICK_S = 0.01
 
-pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1200)]
+pytestmark = [pytest.mark.benchmark, pytest.mark.short, pytest.mark.timeout(1200)]
 
 
 def codes(first: int, rows: int) -> npt.NDArray[np.int16]:

@@ -1,6 +1,7 @@
-"""The same run twenty times, half of them on a busy machine: one hash.
+"""The same run twenty times, every second one on a busy machine: one hash.
 
-Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_determinism.py``.
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_determinism.py``; `RIG_REPEATS=4`
+for four runs.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ import time
 import h5py
 import numpy as np
 import pytest
-from measured import heading, row
+from measured import heading, repeats, row
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 
-RUNS = 20
+RUNS = repeats(20)
 """Every second one with all cores loaded."""
 
 NOT_COMPARED = (

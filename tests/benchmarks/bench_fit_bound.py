@@ -5,7 +5,8 @@ settings and after its settling time; the fit is the sweep's. The bound is that 
 frequency in white noise, sigma sqrt(2 / n) for each of real and imaginary part, sigma from the
 front end's noise and the converter's step: what no estimate of the tone can beat, hum or not.
 
-Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_fit_bound.py``.
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_fit_bound.py``; `RIG_REPEATS=8` for
+the first, the last and six frequencies between instead of all.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from measured import heading
+from measured import heading, repeats
 
 from drivers.simulated.instruments.keysight_u2300a import MODELS, codes_of_volts, volts_of_codes
 from drivers.simulated.ports import Excitation
@@ -54,7 +55,9 @@ def chosen_points():
     """Every fifth point of the sweep, its ends, and all within 20 Hz of the first mains lines."""
     every = [sampled_at(f) for f in scan_frequencies_Hz(FrequencyPlanSettings())]
     near = [p for p in every if min(abs(p.condition - line) for line in mains_lines()) < 20]
-    return sorted({*every[::5], every[-1], *near}, key=lambda point: point.condition)
+    chosen = sorted({*every[::5], every[-1], *near}, key=lambda point: point.condition)
+    wanted = min(len(chosen), repeats(len(chosen)))
+    return [chosen[round(k)] for k in np.linspace(0, len(chosen) - 1, wanted)]
 
 
 def sampled_at(frequency):

@@ -1,6 +1,7 @@
 """From the death of a run, and from its hanging, to generator off and stage at rest, in real time.
 
-Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_guard.py``.
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_guard.py``; `RIG_REPEATS=6` for a
+look, every second one while the stage moves.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ import time
 import tomllib
 
 import pytest
-from measured import heading, row
+from measured import heading, repeats, row
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3000)]
 
-REPEATS = 20
+REPEATS = repeats(20)
 PATIENCE_S = 60.0
 POLL_S = 0.002
 LATEST_S = 0.5

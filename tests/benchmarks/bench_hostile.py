@@ -1,6 +1,7 @@
 """Many hostile journals and damaged run files: what became of them, and how long the worst took.
 
-Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_hostile.py``.
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_hostile.py``; `RIG_REPEATS=400`
+for fewer journals and a quarter as many run files.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
-from measured import heading
+from measured import heading, repeats
 
 from rig.core.errors import RigError
 from rig.files.errors import RunFileError
@@ -26,6 +27,7 @@ from hostile import damaged, journals
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(7200)]
 
+JOURNALS = repeats(2000)
 many = settings(
     deadline=None, database=None, derandomize=True, suppress_health_check=list(HealthCheck)
 )
@@ -35,7 +37,7 @@ def test_journals(tmp_path):
     outcomes, slowest = collections.Counter(), 0.0
     path = tmp_path / "given.rigj"
 
-    @settings(many, max_examples=2000)
+    @settings(many, max_examples=JOURNALS)
     @given(journal=journals())
     def one(journal):
         nonlocal slowest
@@ -61,7 +63,7 @@ def test_damaged_run_files(tmp_path):
     outcomes = collections.Counter()
     file = tmp_path / "given.h5"
 
-    @settings(many, max_examples=500)
+    @settings(many, max_examples=JOURNALS // 4)
     @given(harmed=damaged(whole))
     def one(harmed):
         file.write_bytes(harmed)

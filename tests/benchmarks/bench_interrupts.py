@@ -5,7 +5,8 @@ guard or `rig recover` makes a valid file of everything that had reached the jou
 The journal is read here by a few lines of its own, so that what was acknowledged is not found by
 the code that is on trial.
 
-Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_interrupts.py``.
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_interrupts.py``; `RIG_REPEATS=10`
+for ten instants instead of fifty.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import zlib
 import h5py
 import numpy as np
 import pytest
-from measured import heading, row
+from measured import heading, repeats, row
 
 from rig.analysis.film.frequency_plan import FrequencyPlanSettings, scan_frequencies_Hz
 from rig.files.runfile.reader import RunFile
@@ -31,7 +32,7 @@ from rig.files.verify import verify
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(2400)]
 
-INSTANTS = 50
+INSTANTS = repeats(50)
 GRID = scan_frequencies_Hz(FrequencyPlanSettings())[21::3]
 POINT_S = 0.06
 """About a point's wall time on the slaved bench."""
@@ -64,7 +65,7 @@ def is_off(states):
 class Instants:
     """Random instants of a run's life: its start-up, its points, and what follows the last."""
 
-    STARTING, FINISHING = 12, 10
+    STARTING, FINISHING = round(0.24 * INSTANTS), round(0.2 * INSTANTS)
 
     def __init__(self, seed, starting_s, finishing_s):
         self._draw = random.Random(seed)

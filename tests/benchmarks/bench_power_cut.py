@@ -4,7 +4,8 @@ The journal of a real sweep is replayed: every prefix of its writes, and the fil
 hold after a power cut. HDF5 files of the same samples, flushed and in SWMR mode, are cut beside it,
 so that the cuts are known to hurt. Then recorders are killed at random instants.
 
-Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_power_cut.py``.
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_power_cut.py``; `RIG_REPEATS=30`
+for 30 kills instead of 300 and ten times as many power cuts.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from measured import heading
+from measured import heading, repeats
 
 from rig.core.errors import RigError
 from rig.files.journal.recorder import Recorder
@@ -30,8 +31,8 @@ from power_cut import JournalStates, Sync, Tally, hdf5_power_cuts, recovered_sam
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(7200)]
 
-POWER_CUTS = 3000
-KILLS = 300
+KILLS = repeats(300)
+POWER_CUTS = 10 * KILLS
 BLOCK_ROWS = 100
 BLOCKS_A_BARRIER = 5
 LONGEST_LIFE_S = 0.4

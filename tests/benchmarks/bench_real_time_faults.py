@@ -4,6 +4,7 @@ be read.
 
 Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_real_time_faults.py``. CI has the same
 faults in slaved time, where they befall the same instant each time; here they fall where they fall.
+``-k ramp`` for five of the 23 cases.
 """
 
 from __future__ import annotations
@@ -42,6 +43,9 @@ FAULTS = {
     "SIGTERM": ("", {143}),
 }
 FAILED = {3, 4, 7}
+TOO_SLOW = {"the computer or a link to an instrument cannot keep": 3, "on hold": 5}
+"""What a run says on a computer that is too busy for real time, and the exit code that may then
+follow: of a loop that gave up, of an invalid trial. The bench has to be safe all the same."""
 
 LOADINGS = {"slide": ("--speed", "0.5mm/s"), "ramp": ("--loading", "ramp", "--ramp", "1N/s")}
 CASES = [(name, "slide") for name in FAULTS] + [
@@ -75,7 +79,10 @@ def test_a_motion_that_goes_wrong_in_real_time_ends_in_order(rig, name, loading)
         serving.send(signal.SIGINT)
         serving.finish()
     heading(f"{loading}, {name}: exit code {ended.code}; {'; '.join(ended.errors)}")
-    assert ended.code in codes | {7}, ended.stderr
+    disturbances = {code for words, code in TOO_SLOW.items() if words in ended.stderr}
+    injected = [e["value"] for e in rig.log() if e["what"] == "injected"]
+    print(f"injected: {injected or 'nothing'}; the computer was too slow: {bool(disturbances)}")
+    assert ended.code in codes | {7} | disturbances, ended.stderr
     assert bool(ended.errors) == (ended.code in FAILED), ended.stderr
     rest = {}
     for stage in ("stage_z", "stage_x"):

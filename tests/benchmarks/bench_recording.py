@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measured import heading
 
 from rig.files.journal.reader import read_journal
 from rig.files.journal.recorder import Recorder
@@ -33,6 +34,7 @@ def sine_counts(rows):
 
 def test_points_per_second(tmp_path):
     count = 20_000
+    heading(f"{count} points of {len(READING)} numbers")
     ids = [f"p{n}" for n in range(count)]
     recorder = Recorder(JournalWriter.create(tmp_path / "a.rigj", run.header(points=ids)))
     costs = np.empty(count)
@@ -50,6 +52,7 @@ def test_points_per_second(tmp_path):
 
 def test_journal_and_compile_megabytes_per_second(tmp_path):
     block, blocks = sine_counts(25_000), 1000
+    heading(f"one point of {blocks} blocks of 25000 samples of two channels")
     path = tmp_path / "a.rigj"
     start = time.perf_counter()
     with Recorder(JournalWriter.create(path, run.header())) as recorder:
@@ -73,6 +76,7 @@ def test_journal_and_compile_megabytes_per_second(tmp_path):
 
 
 def test_compile_of_a_long_sweep(tmp_path):
+    heading("compile 2000 points of 4000 samples of two channels")
     ids = [f"p{n}" for n in range(2000)]
     data = sine_counts(4000)
     path = tmp_path / "a.rigj"

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from measured import heading
 
 from rig.analysis.response.complex_response import cramer_rao_amplitude, quantisation_rms
 from rig.analysis.response.sine_fit import fit_sine, mains_lines, record_length
@@ -28,6 +29,7 @@ def median_ms(act, repeats=30):
 
 @pytest.mark.parametrize("n", [4_000, 40_000, 400_000])
 def test_cost_of_a_fit(n):
+    heading(f"fit_sine of {n} samples, 30 times")
     y = np.random.default_rng(0).standard_normal(n)
     cost = median_ms(lambda: fit_sine(y, 250e3, 1234.5, interference=mains_lines()))
     print(f"\nfit of {n} samples, 5 mains lines, 4 harmonics: {cost:.2f} ms")

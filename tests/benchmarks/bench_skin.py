@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from measured import heading
 
 from rig.core.cache import DiskCache
 from rig.physics.contact.settings import ContactSettings, FrictionSettings, Plate
@@ -25,6 +26,7 @@ pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> DiskCache:
+    heading("the skin model: cost, and its figures against mesh, step and friction")
     return DiskCache(tmp_path_factory.mktemp("skins"))
 
 

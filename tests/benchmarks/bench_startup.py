@@ -1,6 +1,7 @@
 """How long a person waits: the whole process, from the shell's line to its end.
 
-Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_startup.py``.
+Run with ``pytest -m benchmark -n 0 -s tests/benchmarks/bench_startup.py``; `RIG_REPEATS=2` for
+two warm starts of each kind.
 """
 
 from __future__ import annotations
@@ -11,18 +12,18 @@ import time
 from pathlib import Path
 
 import pytest
-from measured import heading, row, target
+from measured import heading, repeats, row, target
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.short, pytest.mark.timeout(600)]
 
 RUN = str(Path(__file__).parents[2] / "run")
 
 
-def measured(name, arguments, cwd, repeats):
+def measured(name, arguments, cwd, often):
     """Print wall and processor time of the warm command; gives the median wall time in s and what
     its last run printed to stdout. The processor time says what a busy machine hides."""
     walls, processor = [], []
-    for repeat in range(repeats + 1):  # the first warms the caches
+    for repeat in range(min(often, repeats(often)) + 1):  # the first warms the caches
         used = resource.getrusage(resource.RUSAGE_CHILDREN)
         start = time.perf_counter()
         done = subprocess.run(

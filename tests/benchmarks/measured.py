@@ -1,4 +1,5 @@
-"""What the benchmarks share: the machine in a line, a spread in a line, a target met or missed."""
+"""What the benchmarks share: the machine in a line, a spread in a line, a target met or missed, and
+how often to repeat: `RIG_REPEATS` in the environment shortens or lengthens a benchmark."""
 
 from __future__ import annotations
 
@@ -8,6 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
+
+def repeats(default: int) -> int:
+    """Return how often a benchmark repeats its measurement: `RIG_REPEATS`, or else `default`."""
+    return int(os.environ.get("RIG_REPEATS", default))
 
 
 def machine() -> str:
