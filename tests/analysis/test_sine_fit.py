@@ -57,6 +57,7 @@ def test_phasor_is_unbiased_and_its_covariance_is_its_scatter(frequency):
 
 @pytest.mark.parametrize("frequency", [2.0, 46.0, 51.5, 300.0, 786.1, 4900.0])
 @pytest.mark.parametrize("step", [0.0, 0.2], ids=["fine", "quantised"])
+@pytest.mark.thorough
 def test_error_is_within_a_fifth_of_the_cramer_rao_bound(frequency, step):
     sigma, phasor = 0.2, 1.0j
     n = record_length(frequency, RATE, 0.02, interference=mains_lines(), maximum_duration=1.0)

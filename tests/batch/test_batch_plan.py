@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import pytest
 from calibrated import write_record
 
 from rig.batch.plan.read import parse_batch
@@ -96,6 +97,7 @@ def test_a_bench_with_another_fixture_is_refused_before_anything_is_connected(ri
     assert "starting" not in ended.stderr
 
 
+@pytest.mark.thorough
 def test_a_record_that_no_run_could_use_is_refused_before_anything_is_connected(rig: Any) -> None:
     calibrated = '[fixture]\nmounted = "film-clamp"\n[calibrations]\nload_cell = "cell.json"\n'
     (rig.folder / "bench.toml").write_text('name = "b"\n' + calibrated)

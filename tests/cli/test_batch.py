@@ -90,6 +90,7 @@ def test_every_run_is_taken_once_and_its_file_says_of_which_batch(
     assert "2 of 2 runs done" in shown.stdout
 
 
+@pytest.mark.thorough
 def test_a_worker_that_is_killed_is_followed_by_another(
     rig, uninterrupted: dict[int, Taken]
 ) -> None:

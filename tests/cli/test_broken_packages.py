@@ -166,6 +166,7 @@ def everything_broken(site: Path) -> Path:
     return site
 
 
+@pytest.mark.thorough
 def test_every_other_command_works_beside_all_of_them(rig: Any, tmp_path: Path) -> None:
     done = rig.run("sweep", "--frequencies", "200", "--no-figures")
     assert done.code == 0, done.stderr
@@ -195,6 +196,7 @@ def test_every_other_command_works_beside_all_of_them(rig: Any, tmp_path: Path) 
     assert "warning: procedure 'creep-0' of the package lab-0 " in schema.stderr
 
 
+@pytest.mark.thorough
 def test_a_file_of_a_procedure_that_is_broken_now_is_shown_without_its_summary(
     rig: Any, tmp_path: Path
 ) -> None:
@@ -332,6 +334,7 @@ def test_settings_of_a_driver_that_raise_keep_no_other_instrument_from_it(
     assert rig.outputs() == [True, False]
 
 
+@pytest.mark.thorough
 def test_the_guard_makes_safe_what_it_can_and_names_the_broken_driver(rig: Any, acme: Path) -> None:
     """A driver that broke while its run was under way, which then died."""
     frequencies = ",".join(str(f) for f in range(300, 2300, 100))
@@ -384,6 +387,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.thorough
 def test_a_fault_in_a_run_is_reported_as_the_packages_and_the_data_are_saved(
     rig: Any, tmp_path: Path, fault: str
 ) -> None:

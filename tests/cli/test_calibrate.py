@@ -165,6 +165,7 @@ STOPPED = {"status": "stopped", "reason": "stopped by Ctrl-C", "exit": 130}
     ids=["incomplete", "procedure", "few", "narrow", "old", "no film", "valid", "zero", "label",
          "to"],
 )  # fmt: skip
+@pytest.mark.thorough
 def test_a_run_that_makes_no_record_is_refused_in_one_line(
     rig: Any, made: dict[str, Any], arguments: tuple[str, ...], told: tuple[str, ...]
 ) -> None:
@@ -246,6 +247,7 @@ def test_the_load_cells_true_sensitivity_is_within_the_interval(
     assert header_entry(record, "it.json")["kind"] == "load-cell"
 
 
+@pytest.mark.thorough
 def test_the_same_seed_gives_the_same_readings(rig: Any) -> None:
     arguments = ("calibrate", "force", "--yes", "--seed", "5", *QUICK, "--weights", "5,10")
     first, second = (rig.folder / rig.run(*arguments).stdout.strip() for _ in range(2))
@@ -274,6 +276,7 @@ def test_the_same_seed_gives_the_same_readings(rig: Any) -> None:
         (("load-cell", "--range", "3V"), 4, ("a range of 3 V does not exist",)),
     ],
 )
+@pytest.mark.thorough
 def test_what_cannot_be_weighed_is_refused_before_the_first_weight(
     rig: Any, arguments: tuple[str, ...], code: int, told: tuple[str, ...]
 ) -> None:
@@ -419,6 +422,7 @@ def test_a_person_goes_on_with_enter_and_repeats_with_r(rig: Any, terminal: Any)
         (signal.SIGHUP, 129, "stopped by SIGHUP"),
     ],
 )
+@pytest.mark.thorough
 def test_a_person_may_stop_at_a_question_and_nothing_is_written(
     rig: Any, terminal: Any, how: Any, code: int, told: str
 ) -> None:
@@ -473,6 +477,7 @@ def test_ctrl_c_within_a_reading_ends_the_stream_and_writes_nothing(
         (("--temperature", "-400"), "--temperature -400: has to be -40 to 85 degC"),
     ],
 )
+@pytest.mark.thorough
 def test_options_that_cannot_be_are_refused_before_any_bench_is_started(
     rig: Any, arguments: tuple[str, ...], told: str
 ) -> None:

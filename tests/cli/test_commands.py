@@ -52,6 +52,7 @@ CODES = {"show": 8, "verify": 8, "recover": 2, "resume": 2}
 
 @pytest.mark.parametrize("make", [a_folder, missing, text, truncated, empty])
 @pytest.mark.parametrize("command", CODES)
+@pytest.mark.thorough
 def test_a_file_that_is_no_run_is_told_in_one_line(
     rig: Any, run_file: Path, command: str, make: Any
 ) -> None:
@@ -113,6 +114,7 @@ def nothing(path: Path) -> None:
         (of_another_program, "an HDF5 file, but not a run file"),
     ],
 )
+@pytest.mark.thorough
 def test_every_command_says_what_kind_of_file_it_was_given(
     rig: Any, command: str, make: Any, told: str
 ) -> None:
@@ -268,6 +270,7 @@ def test_make_safe_clears_the_report_that_kept_runs_from_starting(rig: Any) -> N
         (("simulate", "--world", "none.toml"), "none.toml"),
     ],
 )
+@pytest.mark.thorough
 def test_a_file_that_is_not_there_is_a_usage_error(
     rig: Any, arguments: tuple[str, ...], told: str
 ) -> None:

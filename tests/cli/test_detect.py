@@ -37,6 +37,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
+@pytest.mark.thorough
 def test_one_line_a_file_says_what_was_found(rig: Any, runs: list[str]) -> None:
     done = rig.run("detect", *HP, "--jobs", "2", *runs)
     assert done.code == 0, done.stderr
@@ -63,12 +64,14 @@ def test_the_default_detector_is_paper_hp_and_the_help_says_why(rig: Any, runs: 
     assert "trained on the skin model alone" in shown
 
 
+@pytest.mark.thorough
 def test_the_detector_rig_is_there_for_who_asks_for_it(rig: Any, runs: list[str]) -> None:
     done = rig.run("detect", "--detector", "rig", runs[0])
     assert done.code == 0, done.stderr
     assert f"saved processed/r0.rig-{DETECTOR_VERSION}-" in done.stdout
 
 
+@pytest.mark.thorough
 def test_processes_and_one_after_the_other_give_the_same_bytes(rig: Any, runs: list[str]) -> None:
     for jobs in ("1", "3"):
         done = rig.run("detect", *HP, "--jobs", jobs, "--to", f"by-{jobs}", *runs)
@@ -78,6 +81,7 @@ def test_processes_and_one_after_the_other_give_the_same_bytes(rig: Any, runs: l
     assert contents(rig.folder / "by-3") == one
 
 
+@pytest.mark.thorough
 def test_a_file_that_fails_is_named_and_the_others_go_on(rig: Any, runs: list[str]) -> None:
     compile_run(recorded_run.write_run(rig.folder / "sweep.rigj"))
     done = rig.run("detect", *HP, "--json", runs[0], "sweep.h5", "none.h5", runs[1])
@@ -96,6 +100,7 @@ def test_a_file_that_fails_is_named_and_the_others_go_on(rig: Any, runs: list[st
     assert alone.stdout == ""
 
 
+@pytest.mark.thorough
 def test_parameters_may_be_given_otherwise(rig: Any, runs: list[str]) -> None:
     (rig.folder / "deaf.toml").write_text(
         "fire_mV = 100.0\n[low_pass]\nstop_Hz = 60\nstop_dB = 50\n"
@@ -120,6 +125,7 @@ def test_parameters_may_be_given_otherwise(rig: Any, runs: list[str]) -> None:
         ("fire_mV 2\n", "correct the TOML syntax"),
     ],
 )
+@pytest.mark.thorough
 def test_parameters_that_are_none_are_refused(
     rig: Any, runs: list[str], text: str, told: str
 ) -> None:
@@ -138,6 +144,7 @@ def test_an_unknown_detector_is_refused_with_the_known_ones(rig: Any, runs: list
     assert "--detector paper: has to be one of rig, paper-literal, paper-hp" in done.errors[0]
 
 
+@pytest.mark.thorough
 def test_a_folder_that_cannot_be_written_to_is_told(rig: Any, runs: list[str]) -> None:
     (rig.folder / "taken").write_text("no folder")
     done = rig.run("detect", *HP, "--to", "taken", runs[0])
@@ -168,6 +175,7 @@ def test_a_processed_file_is_shown_drawn_and_verified(rig: Any, runs: list[str])
     assert "a processed file, not a run" in refused.errors[0]
 
 
+@pytest.mark.thorough
 def test_an_imported_recording_is_processed_and_marked(rig: Any) -> None:
     rows = np.column_stack([np.arange(1500) / trials.RATE_HZ, trials.slipping()])
     np.savetxt(rig.folder / "own.csv", rows, delimiter=",", header="t,a,b", comments="")
@@ -229,6 +237,7 @@ def test_a_cluster_gives_the_same_bytes(rig: Any, runs: list[str], scheduler: st
     assert contents(rig.folder / "there") == contents(rig.folder / "here")
 
 
+@pytest.mark.thorough
 def test_without_the_package_a_cluster_is_refused_with_the_remedy(
     rig: Any, runs: list[str]
 ) -> None:
@@ -243,6 +252,7 @@ def test_without_the_package_a_cluster_is_refused_with_the_remedy(
 # The filter
 
 
+@pytest.mark.thorough
 def test_the_filter_is_told_drawn_and_written_as_data(rig: Any) -> None:
     done = rig.run("filter", "--json", "--results", "out")
     assert done.code == 0, done.stderr
@@ -295,6 +305,7 @@ def test_a_specification_of_ones_own_takes_units_and_replaces_the_lag(rig: Any) 
         (("slow",), "low-pass slow: has to be one of paper, fast, faster"),
     ],
 )
+@pytest.mark.thorough
 def test_specifications_that_cannot_be_met_are_refused(
     rig: Any, options: tuple[str, ...], told: str
 ) -> None:

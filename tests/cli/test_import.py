@@ -78,6 +78,7 @@ def test_an_import_can_be_verified_and_shown_like_any_run(rig: Any) -> None:
         (("--rate", "1kHz", "--start-time", "2026-11-22T10:00:00"), "offset from UTC"),
     ],
 )
+@pytest.mark.thorough
 def test_what_is_wrong_is_told_in_a_line_and_nothing_is_left(
     rig: Any, arguments: tuple[str, ...], reason: str
 ) -> None:

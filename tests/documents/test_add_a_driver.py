@@ -113,12 +113,14 @@ def test_the_driver_of_the_page_fulfils_the_contract(site: Path) -> None:
     assert passed(run_contract(site)) >= 14
 
 
+@pytest.mark.thorough
 def test_it_does_so_on_tcp_as_well(site: Path) -> None:
     """Without the walk of all faults: pyserial waits for 0.3 s whenever it closes a socket."""
     put_on_tcp(site)
     assert passed(run_contract(site, "-k", "not one_fault_anywhere")) >= 13
 
 
+@pytest.mark.thorough
 def test_a_defect_of_a_driver_is_shown_with_its_values(site: Path) -> None:
     """Without anything that the package would have to set up for it."""
     driver = site / "acme_f10" / "driver.py"
@@ -130,6 +132,7 @@ def test_a_defect_of_a_driver_is_shown_with_its_values(site: Path) -> None:
     assert "unit, sign, axis or order is wrong" in ended.stdout
 
 
+@pytest.mark.thorough
 def test_a_dry_run_has_the_simulator_of_the_page_in_its_world(rig: Any, site: Path) -> None:
     packages.on_path(rig, site)
     (rig.folder / "bench.toml").write_text(BENCH)
@@ -138,6 +141,7 @@ def test_a_dry_run_has_the_simulator_of_the_page_in_its_world(rig: Any, site: Pa
     assert "in its place" not in done.stderr
 
 
+@pytest.mark.thorough
 def test_a_dry_run_says_which_model_stands_in(rig: Any, site: Path) -> None:
     info = next(site.glob("*.dist-info")) / "entry_points.txt"
     info.write_text(info.read_text().split("[rig.simulators]")[0])
@@ -153,6 +157,7 @@ def test_a_dry_run_says_which_model_stands_in(rig: Any, site: Path) -> None:
     assert line in done.object["warnings"]
 
 
+@pytest.mark.thorough
 def test_a_bench_in_real_time_has_the_simulator_of_the_page_on_tcp(rig: Any, site: Path) -> None:
     put_on_tcp(site)
     packages.on_path(rig, site)

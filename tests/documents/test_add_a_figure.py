@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 from page import Page
 
 from procedures.pressed.layout import STREAMS
@@ -13,6 +14,7 @@ from rig.files.runfile.reader import RunFile, Waveform
 PAGE = "add-a-figure.md"
 
 
+@pytest.mark.thorough
 def test_the_figure_is_drawn_as_the_page_says(rig: Any) -> None:
     page = Page(PAGE, rig)
     assert page.strange_commands() == []
@@ -30,6 +32,7 @@ def test_the_figure_is_drawn_as_the_page_says(rig: Any) -> None:
     assert "Speed of the slide (mm/s)" in drawn
 
 
+@pytest.mark.thorough
 def test_a_figure_that_fails_is_a_warning_and_costs_nothing_else(rig: Any) -> None:
     page = Page(PAGE, rig)
     page.make(('run.column("slide_from")', 'run.column("slid_from")'))
@@ -42,6 +45,7 @@ def test_a_figure_that_fails_is_a_warning_and_costs_nothing_else(rig: Any) -> No
     assert not (file.parent / f"{file.stem}-friction-speed.png").exists()
 
 
+@pytest.mark.thorough
 def test_the_page_s_own_test_passes(rig: Any) -> None:
     page = Page(PAGE, rig)
     page.make()

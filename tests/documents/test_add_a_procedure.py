@@ -13,6 +13,7 @@ from rig.files.runfile.reader import RunFile
 PAGE = "add-a-procedure.md"
 
 
+@pytest.mark.thorough
 def test_the_package_runs_as_the_page_says(rig: Any) -> None:
     page = Page(PAGE, rig)
     assert page.strange_commands() == []
@@ -39,6 +40,7 @@ def test_the_package_runs_as_the_page_says(rig: Any) -> None:
     assert rehearsed.stdout == ""
 
 
+@pytest.mark.thorough
 def test_the_page_s_own_test_passes(rig: Any) -> None:
     page = Page(PAGE, rig)
     page.make()
@@ -47,6 +49,7 @@ def test_the_page_s_own_test_passes(rig: Any) -> None:
     assert "1 passed" in tested.stdout
 
 
+@pytest.mark.thorough
 def test_the_motion_along_x_that_the_page_shows_runs(rig: Any) -> None:
     page = Page(PAGE, rig)
     (motion,) = (b for b in page.text.split("```python\n") if b.startswith("def moves"))
@@ -91,6 +94,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("message", MISTAKES)
+@pytest.mark.thorough
 def test_a_mistake_gives_the_message_that_the_page_explains(rig: Any, message: str) -> None:
     page = Page(PAGE, rig)
     assert f"`{message}" in page.text

@@ -201,6 +201,7 @@ def look(file: Path) -> None:
 
 
 @pytest.mark.parametrize("spoil", SPOILING)
+@pytest.mark.thorough
 def test_a_run_file_of_a_stranger(
     tmp_path: Path, sound: bytes, spoil: Callable[[h5py.File], None]
 ) -> None:

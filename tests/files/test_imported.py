@@ -394,6 +394,7 @@ def test_the_only_matrix_needs_no_name(tmp_path: Path) -> None:
         ("nan", "row 3: variable nan: nan is not a number"),
     ],
 )
+@pytest.mark.thorough
 def test_matlab_variables_that_are_no_signals_are_refused_by_name(
     tmp_path: Path, columns: str, reason: str
 ) -> None:
@@ -432,6 +433,7 @@ def test_structs_of_73_are_refused_by_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("make", [files.matlab_5, files.matlab_73])
+@pytest.mark.thorough
 def test_damaged_matlab_files_are_refused(tmp_path: Path, make: Any) -> None:
     whole = make(a=np.arange(400.0), b=np.arange(400.0))
     for size in (19, 200, 600, len(whole) // 2):

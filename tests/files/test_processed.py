@@ -304,6 +304,7 @@ for size in range(0, int(sys.argv[2]), 9001):
 """
 
 
+@pytest.mark.thorough
 def test_a_full_disk_leaves_nothing(own_run: Path, found: DetectionResult) -> None:
     """Wherever in the file the disk is full."""
     size = found.file.stat().st_size

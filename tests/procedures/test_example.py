@@ -61,6 +61,7 @@ def test_a_run_presses_holds_reads_and_lifts(creep: Any) -> None:
     assert "mean_creep_um" in shown.stdout
 
 
+@pytest.mark.thorough
 def test_an_interrupted_run_lifts_and_resumes(creep: Any) -> None:
     running = creep.start(*arguments(creep, "--hold", "20s", "-n", "3"))
     creep.await_world("touch-down", count=2)
@@ -132,6 +133,7 @@ def install_moving(rig: Any, tmp_path: Path, fault: str) -> None:
     on_path(rig, install(tmp_path / "site", "lab-creep", entries, modules))
 
 
+@pytest.mark.thorough
 def test_x_moves_under_the_force_and_the_record_has_all_of_it(rig: Any, tmp_path: Path) -> None:
     install_moving(rig, tmp_path, "")
     done = rig.run(*arguments(rig))
@@ -155,6 +157,7 @@ def test_x_moves_under_the_force_and_the_record_has_all_of_it(rig: Any, tmp_path
         ("trial.x.start_move(15.0, 0.01); 1 / 0", "ZeroDivisionError"),
     ],
 )
+@pytest.mark.thorough
 def test_whatever_it_raises_under_the_force_the_skin_is_lifted(
     rig: Any, tmp_path: Path, fault: str, said: str
 ) -> None:

@@ -117,6 +117,7 @@ def test_a_killed_run_leaves_a_bench_that_the_guard_made_safe(rig, bench_file):
     assert again.code == 0, again.stderr
 
 
+@pytest.mark.thorough
 def test_an_unsafe_report_keeps_the_next_run_from_starting(rig, bench_file):
     rig.results.mkdir()
     (rig.results / "guard-simulated.json").write_text(

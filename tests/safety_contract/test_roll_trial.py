@@ -110,6 +110,7 @@ def test_an_offset_that_nothing_takes_back_is_refused(rig):
     assert_off_the_object(rig)
 
 
+@pytest.mark.thorough
 def test_a_head_rolls_along_a_profile_of_its_own(rig):
     longer = 100 / rig.bench.both_Hz
     times = ",".join(f"{longer * t:g}" for t in np.arange(0, 1.01, 0.1))

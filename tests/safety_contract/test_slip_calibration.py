@@ -117,6 +117,7 @@ def test_calibrated_strips_are_told_as_load_rates_with_their_error(rig, tmp_path
     assert 0.02 < abs(borne_N) < 0.6, "a strip's share of the force on its ridge, 0.57 N at 4 N"
 
 
+@pytest.mark.thorough
 def test_records_that_do_not_serve_are_refused_in_one_line_before_any_motion(rig):
     path = rig.folder / "a-bench.toml"
     log = ("--world-log", str(rig.world_log))

@@ -142,6 +142,7 @@ def test_a_daq_that_answers_late_starves_no_drive_and_the_skin_is_lifted(rig, se
     assert verify(rig.only("*.h5")) == []
 
 
+@pytest.mark.thorough
 def test_a_rotary_stage_that_falls_silent_does_not_keep_the_skin_pressed(rig, serve):
     plan = rig.fault(
         '[[fault]]\ndevice = "rotary"\nkind = "silence"\ncount = 0\n'
@@ -154,6 +155,7 @@ def test_a_rotary_stage_that_falls_silent_does_not_keep_the_skin_pressed(rig, se
     assert_lifted_before_any_drive_starved(rig)
 
 
+@pytest.mark.thorough
 def test_a_generator_that_falls_silent_does_not_keep_the_film_pressed(rig, serve):
     """It is asked to switch off and has seconds to answer: the film does not wait for it."""
     plan = rig.fault(
@@ -169,6 +171,7 @@ def test_a_generator_that_falls_silent_does_not_keep_the_film_pressed(rig, serve
     assert_lifted_before_any_drive_starved(rig)
 
 
+@pytest.mark.thorough
 def test_making_safe_needs_no_new_thread_module_or_descriptor(rig, serve):
     path = serve("--fixture", "plate")
     running = rig.start("slip-trial", "--bench", str(path), *SHORT, before=NOTHING_MORE)
@@ -192,6 +195,7 @@ def test_making_safe_needs_no_new_thread_module_or_descriptor(rig, serve):
 
 
 @pytest.mark.parametrize("thread", ["link stage_z", "off", "force reader", "recorder"])
+@pytest.mark.thorough
 def test_a_run_that_gets_no_thread_is_refused_before_anything_is_switched_on(rig, serve, thread):
     path = serve()
     arguments = ("sweep", "--bench", str(path), "--json", "--no-figures", "--frequencies", "210")
