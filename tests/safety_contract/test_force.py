@@ -292,7 +292,6 @@ def test_a_force_sensor_that_stays_silent_ends_the_run(rig):
         assert held(run) == 1
 
 
-@pytest.mark.thorough
 def test_a_hold_that_came_and_went_within_one_blocking_call_is_acted_on(rig):
     """In real time: the bench stands still for a while and answers late; its frames come late too,
     none is lost."""
