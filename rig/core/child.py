@@ -2,8 +2,7 @@
 
 For work that may crash, never return or write without end: reading a damaged HDF5 or MATLAB file,
 where no thread and no signal handler of the calling process can interrupt a library's C code, or a
-program of somebody else's. `run_module` waits for one of our modules; a `Child` is asked now and
-then how it is getting on.
+program that the user has named. `run_module` waits for one of our modules; a `Child` is polled.
 """
 
 from __future__ import annotations
