@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import signal
@@ -14,23 +15,25 @@ SIGNALS_THAT_END = (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 def main() -> None:
     """Entry point of the command ``rig``."""
+    atexit.register(_ignore_signals)  # Registered first, so it is called last.
     for number in SIGNALS_THAT_END:
         signal.signal(number, _leave)
     # One thread of linear algebra: the products here are small, and a second thread would only
     # disturb the loop that holds a force.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        from rig.cli.streams import outlast_readers
+        try:
+            from rig.cli.streams import outlast_readers
 
-        outlast_readers()
-        from rig.cli.app import perform
+            outlast_readers()
+            from rig.cli.app import perform
 
-        perform(sys.argv[1:])
-    except KeyboardInterrupt:
+            perform(sys.argv[1:])
+        finally:  # An exception while Python shuts down would print a traceback.
+            for number in (signal.SIGINT, *SIGNALS_THAT_END):
+                signal.signal(number, _leave_at_once)
+    except KeyboardInterrupt:  # It may also come within the lines of `finally`.
         sys.exit(_code(signal.SIGINT))
-    finally:  # An exception while Python shuts down would print a traceback.
-        for number in SIGNALS_THAT_END:
-            signal.signal(number, _leave_at_once)
 
 
 def _leave(number: int, _: FrameType | None) -> None:
@@ -43,6 +46,13 @@ def _leave_at_once(number: int, _: FrameType | None) -> None:
     with contextlib.suppress(OSError, ValueError):
         sys.stdout.flush()
     os._exit(_code(number))
+
+
+def _ignore_signals() -> None:
+    """Ignore further signals. Python restores their default action as the last thing it does, and a
+    run that was made safe and saved would then end as if it had been killed."""
+    for number in (signal.SIGINT, *SIGNALS_THAT_END):
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _code(number: int) -> int:

@@ -92,10 +92,9 @@ def test_a_signal_before_the_bench_is_connected_switches_nothing_on(rig):
 def test_further_signals_do_not_disturb_the_clean_up(rig):
     running = rig.start_sweep(*SIXTY_POINTS)
     running.wait_for(r"^5/60 ")
-    for _ in range(30):
-        if running.process.poll() is not None:
-            break
-        running.send(signal.SIGINT)
+    until = time.monotonic() + 60
+    while running.process.poll() is None and time.monotonic() < until:
+        running.send(signal.SIGINT)  # up to the last instruction of the process
         time.sleep(0.01)
     ended = running.finish()
 
