@@ -83,21 +83,42 @@ def test_a_command_that_does_not_exist_is_a_usage_error() -> None:
     assert "Traceback" not in shown.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
-def test_a_signal_while_python_clears_up_ends_the_command_without_a_complaint(
+STOPS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
+
+
+def help_with(preparation: str) -> subprocess.CompletedProcess[str]:
+    """Run ``rig --help`` in a process of its own after some statements."""
+    program = f"{preparation}\nsys.argv = ['rig', '--help']\nfrom rig.cli import main\nmain()\n"
+    return subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60
+    )
+
+
+@pytest.mark.parametrize("number", STOPS)
+def test_a_signal_while_python_waits_for_a_thread_ends_the_command_without_a_complaint(
     number: signal.Signals,
 ) -> None:
-    program = (
-        "import atexit, os, sys\n"
-        f"atexit.register(os.kill, os.getpid(), {number.value})\n"
-        "sys.argv = ['rig', '--help']\n"
-        "from rig.cli import main\n"
-        "main()\n"
-    )
-    ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    ended = help_with(
+        "import os, sys, threading, time\n"
+        "def stop():\n"
+        "    threading.main_thread().join()\n"
+        f"    os.kill(os.getpid(), {number.value})\n"
+        "    time.sleep(3600)\n"
+        "threading.Thread(target=stop).start()"
     )
     assert ended.returncode == 128 + number
+    assert ended.stderr == ""
+    assert "Usage: rig" in ended.stdout
+
+
+@pytest.mark.parametrize("number", STOPS)
+def test_a_signal_while_python_clears_up_does_not_change_the_exit_code(
+    number: signal.Signals,
+) -> None:
+    ended = help_with(
+        f"import atexit, os, sys\natexit.register(os.kill, os.getpid(), {number.value})"
+    )
+    assert ended.returncode == 0
     assert ended.stderr == ""
     assert "Usage: rig" in ended.stdout
 
