@@ -102,6 +102,7 @@ def test_a_signal_while_python_waits_for_a_thread_ends_the_command_without_a_com
         "import os, sys, threading, time\n"
         "def stop():\n"
         "    threading.main_thread().join()\n"
+        "    time.sleep(1)\n"  # Python is then surely in the wait for this thread
         f"    os.kill(os.getpid(), {number.value})\n"
         "    time.sleep(3600)\n"
         "threading.Thread(target=stop).start()"
