@@ -1,4 +1,4 @@
-"""What a file says about its run, as names and values to be shown."""
+"""Describes a file's run, as names and values to be shown."""
 
 from __future__ import annotations
 

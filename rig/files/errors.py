@@ -1,4 +1,4 @@
-"""What can go wrong with a recording, as RigErrors that name the file and the place."""
+"""Errors of recordings, as RigErrors that name the file and the place."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class ForeignFileError(ConfigurationError):
 
 
 def in_words(error: Exception) -> str:
-    """Return what a library's error about a damaged file means to the person who has the file."""
+    """Return what a library's error about a damaged file means for the user."""
     if isinstance(error, KeyError):
         named = _MISSING.search(str(error))
         return f"{named[1] if named else 'something that belongs there'} is missing"

@@ -41,12 +41,12 @@ REQUIRED = (
     *("program_name", "user", "sample", "parameters", "configuration", "journal_header"),
     *("outcome", "events", "instrument", "attempts", "points", "blocks"),
 )
-"""What every run file has in ``/entry``."""
+"""Paths that every run file has in ``/entry``."""
 
 
 @dataclass(frozen=True)
 class FileVerdict:
-    """What checking a file found, one sentence for each finding, and how far the run came."""
+    """Result of checking a file: one sentence for each finding, and how far the run came."""
 
     findings: tuple[str, ...]
     extent: str
@@ -54,9 +54,8 @@ class FileVerdict:
 
     @property
     def sound(self) -> bool:
-        """Whether nothing was found. A run that was stopped can be sound; ``extent`` says that it
-        was.
-        """
+        """True if nothing was found. The file of a run that was stopped can be sound; ``extent``
+        says that it was stopped."""
         return not self.findings
 
     def __str__(self) -> str:

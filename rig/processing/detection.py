@@ -45,14 +45,14 @@ class DetectionJob:
     run_file: Path
     settings: DetectorSettings
     folder: Path | None = None
-    """For the result; None is ``processed`` beside the run file."""
+    """Folder for the result; None is ``processed`` beside the run file."""
     version: str = DETECTOR_VERSION
-    """Of the detector that is wanted: another computer may have another one."""
+    """Version of the detector that the job needs: another computer may have another one."""
 
 
 @dataclass(frozen=True)
 class DetectionFailure:
-    """Why a file was not processed: the parts of a RigError, which can be pickled."""
+    """The reason why a file was not processed: the parts of a RigError, which can be pickled."""
 
     message: str
     hint: str | None
@@ -65,16 +65,16 @@ class DetectionFailure:
 
 @dataclass(frozen=True)
 class DetectionResult:
-    """What was found in one run file."""
+    """The result of a detector for one run file."""
 
     file: Path
     """The processed file."""
     kept: bool
-    """It was there before and was not touched."""
+    """True if the processed file existed before and was left as it was."""
     simulated: bool | None
     trials: int
     events: dict[str, int]
-    """How many of each kind."""
+    """Number of events by kind."""
     first_slip: tuple[str, float] | None
     """The first incipient slip: its trial, and when in it, s."""
     warnings: tuple[str, ...] = field(default=())

@@ -25,7 +25,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 CONNECT_S = 10.0
-"""How long a cluster's scheduler may take to answer."""
+"""Longest time in s that a cluster's scheduler may take to answer."""
 
 
 def processors() -> int:

@@ -56,7 +56,8 @@ _SAME_SIZE = 1.001
 
 @dataclass(frozen=True)
 class Separability:
-    """Which circuit values |H| determines. All names are symbols of the paper."""
+    """The circuit values that |H| determines, and those that it does not. All names are symbols of
+    the paper."""
 
     fixed: int
     """Number of combinations of values that the response determines."""
@@ -113,7 +114,7 @@ class CircuitComparison:
     highest_Hz: float
     """Highest measured frequency."""
     separability: Separability
-    """Which circuit values the response determines."""
+    """The circuit values that the response determines, and those that it does not."""
 
     def sentences(self) -> list[str]:
         """Returns the comparison in words."""

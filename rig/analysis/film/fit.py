@@ -178,7 +178,7 @@ class FilmFit:
             return chi_square(self.weighted, held) - best < COVERAGE_95**2
 
         def edge(inside: float, outside: float) -> float:
-            """Where the interval ends; ``outside`` itself if it is tolerable too."""
+            """Returns the end of the interval; ``outside`` itself if it is tolerable too."""
             if tolerable(outside):
                 return outside
             for _ in range(_PROFILE_STEPS):

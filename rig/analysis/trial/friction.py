@@ -274,7 +274,8 @@ def _peak(ratio: Reals, rough: int, stretch: int, noise: Reals, block: int) -> t
 
 
 def _blocks_of(noise: Reals, block: int, shape: tuple[int, int], rng: np.random.Generator) -> Reals:
-    """Noise of this shape out of stretches of so many samples of what was seen."""
+    """Returns simulated noise of shape `shape`: random stretches of `block` samples of the measured
+    noise, put one after the other, so that its correlation is kept."""
     rows, length = shape
     blocks = -(-length // block)
     starts = rng.integers(0, noise.size - block + 1, (rows, blocks))

@@ -30,10 +30,11 @@ WIDTH_s = 0.004
 """Standard deviation of the Gaussian, in s. It reduces 3 mN of noise per frame to 0.2 N/s of
 dF/dt."""
 GRID_Hz = 1000.0
-"""Where the two are compared."""
+"""Rate of the common time grid on which force and volts are compared."""
 FINE_RATE_Hz = 500.0
-"""From here on, frames are dense enough for the Gaussian to be sampled at them: two a width. At 100
-frames/s its sampled derivative would be half of the true one, and the gains twice as large."""
+"""Lowest frame rate in Hz at which the Gaussian can be sampled at the frames: there are two frames
+in its width. At 100 frames/s its sampled derivative would be half of the true one, and the gains
+twice as large."""
 MAINS_Hz = 50.0
 """Mains frequency, in Hz."""
 MEMORY = 4.0
@@ -84,8 +85,8 @@ def volts_on_grid(volts: TouchRecord, force_rate_Hz: float) -> tuple[Reals, Real
 
 
 def _averaged(values: Reals, width: int) -> Reals:
-    """The running mean over so many samples, centred: of an even number the mean of the two that
-    begin half a sample before and after."""
+    """Returns the centred running mean over `width` samples. If `width` is even, it is the mean of
+    the two running means that begin half a sample before and half a sample after."""
     from scipy.ndimage import uniform_filter1d
 
     means = uniform_filter1d(values, width, mode="nearest")

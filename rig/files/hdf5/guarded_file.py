@@ -74,7 +74,7 @@ class GuardedFile:
         return size
 
     def flush(self) -> None:
-        """Do nothing: every write goes to the kernel at once."""
+        """Do nothing: every write goes straight to the kernel."""
 
     def close(self) -> None:
         """Close the file."""

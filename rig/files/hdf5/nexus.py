@@ -44,7 +44,8 @@ def set_attributes(item: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -
 
 @cache
 def _attribute(kind: type, rows: int | None) -> tuple[Any, Any, Any]:
-    """How a scalar or a list is written: its type in memory, the one in the file, its space."""
+    """Return how a scalar or a list is written: its type in memory, the one in the file, its
+    space."""
     import numpy as np
     from h5py import h5s, h5t, string_dtype
 
@@ -63,7 +64,7 @@ class UniqueNames:
 
     def __init__(self, *taken: str) -> None:
         self._numbers = dict.fromkeys(taken, 1)
-        """Of each name, the last number that was put behind it."""
+        """The last number that was appended to each name."""
 
     def name(self, text: str) -> str:
         """Return ``safe_name`` of the text, with a number behind it if that name is in use."""

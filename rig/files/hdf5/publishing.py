@@ -1,4 +1,4 @@
-"""How an HDF5 file gets its name: when it is whole, checked and on the disk."""
+"""Give an HDF5 file its name once it is complete, checked and on the disk."""
 
 from __future__ import annotations
 

@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     import h5py
 
 DAMAGE = (OSError, KeyError, ValueError, RuntimeError, TypeError, AttributeError, OverflowError)
-"""What reading a damaged or strange file raises."""
+"""Errors that are raised by reading a damaged or foreign file."""
 
 MAX_BYTES = 1 << 30
-"""Of a dataset that is read in one piece."""
+"""Largest size of a dataset that is read in one piece."""
 MAX_CHUNK_BYTES = 64 << 20
 """Run files have chunks of at most two MiB."""
 MAX_COMPRESSION = 1100

@@ -1,4 +1,4 @@
-"""How a text file separates its cells and writes its numbers; recognised from its own lines.
+"""Recognise how a text file separates its cells and writes its numbers, from its own lines.
 
 Numbers are ASCII digits with one decimal sign and an exponent: what else `float` takes (``1_0``,
 ``nan``, other scripts' digits) is not a number of a recording. There are no thousands separators: a
@@ -20,7 +20,8 @@ Decimal = Literal["point", "comma"]
 
 CHARACTER: dict[Delimiter, str] = {"tab": "\t", "semicolon": ";", "comma": ",", "space": " "}
 SAMPLED_LINES = 50
-"""At the end of the file, where nothing stands but numbers."""
+"""Number of lines at the end of the file, where there are only numbers, from which the dialect is
+recognised."""
 
 _NUMBER: dict[Decimal, str] = {
     "point": r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?",
@@ -35,7 +36,7 @@ _OF_NUMBERS = re.compile(r"[-+.,;eE\s]*[0-9][-+0-9.,;eE\s]*")
 
 @dataclass(frozen=True)
 class TextDialect:
-    """How a text is written: what separates its cells, and its decimal sign."""
+    """The way a text is written: the delimiter of its cells, and its decimal sign."""
 
     delimiter: Delimiter
     decimal: Decimal
@@ -85,7 +86,7 @@ class TextDialect:
 
 @dataclass(frozen=True)
 class Shape:
-    """What a row of the file looks like: its dialect, its cells, and which of them are numbers."""
+    """The shape of a row of the file: its dialect, its cells, and which of them are numbers."""
 
     dialect: TextDialect
     width: int

@@ -40,12 +40,13 @@ POINT = "recording"
 
 @dataclass(frozen=True)
 class RecordingNotes:
-    """What the user stated about a recording besides its numbers; all of it may be unknown."""
+    """The user's statements about a recording, apart from its numbers; all of them may be
+    unknown."""
 
     sensor: str = ""
     sample: str = ""
     object: str = ""
-    """What the skin touched."""
+    """The object that the skin touched."""
     user: str = ""
     notes: str = ""
     start_time: str | None = None

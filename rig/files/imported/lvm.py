@@ -149,7 +149,8 @@ def _fields(lines: Sequence[str]) -> Fields:
 
 
 def _stated(head: Fields, field: str, known: Mapping[str, T], usual: T, name: str) -> T:
-    """Return what a line of the file's header says, or the usual value if there is no such line."""
+    """Return the value in a line of the file's header, or the usual value if there is no such
+    line."""
     if field not in head:
         return usual
     cell = next(filter(None, head[field]), ",")  # a decimal comma behind a comma

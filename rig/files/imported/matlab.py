@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 HEAD_BYTES = 116
 MAX_VALUES = 16 << 20
-"""Of a variable; compressed ones can declare any number."""
+"""Largest number of values of a variable. A compressed variable can declare any number."""
 EXACT = 2**53
 """Beyond it a whole number may have no double."""
 

@@ -1,4 +1,5 @@
-"""From the columns of a file to channels over time: which is what, at what rate, in what unit.
+"""Make channels over time from the columns of a file: find the column, rate and unit of each
+channel.
 
 Pure: takes a source and what the user stated about it, returns arrays.
 """
@@ -19,17 +20,18 @@ if TYPE_CHECKING:
 STRIPS, FORCES = ("v_1", "v_2"), ("F_n", "F_t")
 TIME = "time"
 UNIT = {"v_1": "V", "v_2": "V", "F_n": "N", "F_t": "N", TIME: "s"}
-"""Of the values that are made of a column."""
+"""Units of the values that are made from a column."""
 
 STEP_TOLERANCE = 0.5
-"""Of a period, by which two rows may lie nearer or farther: times are printed with few digits."""
+"""Largest deviation of a time step from the period, as a share of the period: times are printed
+with few digits."""
 LINE_TOLERANCE = 0.25
-"""Of a period, by which any row may lie off the even spacing."""
+"""Largest deviation of a row from the even spacing, as a share of the period."""
 RATE_TOLERANCE = 1e-3
 """Relative difference allowed between the stated rate and the file's."""
 ROUND_TOLERANCE = 0.01
-"""Of a period, by which the last row may move when a measured rate is rounded; more where the times
-are less even than that."""
+"""Largest shift of the last row when a measured rate is rounded, as a share of the period; more
+where the times are less even than that."""
 LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 1.0, 1e7
 LEAST_ROWS = 2
 LARGEST = {"V": 1e3, "N": 1e4}
@@ -40,7 +42,7 @@ LATEST_S = 1e11
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """What the user stated about a file's columns. Keys are v_1, v_2, F_n, F_t and time."""
+    """The user's statements about a file's columns. Keys are v_1, v_2, F_n, F_t and time."""
 
     columns: Mapping[str, str]
     """The column of each channel, as the source takes it."""

@@ -1,4 +1,4 @@
-"""What the readers of all formats give: columns that can be found, named and read."""
+"""The interface of the readers of all formats: columns that can be found, named and read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ if TYPE_CHECKING:
 Format = Literal["text", "LVM", "MATLAB 5", "MATLAB 7.3"]
 
 MAX_BYTES = 128 << 20
-"""Of a file: an hour of four columns at 1 kHz, as text. It is read in one piece."""
+"""Largest size of a file: an hour of four columns at 1 kHz, as text. The file is read in one piece.
+"""
 MAX_HEAD = 64 << 10
 """Characters of the text before the numbers that are recorded with them."""
 
@@ -22,9 +23,9 @@ class ImportSource(Protocol):
 
     format: Format
     head: str
-    """What stands before the numbers, verbatim, MAX_HEAD characters at most."""
+    """The text before the numbers, verbatim, at most MAX_HEAD characters."""
     written_as: str
-    """How the file is written, where that was recognised: ``tab, decimal comma``."""
+    """The way the file is written, if it was recognised: ``tab, decimal comma``."""
     rate_Hz: float | None
     """The rate that the file itself states."""
     time: str | None

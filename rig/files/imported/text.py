@@ -1,8 +1,8 @@
 """Text with a recording in columns: CSV, tab-separated, any of them with or without a header.
 
-The rows begin with the first line that looks like those at the file's end; what stands above is the
-header. From there on every line has to be a row: a line that is none, an empty one among them, is
-refused by its number, and nothing is skipped.
+The rows begin with the first line that looks like those at the file's end; the lines above are the
+header. From there on every line has to be a row: any other line, even an empty one, is refused with
+its line number, and nothing is skipped.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LONGEST_LINE = 64 << 10
-"""Characters."""
+"""Longest line in characters."""
 MOST_COLUMNS = 1000
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
@@ -208,7 +208,7 @@ def read_text(
     decimal: Decimal | None = None,
     header_lines: int | None = None,
 ) -> TextTable:
-    """Return the table in a text file; what is not given is recognised.
+    """Return the table in a text file. Arguments that are not given are recognised from the file.
 
     ForeignFileError where there are no rows of two numbers at least, or where a line above them
     looks like a row with something wrong.
@@ -247,7 +247,8 @@ def _first_row(lines: Sequence[str], shape: Shape, name: str) -> int:
 
 
 def _refuse_column_numbers(rows: Sequence[str], number: int, shape: Shape, name: str) -> None:
-    """Some programs write 0, 1, 2 above columns without names: that would be read as a sample."""
+    """Raise ForeignFileError for a first row of 0, 1, 2 …: some programs write column numbers above
+    columns without names, and they would be read as a sample."""
     first, *below = (shape.dialect.cells(row) for row in rows)
     counted = first in ([str(k + begin) for k in range(shape.width)] for begin in (0, 1))
     if counted and below and not all(cell.isdecimal() for cell in below[0]):

@@ -1,4 +1,4 @@
-"""How the readings of a procedure become plots, declared as data.
+"""Declares as data how the readings of a procedure become plots.
 
 A layout travels in the journal's header, so that compiling a run needs no procedure's code and a
 lab's own procedure gets the same files as a built-in one.
@@ -168,7 +168,7 @@ class Plot:
     def sources(self) -> dict[str, str]:
         """Return the names of the group's datasets besides its title, each with its column's name.
 
-        The standard errors have the name that viewers look for, whatever their column's is.
+        The standard errors have the name that viewers expect, whatever the name of their column.
         """
         sources = {name: name for name in (self.signal, *self.axes, *self.auxiliary)}
         if self.errors:
@@ -177,7 +177,7 @@ class Plot:
 
     @property
     def errors_name(self) -> str:
-        """The name under which viewers look for the signal's standard errors."""
+        """The name under which viewers find the signal's standard errors."""
         return f"{self.signal}_errors"
 
 

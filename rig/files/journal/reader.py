@@ -48,9 +48,8 @@ class KeptPoint:
 
 @dataclass
 class JournalContents:
-    """What the sound part of a journal holds, without the samples: ``records()`` reads those from
-    the file again, one record at a time.
-    """
+    """The content of the sound part of a journal, without the samples: ``records()`` reads those
+    from the file again, one record at a time."""
 
     path: Path
     header: RunHeader
@@ -85,7 +84,7 @@ class JournalContents:
 
     @property
     def complete(self) -> bool:
-        """Whether the run finished and the journal is sound to its last byte."""
+        """True if the run finished and the journal is sound to its last byte."""
         return self.problem is None and self.end is not None and self.end.status == "complete"
 
     def require_continuable(self) -> None:
@@ -250,10 +249,10 @@ class _Reader:
 
 
 def _is_torn(file: BinaryIO, offset: int) -> bool:
-    """Whether nothing sound follows a bad record: then it is the end, not damage inside.
+    """Return whether nothing sound follows a bad record: then it is a torn end, not damage inside.
 
-    Looks for a whole record with a right checksum in what follows; when in doubt (a lot follows)
-    it says no, since the answer yes lets a resumed run cut the rest away.
+    Looks for a whole record with a right checksum in what follows; when in doubt (a lot follows) it
+    returns False, since a resumed run cuts a torn end off.
     """
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""Which blocks belong together: runs of gapless rows of one stream, in one attempt at a point.
+"""Group blocks into segments: gapless rows of one stream, in one attempt at a point.
 
 A segment ends where the point ends, where the stream's scale, rate or range changes, and where
 ``first_index`` does not continue: across these, samples have no common clock. Bookkeeping over
@@ -97,7 +97,7 @@ class Grouping:
 
     def _keep(self, record: PointKeep) -> None:
         if record.id in self.kept:
-            self._finish(record.id, "discarded", "kept before", record.text)
+            self._finish(record.id, "discarded", "recorded before", record.text)
             return
         index = self._finish(record.id, "kept", "", record.text)
         self.kept[record.id] = index

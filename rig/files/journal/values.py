@@ -70,9 +70,9 @@ class Program(Settings):
 
 
 SIMULATED = "SIMULATED"
-"""Before every title and vendor of what was computed and not measured."""
+"""First word of every title and vendor of data that were computed and not measured."""
 IMPORTED = "IMPORTED"
-"""Before every title of what was recorded elsewhere."""
+"""First word of every title of data that were recorded by another program."""
 
 
 class Origin(Settings):
@@ -88,7 +88,7 @@ class Origin(Settings):
     options: dict[str, str]
     """The command's options as they were written, by their names."""
     head: str = ""
-    """What stands in the file before its numbers."""
+    """The text in the file before its numbers."""
 
 
 class PersonOrSample(Settings):
@@ -104,7 +104,7 @@ class PersonOrSample(Settings):
         return self
 
     def details(self) -> dict[str, Any]:
-        """Return everything that was stated besides the name."""
+        """Return everything that was stated except the name."""
         return dict(self.model_extra or {})
 
 
@@ -155,9 +155,9 @@ class Stream(Settings):
 
 
 class StreamState(Settings):
-    """How a stream's counts read from here on: value = scale × count + offset.
+    """The conversion of a stream's counts from here on: value = scale × count + offset.
 
-    Each list has one entry a channel. It applies to the stream's blocks that follow it in the
+    Each list has one entry per channel. It applies to the stream's blocks that follow it in the
     journal, until the next one.
     """
 
@@ -170,13 +170,13 @@ class StreamState(Settings):
     units: Short = "V"
     """Unit of scale × count + offset."""
     delay_s: tuple[float, ...] = ()
-    """When the channel is sampled, after the row's time stamp (multiplexed converters)."""
+    """Delay of each channel's sampling after the row's time stamp (multiplexed converters)."""
     range: tuple[float, ...] = ()
     """Full scale, in ``units``."""
 
 
 class JournalEvent(Settings):
-    """Something that happened: a state change, a limit trip, a hold, a retry."""
+    """An event of a run: a state change, a limit trip, a hold, a retry."""
 
     time: Seconds
     """Since the run's start."""
@@ -186,23 +186,24 @@ class JournalEvent(Settings):
 
 
 class End(Settings):
-    """How the run, or this attempt at it, ended."""
+    """The end of the run, or of this attempt at it."""
 
     status: Literal["complete", "stopped", "failed"]
     reason: str = ""
     attempt: Annotated[int, Field(ge=1, le=LARGEST_COUNT)] = 1
     end_time: IsoTime | None
-    """None where the run's start is not known."""
+    """ISO 8601. None if the run's start is not known."""
     duration_s: Annotated[Seconds, Field(ge=0)]
     points_done: Count
     points_planned: Count | None = None
-    """With those that the run itself planned; the header's number where it is left out."""
+    """Number of planned points, including those that the run itself planned. If it is missing, it
+    is the header's number."""
     warnings: tuple[str, ...] = ()
     exit: Annotated[int, Field(ge=0, le=255)] = 0
 
 
 class RunHeader(Settings):
-    """What a journal says about its run before the first sample."""
+    """The description of a run that a journal has before the first sample."""
 
     format: Literal[1] = 1
     procedure: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_-]{1,60}$")]
@@ -212,7 +213,7 @@ class RunHeader(Settings):
     collection: Short | None = None
     """The batch it belongs to."""
     run_number: Count = 0
-    """Its place in that batch, from 1; keys the noise of a simulated bench."""
+    """Number of the run in its batch, from 1; keys the noise of a simulated bench."""
     start_time: IsoTime | None
     """None for an imported run whose start is not known."""
     program: Program
@@ -223,7 +224,7 @@ class RunHeader(Settings):
     bench_toml: str = ""
     bench_file: Short = ""
     simulated: bool | None
-    """None for an imported run: the file does not say."""
+    """None for an imported run, whose file does not state it."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
     points: tuple[PointId, ...]
     """Ids of the planned points, in the planned order."""
@@ -234,7 +235,7 @@ class RunHeader(Settings):
     calibrations: Annotated[tuple[Tree, ...], Field(max_length=MOST_PARTS)] = ()
     streams: Annotated[tuple[Stream, ...], Field(max_length=MOST_PARTS)] = ()
     origin: Origin | None = None
-    """Of an imported run alone: no key of any other's header."""
+    """Origin of an imported run; the header of any other run has no such key."""
 
     @model_serializer(mode="wrap")
     def _without_no_origin(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -266,7 +267,7 @@ class RunHeader(Settings):
 
     @property
     def mark(self) -> str:
-        """What every title has to begin with: SIMULATED, IMPORTED or nothing."""
+        """First word of every title: SIMULATED, IMPORTED or nothing."""
         return IMPORTED if self.origin is not None else SIMULATED if self.simulated else ""
 
     def marked(self, title: str) -> str:

@@ -215,7 +215,7 @@ class JournalWriter:
 
     @property
     def size(self) -> int:
-        """Bytes written."""
+        """Number of bytes written."""
         return self._size
 
     @property
@@ -346,9 +346,9 @@ def _beginning(place: Path) -> Iterator[None]:
 
 def encode_or_raise(path: Path, encode: Any) -> Any:
     """Return ``encode()``. Its ValueError or TypeError, for values that cannot be recorded, becomes
-    a RigError that names the file; nothing was written then, and the journal can still be used.
+    a RigError that names the file.
 
-    Nothing was written then, and the journal can go on.
+    Nothing was written then, and the journal can still be used.
     """
     try:
         return encode()

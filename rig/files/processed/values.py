@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 DEFINITION, LAYOUT_VERSION = "NXrig_processed", "1"
 FOLDER = "processed"
-"""Of the results, in the folder of their run."""
+"""Name of the folder of the results, in the folder of their run."""
 FINGERPRINT_LENGTH = 12
 """Characters of the parameters' fingerprint in a file's name."""
 
@@ -30,19 +30,19 @@ class ProcessedSource:
     sha256: str
     definition: str
     title: str
-    """With its mark."""
+    """Title of the run, with its mark."""
     run_uuid: str
     start_time: str | None
     end_time: str | None
     simulated: bool | None
     """None if it is not known."""
     mark: str
-    """What every title has to begin with: that the run was simulated or imported, or nothing."""
+    """First word of every title: SIMULATED, IMPORTED or nothing."""
 
 
 @dataclass(frozen=True)
 class DetectedTrial:
-    """What a detector found in one trial, with the signals that it looked at."""
+    """The results of a detector for one trial, with the signals that they came from."""
 
     id: str
     rate_Hz: float

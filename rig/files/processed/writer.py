@@ -1,4 +1,5 @@
-"""Processed files: what a detector found in a run file, in a file of its own beside it.
+"""Writes processed files: the results of a detector for a run file, in a file of their own beside
+it.
 
 The raw file is read and named by its SHA-256, never written to. A processed file holds nothing but
 what follows from that file, the detector's version and its parameters, so that the same three give

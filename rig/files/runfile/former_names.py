@@ -34,7 +34,7 @@ RENAMED: Mapping[tuple[str, str], tuple[RenamedColumn, ...]] = {
     ("NXrig_slip_trial", "1"): _PRESSED,
     ("NXrig_roll_trial", "1"): _PRESSED,
 }
-"""By definition and version of the layout that has the former names."""
+"""Renamed columns, by definition and version of the layout that has the former names."""
 
 
 def column_in(layout: Layout, name: str) -> str:

@@ -1,4 +1,4 @@
-"""Whether a run file holds all that its journal holds, to the last sample.
+"""Checks that a run file holds all that its journal holds, to the last sample.
 
 The file is read from the disk; the journal is not read again: its texts and points are known from
 `read_journal`, its samples from the digests that `SampleWalk` took of them. This check is what

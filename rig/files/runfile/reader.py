@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RecordedOutcome:
-    """How the run ended. `duration` in s; `status` is complete, stopped or failed."""
+    """The end of the run. `duration` in s; `status` is complete, stopped or failed."""
 
     status: str
     reason: str
@@ -37,7 +37,7 @@ class RecordedOutcome:
     points_planned: int
     points_done: int
     simulated: bool | None
-    """None for an imported run: the file does not say."""
+    """None for an imported run, whose file does not state it."""
     seed: int
     exit: int
     duration: float
@@ -104,7 +104,7 @@ class RunFile(OpenFile):
 
     @cached_property
     def header(self) -> RunHeader:
-        """What the journal's header said: settings, points, instruments, streams, layout."""
+        """The journal's header: settings, points, instruments, streams, layout."""
         return _header_of(self.entry)
 
     @property
@@ -114,13 +114,14 @@ class RunFile(OpenFile):
 
     @property
     def end_time(self) -> str | None:
-        """When the run ended, ISO 8601. None for an imported run whose time is not known."""
+        """Time at which the run ended, ISO 8601. None for an imported run whose time is not
+        known."""
         with _naming(self.path):
             return text_of(self.entry["end_time"]) if "end_time" in self.entry else None
 
     @property
     def outcome(self) -> RecordedOutcome:
-        """How the run ended."""
+        """The end of the run: status, reason, number of points."""
         with _naming(self.path):
             group = self.entry["outcome"]
             number = {name: int(whole(group[name])) for name in _NUMBERS}
@@ -151,7 +152,7 @@ class RunFile(OpenFile):
     def column(self, name: str) -> NDArray[Any]:
         """Return a column of the readings, float64 (or text) of shape (points,), in plot order.
 
-        Files that were written before a column was renamed answer to its present name as well.
+        The present name also finds the column in files that were written before it was renamed.
         RunFileError if there is no such column.
         """
         if name not in self.columns():
@@ -199,7 +200,7 @@ class RunFile(OpenFile):
 
 
 def _header_of(entry: h5py.Group) -> RunHeader:
-    """The run's header as the file keeps it; ValueError if it is none."""
+    """Return the run's header from the file. Raises ValueError if it is not a header."""
     return RunHeader.model_validate(from_json(text_of(entry["journal_header/data"])))
 
 

@@ -40,7 +40,8 @@ def interrupted(file: Path | str) -> JournalContents:
 
 
 def _journal_of(file: Path, purpose: str) -> Path:
-    """The journal: this file, or the one beside it. JournalError says what the file is instead."""
+    """Return the path of the journal: this file, or the one beside it. Raises JournalError, which
+    says what the file is instead."""
     beside, run_file = journal_path(file), file.with_suffix(RUN_SUFFIX)
     kind = kind_of(file)
     if kind == "journal":
@@ -53,7 +54,7 @@ def _journal_of(file: Path, purpose: str) -> Path:
 
 
 def _why_not(file: Path, purpose: str) -> str:
-    """What keeps a file of HDF5 without a journal from being recovered or resumed."""
+    """Return the reason why an HDF5 file without a journal cannot be recovered or resumed."""
     try:
         with RunFile.open(file) as run:
             outcome = run.outcome

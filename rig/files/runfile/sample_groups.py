@@ -1,4 +1,4 @@
-"""Where the samples of a journal belong in its run file: a group for each segment, by name.
+"""Assigns the samples of a journal to groups of its run file: one group for each segment, by name.
 
 Pure functions of the journal's contents, which the writer and the read-back share: both have to
 know the same places and attributes, and neither takes them from the other.

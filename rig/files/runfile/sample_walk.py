@@ -40,9 +40,9 @@ class SampleWalk:
     def __init__(self, contents: JournalContents) -> None:
         self.contents = contents
         self.blocks = BlockTable(len(contents.header.streams))
-        """Where each block stands in its segment and in time."""
+        """Position of each block in its segment and in time."""
         self.digests: list[list[list[bytes]]] = [[] for _ in contents.segments]
-        """For each segment, for each of its pieces, a digest of every channel."""
+        """Digest of every channel, for each piece of each segment."""
 
     def pieces(self) -> Iterator[Piece]:
         """Read the journal and yield its samples, the pieces of each segment in order.

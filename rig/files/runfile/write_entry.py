@@ -1,4 +1,5 @@
-"""What stands around the samples in ``/entry``: who, when, with what, how it was set and ended.
+"""Writes everything in ``/entry`` except the samples: operator, times, instruments, settings and
+outcome.
 
 Writes the NeXus tree of a journal's contents into an open HDF5 file; decides nothing about files.
 """
@@ -205,7 +206,8 @@ def _write_points(made: h5py.Group, contents: JournalContents, table: PointTable
 
 
 def _write_truth(entry: h5py.Group, contents: JournalContents, table: PointTable) -> None:
-    """What the simulated World says really happened at each point: no measurement knows it."""
+    """Write what really happened in the simulated World at each point, which no measurement
+    shows."""
     from rig.files.journal.format import from_json
 
     truths = {
