@@ -105,6 +105,7 @@ class RollTrial(TrialProcedure):
                 "add centre_mm, position of x at which the middle of the skin is above it, and "
                 "upright_deg, angle of the rotary stage at which it stands upright",
             )
+        self._require_on_the_skin(bench)
         curve = bool(settings.profile_times_s)
         angle = "profile_angles_deg" if curve else "angle_deg"
         for angle_deg in settings.angles_deg:
@@ -125,6 +126,20 @@ class RollTrial(TrialProcedure):
             fastest = max((turn.speed_deg_s for turn in turns), default=0.0)
             named = f"{as_option(settings, 'profile_times_s')} with {as_option(settings, angle)}"
             self._require(bench, "rotary.speed", fastest, named)
+
+    def _require_on_the_skin(self, bench: Bench) -> None:
+        """Raise LimitError where the roll would begin beside the ridges: z would go down to the end
+        of the contact range before the approach finds that nothing is there, or press the object
+        on the skin's edge."""
+        half_mm = bench.skin.ridges_extent_mm / 2
+        if abs(self.settings.start_mm) > half_mm:
+            raise LimitError(
+                f"{as_option(self.settings, 'start_mm')} from the middle is beside the ridges of "
+                f"the skin, which extend from {-half_mm:g} to {half_mm:g} mm ([skin] "
+                f"ridges_extent_mm = {bench.skin.ridges_extent_mm:g} mm)",
+                f"choose a start between {-half_mm:g} and {half_mm:g} mm, or correct "
+                "ridges_extent_mm in the bench file",
+            )
 
     def _require(self, bench: Bench, quantity: str, value: float, given: str) -> None:
         """Raise LimitError, which names the options `given`, unless the bench can reach a value."""

@@ -161,8 +161,8 @@ def parse_to_make_safe(text: str, source: str) -> Restable:
 def rehearsal(
     real: BenchPlan, simulated: BenchPlan, models: Mapping[str, str] | None = None
 ) -> BenchPlan:
-    """The simulated bench under a real bench file's limits: its fixture, its load limit and its
-    drivers' settings, except for those that a driver marks as `Wiring`.
+    """The simulated bench under a real bench file's limits: its fixture, its load limit, the
+    extent of its skin and its drivers' settings, except for those that a driver marks as `Wiring`.
 
     `models` names the simulated instruments by role, for the lines about those that stand in for
     an instrument of which there is no simulator.
@@ -184,6 +184,9 @@ def rehearsal(
     if real.settings.load_cell is not None and simulated.settings.load_cell is not None:
         kept = {"sensitivity_V_N": simulated.settings.load_cell.sensitivity_V_N}
         limits["load_cell"] = real.settings.load_cell.model_copy(update=kept)
+    if real.settings.skin is not None and simulated.settings.skin is not None:
+        kept = {"ridges_extent_mm": real.settings.skin.ridges_extent_mm}
+        limits["skin"] = simulated.settings.skin.model_copy(update=kept)
     settings = simulated.settings.model_copy(update=limits)
     return replace(
         simulated,

@@ -55,6 +55,9 @@ class MountedSkinSettings(Settings):
     """Gain between a strip and the DAQ."""
     ridge: int = Field(default=3, ge=1)
     """Number of the ridge that holds the strips; 1 is the leftmost."""
+    ridges_extent_mm: float = Field(default=17.4, gt=0)
+    """Extent of all ridges along x, from the outer side of the first to that of the last: nine
+    ridges 1.4 mm wide, 2 mm apart. A roll begins on them."""
     b_dB: dict[Strip, float] = Field(default_factory=dict)
     """Calibrated b (paper eq. 2) by strip, without the amplifier's gain; none until calibrated. A
     calibration record in use replaces it."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.bench.connected import Bench
+from rig.bench.fixture_limits import out_of_reach
 from rig.bench.limits import require
 from rig.bench.plan import BenchPlan
 from rig.core.errors import ConfigurationError, LimitError, RigError
@@ -71,9 +72,9 @@ def check_points(
     taken: Iterable[str] = (),
     settings: Settings | None = None,
 ) -> None:
-    """Refuse, before anything moves, every value outside a limit; ids must be unique, also among
-    those of an earlier plan that are `taken`. With the run's `settings` the message names the
-    options that a refused value comes from."""
+    """Refuse, before anything moves, every value outside a limit, places of the fixtures included;
+    ids must be unique, also among those of an earlier plan that are `taken`. With the run's
+    `settings` the message names the options that a refused value comes from."""
     for error in refusals(points, bench, taken, settings):
         raise error
 
@@ -87,6 +88,7 @@ def refusals(
     """Every error that `check_points` would raise, one after the other."""
     if not points:
         yield ConfigurationError("there is no point to measure", "ask for at least one")
+    yield from out_of_reach(bench)
     seen: set[str] = set(taken)
     reach = bench.reach()
     for point in points:
