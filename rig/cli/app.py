@@ -16,6 +16,7 @@ from pathlib import Path
 import typer
 
 from rig.cli.outcome import printable, report, say
+from rig.core import unreadable_packages
 from rig.core.entry_points import PROCEDURES, BrokenPackageError, names, summary
 from rig.core.errors import ConfigurationError, RigError
 
@@ -83,6 +84,8 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     )
     asked = next((word for word in arguments if not word.startswith("-")), None)
     installed = names(PROCEDURES)
+    for line in unreadable_packages.warnings():
+        say(f"warning: {printable(line)}")
     own = (*COMMANDS, *GROUPS)
     listed = asked not in own and asked not in installed
     for name in installed:

@@ -417,3 +417,35 @@ def test_a_procedure_whose_settings_share_an_option_is_refused(rig: Any, tmp_pat
     (error,) = refused.errors
     assert "of the package lab-creep" in error
     assert "'load_N' and 'load_mm', which would both be the option --load" in error
+
+
+UNREADABLE = {
+    "a line without =": b"[rig.procedures]\ncreep\n",
+    "no text": b"\xff\xfe[rig.drivers]\n",
+}
+
+
+@pytest.fixture(params=UNREADABLE)
+def unreadable(request: Any, rig: Any, tmp_path: Path) -> None:
+    """A package on the command line's path whose list of entry points cannot be read."""
+    site = install(tmp_path / "site", "lab-creep", "")
+    (site / "lab_creep-1.0.dist-info" / "entry_points.txt").write_bytes(UNREADABLE[request.param])
+    on_path(rig, site)
+
+
+@pytest.mark.usefixtures("unreadable")
+def test_entry_points_that_cannot_be_read_disable_their_own_package_only(rig: Any) -> None:
+    helped = rig.run("--help")
+    assert helped.code == 0, helped.stderr
+    assert "slip-trial" in helped.stdout
+    assert "the package in lab_creep-1.0.dist-info is not used" in helped.stderr
+    made_safe = rig.run("make-safe")
+    assert made_safe.code == 2
+    assert "there is no bench file bench.toml" in made_safe.stderr
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("unreadable")
+def test_a_run_works_beside_entry_points_that_cannot_be_read(rig: Any) -> None:
+    done = rig.run("sweep", "--frequencies", "200", "--no-figures")
+    assert done.code == 0, done.stderr

@@ -1,0 +1,42 @@
+"""Lets the program work beside an installed package whose list of entry points cannot be read.
+
+``importlib.metadata`` raises for all packages where one has an ``entry_points.txt`` that does not
+parse or is not text, and so does every library that looks for its own plug-ins there (pydantic,
+numba). Once `tolerate` has been called, such a package registers nothing.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import Distribution, EntryPoints
+
+_unreadable: dict[str, str] = {}
+
+
+def tolerate() -> None:
+    """Let every distribution without readable entry points have none, in this process."""
+    original = Distribution.entry_points
+    assert isinstance(original, property)
+    read = original.fget
+    assert read is not None
+
+    def entry_points(self: Distribution) -> EntryPoints:
+        try:
+            found: EntryPoints = read(self)
+        except Exception as error:  # noqa: BLE001 - whatever the file holds
+            # The folder and not the metadata, which may be unreadable as well.
+            name = getattr(getattr(self, "_path", None), "name", "without a name")
+            reason = " ".join(str(error).split())
+            _unreadable[str(name)] = f"{type(error).__name__}: {reason}"
+            return EntryPoints(())
+        return found
+
+    Distribution.entry_points = property(entry_points)  # type: ignore[method-assign, assignment]
+
+
+def warnings() -> list[str]:
+    """Return a line for each installed package whose entry points could not be read so far."""
+    return [
+        f"the package in {name} is not used: its entry_points.txt cannot be read ({reason}); "
+        "install it again or uninstall it"
+        for name, reason in sorted(_unreadable.items())
+    ]
