@@ -307,9 +307,9 @@ class JogSession:
             self._holds.check()
         if self._homing and self._person.keys():
             raise _HomingStoppedError("homing was stopped by a key")
-        if self._guard.lost and not self._guard_missed:
+        if not self._guard_missed and (trouble := self._guard.trouble()) is not None:
             self._guard_missed = True
-            self._say("the guard has died: if this program dies as well, only the drives stop")
+            self._say(f"the guard {trouble}: if this program dies as well, only the drives stop")
 
     @contextlib.contextmanager
     def _first_cause(self) -> Iterator[None]:

@@ -135,7 +135,7 @@ class _Execution:
         )
         self._last_beat = 0.0
         self._guard_missed = False
-        """True if the guard's death has been reported."""
+        """True if it has been reported that the guard has died or does not react."""
         self._begun_s = bench.clock.now()
 
     def go(self, points: tuple[Point, ...]) -> None:
@@ -191,10 +191,11 @@ class _Execution:
             self.run.check_watchers()
 
     def _miss_guard(self) -> None:
-        """Report once that the guard has died. The run continues: to end it would gain nothing."""
-        if self.guard.lost and not self._guard_missed:
+        """Report once that the guard has died or does not react. The run continues: to end it would
+        gain nothing."""
+        if not self._guard_missed and (trouble := self.guard.trouble()) is not None:
             self._guard_missed = True
-            text = "the guard has died: if this run dies as well, nothing makes the bench safe"
+            text = f"the guard {trouble}: if this run dies as well, nothing makes the bench safe"
             self.run.event("warning", "guard", text)
             self.observers.event("warning", text)
 

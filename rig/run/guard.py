@@ -14,12 +14,15 @@ only when it has to act, so a guard costs a few milliseconds.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import select
 import signal
+import struct
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,6 +41,14 @@ GUARD_SUFFIX = ".guard.json"
 """Suffix of a report next to its run file, for a bench that ended with the run."""
 TAKE_OVER_S = 30.0
 """How long a run waits for its guard's second try: several time-outs of the links."""
+SILENT_S = 5.0
+"""How long a guard may leave heartbeats unread before the run reports it: it reads each at once, so
+it is stopped, or gets no processor time."""
+MOST_UNREAD_BYTES = 4096
+"""From here on no further heartbeats are sent. A pipe holds 65536 bytes, and a write to a full one
+would wait for ever; so the words that the bench is safe and that the run is done always fit."""
+ENDING_S = 5.0
+"""How long a guard with nothing left to do may take to end before it is killed."""
 REST_S = 10.0
 """Longest time in which an axis comes to rest, in addition to the waits for its answers."""
 
@@ -143,16 +154,31 @@ class GuardLink:
                 "reached",
                 "end other programs, or raise the limit (ulimit -u, ulimit -n), and start again",
             ) from error
+        self._heard_s = time.monotonic()
+        """When the guard had last read everything that was sent to it."""
         self._tell(json.dumps(order))
 
-    @property
-    def lost(self) -> bool:
-        """True if the guard has died: nothing would make the bench safe in place of this run."""
-        return self._process.poll() is not None
+    def trouble(self) -> str | None:
+        """Return what is wrong with the guard, as the end of a sentence that begins with "the
+        guard"; None while it is well."""
+        if self._process.poll() is not None:
+            return "has died"
+        silent_s = time.monotonic() - self._heard_s
+        if silent_s < SILENT_S:
+            return None
+        pid = self._process.pid
+        return (
+            f"(process {pid}) has not read a heartbeat for {silent_s:.0f} s, it is stopped or gets "
+            f"no processor time (to continue it: kill -CONT {pid})"
+        )
 
     def beat(self) -> None:
-        """Send a heartbeat."""
-        self._tell("beat")
+        """Send a heartbeat, unless the guard has left many unread; never waits."""
+        unread = self._unread_bytes()
+        if unread == 0:
+            self._heard_s = time.monotonic()
+        if unread < MOST_UNREAD_BYTES:
+            self._tell("beat")
 
     def safe(self) -> None:
         """Report that everything is off, so that a slow compilation does not make the guard act."""
@@ -164,14 +190,19 @@ class GuardLink:
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
             self._process.stdin.close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(timeout=5)
+        try:
+            self._process.wait(ENDING_S)
+        except subprocess.TimeoutExpired:
+            # A stopped guard would keep the locks of the bench until it is continued.
+            self._process.kill()
+            self._process.wait()
 
     def take_over(self) -> TakenOver:
         """Leave the bench to the guard, and return the result of its try."""
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
             self._process.stdin.close()
+        self._process.send_signal(signal.SIGCONT)  # one that was stopped is needed now
         try:
             self._process.wait(timeout=TAKE_OVER_S)
             report = json.loads(self._report.read_text())
@@ -186,6 +217,11 @@ class GuardLink:
             return TakenOver(True, "the guard then made the bench safe")
         failures = report["failures"]
         return TakenOver(False, f"the guard could not make the bench safe either: {failures}")
+
+    def _unread_bytes(self) -> int:
+        assert self._process.stdin is not None
+        count = fcntl.ioctl(self._process.stdin, termios.FIONREAD, struct.pack("i", 0))
+        return int(struct.unpack("i", count)[0])
 
     def _tell(self, word: str) -> None:
         assert self._process.stdin is not None

@@ -79,12 +79,13 @@ class Example(Procedure):
 class Guard:
     """What the run reports to its guard."""
 
-    lost = False
-
     def __init__(self, log: list[str]) -> None:
         self._log = log
 
     def beat(self) -> None:
+        pass
+
+    def trouble(self) -> None:
         pass
 
     def safe(self) -> None:

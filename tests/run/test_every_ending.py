@@ -199,12 +199,13 @@ class Stage(Instrument):
 class Guard:
     """What the run tells its guard."""
 
-    lost = False
-
     def __init__(self, story: Story) -> None:
         self._story = story
 
     def beat(self) -> None:
+        pass
+
+    def trouble(self) -> None:
         pass
 
     def safe(self) -> None:

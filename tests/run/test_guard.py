@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -126,6 +127,33 @@ def test_a_run_that_is_done_leaves_its_guard_nothing_to_do(bench: Bench) -> None
     assert [on for on, _ in bench.outputs()] == [True]
 
 
+def test_a_guard_that_is_stopped_never_blocks_its_run_is_reported_and_ends_with_it(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More heartbeats than a pipe holds: the next one would wait for ever."""
+    monkeypatch.setattr("rig.run.guard.SILENT_S", 0.1)
+    monkeypatch.setattr("rig.run.guard.ENDING_S", 0.1)
+    link = GuardLink(bench.plan, bench.journal, bench.report)
+    os.kill(link._process.pid, signal.SIGSTOP)
+    for _ in range(14_000):
+        link.beat()
+    time.sleep(0.1)
+    assert f"process {link._process.pid}" in str(link.trouble())
+    link.safe()
+    link.done()
+    assert link._process.poll() is not None, "it holds no lock any more"
+    assert not bench.report.exists()
+    assert [on for on, _ in bench.outputs()] == [True]
+
+
+def test_a_guard_that_is_stopped_is_continued_when_it_is_needed(bench: Bench) -> None:
+    link = GuardLink(bench.plan, bench.journal, bench.report)
+    link.beat()
+    os.kill(link._process.pid, signal.SIGSTOP)
+    assert link.take_over() == (True, "the guard then made the bench safe")
+    assert [on for on, _ in bench.outputs()] == [True, False]
+
+
 def test_a_closed_pipe_makes_the_guard_act_on_a_connection_of_its_own(bench: Bench) -> None:
     link = GuardLink(bench.plan, bench.journal, bench.report)
     link.beat()
@@ -242,10 +270,10 @@ def test_an_earlier_guards_report_is_not_taken_for_this_ones(bench: Bench) -> No
     earlier = bench.order(journal="yesterday.rigj", safe=True, file="yesterday.h5", failures={})
     bench.report.write_text(json.dumps(earlier))
     link = GuardLink(bench.plan, bench.journal, bench.report)
-    assert not link.lost
+    assert link.trouble() is None
     link._process.kill()
     link._process.wait(PATIENCE_S)
-    assert link.lost
+    assert link.trouble() == "has died"
     link.beat()  # tells nobody, and ends nothing
     assert link.take_over() == (False, "the guard did not report: it ended with code -9")
 

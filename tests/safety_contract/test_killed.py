@@ -138,6 +138,24 @@ def test_a_run_whose_guard_was_killed_says_so_and_goes_on(rig):
     assert rig.outputs() == [True, False]
 
 
+@pytest.mark.thorough
+def test_a_run_whose_guard_is_stopped_says_so_once_and_goes_on(rig):
+    running = rig.start(
+        *rig.sweep_arguments(*SIXTY_POINTS),
+        before="import rig.run.guard as g; g.SILENT_S = g.ENDING_S = 0.5",
+    )
+    running.wait_for(r"^5/60 ")
+    (guard,) = children_named("rig.run.guard", running.process.pid)
+    os.kill(guard, signal.SIGSTOP)
+    ended = running.finish()
+    assert ended.code == 0, ended.stderr
+    (warning,) = ended.object["warnings"]
+    assert warning.startswith(f"the guard (process {guard}) has not read a heartbeat for ")
+    assert f"kill -CONT {guard}" in warning
+    assert rig.outputs() == [True, False]
+    assert not Path(f"/proc/{guard}").exists()
+
+
 def children_named(module, parent):
     """Processes of one parent whose command line names a module."""
     found = []
