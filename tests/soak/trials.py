@@ -187,6 +187,24 @@ _KEYS: dict[str, Callable[[random.Random, str], Fault]] = {
     "frozen": lambda chance, device: {
         **_timed(chance, device), "for_s": round(chance.uniform(0.002, 2), 3),
     },
+    "dead-noisy": _timed,
+    "one-axis-stuck": lambda chance, device: {
+        **_timed(chance, device), "axis": chance.choice("xyz"),
+    },
+    "drift": lambda chance, device: {
+        **_timed(chance, device),
+        "axis": chance.choice("xyz"), "rate_N_s": round(chance.uniform(-4, 4), 2),
+    },
+    "wrong-scale": lambda chance, device: {
+        **_timed(chance, device), "factor": round(math.exp(chance.uniform(-2.5, 2.5)), 3),
+    },
+    "wrong-value": lambda chance, device: {
+        **_timed(chance, device),
+        "axis": chance.choice("xyz"), "force_N": round(chance.uniform(-60, 60), 1),
+    },
+    "previous": lambda chance, device: {
+        **_timed(chance, device), "for_s": round(chance.uniform(0.002, 2), 3),
+    },
     "clipped": lambda chance, device: {
         **_timed(chance, device), "amplitude_V": round(math.exp(chance.uniform(-4, 1)), 4),
     },

@@ -20,12 +20,12 @@ from drivers.simulated.bench.options import (
     Stages,
     drive_kind,
 )
-from drivers.simulated.faults.plan import FORCE_SENSOR
+from drivers.simulated.faults.plan import FORCE_SENSOR, Placed
 from rig.core.entry_points import SIMULATORS, load
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from drivers.simulated.faults.plan import FaultPlan, SensorFault
+    from drivers.simulated.faults.plan import ConverterFault, FaultPlan
     from drivers.simulated.faults.wire import WireDialect, WireFaults
     from drivers.simulated.instruments.festo_cmmt import CmmtDrive
     from drivers.simulated.instruments.force_sensor import ForceSensorCore
@@ -59,7 +59,7 @@ class Instruments:
             FORCE_STREAM,
             GENERATOR,
             ROTARY,
-            SensorFault,
+            ConverterFault,
             TimedFault,
         )
         from drivers.simulated.faults.wire import WireFaults
@@ -101,15 +101,15 @@ class Instruments:
         self.stages = self._serve_stages(options, wire)
         self.sensor_driver = options.replace.get(FORCE_SENSOR, USUAL_FORCE_SENSOR)
         self.sensor = sensor = _force_sensor(world, self.sensor_driver)
-        _refuse_impossible(sensor, self.sensor_driver, faults.of(SensorFault, FORCE_SENSOR))
+        _refuse_impossible(sensor, self.sensor_driver, faults.of(ConverterFault, FORCE_SENSOR))
         dialect = sensor.wire_dialect()
         self.force = _serve_sensor(
             sensor, world, options.slaved, wire(FORCE_SENSOR, dialect), wire(FORCE_STREAM, dialect)
         )
 
         def disturb(fault: TimedFault, t_us: int) -> None:
-            assert isinstance(fault, SensorFault), "the World keeps the others to itself"
-            sensor.disturb(fault.kind, t_us * 1e-6, fault.for_s)
+            assert isinstance(fault, ConverterFault), "the World keeps the others to itself"
+            sensor.disturb(fault.kind, t_us * 1e-6, **_keys_of(fault))
 
         world.on_fault(FORCE_SENSOR, disturb)
         self.serial.append(self.force)
@@ -232,8 +232,14 @@ def _force_sensor(world: World, driver: str) -> ForceSensorCore:
     return made
 
 
+def _keys_of(fault: ConverterFault) -> dict[str, Any]:
+    """The keys of a fault beyond its kind and moment, as `disturb` of a core takes them."""
+    own = type(fault).model_fields.keys() - Placed.model_fields.keys() - {"kind"}
+    return {key: getattr(fault, key) for key in sorted(own)}
+
+
 def _refuse_impossible(
-    sensor: ForceSensorCore, driver: str, faults: tuple[SensorFault, ...]
+    sensor: ForceSensorCore, driver: str, faults: tuple[ConverterFault, ...]
 ) -> None:
     """ConfigurationError where a fault plan disturbs a sensor as its simulator cannot be."""
     for fault in faults:

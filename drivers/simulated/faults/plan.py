@@ -51,6 +51,8 @@ ON_A_WIRE = (*ON_TCP, ROTARY, FORCE_SENSOR, FORCE_STREAM)
 DEVICES = (*ON_A_WIRE, CLOCK, DISK)
 LONGEST_AFTER_s = 36_000.0
 
+SensorAxis = Literal["x", "y", "z"]
+
 
 class Placed(Settings):
     """A fault that begins at a moment that repeats exactly."""
@@ -212,6 +214,50 @@ class SensorFault(Placed):
     for_s: float = Field(default=0.5, gt=0)
 
 
+class DeadSensor(Placed):
+    """No force reaches the bridges any more, from then on; the amplifier sends its noise."""
+
+    kind: Literal["dead-noisy"]
+
+
+class StuckSensorAxis(Placed):
+    """One axis keeps its value, to the last bit, from then on; the others measure."""
+
+    kind: Literal["one-axis-stuck"]
+    axis: SensorAxis = "z"
+
+
+class SensorDrift(Placed):
+    """What the sensor reads without a force changes at a constant rate, from then on."""
+
+    kind: Literal["drift"]
+    axis: SensorAxis = "z"
+    rate_N_s: float = Field(default=2.0, ge=-1000, le=1000)
+
+
+class WrongScale(Placed):
+    """The sensor reads a multiple of the force, from then on; its zero is not changed."""
+
+    kind: Literal["wrong-scale"]
+    factor: float = Field(default=0.1, ge=0.001, le=1000)
+
+
+class WrongValue(Placed):
+    """One frame has a plausible value that is wrong."""
+
+    kind: Literal["wrong-value"]
+    axis: SensorAxis = "z"
+    force_N: float = Field(default=30.0, ge=-200, le=200)
+    """By how much the frame differs from the force that acts."""
+
+
+class EarlierFrames(Placed):
+    """Each frame has the values of the frame before last."""
+
+    kind: Literal["previous"]
+    for_s: float = Field(default=0.5, gt=0)
+
+
 class Clipped(Placed):
     """What drives the vibrator gives no more than this amplitude, from then on."""
 
@@ -257,7 +303,11 @@ class SlowSync(Settings):
 
 MoveFault = AxisFault | DriveFault | SlowAxis
 RotaryFault = AxisFault | SlowAxis | RaisedFlag | TurnedKnob
-TimedFault = Spike | SensorFault | Clipped | Overrun | ClockJump
+ConverterFault = SensorFault | StuckSensorAxis | WrongValue | EarlierFrames
+"""What happens in the force sensor's amplifier, which its simulator does."""
+SensedFault = DeadSensor | SensorDrift | WrongScale
+"""What changes the force that reaches the amplifier."""
+TimedFault = Spike | ConverterFault | SensedFault | Clipped | Overrun | ClockJump
 FileFault = DiskFault | SlowSync
 WireKind = WireFault | ErrorReply | Rejection | RefusedConnections
 Fault = WireKind | MoveFault | RotaryFault | TimedFault | FileFault
@@ -275,6 +325,8 @@ DEVICES_BY_FAULT: dict[str, tuple[str, ...]] = {
     "drive-fault": STAGES,
     **dict.fromkeys(("warning-flag", "knob"), (ROTARY,)),
     **dict.fromkeys(("spike", "saturated", "frozen"), (FORCE_SENSOR,)),
+    **dict.fromkeys(("dead-noisy", "one-axis-stuck", "drift"), (FORCE_SENSOR,)),
+    **dict.fromkeys(("wrong-scale", "wrong-value", "previous"), (FORCE_SENSOR,)),
     "clipped": (GENERATOR,),
     "overrun": (DAQ,),
     "clock-jump": (CLOCK,),

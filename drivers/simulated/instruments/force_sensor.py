@@ -89,7 +89,7 @@ class ForceSensorCore(ABC):
         """Return how its protocol states errors, for fault plans."""
         return WireDialect()
 
-    def disturb(self, kind: Any, begin_s: float, for_s: float) -> None:
+    def disturb(self, kind: Any, begin_s: float, **keys: Any) -> None:
         """Take a disturbance of a fault plan from a World time on; `disturbances` names those that
-        it can take."""
+        it can take. `keys` are those of the kind in docs/fault-plans.md, such as ``for_s``."""
         raise NotImplementedError(f"{self.title} cannot be {kind}")

@@ -20,12 +20,13 @@ import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.simulated.faults.wire import WireDialect
+from drivers.simulated.instruments.disturbed_converter import KINDS, DisturbedConverter
 from drivers.simulated.instruments.force_sensor import ForceSensorCore
 from drivers.simulated.ports import Exchange, ForcePort, LogPort
 
@@ -167,7 +168,7 @@ class Gsv8(ForceSensorCore):
     rates = tuple(sorted(CONVERSIONS_PER_S / d for d in DIVISORS if CONVERSIONS_PER_S / d <= 12e3))
     alike = (b"A2 ", b"14 ")
     """Its three channels are set up alike, and so one of them meets the faults."""
-    disturbances = ("saturated", "frozen")
+    disturbances = KINDS
     vendor, model, serial_number = "ME-Messsysteme", "GSV-8", "SIM00001"
 
     def __init__(
@@ -198,10 +199,8 @@ class Gsv8(ForceSensorCore):
         self._noise_key: tuple[int, ...] | None = None
         self._noise_at = 0
         self._noise: dict[int, npt.NDArray[np.float64]] = {}
-        self._disturbed: list[tuple[str, float, float]] = []
-        """Kind, begin and end in World seconds."""
-        self._last = np.zeros(CHANNELS)
-        """What the converters gave last, in input ranges."""
+        self._disturbed = DisturbedConverter(CHANNELS, OVERRANGE)
+        """In input ranges."""
         self._commands = self._command_table()
         self._switch_on()
 
@@ -236,10 +235,18 @@ class Gsv8(ForceSensorCore):
         """Return how its responses state errors."""
         return GSV_DIALECT
 
-    def disturb(self, kind: Literal["saturated", "frozen"], begin_s: float, for_s: float) -> None:
-        """A fault plan's doing: from this World time on, the z channel's converter stands at its
-        end, or all of them give what they gave last."""
-        self._disturbed.append((kind, begin_s, begin_s + for_s))
+    def disturb(
+        self, kind: str, begin_s: float, axis: str = "z", force_N: float = 0.0, **keys: float
+    ) -> None:
+        """Take a disturbance of a fault plan from a World time on; `force_N` is what a wrong value
+        adds along `axis`."""
+        channel = self.axes.index(axis)
+        along = np.zeros(3)
+        along[channel] = force_N
+        full = _input_range_of_each(tuple(self.memory.input_type))
+        added = np.zeros(CHANNELS)
+        added[:3] = (self.sensor.bridges(along) - self.sensor.zero_mV_V) / full[:3]
+        self._disturbed.add(kind, begin_s, channel=channel, added=added, **keys)
 
     def bench_settings(self, where: str) -> dict[str, Any]:
         """Return the keys of a bench file's table for the driver."""
@@ -582,14 +589,7 @@ class Gsv8(ForceSensorCore):
             saturated[:, :3] = (np.abs(converted) >= OVERRANGE).any(axis=1)
             ranges[:, :3] += np.clip(converted, -OVERRANGE, OVERRANGE).mean(axis=1)
         np.minimum(np.maximum(ranges, -OVERRANGE, out=ranges), OVERRANGE, out=ranges)
-        for kind, begin_s, end_s in self._disturbed:
-            befallen = (ends_s >= begin_s) & (ends_s < end_s)
-            if kind == "saturated":
-                ranges[befallen, 2], saturated[befallen, 2] = OVERRANGE, True
-            elif befallen.any():
-                before = ranges[ends_s < begin_s]
-                ranges[befallen] = before[-1] if len(before) else self._last
-        self._last = ranges[-1]
+        self._disturbed.apply(ends_s, ranges, saturated)
         return ranges, saturated
 
     def _all_below(self, bridge_mV_V: float, sizes_N: npt.NDArray[np.float64]) -> bool:

@@ -6,6 +6,7 @@ is logged as ``violation``. It runs only where the World's settings ask for it.
 
 - The force by which the stages press stays below its limit but for what a sensor cannot know yet:
   beyond the limit it never gets further than it has risen within one `reaction_s`.
+- The largest force by which the stages have pressed is logged as ``largest-force`` at the end.
 - Where the World ends, because its run has said so or has died, nothing moves or is driven.
 
 It also writes down a checksum of every frame that the force sensor sends, so that a record can be
@@ -68,6 +69,7 @@ class Monitor:
         self._allowed_N = 0.0
         """Largest rise within one reaction since the force went over its limit."""
         self._told = False
+        self._largest_N = 0.0
 
     def check(self, now_us: int) -> None:
         """Check everything since the last call."""
@@ -76,6 +78,7 @@ class Monitor:
             return
         self._next_us = int(times[-1]) + STEP_us
         force = np.abs(self._force_N(np.asarray(times * 1e-6, np.float64))).max(axis=1)
+        self._largest_N = max(self._largest_N, float(force.max()))
         history = np.concatenate([self._recent, force])
         self._recent = history[-self._before :]
         if force.max() <= self._settings.force_limit_N:
@@ -85,9 +88,11 @@ class Monitor:
             self._judge(after, after - before)
 
     def over(self) -> None:
-        """The World ends, and with it the run: report what is still active."""
+        """The World ends, and with it the run: report what is still active, and the largest
+        force."""
         for what in self._active():
             self._report("violation", f"{what} although no run is active")
+        self._report("largest-force", round(self._largest_N, 3))
 
     def _judge(self, force_N: float, rise_N: float) -> None:
         excess = force_N - self._settings.force_limit_N

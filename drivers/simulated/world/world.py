@@ -26,6 +26,7 @@ from drivers.simulated.faults.plan import (
     STAGE_Z,
     Clipped,
     ClockJump,
+    SensedFault,
     Spike,
     TimedFault,
 )
@@ -36,6 +37,7 @@ from drivers.simulated.world.film_clamp import ClampedFilm
 from drivers.simulated.world.log import WorldLog
 from drivers.simulated.world.monitor import WatchSettings
 from drivers.simulated.world.schedule import Schedule
+from drivers.simulated.world.sensed_force import SensedForce
 from drivers.simulated.world.timeline import WorldTimeline
 from rig.core.errors import ConfigurationError
 from rig.core.settings import Settings
@@ -140,6 +142,7 @@ class World:
         self._weight_N = np.zeros(3)
         self._pushes: list[tuple[float, float, float]] = []
         """Begin and end in s, force in N."""
+        self._sensed = SensedForce()
         self._schedule = Schedule(faults)
         self.tasks = TaskLog()
         """The bench's log of tasks and acquisitions."""
@@ -202,13 +205,14 @@ class World:
     def force_N(  # noqa: N802
         self, times_s: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """Force on the sensor under film or plate, (n,) to (n, 3): weights, pushes, contact."""
+        """Force that the sensor under film or plate senses, (n,) to (n, 3): weights, pushes and
+        contact, as far as its faults let them through."""
         self._apply_due_faults()  # in real time frames come more often than `settle`
         weight_N = self._weight_N if np.count_nonzero(self._weight_N) else 0.0
         force = self.pressed_N(times_s) + weight_N
         for begin_s, end_s, push_N in self._pushes:
             force[:, 2] += push_N * ((times_s >= begin_s) & (times_s < end_s))
-        return force
+        return self._sensed.of(times_s, force)
 
     def pressed_N(  # noqa: N802
         self, times_s: npt.NDArray[np.float64]
@@ -274,6 +278,8 @@ class World:
         if isinstance(fault, Spike):
             begin_s = t_us * 1e-6
             self._pushes.append((begin_s, begin_s + fault.for_s, fault.force_N))
+        elif isinstance(fault, SensedFault):
+            self._sensed.begin(fault, t_us)
         elif isinstance(fault, Clipped):
             self._clip_V = fault.amplitude_V
             self._drive()

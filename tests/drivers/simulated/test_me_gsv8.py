@@ -304,7 +304,7 @@ def _crc(data: bytes) -> int:
 def test_a_frozen_converter_repeats_its_last_values_across_batches() -> None:
     line = Line()
     line.three_floats()
-    line.core.disturb("frozen", 0.005, 0.010)
+    line.core.disturb("frozen", 0.005, for_s=0.010)
     values = floats(line.after(0.008) + line.after(0.020))
     assert (values[4:14] == values[3]).all(), "from 5 ms until 15 ms, as at 4 ms"
     assert len(np.unique(values[14:], axis=0)) == len(values[14:]), "noise is back"
@@ -314,12 +314,45 @@ def test_a_frozen_converter_repeats_its_last_values_across_batches() -> None:
 def test_a_saturated_converter_stands_at_its_end_and_says_so() -> None:
     line = Line()
     line.three_floats()
-    line.core.disturb("saturated", 0.005, 0.010)
+    line.core.disturb("saturated", 0.005, for_s=0.010)
     stream = line.after(0.020)
     values, control = floats(stream), np.frombuffer(stream, np.uint8).reshape(-1, 16)[:, 2]
     assert (control & 1).tolist() == [0] * 4 + [1] * 10 + [0] * 6
     assert values[4:14, 2] == pytest.approx(1.05 * 3.5)
     assert values[:, :2] == pytest.approx(np.tile([0.01, -0.02], (20, 1)), abs=1e-3)
+
+
+def test_one_axis_that_is_stuck_keeps_its_last_value_and_the_others_measure() -> None:
+    line = Line()
+    line.three_floats()
+    line.core.disturb("one-axis-stuck", 0.005, axis="y")
+    values = floats(line.after(0.008) + line.after(0.020))
+    assert (values[4:, 1] == values[3, 1]).all(), "from 5 ms on"
+    for living in (0, 2):
+        assert np.diff(values[:, living]).astype(bool).mean() > 0.9
+
+
+def test_a_wrong_value_is_in_one_frame_and_differs_by_the_force() -> None:
+    line, undisturbed = Line(), Line()
+    for one in (line, undisturbed):
+        one.three_floats()
+    line.core.disturb("wrong-value", 0.005, axis="z", force_N=20.0)
+    differs = floats(line.after(0.020)) - floats(undisturbed.after(0.020))
+    assert np.flatnonzero(differs.any(axis=1)).tolist() == [4]
+    force_N = np.array(line.core.sensor.matrix) @ differs[4]
+    assert force_N == pytest.approx([0.0, 0.0, 20.0], abs=1e-3)
+
+
+def test_earlier_frames_have_the_values_of_the_frame_before_last() -> None:
+    line, undisturbed = Line(), Line()
+    for one in (line, undisturbed):
+        one.three_floats()
+    line.core.disturb("previous", 0.005, for_s=0.010)
+    values = floats(line.after(0.008) + line.after(0.020))
+    sent = floats(undisturbed.after(0.028))
+    assert (values[4:14] == sent[2:12]).all()
+    assert (values[:4] == sent[:4]).all()
+    assert (values[14:] == sent[14:]).all()
 
 
 def test_what_fault_plans_make_of_answers() -> None:

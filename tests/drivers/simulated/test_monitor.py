@@ -77,7 +77,10 @@ def test_what_moves_at_the_end_is_told() -> None:
         lambda what, value: told.append((what, value)),
     )
     monitor.over()
-    assert told == [("violation", "stage_x moves at 3 mm/s although no run is active")]
+    assert told == [
+        ("violation", "stage_x moves at 3 mm/s although no run is active"),
+        ("largest-force", 0.0),
+    ]
 
 
 def test_frames_of_three_floats_are_written_down_with_and_without_a_check() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -271,3 +272,22 @@ def test_a_clock_that_jumps_goes_on_from_there(tmp_path: Path) -> None:
     assert of.now_us == 2_020_000
     pass_time(of)
     assert of.now_us == 2_030_000
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys", "sensed"),
+    [
+        ("dead-noisy", {}, [0.0, 0.0, 0.0]),
+        ("wrong-scale", {"factor": 0.1}, [0.1, 0.2, 0.3]),
+        ("drift", {"axis": "y", "rate_N_s": -2.0}, [1.0, 2.0 - 0.02, 3.0]),
+    ],
+)
+def test_a_faulty_sensor_does_not_sense_the_force_that_acts(
+    tmp_path: Path, kind: str, keys: dict[str, Any], sensed: list[float]
+) -> None:
+    of, _ = befallen(tmp_path, device="force_sensor", kind=kind, after_s=0.02, **keys)
+    of.weigh((1.0, 2.0, -22.0))  # the film, where no stage is mounted, presses with 25 N
+    pass_time(of, steps=3)
+    before, after = of.force_N(np.array([0.01, 0.03]))
+    assert before == pytest.approx([1.0, 2.0, 3.0])
+    assert after == pytest.approx(sensed)
