@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import contextlib
-import getpass
 import json
-import math
-import re
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
-from itertools import pairwise
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rig.cli.calibration_options import (
+    DIRECTIONS,
+    RecordOptions,
+    WeighingOptions,
+    conditions,
+    directions,
+    number,
+    reading_times,
+    weights_of,
+)
+from rig.cli.option_groups import with_option_groups
 from rig.cli.outcome import reported, say
 from rig.core.errors import (
     STOPPED_BY_SIGNAL,
@@ -30,19 +37,14 @@ if TYPE_CHECKING:
     from rig.analysis.weighing import CellFit, ForceFit
     from rig.bench.connected import Bench
     from rig.cli.weigh import WeighingOperator
-    from rig.instruments.calibration import CalibrationRecord, Kind
+    from rig.instruments.calibration import CalibrationRecord
     from rig.instruments.roles import Reach
-    from rig.run.scales import Timing
 
     Vector = tuple[float, float, float]
 
 
 LARGE_CROSSTALK_PERCENT = 10.0
 """Crosstalk above which two axes of the sensor are probably crossed or tilted."""
-LARGEST_TOLERANCE_PERCENT = 5.0
-"""Largest tolerance of weights that are good enough for a calibration."""
-SHORTEST_READING_S, LONGEST_WAIT_S = 0.1, 60.0
-TEMPERATURES_degC = (-40.0, 85.0)
 """Range of temperature in which sensors and film work."""
 app = typer.Typer(
     name="calibrate",
@@ -53,115 +55,20 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-DIRECTIONS: dict[str, Vector] = {
-    "+x": (1.0, 0.0, 0.0),
-    "-x": (-1.0, 0.0, 0.0),
-    "+y": (0.0, 1.0, 0.0),
-    "-y": (0.0, -1.0, 0.0),
-    "+z": (0.0, 0.0, 1.0),
-    "-z": (0.0, 0.0, -1.0),
-}
 
-To = Annotated[
-    Path | None, typer.Option(help="Folder for the record [calibrations/ next to the bench file].")
-]
-Operator = Annotated[str, typer.Option(help="Who calibrates [the login name].")]
-Valid = Annotated[
-    str | None,
-    typer.Option(help="Period of validity of the record, for example 90d.", metavar="DAYS"),
-]
-Temperature = Annotated[
-    float | None, typer.Option(help="Ambient temperature in degrees Celsius.", metavar="degC")
-]
-Notes = Annotated[str, typer.Option(help="Remarks.")]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
-BenchOption = Annotated[
-    Path | None, typer.Option(help="Bench file; without one, ./bench.toml or the simulated bench.")
-]
 Weights = Annotated[str, typer.Option(help="Known forces to apply, ascending.", metavar="N,N,…")]
-Tolerance = Annotated[
-    float, typer.Option(help="Relative tolerance of the weight set.", min=0, metavar="percent")
-]
-Duration = Annotated[str, typer.Option(help="Duration of a reading.", metavar="s")]
-Settling = Annotated[str, typer.Option(help="Wait before a reading.", metavar="s")]
-Preload = Annotated[
-    str, typer.Option(help="Constant force on the sensor in addition to the weights.", metavar="N")
-]
-Yes = Annotated[bool, typer.Option("--yes", help="Do not wait for Enter (simulated bench only).")]
-Results = Annotated[Path, typer.Option(help="Folder with the guard's report.")]
-Seed = Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0)]
-World = Annotated[
-    Path | None, typer.Option(help="Physical parameters of the simulated bench (TOML).")
-]
-WorldLog = Annotated[Path | None, typer.Option(help="File for a simulated bench's own log.")]
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """Options that all records have in common."""
-
-    to: Path | None
-    operator: str
-    valid: str | None
-    temperature_degC: float | None
-    notes: str
-    as_json: bool
-
-    def fields(self, kind: Kind, date: datetime, operator: str = "") -> dict[str, Any]:
-        """Fields of a record that was measured at `date`."""
-        import rig
-        from rig.instruments.calibration import VALID_DAYS
-
-        days = VALID_DAYS[kind] if self.valid is None else _days(self.valid)
-        low, high = TEMPERATURES_degC
-        if self.temperature_degC is not None and not low <= self.temperature_degC <= high:
-            raise ConfigurationError(
-                f"--temperature {self.temperature_degC:g}: has to be {low:g} to {high:g} degC, "
-                "that of the room"
-            )
-        return {
-            "date": date,
-            "valid_until": date + timedelta(days=days),
-            "operator": self.operator or operator or _login(),
-            "temperature_degC": self.temperature_degC,
-            "notes": self.notes,
-            "program": f"tactile-rig {rig.__version__}",
-        }
-
-
-@dataclass(frozen=True)
-class WeighingOptions:
-    """Options that both calibrations with weights have in common."""
-
-    bench: Path | None
-    weights: str
-    tolerance_percent: float
-    duration: str
-    settling: str
-    preload: str
-    yes: bool
-    results: Path
-    seed: int
-    world: Path | None
-    world_log: Path | None
 
 
 @app.command("pvdf")
+@with_option_groups
 def pvdf(
     file: Annotated[Path, typer.Argument(help="Run file of a complete sweep.")],
+    *,
     film: Annotated[str, typer.Option(help="Label of the film [as the bench file had it].")] = "",
-    to: To = None,
-    operator: Operator = "",
-    valid: Valid = None,
-    temperature: Temperature = None,
-    notes: Notes = "",
-    as_json: Json = False,
-    debug: Debug = False,
+    wanted: RecordOptions,
 ) -> None:
     """Determine level b and corner of a film from the run file of a sweep."""
-    wanted = Wanted(to, operator, valid, temperature, notes, as_json)
-    with reported(debug, as_json):
+    with reported(wanted.debug, wanted.as_json):
         from rig.cli.film_record import analysed, doubts, film_record, sentences
         from rig.files.runfile.reader import RunFile
         from rig.instruments.calibration import FOLDER
@@ -181,8 +88,9 @@ def pvdf(
 
 
 @app.command("force")
+@with_option_groups
 def force(
-    bench: BenchOption = None,
+    *,
     weights: Weights = "5N,10N,20N",
     axes: Annotated[
         str, typer.Option(help="Directions in which weights are applied.", metavar="±AXIS,…")
@@ -191,49 +99,32 @@ def force(
         str, typer.Option(help="Name of the sensor [serial number of the amplifier].")
     ] = "",
     rate: Annotated[str, typer.Option(help="Frames per second.", metavar="1/s")] = "1000",
-    tolerance: Tolerance = 0.02,
-    duration: Duration = "2s",
-    settling: Settling = "1s",
-    preload: Preload = "0N",
-    to: To = None,
-    operator: Operator = "",
-    valid: Valid = None,
-    temperature: Temperature = None,
-    notes: Notes = "",
-    yes: Yes = False,
-    results: Results = Path("results"),
-    seed: Seed = 0,
-    world: World = None,
-    world_log: WorldLog = None,
-    as_json: Json = False,
-    debug: Debug = False,
+    options: WeighingOptions,
+    wanted: RecordOptions,
 ) -> None:
     """Determine zero and matrix of the force sensor from known weights on each axis, step by
     step."""
-    wanted = Wanted(to, operator, valid, temperature, notes, as_json)
-    options = WeighingOptions(
-        bench, weights, tolerance, duration, settling, preload, yes, results, seed, world, world_log
-    )
-    with reported(debug, as_json), _stoppable(as_json):
+    with reported(wanted.debug, wanted.as_json), _stoppable(wanted.as_json):
         from rig.analysis.weighing import fit_force, refuse_outlier, sequence
         from rig.cli.weigh import weigh
         from rig.instruments.calibration import ForceCalibration, make_record
         from rig.run.scales import ForceScale
 
-        forces = sequence(_directions(axes), _weights(options))
-        fields = {**wanted.fields("force", _now()), **_conditions(options)}
-        timing, frames_s = _timing(options), _number(rate, "1/s", "--rate")
+        weights_N = weights_of(weights)
+        forces = sequence(directions(axes), weights_N)
+        fields = {**wanted.fields("force", _now()), **conditions(options, weights_N)}
+        readings, frames_s = reading_times(options), number(rate, "1/s", "--rate")
         with _at_the_bench(options, wanted, "force_sensor") as (connected, person, folder):
             amplifier = connected.force_sensor
-            _refuse_heavy(options, amplifier.reach()["force"])
+            _refuse_heavy(max(weights_N), options, amplifier.reach()["force"])
             scale = ForceScale(
-                amplifier, connected.clock, timing, _rate(frames_s, amplifier.reach()["rate"])
+                amplifier, connected.clock, readings, _rate(frames_s, amplifier.reach()["rate"])
             )
             means = weigh(forces, scale, person, connected.clock)
             fields["sensor"] = sensor or amplifier.identity.serial_number
             fields["simulated"] = connected.simulated
         values, errors = [m.value for m in means], [m.standard_error for m in means]
-        fit = fit_force(forces, values, errors, options.tolerance_percent / 100)
+        fit = fit_force(forces, values, errors, options.tolerance / 100)
         refuse_outlier(forces, fit.residuals)
         record = make_record(ForceCalibration, {**fields, **fit.coefficients(forces, means)})
         for line in _force_lines(forces, fit):
@@ -242,59 +133,45 @@ def force(
 
 
 @app.command("load-cell")
+@with_option_groups
 def load_cell(
-    bench: BenchOption = None,
+    *,
     weights: Weights = "2N,5N,10N",
     sensor: Annotated[str, typer.Option(help="Name of the load cell [as in the bench file].")] = "",
     input_range: Annotated[
         str, typer.Option("--range", help="Input range of the DAQ's channel.", metavar="V")
     ] = "1.25V",
-    tolerance: Tolerance = 0.02,
-    duration: Duration = "2s",
-    settling: Settling = "1s",
-    preload: Preload = "0N",
-    to: To = None,
-    operator: Operator = "",
-    valid: Valid = None,
-    temperature: Temperature = None,
-    notes: Notes = "",
-    yes: Yes = False,
-    results: Results = Path("results"),
-    seed: Seed = 0,
-    world: World = None,
-    world_log: WorldLog = None,
-    as_json: Json = False,
-    debug: Debug = False,
+    options: WeighingOptions,
+    wanted: RecordOptions,
 ) -> None:
     """Determine zero and static sensitivity of the load cell from known weights along z, step by
     step."""
-    wanted = Wanted(to, operator, valid, temperature, notes, as_json)
-    options = WeighingOptions(
-        bench, weights, tolerance, duration, settling, preload, yes, results, seed, world, world_log
-    )
-    with reported(debug, as_json), _stoppable(as_json):
+    with reported(wanted.debug, wanted.as_json), _stoppable(wanted.as_json):
         from rig.analysis.weighing import fit_load_cell, refuse_outlier, sequence
         from rig.cli.weigh import weigh
         from rig.instruments.calibration import LoadCellCalibration, make_record
         from rig.instruments.roles import Reach
         from rig.run.scales import CellScale
 
-        forces = sequence([DIRECTIONS["+z"]], _weights(options))
-        range_V = _number(input_range, "V", "--range")
-        fields = {**wanted.fields("load-cell", _now()), **_conditions(options)}
-        timing = _timing(options)
+        weights_N = weights_of(weights)
+        forces = sequence([DIRECTIONS["+z"]], weights_N)
+        range_V = number(input_range, "V", "--range")
+        fields = {**wanted.fields("load-cell", _now()), **conditions(options, weights_N)}
+        readings = reading_times(options)
         with _at_the_bench(options, wanted, "daq") as (connected, person, folder):
             cell = connected.load_cell
-            _refuse_heavy(options, Reach(0.0, cell.max_load_N, "N", "load cell"))
-            _refuse_out_of_range(max(_weights(options)) * cell.sensitivity_V_N, range_V)
+            _refuse_heavy(max(weights_N), options, Reach(0.0, cell.max_load_N, "N", "load cell"))
+            _refuse_out_of_range(max(weights_N) * cell.sensitivity_V_N, range_V)
             fields["sensor"] = sensor or _name_of_cell(connected)
             fields["simulated"] = connected.simulated
-            scale = CellScale(connected.daq, connected.clock, timing, range_V, cell.sensitivity_V_N)
+            scale = CellScale(
+                connected.daq, connected.clock, readings, range_V, cell.sensitivity_V_N
+            )
             means = weigh(forces, scale, person, connected.clock)
         loads = [known[2] for known in forces]
         values = [float(mean.value[0]) for mean in means]
         errors = [float(mean.standard_error[0]) for mean in means]
-        fit = fit_load_cell(loads, values, errors, options.tolerance_percent / 100)
+        fit = fit_load_cell(loads, values, errors, options.tolerance / 100)
         refuse_outlier(loads, fit.residuals)
         found = {**fit.coefficients(loads, means), "input_range_V": range_V}
         record = make_record(LoadCellCalibration, {**fields, **found})
@@ -319,7 +196,7 @@ def _refuse_changed(file: Path) -> None:
 
 @contextlib.contextmanager
 def _at_the_bench(
-    options: WeighingOptions, wanted: Wanted, *roles: str
+    options: WeighingOptions, wanted: RecordOptions, *roles: str
 ) -> Iterator[tuple[Bench, WeighingOperator, Path]]:  # fmt: skip
     """The bench with these instruments connected and no others, who puts the weights on, and the
     folder for the record, which takes one."""
@@ -402,8 +279,8 @@ def _stoppable(as_json: bool) -> Iterator[None]:
         raise typer.Exit(int(stopped.code)) from None
 
 
-def _refuse_heavy(options: WeighingOptions, reach: Reach) -> None:
-    total = max(_weights(options)) + _number(options.preload, "N", "--preload")
+def _refuse_heavy(largest_N: float, options: WeighingOptions, reach: Reach) -> None:
+    total = largest_N + number(options.preload, "N", "--preload")
     if not reach.holds(total):
         raise LimitError(
             f"weights and preload of {total:g} N are over the limit of {reach.high:g} N of the "
@@ -438,20 +315,6 @@ def _refuse_out_of_range(largest_V: float, range_V: float) -> None:
             f"{range_V:g} V",
             "choose a larger --range, the one that is in use, or smaller --weights",
         )
-
-
-def _conditions(options: WeighingOptions) -> dict[str, Any]:
-    """Under which the weights are put on."""
-    if not 0 <= options.tolerance_percent <= LARGEST_TOLERANCE_PERCENT:
-        raise ConfigurationError(
-            f"--tolerance {options.tolerance_percent:g}: has to be 0 to "
-            f"{LARGEST_TOLERANCE_PERCENT:g} percent"
-        )
-    return {
-        "weights_N": _weights(options),
-        "weight_tolerance_percent": options.tolerance_percent,
-        "preload_N": _number(options.preload, "N", "--preload"),
-    }
 
 
 def _crosstalk_warning(fit: ForceFit) -> list[str]:
@@ -500,7 +363,9 @@ def _at(force_N: Vector) -> str:
 # --- options and output ----------------------------------------------------------------------
 
 
-def _finish(record: CalibrationRecord, wanted: Wanted, folder: Path, warnings: list[str]) -> None:
+def _finish(
+    record: CalibrationRecord, wanted: RecordOptions, folder: Path, warnings: list[str]
+) -> None:
     """Write the record and say where it is and how long it holds."""
     from rig.instruments.calibration import write_calibration
 
@@ -535,84 +400,5 @@ def _beside(source: str) -> Path:
     return (bench_file.parent if bench_file.is_file() else Path()) / FOLDER
 
 
-def _directions(text: str) -> list[Vector]:
-    found: list[Vector] = []
-    for word in text.split(","):
-        if word.strip() not in DIRECTIONS:
-            known = ", ".join(sorted(DIRECTIONS))
-            raise ConfigurationError(
-                f"--axes: {word.strip()!r} is not a direction", f"choose among {known}"
-            )
-        found.append(DIRECTIONS[word.strip()])
-    if missing := [axis for k, axis in enumerate("xyz") if not any(d[k] for d in found)]:
-        raise ConfigurationError(
-            f"--axes {text} leaves out {' and '.join(missing)}: the matrix needs all three"
-        )
-    return found
-
-
-def _weights(options: WeighingOptions) -> list[float]:
-    weights = [
-        _number(word, "N", "--weights") for word in options.weights.split(",") if word.strip()
-    ]
-    if len(weights) < 2 or weights[0] <= 0:
-        raise ConfigurationError(
-            f"--weights {options.weights}: two different weights above 0 N are needed at least",
-            "for example --weights 5N,10N,20N",
-        )
-    if any(after <= before for before, after in pairwise(weights)):
-        raise ConfigurationError(
-            f"--weights {options.weights}: every weight has to be larger than the one before",
-            "for example --weights 5N,10N,20N",
-        )
-    return weights
-
-
-def _timing(options: WeighingOptions) -> Timing:
-    from rig.run.scales import Timing
-
-    timing = Timing(
-        settling_s=_number(options.settling, "s", "--settling"),
-        duration_s=_number(options.duration, "s", "--duration"),
-    )
-    for option, value, low in (
-        ("--settling", timing.settling_s, 0.0),
-        ("--duration", timing.duration_s, SHORTEST_READING_S),
-    ):
-        if not low <= value <= LONGEST_WAIT_S:
-            raise ConfigurationError(
-                f"{option} {value:g} s: has to be {low:g} to {LONGEST_WAIT_S:g} s"
-            )
-    return timing
-
-
-def _number(text: str, unit: str, option: str) -> float:
-    """Return a finite number from an option's text, with or without its unit."""
-    from rig.core.units import quantity
-
-    try:
-        value = quantity(text, unit)
-    except ValueError as error:
-        raise ConfigurationError(f"{option} {text}: {error}", "see --help for the units") from error
-    if not math.isfinite(value) or value < 0:
-        raise ConfigurationError(f"{option} {text}: has to be a number, not below 0")
-    return value
-
-
-def _days(text: str) -> int:
-    match = re.fullmatch(r"\s*(\d{1,4})\s*(d|days?)?\s*", text)
-    if match is None or not 1 <= int(match[1]) <= 3650:
-        raise ConfigurationError(
-            f"--valid {text}: has to be 1 to 3650 days", "write it as --valid 90d"
-        )
-    return int(match[1])
-
-
 def _now() -> datetime:
     return datetime.now().astimezone().replace(microsecond=0)
-
-
-def _login() -> str:
-    with contextlib.suppress(OSError, KeyError):
-        return getpass.getuser()
-    return ""

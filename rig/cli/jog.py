@@ -10,66 +10,99 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from rig.cli.option_groups import (
+    BenchFile,
+    Debug,
+    Fault,
+    Seed,
+    World,
+    WorldLog,
+    option_group,
+    with_option_groups,
+)
 from rig.cli.options import SimulatedStages
 from rig.cli.outcome import log, reported, say, start_log, tell_failure
 from rig.core.errors import STOPPED_BY_SIGNAL, ConfigurationError, RigError
+from rig.run.bench_selector import BenchRequest, bench_file
 
 if TYPE_CHECKING:
     from rig.cli.terminal import Terminal
     from rig.jog.session import JogOutcome, JogSettings
-    from rig.run.bench_selector import BenchRequest, ChosenBench
+    from rig.run.bench_selector import ChosenBench
     from rig.run.stopping import StopFlag
 
 OWN_BENCH_REPORT = "jog.guard.json"
 """Name of the guard's report for a simulated bench that ends with the command."""
 
 
-def jog(
-    bench: Annotated[
-        Path | None,
-        typer.Option(help="Bench file; without one, ./bench.toml or the simulated bench."),
-    ] = None,
-    axis: Annotated[
-        str | None, typer.Option(help="Axis to begin with: stage_z, stage_x or rotary.")
-    ] = None,
+@option_group
+class JogOptions:
+    """The settings of hand control, as texts with units."""
+
     step: Annotated[
         str | None, typer.Option(help="Step of a linear axis per key press [0.1 mm].", metavar="mm")
-    ] = None,
+    ] = None
     speed: Annotated[
         str | None, typer.Option(help="Speed of linear axes [1 mm/s, the largest].", metavar="mm/s")
-    ] = None,
+    ] = None
     angle_step: Annotated[
         str | None,
         typer.Option(help="Step of the rotary stage per key press [0.2 deg].", metavar="deg"),
-    ] = None,
+    ] = None
     turn_speed: Annotated[
         str | None,
         typer.Option(help="Speed of the rotary stage [2 deg/s, the largest].", metavar="deg/s"),
-    ] = None,
+    ] = None
     largest_force: Annotated[
         str | None,
         typer.Option(
             help="Safety limit on each force axis, not tared; exceeding it stops the bench [5 N].",
             metavar="N",
         ),
+    ] = None
+
+    def settings(self) -> JogSettings:
+        """Return the validated settings; ConfigurationError names every option that is wrong."""
+        from rig.cli.options import settings_from
+        from rig.jog.session import JogSettings
+
+        given = {
+            "step_mm": self.step,
+            "speed_mm_s": self.speed,
+            "angle_step_deg": self.angle_step,
+            "turn_speed_deg_s": self.turn_speed,
+            "largest_force_N": self.largest_force,
+        }
+        settings = settings_from(JogSettings, given)
+        assert isinstance(settings, JogSettings)
+        return settings
+
+
+@option_group
+class JogBench(BenchRequest):
+    """The options of hand control that select its bench."""
+
+    bench: BenchFile = None
+    results: Annotated[Path, typer.Option(help="Folder for the log.")] = Path("results")
+    stages: SimulatedStages = None
+    seed: Seed = 0
+    world: World = None
+    fault: Fault = None
+    world_log: WorldLog = None
+
+
+@with_option_groups
+def jog(
+    options: JogOptions,
+    request: JogBench,
+    axis: Annotated[
+        str | None, typer.Option(help="Axis to begin with: stage_z, stage_x or rotary.")
     ] = None,
-    results: Annotated[Path, typer.Option(help="Folder for the log.")] = Path("results"),
     fixture: Annotated[
         Literal["film-clamp", "plate", "semi-spherical-object"] | None,
         typer.Option(help="Fixture of a simulated bench: film-clamp by default."),
     ] = None,
-    stages: SimulatedStages = None,
-    seed: Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0)] = 0,
-    world: Annotated[
-        Path | None, typer.Option(help="Physical parameters of the simulated bench (TOML).")
-    ] = None,
-    fault: Annotated[
-        Path | None, typer.Option(help="Fault plan (TOML) of a simulated bench.")
-    ] = None,
-    world_log: Annotated[
-        Path | None, typer.Option(help="File for a simulated bench's own log.")
-    ] = None,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    debug: Debug = False,
 ) -> None:
     """Move an axis by keys, in small slow steps that stop when the key is released.
 
@@ -78,29 +111,9 @@ def jog(
     is logged in rig.log in the results folder.
     """
     with reported(debug):
-        from rig.cli.options import settings_from
-        from rig.jog.session import JogSettings
-        from rig.run.bench_selector import BenchRequest, bench_file
-
-        given = {
-            "step_mm": step,
-            "speed_mm_s": speed,
-            "angle_step_deg": angle_step,
-            "turn_speed_deg_s": turn_speed,
-            "largest_force_N": largest_force,
-        }
-        settings = settings_from(JogSettings, given)
-        assert isinstance(settings, JogSettings)
-        request = BenchRequest(
-            bench=bench_file(bench),
-            results=results,
-            seed=seed,
-            stages=stages,
-            world=world,
-            fault=fault,
-            world_log=world_log,
-        )
-        _perform(request, settings, axis, fixture, debug)
+        settings = options.settings()
+        chosen = replace(request, bench=bench_file(request.bench))
+        _perform(chosen, settings, axis, fixture, debug)
 
 
 def _perform(

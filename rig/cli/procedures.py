@@ -6,12 +6,22 @@ import inspect
 import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rig.cli.option_groups import (
+    AsJson,
+    BenchFile,
+    Debug,
+    Fault,
+    Seed,
+    World,
+    WorldLog,
+    group_parameters,
+    option_group,
+)
 from rig.cli.options import SimulatedStages, parameters, settings_from
 from rig.cli.outcome import reported, say, start_log
 from rig.run.bench_selector import BenchRequest, BenchSelector, bench_file
@@ -21,54 +31,33 @@ if TYPE_CHECKING:
     from rig.run.procedure import Procedure
 
 
-@dataclass(frozen=True, kw_only=True)
+@option_group
 class ProcedureRequest(BenchRequest):
     """Options that every procedure has."""
 
-    as_json: bool = False
-    user: str = ""
-    sample: str = ""
-    notes: str = ""
-    figures: bool = True
-    allow_expired: bool = False
-    debug: bool = False
-
-
-def _common(
-    bench: Annotated[
-        Path | None,
-        typer.Option(help="Bench file; without one, ./bench.toml or the simulated bench."),
-    ] = None,
-    results: Annotated[Path, typer.Option(help="Folder for run files.")] = Path("results"),
-    seed: Annotated[int, typer.Option(help="Seed of the simulated bench.", min=0)] = 0,
+    bench: BenchFile = None
+    results: Annotated[Path, typer.Option(help="Folder for run files.")] = Path("results")
+    seed: Seed = 0
     dry_run: Annotated[
         bool,
         typer.Option(
             "--dry-run",
             help="Check the settings and run the procedure on a simulated bench; nothing is saved.",
         ),
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
-    user: Annotated[str, typer.Option(help="Name of the person who runs it.")] = "",
-    sample: Annotated[str, typer.Option(help="Sample on the bench.")] = "",
-    notes: Annotated[str, typer.Option(help="Remarks.")] = "",
-    figures: Annotated[bool, typer.Option(help="Draw the figures of the run.")] = True,
+    ] = False
+    stages: SimulatedStages = None
+    world: World = None
+    fault: Fault = None
+    world_log: WorldLog = None
+    as_json: AsJson = False
+    user: Annotated[str, typer.Option(help="Name of the person who runs it.")] = ""
+    sample: Annotated[str, typer.Option(help="Sample on the bench.")] = ""
+    notes: Annotated[str, typer.Option(help="Remarks.")] = ""
+    figures: Annotated[bool, typer.Option(help="Draw the figures of the run.")] = True
     allow_expired: Annotated[
         bool, typer.Option("--allow-expired", help="Use calibration records that have expired.")
-    ] = False,
-    stages: SimulatedStages = None,
-    world: Annotated[
-        Path | None, typer.Option(help="Physical parameters of the simulated bench (TOML).")
-    ] = None,
-    fault: Annotated[
-        Path | None, typer.Option(help="Fault plan (TOML) of a simulated bench.")
-    ] = None,
-    world_log: Annotated[
-        Path | None, typer.Option(help="File for a simulated bench's own log.")
-    ] = None,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
-) -> None:
-    """Signature of the common options."""
+    ] = False
+    debug: Debug = False
 
 
 def command(name: str) -> Callable[..., None]:
@@ -87,11 +76,9 @@ def command(name: str) -> Callable[..., None]:
             settings = settings_from(procedure.Settings, given)
             perform(procedure(settings), request)
 
-    common = list(inspect.signature(_common, eval_str=True).parameters.values())
-    own = parameters(procedure.Settings)
-    common = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in common]
-    run.__signature__ = inspect.Signature([*own, *common])  # type: ignore[attr-defined]
-    run.__annotations__ = {p.name: p.annotation for p in (*own, *common)}
+    options = [*parameters(procedure.Settings), *group_parameters(ProcedureRequest)]
+    run.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+    run.__annotations__ = {option.name: option.annotation for option in options}
     return run
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from rig.cli.model_errors import model_errors
+from rig.cli.option_groups import Debug, option_group, with_option_groups
 from rig.cli.outcome import reported
 from rig.core.errors import ConfigurationError
 from rig.core.toml_files import MAX_JSON_BYTES, read_text
@@ -44,41 +45,62 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Results = Annotated[Path, typer.Option(help="Folder for the figures.", file_okay=False)]
-SkinFile = Annotated[
-    Path | None,
-    typer.Option("--skin", help="JSON file with the settings of the skin; replaces --elements."),
-]
-ShowSkin = Annotated[
-    bool, typer.Option("--show-skin", help="Print the settings of the skin as JSON and exit.")
-]
-SettingsFile = Annotated[
-    Path | None,
-    typer.Option("--settings", help="JSON file with settings, as --show-settings prints them."),
-]
-ShowSettings = Annotated[
-    bool, typer.Option("--show-settings", help="Print the settings as JSON and exit.")
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")]
-Elements = Annotated[
-    int,
-    typer.Option(
-        "--elements", help="Finite elements along a ridge; fewer than 6 are fast but coarse.",
-        min=2, max=40,
-    ),
-]  # fmt: skip
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")]
-NormalForce = Annotated[str, typer.Option("--normal-force", help="Normal force F_n.", metavar="N")]
 At = Annotated[
     list[str] | None,
     typer.Option("--at", help="Time at which the deformed skin is drawn; repeatable.", metavar="s"),
 ]
-AtStep = Annotated[
-    list[float] | None,
-    typer.Option(
-        "--at", help="Step at which the deformed skin is drawn; repeatable.", metavar="STEP"
-    ),
-]
+
+
+@option_group
+class OutputOptions:
+    """Options that all commands of the skin have in common."""
+
+    results: Annotated[Path, typer.Option(help="Folder for the figures.", file_okay=False)] = Path(
+        "results"
+    )
+    settings: Annotated[
+        Path | None,
+        typer.Option(help="JSON file with settings, as --show-settings prints them."),
+    ] = None
+    show_settings: Annotated[
+        bool, typer.Option("--show-settings", help="Print the settings as JSON and exit.")
+    ] = False
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the summary as one JSON object.")
+    ] = False
+    debug: Debug = False
+
+
+@option_group
+class SkinOptions:
+    """Options of the commands that press an object on the skin."""
+
+    skin: Annotated[
+        Path | None,
+        typer.Option(help="JSON file with the settings of the skin; replaces --elements."),
+    ] = None
+    show_skin: Annotated[
+        bool, typer.Option("--show-skin", help="Print the settings of the skin as JSON and exit.")
+    ] = False
+    elements: Annotated[
+        int,
+        typer.Option(
+            help="Finite elements along a ridge; fewer than 6 are fast but coarse.", min=2, max=40
+        ),
+    ] = 8
+    normal_force: Annotated[str, typer.Option(help="Normal force F_n.", metavar="N")] = "4N"
+
+    def normal_newtons(self) -> float:
+        """Return the normal force in N; ConfigurationError if the text is not a force."""
+        return _number(self.normal_force, "N", "--normal-force")
+
+    def skin_settings(self) -> SkinSettings:
+        """Return the settings of the skin; ConfigurationError names a file that is not valid."""
+        from rig.physics.skin.settings import SkinSettings
+
+        return _settings(SkinSettings, self.skin, SkinSettings(elements_per_ridge=self.elements))
+
+
 LABELS = {
     "slip_order": "ridges that slipped as a whole, in order (1 is the leftmost)",
     "ridge_first_slip_s": "slip of the first node of each ridge (s)",
@@ -102,59 +124,42 @@ RELIEF_TITLES = {
 
 
 @app.command()
+@with_option_groups
 def slide(
-    results: Results = Path("results"),
-    settings: SettingsFile = None,
-    show_settings: ShowSettings = False,
-    as_json: AsJson = False,
-    debug: Debug = False,
-    skin_file: SkinFile = None,
-    show_skin: ShowSkin = False,
-    elements: Elements = 8,
-    normal_force: NormalForce = "4N",
+    *,
     speed: Annotated[str, typer.Option(help="Speed of the plate.", metavar="mm/s")] = "0.5mm/s",
     at: At = None,
+    pressed: SkinOptions,
+    output: OutputOptions,
 ) -> None:
     """Press a plate on and slide it; draw v_d, forces, stick-slip map and the deformed skin."""
-    from rig.physics.skin.settings import SkinSettings
     from rig.physics.trials import PressSettings, SlideSettings
     from rig.physics.trials import slide as run
 
-    with reported(debug, as_json), model_errors():
+    with reported(output.debug, output.as_json), model_errors():
         default = SlideSettings(
-            press=PressSettings(normal_force_N=_number(normal_force, "N", "--normal-force")),
+            press=PressSettings(normal_force_N=pressed.normal_newtons()),
             speed_mm_s=_number(speed, "mm/s", "--speed"),
         )
-        chosen = _settings(SlideSettings, settings, default)
+        chosen = _settings(SlideSettings, output.settings, default)
         if chosen.speed_mm_s == 0:
             raise ConfigurationError(
                 "speed 0 mm/s: the plate does not slide",
                 "choose a speed above 0, for example 0.5mm/s",
             )
         instants = _times(at)
-        shape_of_skin = _settings(
-            SkinSettings, skin_file, SkinSettings(elements_per_ridge=elements)
-        )
-        if show_settings or show_skin:
-            _show(chosen if show_settings else shape_of_skin)
+        if _shown(output, pressed, chosen):
             return
-        elastic, skin = _skin(shape_of_skin)
+        elastic, skin = _skin(pressed.skin_settings())
         trial = run(skin, chosen, keep_forces=True)
         name = f"Slide at {chosen.speed_mm_s:g} mm/s under {chosen.press.normal_force_N:g} N"
-        _report(trial, chosen, elastic, skin, instants, results, "skin-slide", name, as_json)
+        _report(trial, chosen, elastic, skin, instants, output, "skin-slide", name)
 
 
 @app.command()
+@with_option_groups
 def roll(
-    results: Results = Path("results"),
-    settings: SettingsFile = None,
-    show_settings: ShowSettings = False,
-    as_json: AsJson = False,
-    debug: Debug = False,
-    skin_file: SkinFile = None,
-    show_skin: ShowSkin = False,
-    elements: Elements = 8,
-    normal_force: NormalForce = "4N",
+    *,
     start: Annotated[
         str, typer.Option(help="Position x of the contact before the roll.", metavar="mm")
     ] = "-5mm",
@@ -162,60 +167,58 @@ def roll(
         str, typer.Option(help="Shape of the object.", metavar="[cylinder|sphere]")
     ] = "cylinder",
     at: At = None,
+    pressed: SkinOptions,
+    output: OutputOptions,
 ) -> None:
     """Press a cylinder or sphere on and roll it; draw v_d, forces, sticking, the deformed skin."""
-    from rig.physics.skin.settings import SkinSettings
     from rig.physics.trials import RollSettings
     from rig.physics.trials import roll as run
 
-    with reported(debug, as_json), model_errors():
+    with reported(output.debug, output.as_json), model_errors():
         default = RollSettings.model_validate(
             {
                 "body": {"shape": shape},
-                "press": {"normal_force_N": _number(normal_force, "N", "--normal-force")},
+                "press": {"normal_force_N": pressed.normal_newtons()},
                 "start_x_mm": _number(start, "mm", "--start"),
             }
         )
         instants = _times(at)
-        chosen = _settings(RollSettings, settings, default)
-        shape_of_skin = _settings(
-            SkinSettings, skin_file, SkinSettings(elements_per_ridge=elements)
-        )
-        if show_settings or show_skin:
-            _show(chosen if show_settings else shape_of_skin)
+        chosen = _settings(RollSettings, output.settings, default)
+        if _shown(output, pressed, chosen):
             return
-        elastic, skin = _skin(shape_of_skin)
+        elastic, skin = _skin(pressed.skin_settings())
         trial = run(skin, chosen, keep_forces=True)
         what = f"Roll of a {chosen.body.shape} by {chosen.angle_deg:g}°"
         name = f"{what} from x = {chosen.start_x_mm:g} mm"
-        _report(trial, chosen, elastic, skin, instants, results, "skin-roll", name, as_json)
+        _report(trial, chosen, elastic, skin, instants, output, "skin-roll", name)
 
 
 @app.command()
+@with_option_groups
 def history(
-    results: Results = Path("results"),
-    settings: SettingsFile = None,
-    show_settings: ShowSettings = False,
-    as_json: AsJson = False,
-    debug: Debug = False,
+    *,
     relief: Annotated[
         str,
         typer.Option(
             help="Relief of the contact at step 300.", metavar="[normal_raised|tangential_lowered]"
         ),
     ] = "normal_raised",
-    at: AtStep = None,
+    at: Annotated[
+        list[float] | None,
+        typer.Option(help="Step at which the deformed skin is drawn; repeatable.", metavar="STEP"),
+    ] = None,
+    output: OutputOptions,
 ) -> None:
     """Run the paper's simulation 4.2; draw stress difference, rate and deformed skin."""
     from rig.physics.loading_history import RELIEFS, HistorySettings, run_history
     from rig.physics.skin.elasticity import STRESSES, ElasticSkin
     from rig.physics.skin.field import deformed
 
-    with reported(debug, as_json), model_errors():
+    with reported(output.debug, output.as_json), model_errors():
         if relief not in RELIEFS:
             raise ConfigurationError(f"--relief {relief}: must be one of {', '.join(RELIEFS)}")
-        chosen = _settings(HistorySettings, settings, HistorySettings(loads=RELIEFS[relief]))
-        if show_settings:
+        chosen = _settings(HistorySettings, output.settings, HistorySettings(loads=RELIEFS[relief]))
+        if output.show_settings:
             _show(chosen)
             return
         steps = _steps(at, chosen.steps)
@@ -236,7 +239,7 @@ def history(
                 instants, chosen.skin, component, title
             ),
         }
-        files = _save(drawn, results)
+        files = _save(drawn, output.results)
         _print_summary(
             {
                 "stable_step_us": found.stable_step_us,
@@ -244,31 +247,28 @@ def history(
                 "gross_slip_step": _plain(found.truth.gross_slip_s / chosen.step_us * 1e6),
             },
             files,
-            as_json,
+            output.as_json,
         )
 
 
 @app.command(name="map")
+@with_option_groups
 def map_(
-    results: Results = Path("results"),
-    settings: SettingsFile = None,
-    show_settings: ShowSettings = False,
-    as_json: AsJson = False,
-    debug: Debug = False,
+    output: OutputOptions,
 ) -> None:
     """Map v_d of a slide over ridge, place of the strips and stress component."""
     from rig.physics.design_map import MapSettings, design_map
 
-    with reported(debug, as_json), model_errors():
-        chosen = _settings(MapSettings, settings, MapSettings())
-        if show_settings:
+    with reported(output.debug, output.as_json), model_errors():
+        chosen = _settings(MapSettings, output.settings, MapSettings())
+        if output.show_settings:
             _show(chosen)
             return
         found = design_map(chosen)
         from rig.figures import skin as figures
 
         ridge = chosen.slide.ridge
-        files = _save({"skin-map": figures.draw_map(found, ridge)}, results)
+        files = _save({"skin-map": figures.draw_map(found, ridge)}, output.results)
         tables = {
             f"{quantity}_mV": {
                 component: _plain(values[ridge - 1, :, :, k] * 1e3)
@@ -277,7 +277,7 @@ def map_(
             for quantity, values in (("hump", found.hump_V), ("hf_peak", found.peak_V))
         }
         places = {"bottoms_mm": chosen.bottoms_mm, "offsets_mm": chosen.offsets_mm}
-        _print_summary({"ridge": ridge, **places, **tables}, files, as_json)
+        _print_summary({"ridge": ridge, **places, **tables}, files, output.as_json)
 
 
 def _report(
@@ -286,10 +286,9 @@ def _report(
     elastic: ElasticSkin,
     skin: CondensedSkin,
     at: list[float] | None,
-    results: Path,
+    output: OutputOptions,
     stem: str,
     title: str,
-    as_json: bool,
 ) -> None:
     """Draws a trial and prints its summary."""
     from rig.figures import skin as figures
@@ -299,7 +298,7 @@ def _report(
     if settings.body.shape != "sphere":
         instants = _instants(trial, settings, elastic, at)
         drawn[f"{stem}-deformed"] = figures.draw_deformed(instants, skin.settings, 1, title)
-    files = _save(drawn, results)
+    files = _save(drawn, output.results)
     truth = trial.truth
     moving = trial.v_d[trial.sample_time_s > trial.motion_s] * 1e3
     summary = {
@@ -310,7 +309,7 @@ def _report(
         "v_d_min_mV": float(moving.min()),
         "v_d_max_mV": float(moving.max()),
     }
-    _print_summary(summary, files, as_json)
+    _print_summary(summary, files, output.as_json)
 
 
 def _instants(
@@ -415,6 +414,17 @@ def _settings(kind: type[Model], file: Path | None, default: Model) -> Model:
         return kind.model_validate_json(text)
     except ValidationError as error:
         raise ConfigurationError.from_validation(error, str(file)) from error
+
+
+def _shown(output: OutputOptions, pressed: SkinOptions, settings: Settings) -> bool:
+    """Print the settings that were asked for instead of a trial; return False if none were."""
+    if output.show_settings:
+        _show(settings)
+    elif pressed.show_skin:
+        _show(pressed.skin_settings())
+    else:
+        return False
+    return True
 
 
 def _show(settings: Any) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -12,7 +11,8 @@ import numpy as np
 import pytest
 from made_up import LAYOUT, Example, run_of
 
-from rig.cli.procedures import _common
+from rig.cli.option_groups import group_parameters
+from rig.cli.procedures import ProcedureRequest
 from rig.core.entry_points import PROCEDURES, names
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.core.settings import Settings
@@ -142,7 +142,7 @@ def test_sound_procedures_are_not_refused() -> None:
 
 def test_the_options_of_every_procedure_are_reserved() -> None:
     made_by_typer = {"figures": ("--figures", "--no-figures"), "as_json": ("--json",)}
-    fields = inspect.signature(_common).parameters
+    fields = [option.name for option in group_parameters(ProcedureRequest)]
     own = {
         option
         for name in fields

@@ -1,0 +1,196 @@
+"""Options of the calibrations, and what their texts mean."""
+
+from __future__ import annotations
+
+import contextlib
+import getpass
+import math
+import re
+from datetime import datetime, timedelta
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rig.cli.option_groups import AsJson, BenchFile, Debug, Seed, World, WorldLog, option_group
+from rig.core.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from rig.instruments.calibration import Kind
+    from rig.run.scales import Timing
+
+    Vector = tuple[float, float, float]
+
+LARGEST_TOLERANCE_PERCENT = 5.0
+"""Largest tolerance of weights that are good enough for a calibration."""
+SHORTEST_READING_S, LONGEST_WAIT_S = 0.1, 60.0
+TEMPERATURES_degC = (-40.0, 85.0)
+"""Range of temperature in which sensors and film work."""
+DIRECTIONS: dict[str, Vector] = {
+    "+x": (1.0, 0.0, 0.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "+y": (0.0, 1.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+    "+z": (0.0, 0.0, 1.0),
+    "-z": (0.0, 0.0, -1.0),
+}
+
+
+@option_group
+class RecordOptions:
+    """Options that all records have in common."""
+
+    to: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the record [calibrations/ next to the bench file]."),
+    ] = None
+    operator: Annotated[str, typer.Option(help="Who calibrates [the login name].")] = ""
+    valid: Annotated[
+        str | None,
+        typer.Option(help="Period of validity of the record, for example 90d.", metavar="DAYS"),
+    ] = None
+    temperature: Annotated[
+        float | None, typer.Option(help="Ambient temperature in degrees Celsius.", metavar="degC")
+    ] = None
+    notes: Annotated[str, typer.Option(help="Remarks.")] = ""
+    as_json: AsJson = False
+    debug: Debug = False
+
+    def fields(self, kind: Kind, date: datetime, operator: str = "") -> dict[str, Any]:
+        """Return the fields of a record that was measured at `date`."""
+        import rig
+        from rig.instruments.calibration import VALID_DAYS
+
+        days = VALID_DAYS[kind] if self.valid is None else _days(self.valid)
+        low, high = TEMPERATURES_degC
+        if self.temperature is not None and not low <= self.temperature <= high:
+            raise ConfigurationError(
+                f"--temperature {self.temperature:g}: has to be {low:g} to {high:g} degC, "
+                "that of the room"
+            )
+        return {
+            "date": date,
+            "valid_until": date + timedelta(days=days),
+            "operator": self.operator or operator or _login(),
+            "temperature_degC": self.temperature,
+            "notes": self.notes,
+            "program": f"tactile-rig {rig.__version__}",
+        }
+
+
+@option_group
+class WeighingOptions:
+    """Options that both calibrations with weights have in common."""
+
+    bench: BenchFile = None
+    tolerance: Annotated[
+        float, typer.Option(help="Relative tolerance of the weight set.", min=0, metavar="percent")
+    ] = 0.02
+    duration: Annotated[str, typer.Option(help="Duration of a reading.", metavar="s")] = "2s"
+    settling: Annotated[str, typer.Option(help="Wait before a reading.", metavar="s")] = "1s"
+    preload: Annotated[
+        str,
+        typer.Option(help="Constant force on the sensor in addition to the weights.", metavar="N"),
+    ] = "0N"
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Do not wait for Enter (simulated bench only).")
+    ] = False
+    results: Annotated[Path, typer.Option(help="Folder with the guard's report.")] = Path("results")
+    seed: Seed = 0
+    world: World = None
+    world_log: WorldLog = None
+
+
+def directions(text: str) -> list[Vector]:
+    """Return the unit vectors of --axes."""
+    found: list[Vector] = []
+    for word in text.split(","):
+        if word.strip() not in DIRECTIONS:
+            known = ", ".join(sorted(DIRECTIONS))
+            raise ConfigurationError(
+                f"--axes: {word.strip()!r} is not a direction", f"choose among {known}"
+            )
+        found.append(DIRECTIONS[word.strip()])
+    if missing := [axis for k, axis in enumerate("xyz") if not any(d[k] for d in found)]:
+        raise ConfigurationError(
+            f"--axes {text} leaves out {' and '.join(missing)}: the matrix needs all three"
+        )
+    return found
+
+
+def weights_of(text: str) -> list[float]:
+    """Return the forces of --weights, ascending, in N."""
+    weights = [number(word, "N", "--weights") for word in text.split(",") if word.strip()]
+    if len(weights) < 2 or weights[0] <= 0:
+        raise ConfigurationError(
+            f"--weights {text}: two different weights above 0 N are needed at least",
+            "for example --weights 5N,10N,20N",
+        )
+    if any(after <= before for before, after in pairwise(weights)):
+        raise ConfigurationError(
+            f"--weights {text}: every weight has to be larger than the one before",
+            "for example --weights 5N,10N,20N",
+        )
+    return weights
+
+
+def conditions(options: WeighingOptions, weights_N: list[float]) -> dict[str, Any]:
+    """Return the conditions under which the weights are put on, as a record keeps them."""
+    if not 0 <= options.tolerance <= LARGEST_TOLERANCE_PERCENT:
+        raise ConfigurationError(
+            f"--tolerance {options.tolerance:g}: has to be 0 to "
+            f"{LARGEST_TOLERANCE_PERCENT:g} percent"
+        )
+    return {
+        "weights_N": weights_N,
+        "weight_tolerance_percent": options.tolerance,
+        "preload_N": number(options.preload, "N", "--preload"),
+    }
+
+
+def reading_times(options: WeighingOptions) -> Timing:
+    """Return how long readings are, and how long to wait before them."""
+    from rig.run.scales import Timing
+
+    timing = Timing(
+        settling_s=number(options.settling, "s", "--settling"),
+        duration_s=number(options.duration, "s", "--duration"),
+    )
+    for option, value, low in (
+        ("--settling", timing.settling_s, 0.0),
+        ("--duration", timing.duration_s, SHORTEST_READING_S),
+    ):
+        if not low <= value <= LONGEST_WAIT_S:
+            raise ConfigurationError(
+                f"{option} {value:g} s: has to be {low:g} to {LONGEST_WAIT_S:g} s"
+            )
+    return timing
+
+
+def number(text: str, unit: str, option: str) -> float:
+    """Return a finite number from an option's text, with or without its unit."""
+    from rig.core.units import quantity
+
+    try:
+        value = quantity(text, unit)
+    except ValueError as error:
+        raise ConfigurationError(f"{option} {text}: {error}", "see --help for the units") from error
+    if not math.isfinite(value) or value < 0:
+        raise ConfigurationError(f"{option} {text}: has to be a number, not below 0")
+    return value
+
+
+def _days(text: str) -> int:
+    match = re.fullmatch(r"\s*(\d{1,4})\s*(d|days?)?\s*", text)
+    if match is None or not 1 <= int(match[1]) <= 3650:
+        raise ConfigurationError(
+            f"--valid {text}: has to be 1 to 3650 days", "write it as --valid 90d"
+        )
+    return int(match[1])
+
+
+def _login() -> str:
+    with contextlib.suppress(OSError, KeyError):
+        return getpass.getuser()
+    return ""
