@@ -30,7 +30,7 @@ def tolerate() -> None:
             return EntryPoints(())
         return found
 
-    Distribution.entry_points = property(entry_points)  # type: ignore[method-assign, assignment]
+    Distribution.entry_points = property(entry_points)
 
 
 def warnings() -> list[str]:
