@@ -68,7 +68,7 @@ def run(
         if prepared.bench is None:
             takes += " of virtual time"
         else:
-            takes += f", until {forecast.ends:%Y-%m-%d %H:%M:%S}"
+            takes += f", until {forecast.ends.astimezone():%Y-%m-%d %H:%M:%S}"
         say(f"batch {folder.path}: {counted(len(prepared.plan.runs), 'run')}, {takes}")
         _supervise(folder, as_json)
 
@@ -89,6 +89,7 @@ def resume(
 ) -> None:
     """Continue a batch that was stopped, interrupted, paused or held."""
     with reported(debug, as_json):
+        from rig.batch.execute.batch_clock import renew_window
         from rig.batch.execute.start import refuse_changes
         from rig.batch.folder import find_folder
         from rig.batch.plan.settings import BatchFile
@@ -107,6 +108,7 @@ def resume(
                 refuse_changes(queue, BatchFile.model_validate_json(queue.meta("file")))
             if retry_failed:
                 say(f"{counted(queue.put_back(), 'run')} queued again")
+            renew_window(queue)
         _supervise(found, as_json)
 
 

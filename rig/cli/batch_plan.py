@@ -111,7 +111,7 @@ def _line(prepared: PreparedBatch, placed: PlacedRun, digits: int, width: int) -
         varied = "reference"
     duration_s = prepared.expected[run.condition].duration_s
     return (
-        f"{run.number:>{digits}} {placed.begins:%m-%d %H:%M:%S} {run.condition:{width}} "
+        f"{run.number:>{digits}} {_local(placed.begins)[5:]} {run.condition:{width}} "
         f"{run.repeat:>3} {duration_s:7.1f} s  {varied}"
     ).rstrip()
 
@@ -128,14 +128,14 @@ def _summary(prepared: PreparedBatch, free_B: int) -> Iterator[str]:
     yield (
         f"{name}: {counted(runs, 'run')} ({counted(len(prepared.plan.conditions), 'condition')}), "
         f"about {time_span(forecast.duration_s)} ± {time_span(forecast.spread_s)}, "
-        f"from {forecast.begins:%Y-%m-%d %H:%M:%S} to {forecast.ends:%Y-%m-%d %H:%M:%S}"
+        f"from {_local(forecast.begins)} to {_local(forecast.ends)}"
     )
     yield f"disk: about {_size(forecast.size_B)} of run files, {_size(free_B)} free"
     if forecast.size_B > free_B:
         yield "warning: the disk is too small: free space, or choose another folder for results"
     if forecast.stop_by is not None and forecast.in_time < runs:
         yield (
-            f"warning: stop_by {forecast.stop_by:%Y-%m-%d %H:%M:%S}: {forecast.in_time} of "
+            f"warning: stop_by {_local(forecast.stop_by)}: {forecast.in_time} of "
             f"{counted(runs, 'run')} will have ended by then; continue with `rig batch resume`"
         )
     for one in forecast.expiring:
@@ -154,6 +154,11 @@ def _size(size_B: float) -> str:
             return f"{size_B:.3g} {unit}"
         size_B /= 1000
     return f"{size_B:.3g} GB"
+
+
+def _local(instant: datetime) -> str:
+    """Return an instant as a clock here shows it on that day."""
+    return f"{instant.astimezone():%Y-%m-%d %H:%M:%S}"
 
 
 def _existing(folder: Path) -> Path:

@@ -105,7 +105,7 @@ class PointLoop:
             self._arm()
         for point in remaining:
             self._run.check_stop()
-            self._stop.check_between_points()
+            self._stop.check_between_points(point.duration_s)
             reading = self._record(point)
             self._readings[point.id] = reading
             self._outcome.points_done += 1

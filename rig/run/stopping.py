@@ -1,7 +1,8 @@
 """Stop requests: a signal sets a flag, and the next check of the flag ends the run in order.
 
 Handlers set the flag and show a line, nothing else. A second signal changes the line, never the
-shutdown. Only while nothing is connected yet does a signal end the program at once.
+shutdown. Only while nothing is connected yet does a signal end the program at once. A time limit
+ends a run in the same way, early enough to make the bench safe by then.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import signal
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from types import FrameType
 from typing import Self
 
@@ -29,6 +31,9 @@ WORDS = {
     signal.SIGHUP: "SIGHUP",
 }
 """Name of each signal as a person knows it; most come from a key."""
+MAKING_SAFE_S = 10.0
+"""Bench time kept before a time limit for making the bench safe, which takes 2 to 3 s where nothing
+fails."""
 NOTICE = "stopping: making the bench safe, then saving the data ..."
 NOTICE_AGAIN = "already stopping: first the bench is made safe and the data are saved ..."
 
@@ -39,6 +44,37 @@ class StopRequestedError(RigError):
     def __init__(self, signal_number: signal.Signals, when: str = ""):
         text = f"stopped by {WORDS[signal_number]}{when}"
         super().__init__(text, None, STOP_SIGNALS[signal_number])
+
+
+class TimeOverError(StopRequestedError):
+    """Raised when the time of a run is over; the exit code is that of a stop condition."""
+
+    def __init__(self, text: str):
+        RigError.__init__(self, text, None, ExitCode.STOPPED_BY_CONDITION)
+
+
+@dataclass(frozen=True)
+class TimeLimit:
+    """The time by which the bench has to be safe."""
+
+    name: str
+    """What sets it, for people: ``stop_by = 07:00:00``."""
+    left_s: Callable[[], float]
+    """Returns the bench time that is left, in s."""
+
+    def check(self) -> None:
+        """Raise TimeOverError once no more time is left than making safe needs."""
+        if self.left_s() <= MAKING_SAFE_S:
+            raise TimeOverError(f"stopped: {self.name} was reached")
+
+    def check_before(self, duration_s: float) -> None:
+        """Raise TimeOverError where a point of this duration would not be over in time."""
+        left_s = self.left_s() - MAKING_SAFE_S
+        if left_s < duration_s:
+            raise TimeOverError(
+                f"stopped: the next point takes about {duration_s:.0f} s and would not be over by "
+                f"{self.name}"
+            )
 
 
 class StopFlag:
@@ -52,19 +88,26 @@ class StopFlag:
         self.requested: signal.Signals | None = None
         self.after_point = False
         """True if the run shall end before it begins another point."""
+        self.time_limit: TimeLimit | None = None
+        """When the run under way has to be over, if anything says so."""
         self._say = say
         self._nothing_connected = False
         self._previous: dict[signal.Signals, object] = {}
 
     def check(self) -> None:
-        """Raise StopRequestedError if a stop was requested."""
+        """Raise StopRequestedError if a stop was requested, or the time is over."""
         if self.requested is not None:
             raise StopRequestedError(self.requested)
+        if self.time_limit is not None:
+            self.time_limit.check()
 
-    def check_between_points(self) -> None:
-        """Raise StopRequestedError if the run shall not begin another point."""
+    def check_between_points(self, duration_s: float) -> None:
+        """Raise StopRequestedError if the run shall not begin another point, which is expected to
+        take `duration_s` of bench time."""
         if self.after_point:
             raise StopRequestedError(signal.SIGTERM, " after a point")
+        if self.time_limit is not None:
+            self.time_limit.check_before(duration_s)
 
     @contextlib.contextmanager
     def nothing_connected(self) -> Iterator[None]:

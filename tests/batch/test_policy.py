@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta, timezone
 from typing import Any
 
 import pytest
@@ -11,10 +10,8 @@ from rig.batch.plan.policy import (
     FailureDecision,
     FailureKind,
     after_failure,
-    does_not_fit,
     kind_of,
     reason_to_end,
-    window,
 )
 from rig.batch.plan.settings import BatchSettings
 from rig.core.errors import (
@@ -26,8 +23,6 @@ from rig.core.errors import (
     RigError,
 )
 from rig.files.errors import RecordingError
-
-TEN = datetime(2026, 11, 21, 22, 0, tzinfo=timezone(timedelta(hours=1)))
 
 
 def batch(**given: Any) -> BatchSettings:
@@ -113,25 +108,3 @@ def test_stop_conditions_tell_what_was_met(when: dict[str, Any], told: str) -> N
     why = reason_to_end(batch(stop_when=when), done=3, failed=2, bench_s=7200.0)
     assert told in why
     assert bool(why) == bool(told)
-
-
-def test_a_time_of_the_day_is_the_next_one_and_the_end_comes_after_the_beginning() -> None:
-    night = batch(not_before="23:30:00", stop_by="07:00:00")
-    first, last = window(night, TEN)
-    assert first == TEN.replace(hour=23, minute=30)
-    assert last == datetime(2026, 11, 22, 7, 0, tzinfo=TEN.tzinfo)
-    after_midnight, _ = window(night, TEN + timedelta(hours=2))
-    assert after_midnight == TEN.replace(hour=23, minute=30) + timedelta(days=1)
-
-
-def test_a_date_is_taken_as_it_is_in_the_zone_of_the_bench() -> None:
-    first, last = window(batch(not_before="2026-11-22T20:00:00"), TEN)
-    assert first == datetime(2026, 11, 22, 20, 0, tzinfo=TEN.tzinfo)
-    assert last is None
-
-
-def test_a_run_begins_only_if_it_would_be_over_with_two_standard_deviations_to_spare() -> None:
-    until = TEN + timedelta(seconds=100)
-    assert not does_not_fit(TEN, until, 80.0, 10.0)
-    assert "stop_by is 22:01:40" in does_not_fit(TEN, until, 80.0, 10.1)
-    assert not does_not_fit(TEN, None, 1e9, 0.0)

@@ -95,6 +95,7 @@ def test_an_error_is_told_with_its_line(old: str, new: str, line: int, words: st
     [
         ("7", "stop_by = 7: has to be a time of day (07:00:00) or a date and time (2026-11-24 "),
         ("2026-11-24", "has to be a time of day (07:00:00)"),
+        ('"07:00:00+02:00"', "a time of day is in this computer's time zone: write 07:00:00"),
         ('"7 am"', "stop_by = '7 am': write a time of day (07:00:00) or a date and time (2026-11"),
         ('"7"', "stop_by = '7': write a time of day (07:00:00)"),
     ],

@@ -96,7 +96,11 @@ class Guard:
 
 
 def run_of(
-    procedure: Example, folder: Path, patch: pytest.MonkeyPatch, *observers: RunObserver
+    procedure: Example,
+    folder: Path,
+    patch: pytest.MonkeyPatch,
+    *observers: RunObserver,
+    stop: StopFlag | None = None,
 ) -> RunOutcome:
     """Execute a procedure on a bench with one instrument; nothing else is replaced but the guard,
     which is a process of its own."""
@@ -106,4 +110,4 @@ def run_of(
     part = InstrumentPlan("generator", "made-up", driver, Settings())
     own = BenchSettings.model_validate({"name": "b", "fixture": {"mounted": "film-clamp"}})
     plan = BenchPlan(own, (part,), "", "bench.toml")
-    return execute(RunJob(procedure, 0, folder), plan, WallClock(), StopFlag(), *observers)
+    return execute(RunJob(procedure, 0, folder), plan, WallClock(), stop or StopFlag(), *observers)

@@ -6,11 +6,21 @@ rests, which take no real time.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from datetime import datetime, timedelta
+from datetime import datetime, time, timedelta
+from time import monotonic, sleep
 from typing import Protocol
 
+from rig.batch.plan.settings import BatchFile
+from rig.batch.plan.window import window
+from rig.batch.queue import Queue
+
+PASSED_S = "night_s"
+"""The queue's entry of the virtual time since the batch began."""
+SINCE = "window since"
+"""The queue's entry of when the present window was counted from, if not from the beginning."""
+TIME_OVER = "time over"
+"""The queue's entry that is not empty after a batch has ended because of its `stop_by`."""
 CHECK_EVERY_S = 0.2
 """How often a rest in real time checks for commands."""
 
@@ -43,10 +53,10 @@ class WallBatchClock:
 
     def rest(self, seconds: float, check: Callable[[], None]) -> None:
         """See `BatchClock`."""
-        until = time.monotonic() + seconds
-        while (left := until - time.monotonic()) > 0:
+        until = monotonic() + seconds
+        while (left := until - monotonic()) > 0:
             check()
-            time.sleep(min(left, CHECK_EVERY_S))
+            sleep(min(left, CHECK_EVERY_S))
 
 
 class VirtualBatchClock:
@@ -57,7 +67,7 @@ class VirtualBatchClock:
 
     def now(self) -> datetime:
         """See `BatchClock`."""
-        return self._begun + timedelta(seconds=self._passed_s)
+        return (self._begun + timedelta(seconds=self._passed_s)).astimezone()
 
     def used(self, bench_s: float) -> None:
         """See `BatchClock`."""
@@ -71,3 +81,40 @@ class VirtualBatchClock:
     def _pass(self, seconds: float) -> None:
         self._passed_s += max(0.0, seconds)
         self._save(self._passed_s)
+
+
+def clock_of(queue: Queue) -> BatchClock:
+    """The clock of a batch, as its queue records it."""
+    if queue.meta("bench"):
+        return WallBatchClock()
+
+    def keep(passed_s: float) -> None:
+        queue.set_meta(PASSED_S, f"{passed_s:.6f}")
+
+    begun = datetime.fromisoformat(queue.meta("begun"))
+    return VirtualBatchClock(begun, float(queue.meta(PASSED_S, "0")), keep)
+
+
+def window_of(queue: Queue) -> tuple[datetime | None, datetime | None]:
+    """When a batch may use the bench: not before, and by when it is over."""
+    batch = BatchFile.model_validate_json(queue.meta("file")).batch
+    return window(batch, datetime.fromisoformat(queue.meta(SINCE) or queue.meta("begun")))
+
+
+def renew_window(queue: Queue) -> None:
+    """Give a batch that is resumed after a `stop_by` by time of day the next window; one that is
+    resumed before it keeps its own. Call it once, when a person resumes the batch.
+
+    Virtual time stands still between two commands: after a batch that has ended at its `stop_by` it
+    is then `stop_by`.
+    """
+    batch = BatchFile.model_validate_json(queue.meta("file")).batch
+    _, until = window_of(queue)
+    if until is None or not isinstance(batch.stop_by, time):
+        return
+    clock = clock_of(queue)
+    if isinstance(clock, VirtualBatchClock) and queue.meta(TIME_OVER):
+        clock.used((until - clock.now()).total_seconds())
+    if clock.now() >= until:
+        queue.set_meta(SINCE, clock.now().isoformat())
+    queue.set_meta(TIME_OVER, "")

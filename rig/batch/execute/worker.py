@@ -27,24 +27,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rig
-from rig.batch.execute.batch_clock import BatchClock, VirtualBatchClock, WallBatchClock
+from rig.batch.execute.batch_clock import TIME_OVER, clock_of, window_of
 from rig.batch.execute.crash_recovery import archive_files, journal_to_resume, outcome_from_journal
 from rig.batch.execute.drift_watch import DriftWatch
 from rig.batch.folder import BatchFolder
-from rig.batch.plan.policy import after_failure, does_not_fit, kind_of, reason_to_end, window
+from rig.batch.plan.policy import after_failure, kind_of, reason_to_end
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchFile
+from rig.batch.plan.window import does_not_fit
 from rig.batch.queue import AttemptResult, Claim, Queue
 from rig.core.errors import ExitCode, RigError
 from rig.core.units import counted
 from rig.run.bench_selector import BenchRequest, BenchSelector, ChosenBench, start_simulated
 from rig.run.observers import PAUSED, RunObserver
-from rig.run.stopping import StopFlag, StopRequestedError
+from rig.run.stopping import MAKING_SAFE_S, StopFlag, StopRequestedError, TimeLimit
 
 if TYPE_CHECKING:
     from rig.batch.execute.drift import HoldReason
     from rig.bench.settings import BenchSettings, Fixture
     from rig.bench.simulated import RunningBench
+    from rig.core.clock import Clock
     from rig.run.outcome import RunOutcome
     from rig.run.points import Point, Reading
     from rig.run.procedure import Procedure
@@ -177,7 +179,7 @@ class Worker:
         self._terms = BatchTerms.of(queue, folder)
         self._batch = self._terms.file.batch
         self._commands = _CommandListener(stop, send)
-        self._clock = self._new_clock()
+        self._clock = clock_of(queue)
         self._bench: ChosenBench | None = None
         """The bench of the bench file, locked once for all runs."""
         self._ahead: _Ahead | None = None
@@ -185,7 +187,7 @@ class Worker:
         self._watch = DriftWatch(queue, self._terms.file, self._terms.bench, self._terms.results)
         self._mounted: BenchSettings | None = None
         """The bench of the latest run."""
-        self._from, self._until = window(self._batch, self._terms.begun)
+        self._from, self._until = window_of(queue)
 
     def work(self) -> ExitCode:
         """Take the runs; the exit code of the batch."""
@@ -225,32 +227,34 @@ class Worker:
 
     def _next(self) -> Claim | None:
         """The next run, once nothing speaks against it; None after the last."""
+        rested: int | None = None
         while True:
             self._between_runs()
             upcoming = self._queue.upcoming()
             if upcoming is None:
                 return None
+            rest_s = 0.0 if rested == upcoming.number else self._rest_before(upcoming)
             counts = self._queue.counts()
-            why = reason_to_end(
+            if why := reason_to_end(
                 self._batch, counts["done"], counts["failed"], self._queue.bench_s()
-            ) or does_not_fit(
-                self._clock.now(),
-                self._until,
-                upcoming.condition.rest_s + upcoming.estimate_s,
-                upcoming.spread_s,
-            )
-            if why:
+            ):
                 raise _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
+            takes_s = rest_s + upcoming.estimate_s + MAKING_SAFE_S
+            if why := does_not_fit(self._clock.now(), self._until, takes_s, upcoming.spread_s):
+                raise self._time_over(why)
             if found := self._watch.before(upcoming, self._clock.now()):
                 self._hold(_text_of(found))
                 continue
-            rest_s = upcoming.condition.rest_s
-            if upcoming.attempt > 1 and self._queue.attempts(upcoming.number):
-                rest_s += self._batch.retries.rest_s
-            if rest_s:
-                self._send("state", state="resting", text=f"{rest_s:g} s")
-                self._clock.rest(rest_s, self._between_runs)
-            return upcoming
+            if not rest_s:
+                return upcoming
+            self._send("state", state="resting", text=f"{rest_s:g} s")
+            self._clock.rest(rest_s, self._between_runs)
+            rested = upcoming.number  # what was asked above may have changed since
+
+    def _rest_before(self, upcoming: Claim) -> float:
+        """Rest before a run, in s; longer before another try."""
+        again = upcoming.attempt > 1 and self._queue.attempts(upcoming.number)
+        return upcoming.condition.rest_s + (self._batch.retries.rest_s if again else 0.0)
 
     def _between_runs(self) -> None:
         """Act on requests to stop or pause; the bench is safe."""
@@ -275,12 +279,23 @@ class Worker:
             self._stop.check()
             if self._commands.stop_after_run:
                 raise _stopped(f"while {state}")
+            if self._until is not None and self._clock.now() >= self._until:
+                raise self._time_over(f"{self._limit_name()} was reached while it was {state}")
             time.sleep(CHECK_EVERY_S)
+
+    def _time_over(self, why: str) -> _EndError:
+        """What ends the batch at its `stop_by`; the next `rig batch resume` opens a new window."""
+        self._queue.set_meta(TIME_OVER, "yes")
+        return _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
 
     def _wait_for_the_window(self) -> None:
         if self._from is None or (wait_s := (self._from - self._clock.now()).total_seconds()) <= 0:
             return
-        self._send("state", state="waiting", text=f"not before {self._from:%Y-%m-%d %H:%M:%S}")
+        self._send(
+            "state",
+            state="waiting",
+            text=f"not before {self._from.astimezone():%Y-%m-%d %H:%M:%S}",
+        )
         self._clock.rest(wait_s, self._between_runs)
         self._send("state", state="running")
 
@@ -339,6 +354,8 @@ class Worker:
             self._queue.finish(claim, ended, "queued")
             self._finished(claim, ended)
             self._stop.check()
+            if ended.code == ExitCode.STOPPED_BY_CONDITION:
+                raise self._time_over(ended.reason)
             raise _stopped("after a point")
         before = self._queue.attempts(claim.number)
         before[ended.kind] = before.get(ended.kind, 0) + 1
@@ -424,13 +441,32 @@ class Worker:
                 job.resume = None
         self._boot_next()
         self._commands.in_run = True
+        self._stop.time_limit = self._time_limit(bench.clock)
         try:
             outcome = execute(job, bench.plan, bench.clock, self._stop, _Reporter(self._send))
         finally:
             self._commands.in_run = False
+            self._stop.time_limit = None
             if bench.started is not None:
                 bench.started.wait()
         return outcome
+
+    def _time_limit(self, bench_clock: Clock) -> TimeLimit | None:
+        """By when a run that begins now has to be over; None without `stop_by`."""
+        if self._until is None:
+            return None
+        now, until = self._clock.now, self._until
+        begun_s = bench_clock.now()
+
+        def left_s() -> float:
+            passed_s = bench_clock.now() - begun_s if bench_clock.is_virtual else 0.0
+            return (until - now()).total_seconds() - passed_s
+
+        return TimeLimit(self._limit_name(), left_s)
+
+    def _limit_name(self) -> str:
+        assert self._until is not None
+        return f"stop_by ({self._until.astimezone():%Y-%m-%d %H:%M:%S})"
 
     def _bench_for(self, claim: Claim, procedure: Procedure, at_the_end: ExitStack) -> ChosenBench:
         """The bench file's bench, locked once for all runs; or a simulated one for this run."""
@@ -493,16 +529,6 @@ class Worker:
     def _seed(self) -> int:
         own = self._terms.file.simulation
         return 0 if own is None else own.seed
-
-    def _new_clock(self) -> BatchClock:
-        if self._terms.bench is not None:
-            return WallBatchClock()
-        queue = self._queue
-
-        def keep(passed_s: float) -> None:
-            queue.set_meta("night_s", f"{passed_s:.6f}")
-
-        return VirtualBatchClock(self._terms.begun, float(queue.meta("night_s", "0")), keep)
 
 
 def _text_of(findings: Sequence[HoldReason]) -> str:

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from rig.batch.plan.conditions import BatchCondition, BatchPlan, PlannedRun
-from rig.batch.plan.policy import window
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchSettings
+from rig.batch.plan.window import window
 from rig.bench.plan import BenchPlan
 from rig.bench.settings import FixtureSettings
 from rig.instruments.calibration import (

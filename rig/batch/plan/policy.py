@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
 from typing import Literal
 
 from rig.batch.plan.settings import BatchSettings
@@ -19,8 +18,6 @@ FailureKind = Literal[
     "timeout", "instrument", "died", "limit", "usage", "storage", "unsafe", "internal"
 ]
 """Why a run failed, as retries distinguish it."""
-SPARE_SIGMAS = 2.0
-"""A run is begun if it ends before `stop_by` with this many standard deviations to spare."""
 
 
 @dataclass(frozen=True)
@@ -95,31 +92,3 @@ def reason_to_end(batch: BatchSettings, done: int, failed: int, bench_s: float) 
         hours = bench_s / 3600
         return f"the bench was in use for {hours:.2f} h (bench_hours = {when.bench_hours:g})"
     return ""
-
-
-def does_not_fit(
-    now: datetime, stop_by: datetime | None, estimate_s: float, spread_s: float
-) -> str:
-    """Why a run is not begun any more; empty where it would be over in time."""
-    if stop_by is None:
-        return ""
-    over = now + timedelta(seconds=estimate_s + SPARE_SIGMAS * spread_s)
-    if over <= stop_by:
-        return ""
-    return f"the next run would last until {over:%H:%M:%S}, stop_by is {stop_by:%H:%M:%S}"
-
-
-def window(batch: BatchSettings, begun: datetime) -> tuple[datetime | None, datetime | None]:
-    """When a batch that was begun then may use the bench: not before, and by when it is over. A
-    time of the day is the next one; that of the end, the next after the beginning."""
-    first = _next(batch.not_before, begun)
-    return first, _next(batch.stop_by, first or begun)
-
-
-def _next(instant: object, after: datetime) -> datetime | None:
-    if instant is None:
-        return None
-    if isinstance(instant, datetime):
-        return instant if instant.tzinfo else instant.replace(tzinfo=after.tzinfo)
-    today = datetime.combine(after.date(), instant, instant.tzinfo or after.tzinfo)  # type: ignore[arg-type,attr-defined]
-    return today if today > after else today + timedelta(days=1)

@@ -61,7 +61,22 @@ def _instant(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
     return parse(value)
 
 
-Instant = Annotated[datetime | time, Field(union_mode="left_to_right"), WrapValidator(_instant)]
+def _local(value: datetime | time) -> datetime | time:
+    """A time of day with an offset is refused: which day's offset that is cannot be known."""
+    if isinstance(value, time) and value.tzinfo is not None:
+        raise ValueError(
+            f"a time of day is in this computer's time zone: write {EXAMPLE_TIME} without an "
+            "offset, or a date, time and offset"
+        )
+    return value
+
+
+Instant = Annotated[
+    datetime | time,
+    Field(union_mode="left_to_right"),
+    WrapValidator(_instant),
+    AfterValidator(_local),
+]
 """A date with time, or a time of the day: the next one after the batch's start."""
 
 

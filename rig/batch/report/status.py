@@ -38,7 +38,7 @@ class BatchStatus:
     @property
     def finish(self) -> datetime:
         """When it ends if it continues as planned from now on."""
-        return self.now + timedelta(seconds=self.remaining.bench_s)
+        return (self.now + timedelta(seconds=self.remaining.bench_s)).astimezone()
 
     def as_object(self) -> dict[str, Any]:
         """The object that ``--json`` prints."""

@@ -1,0 +1,48 @@
+"""The window of a batch: not before, and by when it is over, in local time.
+
+A time of day or a date without an offset is local time by the rules of this computer's time zone
+(``TZ``, else /etc/localtime), on the day on which it applies: 07:00 in the morning after a change
+to or from summer time is 07:00 on the clock. A time that the clock leaves out at such a change is
+taken an hour earlier; of one that it shows twice, the first is meant.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime, time, timedelta
+
+from rig.batch.plan.settings import BatchSettings
+
+SPARE_SIGMAS = 2.0
+"""A run is begun if it ends before `stop_by` with this many standard deviations to spare."""
+
+
+def window(batch: BatchSettings, begun: datetime) -> tuple[datetime | None, datetime | None]:
+    """Return when a batch that was begun then may use the bench: not before, and by when it is
+    over. A time of day is the next one; that of the end, the next after the beginning."""
+    first = _next(batch.not_before, begun)
+    return first, _next(batch.stop_by, first or begun)
+
+
+def does_not_fit(
+    now: datetime, stop_by: datetime | None, estimate_s: float, spread_s: float
+) -> str:
+    """Return why a run is not begun any more; empty where it would be over in time."""
+    if stop_by is None:
+        return ""
+    over = now + timedelta(seconds=estimate_s + SPARE_SIGMAS * spread_s)
+    if over <= stop_by:
+        return ""
+    return (
+        f"the next run would last until {over.astimezone():%H:%M:%S}, "
+        f"stop_by is {stop_by.astimezone():%H:%M:%S}"
+    )
+
+
+def _next(instant: datetime | time | None, after: datetime) -> datetime | None:
+    if instant is None:
+        return None
+    if isinstance(instant, datetime):
+        return instant if instant.tzinfo else instant.astimezone()
+    today = after.astimezone().date()
+    days = (datetime.combine(today + timedelta(days=k), instant).astimezone() for k in range(3))
+    return next(day for day in days if day > after)
