@@ -8,7 +8,13 @@ from datetime import timedelta
 from typing import Any
 
 _QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
-_UNIT = re.compile(r"^[A-Za-zµμΩ°%][A-Za-zµμΩ°%0-9/*^ ]*$")
+_SYMBOL = r"[A-Za-zµμΩ°%][A-Za-zµμΩ°%0-9]*"
+_FACTOR = rf"(?:1|sqrt\({_SYMBOL}\)|{_SYMBOL})(?:\s*(?:\^|\*\*)\s*-?\d)?"
+_UNIT = re.compile(rf"{_FACTOR}(?:(?:\s*[*/·]\s*|\s+){_FACTOR})*")
+"""Units as people write them: ``mm/s^2``, ``V s/N``, ``V/sqrt(Hz)``. An exponent has one digit,
+because pint computes ``mm**9999999**9999999`` for minutes."""
+_LONGEST_UNIT = 40
+"""Characters of a unit; every unit of a field has fewer than 10."""
 
 _COMMON_SYMBOLS = frozenset(
     {
@@ -18,7 +24,6 @@ _COMMON_SYMBOLS = frozenset(
         *("ohm", "kohm", "Ω", "g", "kg"),
     }
 )
-_UNIT_EXPRESSION = re.compile(r"(1|[^\s/*^]+(\^-?\d+)?)?([ */·]+[^\s/*^]+(\^-?\d+)?)*$")
 
 
 def duration(seconds: float) -> str:
@@ -69,8 +74,11 @@ def parse(text: str, annotation: Any, unit: str | None) -> Any:
 def is_unit(text: str) -> bool:
     """Return whether a text is a unit as files and figures carry it: ``V s/N``, ``mm/s^2``, ``%``,
     or "" for a number without one."""
-    symbols = re.findall(r"[^\s0-9/*^()·-]+", text)
-    if _UNIT_EXPRESSION.match(text) and all(symbol in _COMMON_SYMBOLS for symbol in symbols):
+    if not text:
+        return True
+    if not _follows_grammar(text):
+        return False
+    if all(symbol in _COMMON_SYMBOLS for symbol in re.findall(_SYMBOL, text)):
         return True
     import pint  # Slow to import, so imported only for the rare units that need it.
 
@@ -95,11 +103,16 @@ def quantity(text: str, unit: str | None) -> float:
         return number
     if unit is None:
         raise ValueError(f"takes a bare number, not {written!r}")
-    if not _UNIT.match(written):
-        raise ValueError(f"{written!r} is not a unit")
+    if not _follows_grammar(written):
+        shown = written if len(written) <= _LONGEST_UNIT else written[:_LONGEST_UNIT] + "..."
+        raise ValueError(f"{shown!r} is not a unit; write it as {unit}")
     import pint
 
     try:
         return float(pint.Quantity(number, written).to(unit).magnitude)
     except (pint.PintError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise ValueError(f"{written!r} does not convert to {unit}") from error
+
+
+def _follows_grammar(text: str) -> bool:
+    return len(text) <= _LONGEST_UNIT and _UNIT.fullmatch(text) is not None

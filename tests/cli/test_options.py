@@ -67,7 +67,7 @@ def test_a_quantity_may_carry_any_unit_that_converts(
         ("3 N N", "N", "does not convert to N"),
         ("3 ;", "N", "';' is not a unit"),
         ("3 1/0", "N", "'1/0' is not a unit"),
-        ("3 N/0", "N", "does not convert to N"),
+        ("3 N/0", "N", "is not a unit; write it as N"),
         ("3 ((", "N", "is not a unit"),
         ("four", "N", "is not a number of N"),
         ("", None, "is not a number$"),
