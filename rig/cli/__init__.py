@@ -23,12 +23,16 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         try:
-            from rig.cli.streams import outlast_readers
+            from rig.cli.streams import code_after_output, outlast_readers
 
             outlast_readers()
             from rig.cli.app import perform
 
-            perform(sys.argv[1:])
+            try:
+                perform(sys.argv[1:])
+            except SystemExit as ended:
+                ended.code = code_after_output(ended.code)
+                raise
         finally:  # An exception while Python shuts down would print a traceback.
             for number in (signal.SIGINT, *SIGNALS_THAT_END):
                 signal.signal(number, _leave_at_once)

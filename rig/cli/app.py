@@ -8,6 +8,7 @@ command only, and for the others one line of the list, read from their sources.
 from __future__ import annotations
 
 import ast
+import inspect
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -116,7 +117,9 @@ def build(arguments: Sequence[str]) -> typer.Typer:
 
 
 def _add(app: typer.Typer, name: str, text: str, function: Callable[..., None]) -> None:
-    app.command(name, help=text, short_help=text)(function)
+    """Add a command with its line in the list; its own help is the whole docstring, if any."""
+    whole = function.__doc__ if function is not _not_asked else None
+    app.command(name, help=inspect.cleandoc(whole or text), short_help=text)(function)
 
 
 def _summary(name: str) -> str:

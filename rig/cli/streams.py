@@ -25,23 +25,26 @@ class LastingStream(io.TextIOWrapper):
             errors="backslashreplace",
             line_buffering=True,
         )
+        self.failure: OSError | None = None
+        """Why output was lost first; None if nothing was lost."""
 
     def write(self, text: str) -> int:
         """Write the text if the descriptor still works."""
         try:
             return super().write(text)
-        except OSError:
-            self._lose()
+        except OSError as error:
+            self._lose(error)
             return len(text)
 
     def flush(self) -> None:
         """Flush the text if the descriptor still works."""
         try:
             super().flush()
-        except OSError:
-            self._lose()
+        except OSError as error:
+            self._lose(error)
 
-    def _lose(self) -> None:
+    def _lose(self, error: OSError) -> None:
+        self.failure = self.failure or error
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self.fileno())
         os.close(nowhere)
@@ -58,6 +61,24 @@ def outlast_readers() -> None:
                 os.devnull, os.O_RDWR
             )  # open() returns the lowest free descriptor, which is this one.
     sys.stdout, sys.stderr = LastingStream(1), LastingStream(2)
+
+
+def code_after_output(code: str | int | None) -> str | int | None:
+    """Return the exit code of a command once everything is printed: 1 instead of 0, with a line
+    on stderr, where stdout could not be written.
+
+    A reader that has closed the pipe, such as ``head``, has what it wanted: that is no failure.
+    """
+    assert isinstance(sys.stdout, LastingStream)
+    sys.stdout.flush()
+    failure = sys.stdout.failure
+    if failure is None or isinstance(failure, BrokenPipeError):
+        return code
+    say_at_once(
+        f"error: the output could not be written to stdout: {failure.strerror}; what the command "
+        "has saved is complete, only the printed output is lost"
+    )
+    return code or 1
 
 
 def say_at_once(text: str) -> None:

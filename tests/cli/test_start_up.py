@@ -83,6 +83,19 @@ def test_a_command_that_does_not_exist_is_a_usage_error() -> None:
     assert "Traceback" not in shown.stderr
 
 
+def test_output_that_cannot_be_written_is_reported_and_no_success() -> None:
+    with Path("/dev/full").open("w") as full:
+        shown = subprocess.run(
+            [sys.executable, "-c", PROGRAM, "--help"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert shown.returncode == 1
+    assert "could not be written to stdout: No space left on device" in shown.stderr
+
+
 STOPS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
 
 

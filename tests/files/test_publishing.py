@@ -1,0 +1,38 @@
+"""Files that are published are read-only where the file system can have it so."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from rig.files.checksum import checksum_findings
+from rig.files.hdf5.publishing import publishing
+
+
+@pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o444), (0o077, 0o400), (0o027, 0o440)])
+def test_nobody_may_write_and_those_may_read_whom_the_umask_lets(
+    tmp_path: Path, umask: int, mode: int
+) -> None:
+    before = os.umask(umask)
+    try:
+        with publishing(tmp_path / "run.h5") as part:
+            part.write_bytes(b"data")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "run.h5").stat().st_mode) == mode
+
+
+def test_where_rights_cannot_be_changed_the_file_is_published_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(self: Path, mode: int) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(Path, "chmod", refuse)
+    with publishing(tmp_path / "run.h5") as part:
+        part.write_bytes(b"data")
+    assert (tmp_path / "run.h5").read_bytes() == b"data"
+    assert list(checksum_findings(tmp_path / "run.h5")) == []
