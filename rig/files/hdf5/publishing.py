@@ -15,9 +15,10 @@ from rig.files.checksum import sha256_of, write_checksum
 def publishing(target: Path, *, shared: bool = False) -> Iterator[Path]:
     """Give the block a temporary path to write to and to check; then publish that file.
 
-    Publishing makes the file read-only where the file system can, puts it on the disk, renames it to `target` in place of an
-    earlier one, and writes its SHA-256 beside it. If the block raises, nothing of this happens and
-    no file is left behind. `shared` is for targets that several processes may write at once.
+    Publishing makes the file read-only where the file system can, puts it on the disk, renames it
+    to `target` in place of an earlier one, and writes its SHA-256 beside it. If the block raises,
+    nothing of this happens and no file is left behind. `shared` is for targets that several
+    processes may write at once.
 
     Raises the OSError of the step that failed.
     """
