@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -29,6 +29,11 @@ if TYPE_CHECKING:
 
 ROLES = ("daq",)
 """The roles this driver can play."""
+
+DIGITAL_BITS = {501: 8, 502: 8, 503: 4, 504: 4}
+"""Digital channels and their bits."""
+INPUTS = tuple(f"{channel}.{bit}" for channel, bits in DIGITAL_BITS.items() for bit in range(bits))
+"""Digital inputs: channel and bit. A whole channel is an input or an output."""
 
 LOWEST_RATE_S_S = 3.0
 MOST_SAMPLES = 8_000_000  # of one acquisition, all channels together
@@ -107,6 +112,8 @@ class U2300ADaq:
         self._torn = False
         """A block of the running acquisition was lost in its transfer."""
         self._talking = threading.RLock()
+        self._digital_inputs: tuple[int, ...] = ()
+        """Digital channels that have been made inputs."""
 
     @property
     def identity(self) -> Identity:
@@ -257,6 +264,37 @@ class U2300ADaq:
         with self._talking:
             self._running = None
             self._link.command("STOP")
+
+    def inputs_high(self, names: Sequence[str]) -> Mapping[str, bool]:
+        """The levels of digital lines, such as "501.0": bit 0 of channel 501.
+
+        Their channels are made inputs first, which reads back. That the unit answers while an
+        acquisition runs is unconfirmed.
+        """
+        lines = {name: tuple(map(int, name.split("."))) for name in names}
+        channels = tuple(dict.fromkeys(channel for channel, _ in lines.values()))
+        where = f"(@{','.join(map(str, channels))})"
+        if channels != self._digital_inputs:
+            (ways,) = self._link.command(
+                f"CONF:DIG:DIR INP,{where}", then=(f"CONF:DIG:DIR? {where}",)
+            )
+            if ways.split(",") != ["INP"] * len(channels):
+                raise InstrumentError(
+                    "daq", "CONF:DIG:DIR", f"channels {where} set to INP but read back {ways}"
+                )
+            self._digital_inputs = channels
+        query = f"MEAS:DIG? {where}"
+        replies = self._link.query(query).split(",")
+        if len(replies) != len(channels) or not all(one.strip().isdigit() for one in replies):
+            self._link.close()
+            raise InstrumentError(
+                "daq",
+                query,
+                f"the answer {','.join(replies)!r} is not a number for each channel",
+                f"check the cable and that nothing else talks to {self._settings.resource}",
+            )
+        words = dict(zip(channels, map(int, replies), strict=True))
+        return {name: bool(words[channel] >> bit & 1) for name, (channel, bit) in lines.items()}
 
     def make_safe(self) -> None:
         """End the acquisition, whatever the error queue holds; a DAQ drives nothing."""

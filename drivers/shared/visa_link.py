@@ -1,4 +1,5 @@
-"""A SCPI conversation over VISA that checks every answer and never trusts a stale one.
+"""A SCPI conversation over VISA that checks every answer and never trusts a stale one. Any number
+of threads may use it: one message and its answer at a time.
 
 What is sent and what comes back, nothing about any instrument. A set and the error query that
 belongs to it travel as one message, because a raw socket answers a write followed by a query 44 ms
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+import threading
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -45,6 +47,8 @@ class VisaLink:
         self._clock = clock
         self._session: Any = None
         self._reopening = False
+        self._talking = threading.RLock()
+        """Held for one message and its answer."""
 
     def identify(self) -> Identity:
         """Ask ``*IDN?``; InstrumentError where the answer has not four fields."""
@@ -107,30 +111,31 @@ class VisaLink:
     @contextlib.contextmanager
     def _conversation(self, message: str) -> Iterator[Any]:
         """A session to talk on; any failure closes it and becomes an InstrumentError."""
-        try:
-            with self._clock.answer_within(WAITS * self._timeout_s):
-                if self._session is None:
-                    self._session = self._open(message)
-                yield self._session
-        except pyvisa.errors.VisaIOError as error:
-            self.close()
-            if error.error_code == StatusCode.error_timeout:
-                self._charge_timeout()
-                raise InstrumentTimeoutError(
-                    self.device,
-                    _first(message),
-                    f"no answer within {self._timeout_s:g} s",
-                    f"check that {self.resource} is switched on and reachable",
-                ) from error
-            raise self._broken(message, str(error)) from error
-        except UnicodeDecodeError as error:
-            raise self._garbage(message, error.object, "text") from error
-        except (OSError, EOFError, RuntimeError, pyvisa.Error) as error:
-            self.close()
-            raise self._broken(message, f"{type(error).__name__}: {error}") from error
-        except InstrumentError:
-            self.close()
-            raise
+        with self._talking:
+            try:
+                with self._clock.answer_within(WAITS * self._timeout_s):
+                    if self._session is None:
+                        self._session = self._open(message)
+                    yield self._session
+            except pyvisa.errors.VisaIOError as error:
+                self.close()
+                if error.error_code == StatusCode.error_timeout:
+                    self._charge_timeout()
+                    raise InstrumentTimeoutError(
+                        self.device,
+                        _first(message),
+                        f"no answer within {self._timeout_s:g} s",
+                        f"check that {self.resource} is switched on and reachable",
+                    ) from error
+                raise self._broken(message, str(error)) from error
+            except UnicodeDecodeError as error:
+                raise self._garbage(message, error.object, "text") from error
+            except (OSError, EOFError, RuntimeError, pyvisa.Error) as error:
+                self.close()
+                raise self._broken(message, f"{type(error).__name__}: {error}") from error
+            except InstrumentError:
+                self.close()
+                raise
 
     def _open(self, message: str) -> Any:
         """A new session; `message` is what it is wanted for."""

@@ -77,6 +77,14 @@ class AnalogueInputPort(TimePort, Protocol):
         ...
 
 
+class DigitalInputPort(Protocol):
+    """What an instrument's digital inputs see."""
+
+    def input_high(self, device: str, line: str) -> bool:
+        """Return the present level of input `line` of the instrument called `device`."""
+        ...
+
+
 class ForcePort(TimePort, Protocol):
     """What a force sensor in the World feels."""
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from rig.bench.interlocks import unreadable
 from rig.bench.settings import ROLES, STRIPS, BenchSettings, Fixture
 from rig.core.entry_points import DRIVERS, load
 from rig.core.errors import (
@@ -111,6 +112,10 @@ def parse_bench(text: str, source: str) -> BenchPlan:
         settings = _settings(tables, source)
     if settings is not None and ("daq" not in described or any(p.role == "daq" for p in plans)):
         findings += map(ConfigurationError, _wiring_errors(settings, plans, source))
+    if settings is not None and len(plans) == len(described):
+        drivers = {part.role: part.driver for part in plans}
+        found = unreadable(settings.interlock, drivers)
+        findings += [ConfigurationError(f"{source}: {one}") for one in found]
     if settings is not None:
         findings += map(ConfigurationError, _heartbeat_findings(settings, plans, source))
     if findings or settings is None:

@@ -6,6 +6,7 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from rig.bench.interlocks import Interlocks
 from rig.core.settings import Settings
 from rig.instruments.calibration import (
     CalibrationFiles,
@@ -107,7 +108,7 @@ class FixtureSettings(Settings):
         return self
 
 
-class BenchSettings(Settings):
+class BenchSettings(Interlocks):
     """Settings of the bench itself; the instruments' tables belong to their drivers."""
 
     name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")

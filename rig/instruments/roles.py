@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from rig.core.errors import LimitError
 
@@ -81,6 +81,22 @@ class Instrument(Protocol):
 
     def close(self) -> None:
         """Close the link; the instrument stays in its state."""
+        ...
+
+
+@runtime_checkable
+class ReadsInputs(Protocol):
+    """The interface of an instrument with digital inputs, of which some carry interlock contacts.
+
+    The driver's module lists the names of the inputs as ``INPUTS``.
+    """
+
+    def inputs_high(self, names: Sequence[str]) -> Mapping[str, bool]:
+        """Return the present level of each named input: True for high.
+
+        Any thread may call it at any time, beside the one that uses the instrument. It does not
+        wait on the bench clock. Raises InstrumentError if the levels cannot be read now.
+        """
         ...
 
 
@@ -356,7 +372,11 @@ class ForceSensor(Instrument, Protocol):
 
 
 class DriverModule(Protocol):
-    """The members of a module that an entry point of the group ``rig.drivers`` names."""
+    """The members of a module that an entry point of the group ``rig.drivers`` names.
+
+    The module of an instrument with digital inputs (`ReadsInputs`) has their names as well, as a
+    tuple ``INPUTS``.
+    """
 
     ROLES: tuple[str, ...]
     """Roles that its instrument can play, such as ``generator`` or ``stage_z``."""

@@ -15,6 +15,8 @@ from rig.instruments.roles import Record, Scaling
 from rig.run.arming import SHUTDOWN_DEADLINE_S, Arming
 from rig.run.force_monitor import ForceMonitor
 from rig.run.holds import Holds
+from rig.run.interlock_store import InterlockStore
+from rig.run.interlocks import InterlockWatch
 from rig.run.points import Reading
 
 if TYPE_CHECKING:
@@ -32,6 +34,7 @@ class Run:
         streams: Mapping[str, int],
         elapsed_s: float,
         readings: Mapping[str, Reading] | None = None,
+        interlock_records: InterlockStore | None = None,
     ):
         self.settings = settings
         self.bench = bench
@@ -48,6 +51,11 @@ class Run:
         """Effects of the shutdown actions since the bench was last made safe, in their order, as
         parts of a sentence: "generator off". An action that failed in part is not included."""
         self._arming = Arming(overlapping=not self.clock.is_virtual)
+        records = interlock_records or InterlockStore(bench.plan, None)
+        self.interlocks = InterlockWatch(
+            bench, self.holds, self._arming.emergency_stop, records, self.event
+        )
+        """The watch over the bench's interlock contacts."""
         self._waits_s = max(
             (longest_call_s(part.settings) for part in bench.plan.instruments), default=0.0
         )
@@ -136,8 +144,8 @@ class Run:
 
     @contextlib.contextmanager
     def first_cause(self) -> Iterator[None]:
-        """Report the first cause: within the block, the reason why a watcher made the bench safe,
-        or a hold during which an instrument did not answer in time, replaces the exception of a
+        """Report the first cause: within the block, an interlock of a person that is open or
+        latched, the reason why a watcher made the bench safe, or a hold during which an instrument did not answer in time, replaces the exception of a
         call that it disturbed.
 
         For the outermost level only, since it waits for the watcher to finish.
@@ -145,6 +153,8 @@ class Run:
         try:
             yield
         except RigError as error:
+            self.interlocks.settle()
+            self.interlocks.check()
             if self._force is not None:
                 self._force.settle()
                 self._force.check_trip()
@@ -155,6 +165,9 @@ class Run:
     def tripped(self) -> RigError | None:
         """Return, once, why a watcher has made the bench safe if that has not been reported yet.
         Made for shutdown actions, whose waits do not raise it."""
+        self.interlocks.settle()
+        if (opened := self.interlocks.news()) is not None:
+            return opened
         if self._force is None:
             return None
         self._force.settle()
@@ -165,7 +178,9 @@ class Run:
         return None
 
     def check_watchers(self) -> None:
-        """Raise a failure or trip of the force monitor, or a hold."""
+        """Raise an interlock of a person, a failure or trip of the force monitor, or a hold."""
+        self.interlocks.poll()
+        self.interlocks.check()
         if self._force is not None:
             self._force.check()
         self.holds.check()

@@ -33,6 +33,8 @@ from rig.run.checked_procedure import CheckedProcedure, internal
 from rig.run.context import Run
 from rig.run.guard import GuardLink
 from rig.run.holds import PauseSwitch
+from rig.run.interlock_store import InterlockStore, state_folder
+from rig.run.interlocks import InterlockError
 from rig.run.job import Journal, RunJob
 from rig.run.observers import Observers, RunObserver
 from rig.run.outcome import RunOutcome
@@ -119,6 +121,7 @@ class _Execution:
             journal.stream_index,
             journal.elapsed_s,
             self.readings,
+            InterlockStore(bench.plan, state_folder() if job.lock is not None else None),
         )
         self.phases = Phases()
         self.loop = PointLoop(
@@ -140,10 +143,14 @@ class _Execution:
 
     def go(self, points: tuple[Point, ...]) -> None:
         """Record the points, then make the bench safe, save the data and report."""
+        # The contacts are read while the bench is made safe as well: an opening then must latch.
+        unregister_interlocks = self.bench.clock.each_slice(self.run.interlocks.poll)
         unregister = self.bench.clock.each_slice(self._each_slice)
         self.bench.clock.while_computing(self.guard.beat)
         try:
             with PauseSwitch(self.run.holds):
+                self.run.interlocks.begin()
+                self.run.interlocks.check()
                 self.loop.record_all(points)
             self.outcome.status, self.outcome.code = "complete", self._judge()
         except StopRequestedError as stopped:
@@ -156,6 +163,8 @@ class _Execution:
         finally:
             unregister()
             self._make_safe()
+            unregister_interlocks()
+            self._end_interlocks()
         self._save()
         self._summarise()
         if self.outcome.off_failures:
@@ -187,6 +196,7 @@ class _Execution:
             self._miss_guard()
         self.recorder.check()
         self.stop.check()
+        self.run.interlocks.check()
         if self.phases.now is RunPhase.MEASURING:
             self.run.check_watchers()
 
@@ -235,6 +245,22 @@ class _Execution:
         with contextlib.suppress(RigError):  # a failed recorder is reported by _save
             for failure in self.outcome.off_failures:
                 self.run.event("error", "off-failed", f"{failure.name}: {failure.reason}")
+
+    def _end_interlocks(self) -> None:
+        """End the watch over the contacts; report a person's contact that opened while the bench
+        was made safe, and a latch that could not be recorded."""
+        watch = self.run.interlocks
+        watch.end()
+        try:
+            watch.check()
+        except InterlockError as latched:
+            if self.outcome.status == "complete":
+                self._failed_late(latched)
+            elif all(error.message != latched.message for error in self.outcome.failures):
+                self.outcome.warnings.append(latched.one_line())
+        for error in watch.failures():
+            self._failed_late(error)
+            self.outcome.code = ExitCode.UNSAFE
 
     # --- second: data -----------------------------------------------------------------------------
 

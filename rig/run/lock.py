@@ -104,12 +104,13 @@ def in_use(plan: BenchPlan | Restable) -> str | None:
 def lock_files(plan: BenchPlan | Restable) -> tuple[Path, ...]:
     """Return the lock file of every address of a bench, each once, in one order for all
     programs."""
-    addresses = {_address(part.settings.model_dump()) for part in plan.instruments}
+    addresses = {address_of(part.settings.model_dump()) for part in plan.instruments}
     digests = sorted(hashlib.sha256(address.encode()).hexdigest()[:16] for address in addresses)
     return tuple(Path(tempfile.gettempdir()) / f"tactile-rig-{digest}.lock" for digest in digests)
 
 
-def _address(settings: dict[str, Any]) -> str:
+def address_of(settings: dict[str, Any]) -> str:
+    """Return the address of the link of an instrument, from its driver's settings."""
     # A link has one user, whichever instrument on it is addressed.
     if isinstance(line := settings.get("port"), str):
         return line.upper()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,8 +35,13 @@ class Endpoints:
     rotary: str = ""
 
 
-def bench_toml(options: Options, world: dict[str, Any], endpoints: Endpoints) -> str:
-    """The bench file that drives this bench."""
+def bench_toml(
+    options: Options,
+    world: dict[str, Any],
+    endpoints: Endpoints,
+    interlocks: Sequence[dict[str, Any]] = (),
+) -> str:
+    """The bench file that drives this bench; `interlocks` are its ``[[interlock]]`` tables."""
     stages = {} if options.stages == "festo" else {"stages": options.stages}
     simulation = {"seed": options.seed, **stages, **world}
     lines = "".join(f"{key} = {toml_value(value)}\n" for key, value in simulation.items())
@@ -53,7 +59,14 @@ contact_to_mm = {13.6 if options.fixture == HEAD else 13.0}
 {_head_lines(options)}
 {own(options, endpoints)}
 [force_sensor]
-{sensor}"""
+{sensor}{_interlock_tables(interlocks)}"""
+
+
+def _interlock_tables(interlocks: Sequence[dict[str, Any]]) -> str:
+    return "".join(
+        "\n[[interlock]]\n" + "".join(f"{key} = {toml_value(own)}\n" for key, own in one.items())
+        for one in interlocks
+    )
 
 
 def _head_lines(options: Options) -> str:

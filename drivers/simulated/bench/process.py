@@ -107,12 +107,13 @@ async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> No
         port = await control.start()
         if options.slaved:  # its end is seen however early it was: what it sets free has started
             await loop.connect_read_pipe(lambda: _OwnersPipe(orphaned), sys.stdin)
-        overrides = settings.model_dump(mode="json", exclude_unset=True)
+        overrides = settings.model_dump(mode="json", exclude_unset=True, by_alias=True)
+        interlocks = world.contacts.tables()
         ready(
             {
                 "control_port": port,
-                "bench_toml": bench_toml(options, overrides, bench.listening()),
-                "recorded_toml": bench_toml(options, overrides, bench.anywhere()),
+                "bench_toml": bench_toml(options, overrides, bench.listening(), interlocks),
+                "recorded_toml": bench_toml(options, overrides, bench.anywhere(), interlocks),
                 "models": bench.models,
             }
         )

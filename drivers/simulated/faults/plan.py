@@ -45,10 +45,12 @@ ROTARY = "rotary"
 FORCE_SENSOR, FORCE_STREAM = "force_sensor", "force_sensor.stream"
 """The amplifier's answers, and the frames that it sends without being asked."""
 CLOCK, DISK = "clock", "disk"
+INTERLOCK = "interlock"
+"""The contacts of the bench; a fault says which one by its name."""
 STAGES = (STAGE_Z, STAGE_X)
 ON_TCP = (GENERATOR, DAQ, *STAGES)
 ON_A_WIRE = (*ON_TCP, ROTARY, FORCE_SENSOR, FORCE_STREAM)
-DEVICES = (*ON_A_WIRE, CLOCK, DISK)
+DEVICES = (*ON_A_WIRE, INTERLOCK, CLOCK, DISK)
 LONGEST_AFTER_s = 36_000.0
 
 SensorAxis = Literal["x", "y", "z"]
@@ -272,6 +274,18 @@ class Overrun(Placed):
     kind: Literal["overrun"]
 
 
+class ContactFault(Placed):
+    """A person opens or closes what an interlock contact is on, or the contact itself fails."""
+
+    kind: Literal["opened", "closed", "stuck-closed", "stuck-open", "bouncing"]
+    """A door is opened or closed; the contact stays closed or open from then on, whatever the door
+    does; it bounces for a while."""
+    name: str
+    """The contact's name in the bench file."""
+    for_s: float = Field(default=0.1, gt=0)
+    """How long it bounces."""
+
+
 class ClockJump(Placed):
     """Time passes without the run, as it does while a computer is suspended."""
 
@@ -307,7 +321,7 @@ ConverterFault = SensorFault | StuckSensorAxis | WrongValue | EarlierFrames
 """What happens in the force sensor's amplifier, which its simulator does."""
 SensedFault = DeadSensor | SensorDrift | WrongScale
 """What changes the force that reaches the amplifier."""
-TimedFault = Spike | ConverterFault | SensedFault | Clipped | Overrun | ClockJump
+TimedFault = Spike | ConverterFault | SensedFault | Clipped | Overrun | ContactFault | ClockJump
 FileFault = DiskFault | SlowSync
 WireKind = WireFault | ErrorReply | Rejection | RefusedConnections
 Fault = WireKind | MoveFault | RotaryFault | TimedFault | FileFault
@@ -329,6 +343,7 @@ DEVICES_BY_FAULT: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("wrong-scale", "wrong-value", "previous"), (FORCE_SENSOR,)),
     "clipped": (GENERATOR,),
     "overrun": (DAQ,),
+    **dict.fromkeys(get_args(ContactFault.model_fields["kind"].annotation), (INTERLOCK,)),
     "clock-jump": (CLOCK,),
     **dict.fromkeys(("disk-full", "read-only", "slow-sync"), (DISK,)),
 }

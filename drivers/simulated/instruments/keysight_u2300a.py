@@ -26,11 +26,12 @@ import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from drivers.simulated.ports import AnalogueInputPort, LogPort
+from drivers.simulated.ports import AnalogueInputPort, DigitalInputPort, LogPort
 from drivers.simulated.transports.scpi import (
     Boolean,
     Call,
@@ -54,6 +55,13 @@ SMALLEST_BLOCK = 1
 DEFAULT_RATE_S_s = 1000
 DEFAULT_POINTS = 500
 FIRST_CHANNEL = 101
+DIGITAL_BITS = {501: 8, 502: 8, 503: 4, 504: 4}
+"""Bits of each digital channel. They are inputs when the unit is switched on (UNCONFIRMED), and may
+be read while an acquisition runs (UNCONFIRMED)."""
+
+
+class Terminals(AnalogueInputPort, DigitalInputPort, Protocol):
+    """What the unit's terminals see."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +176,7 @@ class KeysightU2300A(ScpiInstrument):
     def __init__(
         self,
         model: str,
-        port: AnalogueInputPort,
+        port: Terminals,
         log: LogPort,
         name: str = "daq",
         buffer_samples: int = BUFFER_SAMPLES,
@@ -204,6 +212,7 @@ class KeysightU2300A(ScpiInstrument):
             *self._acquisition_commands(),
             *self._trigger_commands(),
             *self._data_commands(),
+            *self._digital_commands(),
         ]
 
     def _scan_commands(self) -> list[ScpiCommand]:
@@ -306,11 +315,46 @@ class KeysightU2300A(ScpiInstrument):
             ScpiCommand("MEASure[:VOLTage][:DC]?", self._measure, (ChannelList(),)),
         ]
 
+    def _digital_commands(self) -> list[ScpiCommand]:
+        ways = Choice("INPut", "OUTPut")
+        root = "CONFigure:DIGital:DIRection"
+        return [
+            ScpiCommand(root, self._set_direction, (ways, ChannelList())),
+            ScpiCommand(root + "?", self._directions, (ChannelList(),)),
+            ScpiCommand("MEASure:DIGital?", self._digital, (ChannelList(),)),
+        ]
+
+    def _set_direction(self, call: Call) -> None:
+        way, channels = call.arguments
+        for channel in self._known_digital(channels):
+            self._ways[channel] = way
+
+    def _directions(self, call: Call) -> str:
+        return ",".join(self._ways[one] for one in self._known_digital(call.arguments[0]))
+
+    def _digital(self, call: Call) -> str:
+        """The bits of each channel as one number; what an output reads back as is UNCONFIRMED."""
+        return ",".join(
+            str(sum(self._bit(one, bit) << bit for bit in range(DIGITAL_BITS[one])))
+            for one in self._known_digital(call.arguments[0])
+        )
+
+    def _bit(self, channel: int, bit: int) -> bool:
+        if self._ways[channel] != "INP":
+            return False
+        return self._port.input_high(self._name, f"{channel}.{bit}")
+
+    def _known_digital(self, channels: tuple[int, ...]) -> tuple[int, ...]:
+        if not all(channel in DIGITAL_BITS for channel in channels):
+            raise ScpiError(-222, "no such channel")
+        return channels
+
     # --- settings ----------------------------------------------------------------------------
 
     def _defaults(self) -> None:
         first = FIRST_CHANNEL
         self._inputs = {first + index: SimulatedInput() for index in range(self.model.channels)}
+        self._ways = dict.fromkeys(DIGITAL_BITS, "INP")
         self._scan: tuple[int, ...] = (first,)
         self._rate = DEFAULT_RATE_S_s
         self._points = DEFAULT_POINTS

@@ -22,16 +22,19 @@ from pydantic import Field, ValidationError
 
 from drivers.simulated.faults.plan import (
     DAQ,
+    INTERLOCK,
     STAGE_X,
     STAGE_Z,
     Clipped,
     ClockJump,
+    ContactFault,
     SensedFault,
     Spike,
     TimedFault,
 )
 from drivers.simulated.ports import Excitation
 from drivers.simulated.task_log import TaskLog
+from drivers.simulated.world.contacts import Contacts, ContactsSettings
 from drivers.simulated.world.driven_line import DrivenLine
 from drivers.simulated.world.film_clamp import ClampedFilm
 from drivers.simulated.world.log import WorldLog
@@ -40,7 +43,6 @@ from drivers.simulated.world.schedule import Schedule
 from drivers.simulated.world.sensed_force import SensedForce
 from drivers.simulated.world.timeline import WorldTimeline
 from rig.core.errors import ConfigurationError
-from rig.core.settings import Settings
 from rig.core.toml_files import read_toml
 from rig.physics import film_clamp, front_end, pvdf, vibrator
 from rig.physics.film_clamp import FilmClampSettings
@@ -65,7 +67,7 @@ FORCE_SENSOR_FOLLOWS_Hz = 1000.0
 """Vibration beyond does not reach the force sensor's bridges: its probe is too heavy (assumed)."""
 
 
-class WorldSettings(Settings):
+class WorldSettings(ContactsSettings):
     """What the simulated bench is like; everything a real one would not let you choose."""
 
     film: Literal["drawn", "nominal", "open-circuit"] = "drawn"
@@ -143,6 +145,9 @@ class World:
         self._pushes: list[tuple[float, float, float]] = []
         """Begin and end in s, force in N."""
         self._sensed = SensedForce()
+        faults = tuple(faults)
+        self.contacts = Contacts(settings.interlock, self._tell_contact)
+        self.contacts.require([one for one in faults if isinstance(one, ContactFault)])
         self._schedule = Schedule(faults)
         self.tasks = TaskLog()
         """The bench's log of tasks and acquisitions."""
@@ -267,6 +272,14 @@ class World:
             given_V = min(self._excitation.amplitude_V, self._clip_V)
             self._line.excite(self.now_us, replace(self._excitation, amplitude_V=given_V))
 
+    def input_high(self, device: str, line: str) -> bool:
+        """Return the present level of a digital input of an instrument."""
+        self._apply_due_faults()
+        return self.contacts.high(device, line, self.now_us)
+
+    def _tell_contact(self, value: object) -> None:
+        self.log(INTERLOCK, "contact", value, "world")
+
     def _apply_due_faults(self) -> None:
         """Begin the faults that are due by now, in their order."""
         while (t_us := self._schedule.due(self.now_us)) is not None:
@@ -283,6 +296,8 @@ class World:
         elif isinstance(fault, Clipped):
             self._clip_V = fault.amplitude_V
             self._drive()
+        elif isinstance(fault, ContactFault):
+            self.contacts.disturb(fault, t_us)
         elif isinstance(fault, ClockJump):
             self.timeline.jump(round(fault.by_s * 1e6))
         else:
