@@ -145,8 +145,8 @@ class Run:
     @contextlib.contextmanager
     def first_cause(self) -> Iterator[None]:
         """Report the first cause: within the block, an interlock of a person that is open or
-        latched, the reason why a watcher made the bench safe, or a hold during which an instrument did not answer in time, replaces the exception of a
-        call that it disturbed.
+        latched, the reason why a watcher made the bench safe, or a hold during which an instrument
+        did not answer in time, replaces the exception of a call that it disturbed.
 
         For the outermost level only, since it waits for the watcher to finish.
         """

@@ -29,6 +29,8 @@ READ_EVERY_S = 0.02
 FRESH_S = 0.6
 """Longest wait for a reading that is newer than a failure: longer than it takes a contact that is
 not read to count as open."""
+AGAIN_S = 1.0
+"""Time after which an instrument that did not answer is read again in virtual time."""
 RESET = "rig interlocks reset"
 
 
@@ -75,7 +77,7 @@ class InterlockWatch:
         self._opened = threading.Event()
         self._ending = threading.Event()
         self._threads: list[threading.Thread] = []
-        self._read_at_s = float("-inf")
+        self._read_at_s = self._failed_at_s = float("-inf")
         self._reading = self._begun = False
 
     @property
@@ -193,17 +195,29 @@ class InterlockWatch:
     def _read_all(self) -> None:
         self._reading = True  # A link's time-out lets bench time pass, and this is called again.
         try:
-            self._read_at_s = self._clock.now()
+            self._read_at_s = now_s = self._clock.now()
             for role in self._by_role:
-                self._try_to_read(role)
+                if self._worth_reading(role, now_s):
+                    self._try_to_read(role)
         finally:
             self._reading = False
+
+    def _worth_reading(self, role: str, now_s: float) -> bool:
+        """Return whether to read an instrument in virtual time, where one that does not answer
+        holds up everything else: not if all its contacts are latched, which ends the run, and not
+        too soon after it did not answer."""
+        contacts = (self._contacts[one.name] for one in self._by_role[role])
+        if all(contact.latched for contact in contacts):
+            return False
+        return role not in self._failed or now_s >= self._failed_at_s + AGAIN_S
 
     def _try_to_read(self, role: str) -> None:
         try:
             self._read(role)
+            self._failed.pop(role, None)
         except RigError as error:
             self._failed[role] = error.one_line()
+            self._failed_at_s = self._clock.now()
         except Exception as error:  # noqa: BLE001 - a driver's bug must not end the watch
             self._failed[role] = f"{type(error).__name__}: {error}"
 

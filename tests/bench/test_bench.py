@@ -412,3 +412,32 @@ def test_a_heartbeat_shorter_than_an_instruments_patience_is_refused() -> None:
     assert "heartbeat_timeout_s 3 is not above 4 s" in line
     assert "generator" in line
     assert "daq" in line
+
+
+DOOR = '\n[[interlock]]\nname = "door"\ninput = "daq.501.0"\nclass = "person"\n'
+
+
+def test_an_interlock_names_an_input_of_an_instrument_of_the_bench() -> None:
+    (door,) = parse_bench(GOOD + DOOR, "bench.toml").settings.interlock
+    assert (door.role, door.line, door.kind, door.proof) == ("daq", "501.0", "person", False)
+    assert door.is_closed(True)
+    assert not door.is_closed(False)
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        (DOOR.replace("daq.501.0", "daq.509.0"), "no such input; it has 501.0 to 504.3"),
+        (DOOR.replace("daq.501.0", "stage_x.1"), "the bench has no stage_x"),
+        (
+            DOOR.replace("daq.501.0", "generator.1"),
+            "the driver of the generator reads no inputs; the bench has inputs on daq",
+        ),
+        (DOOR.replace('"person"', '"nobody"'), "'person' or 'process'"),
+        (DOOR.replace("class", "kind"), "kind: unknown key"),
+        (DOOR + DOOR, "two [[interlock]] tables have the name 'door'"),
+        (DOOR + DOOR.replace('"door"', '"gate"'), "two [[interlock]] tables have the input"),
+    ],
+)
+def test_an_interlock_that_cannot_be_read_is_refused(table: str, told: str) -> None:
+    assert told in refused(GOOD + table)

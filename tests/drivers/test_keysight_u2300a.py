@@ -355,3 +355,45 @@ def test_the_guards_make_safe_ends_whatever_runs() -> None:
     """No error query: what a killed run left in the queue says nothing about the unit."""
     with playing("hislip", ("STOP;*OPC?", "1")) as resource:
         make_safe(settings(resource))
+
+
+def test_digital_lines_are_made_inputs_once_and_read_by_channel_and_bit() -> None:
+    where = "(@501,503)"
+    direction = f"CONF:DIG:DIR INP,{where};:CONF:DIG:DIR? {where};:SYST:ERR?"
+    exchanges = (
+        *hello("U2331A"),
+        (direction, f"INP,INP;{NO_ERROR}"),
+        (f"MEAS:DIG? {where}", "5,8"),
+        (f"MEAS:DIG? {where}", "0,0"),
+    )
+    with playing("hislip", *exchanges) as resource:
+        daq = connected(resource)
+        names = ("501.0", "501.1", "503.3")
+        assert daq.inputs_high(names) == {"501.0": True, "501.1": False, "503.3": True}
+        assert not any(daq.inputs_high(names).values())
+        daq.close()
+
+
+@pytest.mark.parametrize("reply", ["", "OPEN", "1,2"])
+def test_a_level_that_is_not_a_number_for_each_channel_is_refused(reply: str) -> None:
+    direction = "CONF:DIG:DIR INP,(@501);:CONF:DIG:DIR? (@501);:SYST:ERR?"
+    exchanges = (
+        *hello("U2331A"),
+        (direction, f"INP;{NO_ERROR}"),
+        ("MEAS:DIG? (@501)", reply),
+    )
+    with playing("hislip", *exchanges) as resource:
+        daq = connected(resource)
+        with pytest.raises(InstrumentError, match="not a number for each channel"):
+            daq.inputs_high(("501.0",))
+        daq.close()
+
+
+def test_a_digital_channel_that_stays_an_output_is_refused() -> None:
+    direction = "CONF:DIG:DIR INP,(@502);:CONF:DIG:DIR? (@502);:SYST:ERR?"
+    exchanges = (*hello("U2331A"), (direction, f"OUTP;{NO_ERROR}"))
+    with playing("hislip", *exchanges) as resource:
+        daq = connected(resource)
+        with pytest.raises(InstrumentError, match="set to INP but read back OUTP"):
+            daq.inputs_high(("502.7",))
+        daq.close()

@@ -12,8 +12,9 @@ from drivers.simulated.faults.plan import DEVICES, DEVICES_BY_FAULT, FORCE_STREA
 
 Fault = dict[str, Any]
 
-SWEEP_WORLD = "[watch]\nforce_limit_N = 40.0\n"
-SKIN_WORLD = "skin_mount.contact_mm = 12.05\n[watch]\nforce_limit_N = 15.0\n"
+DOOR = '[[interlock]]\nname = "door"\n'
+SWEEP_WORLD = f"{DOOR}[watch]\nforce_limit_N = 40.0\n"
+SKIN_WORLD = f"skin_mount.contact_mm = 12.05\n{DOOR}[watch]\nforce_limit_N = 15.0\n"
 """Contact soon after the search begins."""
 RUNAWAY_WORLD = "reaction_s = 0.06\n"
 """What runs into the film at travel speed, 10 mm/s, takes 50 ms to brake at 200 mm/s^2."""
@@ -173,6 +174,10 @@ _KEYS: dict[str, Callable[[random.Random, str], Fault]] = {
     "drive-fault": lambda chance, device: {
         **_move(chance, device), "code": chance.choice((58, 126, 391)),
     },
+    **dict.fromkeys(
+        ("opened", "closed", "stuck-closed", "stuck-open", "bouncing"),
+        lambda chance, device: {"name": "door", "after_s": round(chance.uniform(0.2, 9), 3)},
+    ),
     "slow": lambda chance, device: {
         **_move(chance, device), "share": round(chance.uniform(0.02, 0.9), 3),
     },

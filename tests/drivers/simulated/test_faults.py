@@ -207,6 +207,9 @@ NEEDED = {
     "clipped": "amplitude_V = 1.0",
     "clock-jump": "by_s = 1.0",
     "slow-sync": "delay_s = 0.1",
+    **dict.fromkeys(
+        ("opened", "closed", "stuck-closed", "stuck-open", "bouncing"), 'name = "door"'
+    ),
 }
 """What a kind does not do without."""
 
