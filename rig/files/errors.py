@@ -33,6 +33,19 @@ class RecordingError(RigError):
         self.path = Path(path)
 
 
+class JournalMovedError(RecordingError):
+    """The journal's file lost its name while it was written. Nothing is lost: the writer has copied
+    it to `now_at` and writes there, but the run ends, because whoever did this may do more."""
+
+    def __init__(self, path: Path | str, cause: str, now_at: Path) -> None:
+        super().__init__(
+            path,
+            f"{cause} while the run was writing it; everything recorded is in {now_at}",
+            "find out who deletes or moves files in the results folder, then resume the run",
+        )
+        self.now_at = now_at
+
+
 class RunFileError(FoundWrongError):
     """A file that is not a sound run file or processed file. Names the file and the reason."""
 

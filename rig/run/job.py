@@ -33,13 +33,17 @@ PROGRAM = "tactile-rig"
 class Journal:
     """An open journal, with the readings of earlier attempts."""
 
-    path: Path
     writer: JournalWriter
     attempt: int
     recorded: Mapping[str, Reading]
     """Readings of the points that an earlier attempt recorded, by point id."""
     elapsed_s: float = 0.0
     """Seconds from the run's start to the start of this attempt."""
+
+    @property
+    def path(self) -> Path:
+        """Where the journal is; it changes if the file loses its name during the run."""
+        return self.writer.path
 
     @property
     def stream_index(self) -> dict[str, int]:
@@ -123,7 +127,7 @@ class RunJob:
         header = self._header(bench, points)
         if self.resume is None:
             writer = self._begin(header)
-            return Journal(writer.path, writer, 1, {})
+            return Journal(writer, 1, {})
         begun = self.resume.header
         for what, was, now in (
             ("settings or bench", begun.fingerprint, header["fingerprint"]),
@@ -136,7 +140,6 @@ class RunJob:
                     "restore them, or start a new run",
                 )
         return Journal(
-            self.resume.path,
             JournalWriter.reopen(self.resume.path),
             len(self.resume.ends) + 1,
             self.recorded,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import recorded_run as run
 
 from rig.core.errors import RigError
-from rig.files.errors import RecordingError
+from rig.files.errors import JournalMovedError, RecordingError
 from rig.files.journal.format import Block
 from rig.files.journal.reader import read_journal
 from rig.files.journal.recorder import Recorder
@@ -165,3 +166,49 @@ def test_put_after_close_is_refused(journal: JournalWriter) -> None:
     recorder.close()
     with pytest.raises(RecordingError, match="closed"):
         recorder.put_event(run.event())
+
+
+def _delete(path: Path) -> None:
+    path.unlink()
+
+
+def _move(path: Path) -> None:
+    path.rename(path.with_suffix(".away"))
+
+
+def _replace(path: Path) -> None:
+    path.unlink()
+    path.write_text("another file")
+
+
+@pytest.mark.parametrize(
+    ("lose", "cause"), [(_delete, "deleted"), (_move, "moved"), (_replace, "replaced")]
+)
+def test_a_journal_that_loses_its_name_goes_on_at_another_path(
+    journal: JournalWriter, lose: Callable[[Path], None], cause: str
+) -> None:
+    recorder = Recorder(journal)
+    run.take_point(recorder, 0, prefix="put_")
+    recorder.barrier()
+    lose(journal.path)
+    run.take_point(recorder, 1, prefix="put_")
+    with pytest.raises(JournalMovedError, match=cause) as raised:
+        recorder.barrier()
+    run.take_point(recorder, 2, prefix="put_")
+    recorder.put_end(run.end())
+    recorder.close()
+    assert raised.value.now_at == journal.path
+    assert read_journal(journal.path).kept_ids() == list(run.POINTS[:3])
+
+
+def test_a_journal_that_finds_no_other_place_is_the_runs_failure(
+    journal: JournalWriter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.files.journal.writer._refuges", lambda lost: [Path("/dev/null/a")])
+    recorder = Recorder(journal)
+    journal.path.unlink()
+    recorder.put_event(run.event())
+    with pytest.raises(RecordingError, match="was deleted; no copy of it could be made"):
+        recorder.barrier()
+    with pytest.raises(RecordingError, match="was deleted"):
+        recorder.close()

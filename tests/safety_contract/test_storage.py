@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import resource
+import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
+from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
 LIMIT_BYTES = 400_000
 FREQUENCIES = ("--frequencies", "300,400,500,600,700,800,900,1000")
+FORTY_POINTS = ",".join(str(500 + 10 * k) for k in range(40))
 LONG_RECORDS = ("--shortest-record", "0.5s")
 """Several of them do not fit."""
 
@@ -117,3 +120,21 @@ def test_a_bench_that_others_record_from_has_no_disk_to_fail(rig):
     ended = rig.run("simulate", "--fault", rig.fault(disk("read-only")))
     assert ended.code == 2
     assert "device = 'disk': no such device on this bench" in ended.stderr
+
+
+def test_a_run_whose_results_are_deleted_ends_safely_and_keeps_everything(rig):
+    running = rig.start_sweep("--frequencies", FORTY_POINTS)
+    running.wait_for(r"^3/40 ")
+    shutil.rmtree(rig.folder / "results")
+    ended = running.finish()
+
+    assert ended.code == 1, ended.stderr
+    (error,) = ended.errors
+    assert "was deleted while the run was writing it" in error
+    assert rig.outputs() == [True, False]
+    file = rig.folder / ended.object["file"]
+    assert "_rescued" in file.name
+    assert file.with_suffix(".rigj").name in error
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert len(run.point_ids()) >= 3

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Self
 
 from rig.core.threads import start_thread
-from rig.files.errors import RecordingError
+from rig.files.errors import JournalMovedError, RecordingError
 from rig.files.journal.values import End, JournalEvent, StreamState
 from rig.files.journal.writer import JournalWriter, encode_or_raise
 
@@ -47,6 +47,8 @@ class Recorder:
         self._sync_wanted = 0
         self._closing = False
         self._failure: Exception | None = None
+        self._moved: JournalMovedError | None = None
+        """That the journal goes on at another path, until a thread of the run has been told."""
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         start_thread(self._thread)
 
@@ -92,9 +94,13 @@ class Recorder:
         self._put_records(lambda: [self._journal.encoder.end(fields)])
 
     def check(self) -> None:
-        """Raise the thread's first error, if there is one."""
+        """Raise the thread's first error, if there is one; JournalMovedError once only, since what
+        is put afterwards is recorded all the same."""
         if self._failure is not None:
             raise self._failure
+        if self._moved is not None:
+            moved, self._moved = self._moved, None
+            raise moved
 
     def barrier(self, timeout_s: float = 60.0) -> None:
         """Block until everything that was put before is on the disk. RecordingError if that takes
@@ -187,13 +193,20 @@ class Recorder:
             or self._sync_wanted > self._acknowledged
             or (self._due is not None and time.monotonic() >= self._due)
         ):
-            self._journal.sync()
             self._due = None
+            self._sync()
         if self._journal.acknowledged_bytes == self._journal.size:
             with self._lock:
                 self._acknowledged = put
                 self._progress.notify_all()
         return not closing
+
+    def _sync(self) -> None:
+        try:
+            self._journal.sync()
+        except JournalMovedError as moved:
+            with self._lock:
+                self._moved = moved
 
     _due: float | None = None
 

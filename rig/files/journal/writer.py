@@ -11,6 +11,7 @@ import contextlib
 import errno
 import fcntl
 import os
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -21,7 +22,7 @@ from pydantic import ValidationError
 
 from rig.core.atomic import sync_folder
 from rig.core.errors import ConfigurationError, ExitCode, RigError
-from rig.files.errors import JournalError, RecordingError
+from rig.files.errors import JournalError, JournalMovedError, RecordingError
 from rig.files.journal.format import (
     BLOCK_HEAD,
     MAGIC,
@@ -45,6 +46,7 @@ __all__ = [
 
 _IOV_MAX = 1024
 _NAME_TRIES = 20
+_COPY_BYTES = 1 << 20
 _DISK_HINT = "free space or write access there, then `rig recover` the journal or resume the run"
 
 
@@ -268,7 +270,11 @@ class JournalWriter:
             raise self._fail("write", error) from error
 
     def sync(self) -> None:
-        """Block until everything written is on the disk (fdatasync), which acknowledges it."""
+        """Block until everything written is on the disk (fdatasync), which acknowledges it.
+
+        Raises JournalMovedError, once, if the file has lost its name: it was deleted or moved, or
+        its disk was unmounted. The journal then continues at another path.
+        """
         self._check()
         try:
             os.fdatasync(self._descriptor)
@@ -277,6 +283,8 @@ class JournalWriter:
             # would succeed without anything being on the disk.
             raise self._fail("sync", error) from error
         self._acknowledged = self._size
+        if (cause := self._lost_name()) is not None:
+            self._move_on(cause)
 
     def close(self) -> None:
         """Close the file, without another sync. A second close does nothing."""
@@ -294,6 +302,36 @@ class JournalWriter:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+    def _lost_name(self) -> str | None:
+        """Return why nobody would find the file under its path any more; None if all is well."""
+        mine = os.fstat(self._descriptor)
+        try:
+            found = self.path.stat()
+        except OSError as error:
+            if mine.st_nlink == 0:
+                return "was deleted"
+            return f"was moved, or its disk was unmounted ({error.strerror})"
+        if (found.st_dev, found.st_ino) != (mine.st_dev, mine.st_ino):
+            return "was replaced by another file, or another disk was mounted over it"
+        return None
+
+    def _move_on(self, cause: str) -> None:
+        """Copy the file, which is still open, to a place where it has a name; continue there."""
+        lost, failures = self.path, []
+        for folder in _refuges(lost):
+            new = folder / f"{lost.stem}_rescued{lost.suffix}"
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                descriptor = _copy(self._descriptor, self._size, new)
+            except OSError as error:
+                failures.append(f"{new}: {error.strerror or error}")
+                continue
+            os.close(self._descriptor)
+            self._descriptor, self.path = descriptor, new
+            raise JournalMovedError(lost, cause, new)
+        self._failure = RecordingError(lost, f"{cause}; no copy of it could be made: {failures}")
+        raise self._failure
 
     def _check(self) -> None:
         if self._failure is not None:
@@ -378,6 +416,34 @@ def _validated(path: Path, header: RunHeader | Mapping[str, Any]) -> RunHeader:
         raise JournalError(
             path, None, ConfigurationError.from_validation(error, "header").message
         ) from error
+
+
+def _refuges(lost: Path) -> list[Path]:
+    """Return the folders, in order, in which a journal that has lost its name may continue."""
+    return [lost.parent, Path.home(), Path(tempfile.gettempdir())]
+
+
+def _copy(source: int, size: int, target: Path) -> int:
+    """Copy the first `size` bytes of an open file to a new one; return that, open for appending,
+    locked and on the disk. Raises OSError, FileExistsError included, and then leaves no file."""
+    descriptor = os.open(target, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        at = 0
+        while at < size:
+            piece = os.pread(source, _COPY_BYTES, at)[: size - at]
+            if not piece:
+                raise OSError(errno.EIO, "it is shorter than what was written")
+            _write_all(descriptor, [piece])
+            at += len(piece)
+        os.fsync(descriptor)
+        sync_folder(target.parent)
+    except BaseException:
+        os.close(descriptor)
+        with contextlib.suppress(OSError):
+            target.unlink()
+        raise
+    return descriptor
 
 
 def _write_all(descriptor: int, buffers: Sequence[bytes]) -> None:
