@@ -73,10 +73,7 @@ class Sweep(Procedure):
     # --- planning -------------------------------------------------------------------------------
 
     def import_ahead(self) -> None:
-        """Import scipy and the analysis, so that nothing is imported while something is switched
-        on."""
-        import scipy.special  # noqa: F401
-
+        """Import the analysis, so that nothing is imported while something is switched on."""
         import rig.analysis.film.gain_curve  # noqa: F401
 
     def points(self) -> tuple[Point, ...]:

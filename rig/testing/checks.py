@@ -239,7 +239,7 @@ def faulty_experiment(
         failures: list[InstrumentError] = []
         unexplained = ""
         try:
-            experiment_with_retries(case, service, failures)
+            experiment_with_retries(case, service, failures, fault_at=at)
             assert service.faults.requests >= at, "an experiment says the same every time"
         except InstrumentTimeoutError as again:
             unexplained = again.one_line()
@@ -277,22 +277,30 @@ def experiment_with_retries(
     service: Service,
     failures: list[InstrumentError],
     begins: list[int] | None = None,
+    fault_at: int | None = None,
 ) -> None:
-    """The role's script, each step repeated once where it failed, which goes to `failures`;
-    `begins` is told how many requests there had been before each step."""
+    """Run the role's script. A step that fails is repeated once, and its error goes to `failures`.
+
+    `begins` receives the number of requests before each step. With `fault_at`, the number of the
+    request that meets a fault, the script ends with the first step with requests after the one that
+    met it: that step shows that the fault is over.
+    """
     try:
         instrument = connect(case, service)
     except InstrumentError as failure:
         failures.append(failure)
         instrument = connect(case, service)
     for step in role_of(case).script:
+        before = service.faults.requests
         if begins is not None:
-            begins.append(service.faults.requests)
+            begins.append(before)
         try:
             step.act(instrument, service)
         except InstrumentError as failure:
             failures.append(failure)
             step.act(instrument, service)
+        if fault_at is not None and fault_at <= before < service.faults.requests:
+            break
     instrument.close()
 
 

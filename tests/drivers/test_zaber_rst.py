@@ -412,7 +412,7 @@ def other(place: int, text: bytes) -> Callable[[bytes], bytes]:
     "forge", [other(1, b"07"), other(4, b"2"), other(6, b"99")], ids=["device", "axis", "id"]
 )
 def test_an_answer_of_somebody_else_is_none(forge: Callable[[bytes], bytes]) -> None:
-    with service() as it:
+    with service(timeout_s=TIMEOUT_S) as it:
         axis = it.homed()
         it.wire.forged["get encoder.pos"] = forge
         with pytest.raises(InstrumentTimeoutError):

@@ -22,6 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
+from rig.analysis.chi_square import probability_above
 from rig.analysis.estimate import COVERAGE_95, Estimate
 from rig.analysis.film.model import FilmModel
 from rig.analysis.response.complex_response import DB_PER_RELATIVE, Reals
@@ -96,9 +97,7 @@ class FilmFit:
     @property
     def probability(self) -> float:
         """Probability of a chi-square at least this large from noise alone."""
-        from scipy.special import chdtrc
-
-        return float(chdtrc(self.degrees, self.chi_square))
+        return probability_above(self.chi_square, self.degrees)
 
     @property
     def aic(self) -> float:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rig.analysis.chi_square import probability_above
 from rig.analysis.estimate import Estimate
 from rig.analysis.film.fit import MISFIT_PROBABILITY
 from rig.analysis.response.complex_response import Reals
@@ -50,9 +51,7 @@ class LoadLinearity:
     def probability(self) -> float:
         """Probability of a chi-square at least this large if the film is linear and the stated
         errors are right."""
-        from scipy.special import chdtrc
-
-        return float(chdtrc(self.degrees, self.chi_square))
+        return probability_above(self.chi_square, self.degrees)
 
     def sentence(self) -> str:
         """Returns the result in words."""
