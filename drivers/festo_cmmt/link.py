@@ -19,6 +19,9 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from pymodbus.client import ModbusTcpClient
+from pymodbus.exceptions import ModbusException
+
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 
 if TYPE_CHECKING:
@@ -214,8 +217,6 @@ class CmmtLink:
         permit: Callable[[], None] = lambda: None,
     ) -> Any:
         """One transaction, sent once; every failure closes the link and names its cause."""
-        from pymodbus.exceptions import ModbusException
-
         failed: Exception | None = None
         with self._clock.answer_within(WAITS * self._timeout_s), self._lock:
             permit()
@@ -243,8 +244,6 @@ class CmmtLink:
 
     def _opened(self, what: str) -> Any:
         if self._client is None:
-            from pymodbus.client import ModbusTcpClient
-
             client: Any = ModbusTcpClient(
                 self._host, port=self._port, timeout=self._timeout_s, retries=0
             )

@@ -37,6 +37,9 @@ class BenchFactory(Protocol):
 class RunningBench(Protocol):
     """The process of a simulated bench that was started for one run."""
 
+    drivers: tuple[str, ...]
+    """Names of the drivers in its bench file: they can be imported while it boots."""
+
     def ready(self) -> dict[str, Any]:
         """Wait until it listens: ``control_port``, ``bench_toml``, ``recorded_toml``, the same text
         without the process's port numbers, and ``models``, the instruments' by role."""

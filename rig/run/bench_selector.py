@@ -8,12 +8,12 @@ boots as a process of its own and belongs to the command alone. Nothing is conne
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.core.entry_points import BENCHES, load
+from rig.core.entry_points import BENCHES, DRIVERS, load
 
 if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan
@@ -91,12 +91,14 @@ class BenchSelector:
         """Return the bench of a bench file with a wall clock, locked until `at_the_end`, or a
         simulated bench with `fixture` mounted and a clock of its own. The simulated bench is the
         one `started` ahead for this request, if given."""
-        from rig.bench.plan import read_bench
-
         if request.bench is not None and not request.dry_run:
             return self._of_file(request, at_the_end, request.bench)
+        real = None
         try:
-            real = read_bench(request.bench) if request.bench is not None else None
+            if request.bench is not None:
+                from rig.bench.plan import read_bench
+
+                real = read_bench(request.bench)
         except BaseException:
             if started is not None:
                 started.abandon()
@@ -136,6 +138,7 @@ class BenchSelector:
 
         self._report_takeovers(*sorted(request.results.glob(f"*/*{GUARD_SUFFIX}")))
         self.while_it_boots()
+        _import_drivers(started.drivers)
         ready = started.ready()
         why = "dry run" if request.dry_run else f"no {BENCH_FILE} found in {Path.cwd()}"
         self.say(f"SIMULATED bench ({why}; seed {request.seed}). {NOT_MEASURED}")
@@ -196,6 +199,15 @@ def simulated_variant_for(plan: BenchPlan) -> str | None:
     or None if there is none for its drivers."""
     drivers = {part.role: part.driver_name for part in plan.instruments}
     return _simulated_benches().variant_for(drivers)
+
+
+def _import_drivers(names: tuple[str, ...]) -> None:
+    """Import drivers. One that is broken is reported when the bench file that names it is read."""
+    from rig.core.errors import ConfigurationError
+
+    for name in names:
+        with suppress(ConfigurationError):
+            load(DRIVERS, name)
 
 
 def _simulated_benches() -> BenchFactory:

@@ -6,7 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.simulated.bench.options import HEAD, Options, drive_kind
+from drivers.simulated.bench.options import (
+    DAQ_DRIVER,
+    GENERATOR_DRIVER,
+    HEAD,
+    ROTARY_DRIVER,
+    Options,
+    drive_kind,
+)
 from rig.core.toml_files import toml_value
 
 LINK_TIMEOUT_S = 1.5
@@ -91,7 +98,7 @@ sensitivity_V_N = 0.1
 max_load_N = 20.0
 
 [generator]
-driver = "keysight-33500b"
+driver = "{GENERATOR_DRIVER}"
 resource = "{endpoints.generator}"
 timeout_s = {LINK_TIMEOUT_S}
 max_amplitude_V = 10.0
@@ -115,7 +122,7 @@ ridge = 3
 
 def _daq_table(endpoints: Endpoints, channels: str) -> str:
     return f"""[daq]
-driver = "keysight-u2300a"
+driver = "{DAQ_DRIVER}"
 resource = "{endpoints.daq}"
 timeout_s = {LINK_TIMEOUT_S}
 channels = {{ {channels} }}"""
@@ -128,7 +135,7 @@ def _rotary_table(options: Options, endpoints: Endpoints) -> str:
 
     return f"""
 [rotary]
-driver = "zaber-rst"
+driver = "{ROTARY_DRIVER}"
 port = "{endpoints.rotary}"
 timeout_s = {LINK_TIMEOUT_S}
 microstep_deg = {SimulatedRotarySettings().microstep_deg}

@@ -26,6 +26,9 @@ REPLACEABLE = ("force_sensor",)
 """Roles whose simulated instrument may be another one of the entry-point group
 ``rig.simulators``."""
 USUAL_FORCE_SENSOR = "me-gsv8"
+GENERATOR_DRIVER = "keysight-33500b"
+DAQ_DRIVER = "keysight-u2300a"
+ROTARY_DRIVER = "zaber-rst"
 
 DRIVES = {"festo-cmmt": "festo", "oriental-az": "az"}
 """The kind of drive that a driver controls, by the driver's name."""
@@ -86,6 +89,18 @@ def variant_for(drivers: Mapping[str, str]) -> Stages | None:
         return None
     named = z if z == x else f"{z}-{x}"
     return next(stages for stages in get_args(Stages) if stages == named)
+
+
+def driver_names(options: Options) -> tuple[str, ...]:
+    """Return the names of the drivers in the bench file of a bench with these options."""
+    stages = ("stage_z",) if options.fixture == "film-clamp" else ("stage_z", "stage_x")
+    kinds = {drive_kind(options.stages, stage) for stage in stages}
+    names = [DAQ_DRIVER, *(name for name, kind in DRIVES.items() if kind in kinds)]
+    if options.fixture == "film-clamp":
+        names.append(GENERATOR_DRIVER)
+    if options.fixture == HEAD:
+        names.append(ROTARY_DRIVER)
+    return (*names, options.replace.get("force_sensor", USUAL_FORCE_SENSOR))
 
 
 def drive_kind(stages: Stages, name: str) -> str:

@@ -18,7 +18,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from drivers.simulated.bench.options import Options, Stages, fault_plan, options_for, variant_for
+from drivers.simulated.bench.options import (
+    Options,
+    Stages,
+    driver_names,
+    fault_plan,
+    options_for,
+    variant_for,
+)
 from rig.core.errors import ConfigurationError, InstrumentError
 
 if TYPE_CHECKING:
@@ -36,6 +43,8 @@ class StartedBench:
     def __init__(self, options: Options):
         """ConfigurationError for a fault plan that is wrong; no process is started then."""
         self._disk = _faulty_disk(options)
+        self.drivers = driver_names(options)
+        """Names of the drivers in its bench file."""
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "drivers.simulated.bench.process"],
             stdin=subprocess.PIPE,  # its end tells the bench that we died

@@ -1,0 +1,19 @@
+"""The drivers that a command imports while its simulated bench boots."""
+
+from __future__ import annotations
+
+import tomllib
+from itertools import product
+from typing import get_args
+
+from drivers.simulated.bench.bench_file import Endpoints, bench_toml
+from drivers.simulated.bench.options import Fixture, Options, Stages, driver_names
+
+
+def test_they_are_those_of_the_bench_file() -> None:
+    endpoints = Endpoints(daq="", stages=(1, 2), force_sensor={"driver": "me-gsv8"})
+    for fixture, stages in product(get_args(Fixture), get_args(Stages)):
+        options = Options(fixture=fixture, stages=stages)
+        tables = tomllib.loads(bench_toml(options, {}, endpoints)).values()
+        named = {table["driver"] for table in tables if "driver" in table}
+        assert set(driver_names(options)) == named, options
