@@ -30,7 +30,7 @@ class StageModel:
     silence_fault: int
     """Number of its communication time-out."""
     asked_every_s: float
-    """How often its state is asked for at least, the simulated bench's time-out being 1 s."""
+    """How often its state is asked for at least, the simulated bench's time-out being 2 s."""
     update_Hz: float
     """How often it can be told a new target."""
     friction: tuple[float, float]
@@ -44,7 +44,7 @@ STAGE_MODELS = {
         held_fast="stopped by its torque limit at 10.",
         fault="drive fault: 126 (",
         silence_fault=391,
-        asked_every_s=0.05,
+        asked_every_s=0.1,
         update_Hz=1000.0,
         friction=(1.2, 0.84),
     ),
@@ -53,7 +53,7 @@ STAGE_MODELS = {
         held_fast="is held back by 0.",
         fault="drive alarm: 10h (",
         silence_fault=0x85,
-        asked_every_s=0.2,
+        asked_every_s=0.4,
         update_Hz=50.0,
         friction=(0.8, 0.65),
     ),

@@ -54,7 +54,7 @@ from drivers.festo_cmmt.frames import (
     Zsw1,
 )
 from drivers.festo_cmmt.link import INPUT_IMAGE, OUTPUT_IMAGE, CmmtLink, ParameterRefusedError
-from drivers.festo_cmmt.settings import FAULTS, FestoCmmtSettings
+from drivers.festo_cmmt.settings import COMMUNICATION_FAULT, FAULTS, FestoCmmtSettings
 from drivers.shared.stage import (
     MotionRefusedError,
     MotionWatch,
@@ -297,6 +297,16 @@ class FestoAxis:
         A fault does not keep the stop from being verified; it is raised by the next call.
         """
         self._halt(rearm=True)
+
+    def acknowledge_timeout(self) -> bool:
+        """See `LinearStage`. The next motion opens a new connection, which sets the time-out again,
+        takes charge of the drive anew and acknowledges the fault on the way."""
+        seen = self._read()
+        if Zsw1.FAULT not in seen.zsw1 or seen.fault != COMMUNICATION_FAULT:
+            return False
+        self._link.close()
+        self._in_charge, self._reported_fault = False, 0
+        return True
 
     def keep_alive(self) -> None:
         """Feed the communication time-out by reading the drive's state, unless that has just been

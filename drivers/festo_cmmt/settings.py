@@ -27,6 +27,8 @@ class Fault:
     remedy: str
 
 
+COMMUNICATION_FAULT = 391
+"""The drive's own communication time-out has expired."""
 _LIMIT_REMEDY = "correct the travel limits in the bench file, or the position asked for"
 _SWITCH_REMEDY = "look at the axis, move it off the switch with the vendor's software, home again"
 FAULTS: Mapping[int, Fault] = {
@@ -45,7 +47,7 @@ FAULTS: Mapping[int, Fault] = {
     279: Fault("no fixed stop was found", "make diagnosis 279 a warning in the drive's parameters"),
     280: Fault("the fixed stop was lost", "look for what gave way under the axis"),
     294: Fault("control by PLC is not set", "end the vendor's software: it has taken control"),
-    391: Fault(
+    COMMUNICATION_FAULT: Fault(
         "communication time-out: no request reached the drive",
         "the program hung or the network failed; look at the bench and start again",
     ),
@@ -65,8 +67,9 @@ class FestoCmmtSettings(Settings):
     """Modbus TCP port."""
     unit_id: Wiring[int] = Field(default=1, ge=0, le=255)
     """Modbus unit identifier."""
-    timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=10)
-    """Longest wait for an answer."""
+    timeout_s: Wiring[float] = Field(default=0.4, gt=0, le=10)
+    """Longest wait for an answer; two have to fit into `communication_timeout_ms`, so that one lost
+    answer does not stop the drive."""
     position_unit_mm: float = Field(default=0.001, gt=0, le=1)
     """What one count of position is in the drive's parametrisation."""
     speed_unit_mm_s: float = Field(default=0.001, gt=0, le=1)
@@ -85,7 +88,7 @@ class FestoCmmtSettings(Settings):
     """Deceleration of every motion and of a controlled stop."""
     full_acceleration_mm_s2: float = Field(default=1000, gt=0, le=50_000)
     """What the drive's parameters call 100 % of acceleration and deceleration."""
-    communication_timeout_ms: int = Field(default=500, ge=100, le=10_000)
+    communication_timeout_ms: Wiring[int] = Field(default=1000, ge=100, le=10_000)
     """The drive stops by itself when no request has reached it for so long."""
     torque_limit_percent: float | None = Field(default=None, gt=0, le=100)
     """Every motion travels to a fixed stop with this clamping torque: the barrier behind the force

@@ -50,7 +50,7 @@ from drivers.oriental_az.link import (
     signed,
     writing,
 )
-from drivers.oriental_az.settings import ALARMS, OrientalAzSettings
+from drivers.oriental_az.settings import ALARMS, COMMUNICATION_ALARM, OrientalAzSettings
 from drivers.shared.stage import (
     MotionRefusedError,
     MotionWatch,
@@ -331,6 +331,14 @@ class AzAxis:
         An alarm does not keep the stop from being verified; it is raised by the next call.
         """
         self._halt(rearm=True)
+
+    def acknowledge_timeout(self) -> bool:
+        """See `LinearStage`. The line stays open, since the other axis may use it; the next motion
+        takes charge of the drive anew and resets the alarm on the way."""
+        if self._read_state().alarm != COMMUNICATION_ALARM:
+            return False
+        self._in_charge, self._reported_alarm = False, 0
+        return True
 
     def keep_alive(self) -> None:
         """Feed the communication time-outs of the whole line by reading the drive's state, unless

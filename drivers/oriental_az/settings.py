@@ -29,6 +29,8 @@ class Alarm:
     remedy: str
 
 
+COMMUNICATION_ALARM = 0x85
+"""No request has come over the line within the drive's communication time-out."""
 _BLOCKED = "look for what blocks the axis; if it belongs there, raise torque_limit_percent"
 _POWER = "check the drive's power supply, then switch it off and on"
 _SERVICE = "switch the drive off and on; if it comes again, have it repaired"
@@ -59,7 +61,7 @@ ALARMS: Mapping[int, Alarm] = {
     0x68: Alarm("emergency stop (HWTO)", "release the emergency stop, then start again"),
     0x70: Alarm("the operation data cannot be carried out", "check speed, rates and steps_per_mm"),
     0x84: Alarm("RS-485 communication error", "check the cable, its shield and its termination"),
-    0x85: Alarm(
+    COMMUNICATION_ALARM: Alarm(
         "communication time-out: no request on the line",
         "the program hung or the cable failed; look at the bench and start again",
     ),
@@ -81,8 +83,9 @@ class OrientalAzSettings(Settings):
     """Even, odd or none, with one stop bit."""
     unit_id: Wiring[int] = Field(ge=1, le=31)
     """The drive's address on the line, as its ID switch says."""
-    timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=10)
-    """Longest wait for an answer."""
+    timeout_s: Wiring[float] = Field(default=0.4, gt=0, le=10)
+    """Longest wait for an answer; two have to fit into `communication_timeout_ms`, so that one lost
+    answer does not stop the drive."""
     steps_per_mm: Wiring[float] = Field(gt=0, le=100_000)
     """Resolution in steps a revolution by lead in mm. The drive cannot be asked for it."""
     low_limit_mm: float
@@ -95,7 +98,7 @@ class OrientalAzSettings(Settings):
     """Acceleration of every motion."""
     deceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
     """Deceleration of every motion and of a stop."""
-    communication_timeout_ms: int = Field(default=500, ge=200, le=10_000)
+    communication_timeout_ms: Wiring[int] = Field(default=1000, ge=200, le=10_000)
     """The drive stops by itself when no request has come over its line for so long."""
     torque_limit_percent: float = Field(default=100, gt=0, le=100)
     """Operating current of every motion: the barrier behind the force limit."""

@@ -8,6 +8,7 @@ and the force brought up is each procedure's own; the way back is the same again
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -215,24 +216,39 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
     It never goes deeper than it stands. Where the parking place lies deeper, it goes back to
     `came_from_mm`, from where it set out to park, or stays where it is if that lies deeper, too.
 
-    Where a watcher stops z on the way, the reason is recorded and the way continues, once. A drive
-    that has a fault or has lost its place stands where it is, and the run has failed (exit 3). What
-    the stop itself raises is raised: then the bench is not safe. A force that remains afterwards
-    fails the run; UnsafeError where it is over the limit that was watched.
+    Where a watcher stops z on the way, the reason is recorded and the way continues, once. So does
+    it where the drive has stopped by its own communication time-out: that fault is acknowledged
+    over a new connection; UnsafeError where z cannot be moved even then. A drive that has another
+    fault or has lost its place stands where it is, and the run has failed (exit 3). What the stop
+    itself raises is raised: then the bench is not safe. A force that remains afterwards fails the
+    run; UnsafeError where it is over the limit that was watched.
     """
     stage = run.bench.stage_z
     stage.stop()
+    timed_out = False
     try:
         try:
             _go_clear(run, came_from_mm)
         except InstrumentError:
-            if (trip := run.tripped()) is None:
+            trip = run.tripped()
+            timed_out = stage.acknowledge_timeout()
+            if trip is None and not timed_out:
                 raise
-            run.fail(trip)
+            if trip is not None:
+                run.fail(trip)
             stage.stop()
             _go_clear(run, came_from_mm)
         stands_mm = stage.position_mm()
+        if timed_out:
+            run.event(
+                "warning",
+                "drive-timed-out",
+                f"stage_z had stopped by its own communication time-out; the fault was "
+                f"acknowledged and the {pressed} lifted: z stands at {stands_mm:.3f} mm",
+            )
     except InstrumentError as error:
+        if timed_out:
+            raise _still_pressed(run, pressed, error) from error
         stage.stop()  # one answer lost on the way does not stop it
         run.fail(
             InstrumentError(
@@ -244,6 +260,23 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
         )
         return
     _judge_what_remains(run, pressed, stands_mm)
+
+
+def _still_pressed(run: Run, pressed: str, error: InstrumentError) -> UnsafeError:
+    """Return the error for a drive that timed out and cannot be moved after that: where z stands
+    and what the force sensor reads, as far as both answer."""
+    where = ""
+    with contextlib.suppress(InstrumentError):
+        where = f" at {run.bench.stage_z.position_mm():.3f} mm"
+    force_N = run.force_from_now_N(SETTLED_S)
+    how_hard = (
+        "the force is not known" if force_N is None else f"force_sensor reads {force_N:.3g} N"
+    )
+    return UnsafeError(
+        f"stage_z: unload: it stopped by its own communication time-out and stands{where}, the "
+        f"{pressed} may still be pressed, {how_hard}: {error.one_line()}",
+        "move the stage away by hand; then run: rig make-safe",
+    )
 
 
 def _go_clear(run: Run, came_from_mm: float) -> None:

@@ -7,6 +7,7 @@ without touching this package. All errors of a file are shown at once.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,6 +33,9 @@ from rig.instruments.roles import (
 
 WAITS_PER_CALL = 2
 """Time-outs that one call on an instrument may wait for: one to reconnect, one for the answer."""
+RETRY_S = 0.1
+"""From the end of a link's time-out until the next request has reached the drive: a wait slice, a
+new connection, and a computer that is busy."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,7 @@ def parse_bench(text: str, source: str) -> BenchPlan:
         findings += [ConfigurationError(f"{source}: {one}") for one in found]
     if settings is not None:
         findings += map(ConfigurationError, _heartbeat_findings(settings, plans, source))
+    findings += _communication_findings(plans, source)
     if findings or settings is None:
         hints = dict.fromkeys(finding.hint or "correct the bench file" for finding in findings)
         raise ConfigurationError("; ".join(f.message for f in findings), "; ".join(hints))
@@ -275,3 +280,28 @@ def _heartbeat_findings(
                 f"{source}: heartbeat_timeout_s {settings.heartbeat_timeout_s:g} is not above "
                 f"{longest_s:g} s, which one call of the {plan.role} may take with its timeout_s"
             )
+
+
+def _communication_findings(
+    plans: list[InstrumentPlan], source: str
+) -> Iterator[ConfigurationError]:
+    """Yield a fault for each drive that stops by its own communication time-out before a request
+    whose answer was lost can be followed by the next one: it would stand, pressed, with a fault.
+
+    The settings of such a drive have ``communication_timeout_ms`` beside ``timeout_s``. Bench files
+    with this fault are refused for runs only: `rig make-safe` works with them.
+    """
+    for plan in plans:
+        drive_ms = getattr(plan.settings, "communication_timeout_ms", None)
+        if drive_ms is None:
+            continue
+        link_s = float(getattr(plan.settings, "timeout_s", 0.0))
+        if link_s + RETRY_S <= drive_ms * 1e-3:
+            continue
+        yield ConfigurationError(
+            f"{source}: [{plan.role}] timeout_s = {link_s:g} s leaves no time for a second request "
+            f"within communication_timeout_ms = {drive_ms:g} ms: after one lost answer the drive "
+            "would stop by itself, with what it presses still pressed",
+            f"set timeout_s to {drive_ms * 0.4e-3:g} s or less for [{plan.role}], or "
+            f"communication_timeout_ms to {math.ceil(2.5e3 * link_s):g} ms or more",
+        )

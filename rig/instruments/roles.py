@@ -247,6 +247,15 @@ class LinearStage(Instrument, Protocol):
         """Stop the axis and wait until it is at rest."""
         ...
 
+    def acknowledge_timeout(self) -> bool:
+        """Let an axis move again whose drive has stopped by its own communication time-out.
+
+        Returns whether the drive has that fault: the next motion then acknowledges it. Returns
+        False for a drive without a fault and for every other fault, which is left standing. Meant
+        for lifting what is pressed once a run has failed; it starts no motion.
+        """
+        ...
+
     def keep_alive(self) -> None:
         """Exchange one message, which resets the drive's communication time-out, and check for
         faults."""

@@ -37,7 +37,7 @@ def test_from_overload_to_the_command_on_the_wire(rig, blocked):
             "--fault", rig.fault(plan),
         )  # fmt: skip
         serving.wait_for("Ctrl-C ends it")
-        path.write_text(path.read_text().replace("timeout_ms = 1000", "timeout_ms = 5000"))
+        path.write_text(path.read_text().replace("timeout_ms = 2000", "timeout_ms = 5000"))
         ended = rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "2,3,300")
         serving.send(signal.SIGINT)
         serving.finish()

@@ -127,7 +127,7 @@ def test_a_trip_acts_while_the_procedure_sits_in_a_blocking_read(rig):
     )  # fmt: skip
     serving.wait_for("Ctrl-C ends it")
     patient = re.sub(r"(\[daq\][^[]*timeout_s = )[0-9.]+", r"\g<1>2.0", path.read_text())
-    patient = patient.replace("communication_timeout_ms = 1000", "communication_timeout_ms = 5000")
+    patient = patient.replace("communication_timeout_ms = 2000", "communication_timeout_ms = 5000")
     path.write_text(patient)
     ended = rig.run("sweep", "--bench", str(path), "--json", "--no-figures", *SHORT)
     serving.send(signal.SIGINT)
@@ -154,8 +154,8 @@ def test_a_trip_acts_while_the_procedure_sits_in_a_blocking_read(rig):
 
 def be_patient(bench_file):
     """Time-outs that a busy computer does not meet, of links, drives and the guard."""
-    text = re.sub(r"timeout_s = [0-9.]+", "timeout_s = 10.0", bench_file.read_text())
-    text = text.replace("communication_timeout_ms = 1000", "communication_timeout_ms = 10000")
+    text = re.sub(r"timeout_s = [0-9.]+", "timeout_s = 4.0", bench_file.read_text())
+    text = text.replace("communication_timeout_ms = 2000", "communication_timeout_ms = 10000")
     text = text.replace("\n[simulation]", "heartbeat_timeout_s = 45.0\n\n[simulation]", 1)
     bench_file.write_text(text)
 

@@ -74,7 +74,8 @@ def test_the_drive_of_a_run_that_hangs_stops_by_itself_before_the_guard_comes(ri
     serving.wait_for("Ctrl-C ends it")
     text = path.read_text()
     for told, instead in (
-        ("communication_timeout_ms = 1000", "communication_timeout_ms = 600"),
+        ("communication_timeout_ms = 2000", "communication_timeout_ms = 600"),
+        ("timeout_s = 0.9", "timeout_s = 0.4"),
         ("[fixture]", "[fixture]\nparked_mm = 1.0"),
     ):
         assert told in text

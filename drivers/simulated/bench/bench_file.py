@@ -19,6 +19,11 @@ from rig.core.toml_files import toml_value
 LINK_TIMEOUT_S = 1.5
 """Wall time the bench file gives every link: a loaded machine may let a process wait for long."""
 
+STAGE_TIMEOUT_S = 0.9
+"""The same of a stage's link: two have to fit into the drive's communication time-out."""
+STAGE_COMMUNICATION_TIMEOUT_ms = 2000
+"""After which a stage that hears nothing stops by itself."""
+
 AZ_STEPS_PER_MM = 3000.0
 """9000 steps a revolution at a lead of 3 mm (assumed): 0.33 um, a fine one of the series."""
 
@@ -168,10 +173,10 @@ port = {where}
         if options.fixture != "film-clamp":
             link += f"position_unit_mm = {SKIN_UNIT_MM}\n"
     return f"""[stage_{axis}]
-{link}timeout_s = {LINK_TIMEOUT_S}
+{link}timeout_s = {STAGE_TIMEOUT_S}
 low_limit_mm = 0.0
 high_limit_mm = {high_limit_mm}
 max_speed_mm_s = 20.0
-communication_timeout_ms = 1000
+communication_timeout_ms = {STAGE_COMMUNICATION_TIMEOUT_ms}
 torque_limit_percent = {torque_percent}
 """

@@ -6,7 +6,8 @@ is logged as ``violation``. It runs only where the World's settings ask for it.
 
 - The force by which the stages press stays below its limit but for what a sensor cannot know yet:
   beyond the limit it never gets further than it has risen within one `reaction_s`.
-- The largest force by which the stages have pressed is logged as ``largest-force`` at the end.
+- The largest force by which the stages have pressed is logged as ``largest-force`` at the
+  end, and the latest as ``last-force``.
 - Where the World ends, because its run has said so or has died, nothing moves or is driven.
 
 It also writes down a checksum of every frame that the force sensor sends, so that a record can be
@@ -89,10 +90,11 @@ class Monitor:
 
     def over(self) -> None:
         """The World ends, and with it the run: report what is still active, and the largest
-        force."""
+        and the last force."""
         for what in self._active():
             self._report("violation", f"{what} although no run is active")
         self._report("largest-force", round(self._largest_N, 3))
+        self._report("last-force", round(float(self._recent[-1]), 3))
 
     def _judge(self, force_N: float, rise_N: float) -> None:
         excess = force_N - self._settings.force_limit_N

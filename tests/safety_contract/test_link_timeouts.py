@@ -1,0 +1,98 @@
+"""A lost answer, or a drive that has stopped by its own time-out, leaves nothing pressed."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+from tiers import mostly_thorough
+
+PARKED_mm = 5.0
+PRESSED = {"sweep": "acquisition = 6\n", "slip-trial": "acquisition = 1\nafter_s = 3.0\n"}
+"""Under the preload, or under the normal force."""
+
+
+def faults_of_drives(rig):
+    return [e["value"] for e in rig.log() if e["device"] == "stage_z" and e["what"] == "fault"]
+
+
+def stands_mm(rig):
+    seen = [e for e in rig.log() if e["device"] == "stage_z" and e["what"] in ("move", "at-rest")]
+    assert seen[-1]["what"] == "at-rest"
+    return seen[-1]["value"]
+
+
+def deepest_mm(rig, since):
+    """Deepest target of z from the entry number `since` of the World's log on."""
+    moves = [e for e in rig.log()[since:] if (e["device"], e["what"]) == ("stage_z", "move")]
+    return max(e["value"]["target_mm"] for e in moves)
+
+
+def test_one_lost_answer_of_a_stage_that_presses_does_not_stop_its_drive(rig):
+    lost = rig.fault(f'[[fault]]\ndevice = "stage_z"\nkind = "silence"\n{PRESSED["sweep"]}')
+    ended = rig.sweep("--frequencies", "300,600", "--fault", lost)
+    assert ended.code == 3, ended.stderr
+    assert "no answer within" in ended.stderr
+    assert "may still be pressed" not in ended.stderr
+    assert faults_of_drives(rig) == []
+    assert stands_mm(rig) == pytest.approx(PARKED_mm, abs=0.02)
+
+
+@pytest.mark.parametrize("what", mostly_thorough(["sweep", "slip-trial"], ["sweep"]))
+def test_a_drive_that_its_own_time_out_has_stopped_is_acknowledged_and_lifted(rig, what):
+    code = rig.bench.z.silence_fault
+    plan = rig.fault(
+        f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\ncode = {code}\n{PRESSED[what]}'
+    )
+    asked = ("--frequencies", "300,600") if what == "sweep" else ("--distance", "1mm")
+    ended = rig.run(
+        what, "--json", "--no-figures", "--world-log", str(rig.world_log), "--fault", plan, *asked
+    )
+    assert ended.code == 3, ended.stderr
+    assert "communication time-out" in ended.errors[0]
+    (told,) = [line for line in ended.stderr.splitlines() if "the fault was acknowledged" in line]
+    assert "stage_z had stopped by its own communication time-out" in told
+    assert "NOT SAFE" not in ended.stderr
+    assert faults_of_drives(rig) == [code]
+    since = next(n for n, e in enumerate(rig.log()) if e["what"] == "fault")
+    assert deepest_mm(rig, since) == pytest.approx(PARKED_mm)
+    assert stands_mm(rig) == pytest.approx(PARKED_mm, abs=0.02)
+
+
+def test_a_drive_that_times_out_and_cannot_be_lifted_is_reported_with_place_and_force(rig):
+    """The same, and something holds the axis."""
+    code = rig.bench.z.silence_fault
+    plan = rig.fault(
+        f'[[fault]]\ndevice = "stage_z"\nkind = "drive-fault"\ncode = {code}\n{PRESSED["sweep"]}'
+        f'[[fault]]\ndevice = "stage_z"\nkind = "stuck"\n{PRESSED["sweep"]}'
+    )
+    ended = rig.sweep("--frequencies", "300,600", "--fault", plan)
+    assert ended.code == 7, ended.stderr
+    told = next(line for line in ended.stderr.splitlines() if "the film may still be" in line)
+    assert "stands at 12." in told
+    assert "force_sensor reads 2" in told
+
+
+@pytest.mark.thorough
+def test_a_link_as_patient_as_its_drive_is_refused_and_the_bench_can_be_made_safe(rig):
+    path = rig.folder / "a-bench.toml"
+    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
+    serving.wait_for("Ctrl-C ends it")
+    text = path.read_text()
+    assert "communication_timeout_ms = 2000" in text
+    path.write_text(
+        text.replace("communication_timeout_ms = 2000", "communication_timeout_ms = 900")
+    )
+    refused = rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300")
+    rehearsed = rig.run("sweep", "--bench", str(path), "--dry-run", "--frequencies", "300")
+    made_safe = rig.run("make-safe", "--bench", str(path))
+    serving.send(signal.SIGINT)
+    serving.finish()
+    for ended in (refused, rehearsed):
+        assert ended.code == 2, ended.stderr
+        (error,) = ended.errors
+        assert "[stage_z] timeout_s = 0.9 s leaves no time for a second request within" in error
+        assert "communication_timeout_ms = 900 ms" in error
+        assert "set timeout_s to 0.36 s or less" in error
+    assert made_safe.code == 0, made_safe.stderr
+    assert not any(e["what"] in ("homing", "move") for e in rig.log())
