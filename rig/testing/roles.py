@@ -262,6 +262,12 @@ def _keep_alive(stage: Any, service: Any) -> None:
     stage.stop()
 
 
+def _no_timeout(stage: Any, service: Any) -> None:
+    """A drive without a fault has none to acknowledge, and stands."""
+    assert stage.acknowledge_timeout() is False
+    assert service.at_rest()
+
+
 def _move_beyond(stage: Any, service: Any) -> None:
     stage.stop()
     beyond = stage.reach()["position"].high + 1.0, stage.reach()["speed"].high + 1.0
@@ -337,6 +343,7 @@ STAGE = Role(
         Step("start_move() under way", _retarget),
         _move_to(40, 400),
         Step("stop()", _stop),
+        Step("acknowledge_timeout()", _no_timeout),
         Step("keep_alive()", _keep_alive),
         Step("start_move() beyond reach", _move_beyond),
         Step("make_safe() in motion", _rest_from_motion),

@@ -441,3 +441,26 @@ def test_an_interlock_names_an_input_of_an_instrument_of_the_bench() -> None:
 )
 def test_an_interlock_that_cannot_be_read_is_refused(table: str, told: str) -> None:
     assert told in refused(GOOD + table)
+
+
+STAGES_BY_DRIVER = {
+    "festo-cmmt": 'host = "192.168.0.20"\n',
+    "oriental-az": 'port = "/dev/ttyUSB1"\nunit_id = 1\nsteps_per_mm = 3000.0\n',
+}
+
+
+@pytest.mark.parametrize("driver", STAGES_BY_DRIVER)
+def test_a_link_that_leaves_no_time_for_a_second_request_is_refused(driver: str) -> None:
+    """The defaults leave room for two time-outs of the link."""
+    stage = (
+        f'{GOOD}\n[stage_z]\ndriver = "{driver}"\naxis = "z"\n{STAGES_BY_DRIVER[driver]}'
+        "low_limit_mm = 0\nhigh_limit_mm = 20\nmax_speed_mm_s = 20\n"
+    )
+    settings: Any = parse_bench(stage, "bench.toml").instruments[-1].settings
+    assert 2 * settings.timeout_s < settings.communication_timeout_ms * 1e-3
+    line = refused(f"{stage}timeout_s = 1.0\n")
+    assert "[stage_z] timeout_s = 1 s leaves no time for a second request" in line
+    assert "communication_timeout_ms = 1000 ms" in line
+    assert "set timeout_s to 0.4 s or less for [stage_z]" in line
+    assert "communication_timeout_ms to 2500 ms or more" in line
+    assert parse_bench(f"{stage}timeout_s = 0.9\n", "bench.toml")

@@ -26,6 +26,7 @@ STEPS = 1000
 OWN: dict[str, Any] = {
     "parity": "N",
     "timeout_s": TIMEOUT_S,
+    "communication_timeout_ms": 500,
     "steps_per_mm": STEPS,
     "low_limit_mm": 0.0,
     "high_limit_mm": 80.0,

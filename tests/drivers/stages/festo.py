@@ -24,6 +24,7 @@ OWN: dict[str, Any] = {
     "axis": "z",
     "host": "127.0.0.1",
     "timeout_s": TIMEOUT_S,
+    "communication_timeout_ms": 500,
     "low_limit_mm": 0.0,
     "high_limit_mm": 80.0,
     "max_speed_mm_s": 50.0,
