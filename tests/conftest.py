@@ -137,6 +137,7 @@ class Rig:
         self.results = folder / "results"
         self.world_log = folder / "world.jsonl"
         self.env = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "TERM")}
+        self.env["XDG_STATE_HOME"] = str(folder / "state")
         self._started: list[Running] = []
 
     def on_bench(self, *arguments: str) -> list[str]:

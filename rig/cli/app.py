@@ -40,6 +40,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 GROUPS: dict[str, str] = {
     "batch": "rig.cli.batch",
     "calibrate": "rig.cli.calibrate",
+    "interlocks": "rig.cli.interlocks",
     "skin": "rig.cli.skin",
 }
 """Groups of commands: modules with an ``app``, described by the first line of their docstring."""

@@ -149,8 +149,7 @@ class _Execution:
         self.bench.clock.while_computing(self.guard.beat)
         try:
             with PauseSwitch(self.run.holds):
-                self.run.interlocks.begin()
-                self.run.interlocks.check()
+                self._begin_interlocks()
                 self.loop.record_all(points)
             self.outcome.status, self.outcome.code = "complete", self._judge()
         except StopRequestedError as stopped:
@@ -245,6 +244,17 @@ class _Execution:
         with contextlib.suppress(RigError):  # a failed recorder is reported by _save
             for failure in self.outcome.off_failures:
                 self.run.event("error", "off-failed", f"{failure.name}: {failure.reason}")
+
+    def _begin_interlocks(self) -> None:
+        """Read the contacts before anything is armed; have those proved that the bench file wants
+        to be. Raises InterlockError if one of a person is open or latched."""
+        watch = self.run.interlocks
+        watch.begin()
+        watch.check()
+        for contact in self.bench.settings.interlock:
+            if contact.proof and contact.name not in self.job.proven:
+                watch.prove(contact.name, lambda text: self.observers.event("info", text))
+                self.job.proven.add(contact.name)
 
     def _end_interlocks(self) -> None:
         """End the watch over the contacts; report a person's contact that opened while the bench

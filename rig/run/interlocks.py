@@ -17,7 +17,7 @@ from functools import partial
 
 from rig.bench.connected import Bench
 from rig.bench.interlocks import InterlockSettings, by_role
-from rig.control.interlock import Contact, ContactEvent
+from rig.control.interlock import STEADY_S, Contact, ContactEvent, ContactState
 from rig.core.errors import ExitCode, InstrumentError, RigError
 from rig.core.threads import start_thread
 from rig.instruments.roles import ReadsInputs
@@ -31,7 +31,15 @@ FRESH_S = 0.6
 not read to count as open."""
 AGAIN_S = 1.0
 """Time after which an instrument that did not answer is read again in virtual time."""
+PROOF_S = 120.0
+"""Time that a person has to open a contact for a proof test, and again to close it."""
+CLOSE_S = 2 * STEADY_S
+"""Time within which a contact that is to be reset has to be seen closed."""
+LOOK_EVERY_S = 0.05
 RESET = "rig interlocks reset"
+
+
+_AT_REST = (ContactState.CLOSED, ContactState.RELEASED)
 
 
 class InterlockError(RigError):
@@ -45,7 +53,8 @@ class InterlockWatch:
     """Watches every contact of a bench from `begin` to `end`.
 
     `act` runs the emergency actions and returns those that failed, in words. `note` records an
-    event; it is called from the procedure's thread only.
+    event; it is called from the procedure's thread only. With `looks_only` an opening is neither
+    acted on nor recorded as a latch: for a command that moves nothing.
     """
 
     def __init__(
@@ -55,16 +64,20 @@ class InterlockWatch:
         act: Callable[[], list[str]],
         store: InterlockStore,
         note: Callable[[str, str, str], None] = lambda level, code, message: None,
+        looks_only: bool = False,
     ):
         self._bench, self._clock = bench, bench.clock
         self._holds, self._act, self._store, self._note = holds, act, store, note
         self._declared = {one.name: one for one in bench.settings.interlock}
+        self._looks_only = looks_only
         self._contacts: dict[str, Contact] = {}
         self._by_role = by_role(bench.settings.interlock)
         self._failed: dict[str, str] = {}
         """Why an instrument's inputs could not be read the last time, by role."""
         self._reasons: dict[str, str] = {}
         """Why each latched contact is so, in words."""
+        self._proving: str | None = None
+        """Contact whose proof test is under way: it is opened on purpose."""
         self._told: set[str] = set()
         """Latched contacts that have been raised or returned."""
         self._news: list[tuple[str, str]] = []
@@ -97,7 +110,8 @@ class InterlockWatch:
         """
         if not self._declared:
             return
-        self._store.check_writable()
+        if not self._looks_only:
+            self._store.check_writable()
         now_s = self._clock.now()
         for name, declared in self._declared.items():
             latched = self._store.get(name)
@@ -140,7 +154,7 @@ class InterlockWatch:
         """Raise InterlockError, every time, as long as a person's contact is latched."""
         with self._lock:
             for name, contact in self._contacts.items():
-                if contact.latched:
+                if contact.latched and name != self._proving:
                     raise self._error(name)
 
     def news(self) -> InterlockError | None:
@@ -164,6 +178,63 @@ class InterlockWatch:
                 self._changed.wait_for(lambda: self._turns >= awaited, FRESH_S)
         self._judge()
         self._tell()
+
+    def reset(self, name: str) -> None:
+        """End the latch of a contact, here and in its record. Nothing may be armed.
+
+        Raises InterlockError if the contact is open or has not been closed for `STEADY_S`, RigError
+        if the record cannot be written.
+        """
+        if not self._await(name, lambda contact: contact.state is ContactState.RELEASED, CLOSE_S):
+            raise InterlockError(f"interlock {name} is {self.level(name)}", "close it first")
+        self._store.reset(name)
+        with self._lock:
+            self._contacts[name].reset()
+
+    def prove(self, name: str, say: Callable[[str], None]) -> None:
+        """Have a person open and close a contact, and record that both were seen. Nothing may be
+        armed. `say` shows what the person is to do.
+
+        Raises InterlockError if the contact is latched, or does not open or close in time.
+        """
+        self.check()
+        self._proving = name
+        try:
+            say(f"proof test of interlock {name}: open it (within {PROOF_S:g} s)")
+            if not self._await(name, lambda contact: contact.hinders and contact.readable, PROOF_S):
+                raise InterlockError(
+                    f"interlock {name} was not seen to open within {PROOF_S:g} s",
+                    "the contact may be welded or bridged: repair it, then start again",
+                )
+            say(f"interlock {name} is seen to be open: close it (within {PROOF_S:g} s)")
+            if not self._await(name, lambda contact: contact.state in _AT_REST, PROOF_S):
+                raise InterlockError(
+                    f"interlock {name} was not seen to close within {PROOF_S:g} s",
+                    "close it, look at its wire and its switch, then start again",
+                )
+            if self._contacts[name].latched:
+                self._contacts[name].reset()
+        finally:
+            self._proving = None
+        self._store.prove(name)
+        self._note("info", "interlock", f"interlock {name} was seen to open and to close")
+        say(f"interlock {name} opens and closes: recorded")
+
+    def _await(self, name: str, seen: Callable[[Contact], bool], seconds: float) -> bool:
+        """Wait until a contact is as it should be; return whether it is in time."""
+        end_s = self._clock.now() + seconds
+        while not seen(self._contacts[name]):
+            if self._clock.now() > end_s:
+                return False
+            self._clock.sleep(LOOK_EVERY_S)
+        return True
+
+    def level(self, name: str) -> str:
+        """Return in words how a contact stands."""
+        contact = self._contacts[name]
+        if not contact.readable:
+            return f"not readable ({self._failed.get(self._declared[name].role, 'no answer')})"
+        return "closed" if contact.state in _AT_REST else "open"
 
     def failures(self) -> list[RigError]:
         """Return, once, why latches could not be recorded."""
@@ -247,6 +318,8 @@ class InterlockWatch:
         if event is None:
             return
         contact, name = self._contacts[declared.name], declared.name
+        if name == self._proving or self._looks_only:
+            return
         if event is ContactEvent.OPENS:
             why = self._why(declared, contact)
             if declared.kind == "process":

@@ -97,6 +97,9 @@ class RunJob:
     """Calibration records in use, in the form of the header."""
     recorded_toml: str | None = None
     """Bench file as it is recorded, if the connected one contains a process's port numbers."""
+    proven: set[str] = field(default_factory=set)
+    """Interlock contacts that were seen to open and close already; a batch gives all its runs the
+    same set, so that a person is needed at its first run only."""
     lock: BenchLock | None = None
     """Lock on the bench's instruments; None if they belong to this command alone."""
 

@@ -3,8 +3,13 @@ latches, and what a person has to do before anything moves again."""
 
 from __future__ import annotations
 
+import contextlib
+import re
+import signal
+
 import pytest
 from tiers import mostly_thorough
+from typist import Typist
 
 from rig.files.runfile.reader import RunFile
 
@@ -123,3 +128,136 @@ def test_a_fault_of_a_contact_that_the_bench_has_not_is_refused(rig):
     ended = rig.sweep(*SHORT, "--fault", rig.fault(contact("opened")))
     assert ended.code == 2, ended.stderr
     assert "'door', which this bench has not (it has: none)" in ended.errors[0]
+
+
+# --- a latch outlives its run; in real time ---------------------------------------------------
+
+
+@contextlib.contextmanager
+def served(rig, world, plan=""):
+    """A simulated bench in real time, with its bench file bench.toml."""
+    path = rig.folder / "bench.toml"
+    options = ("--fault", rig.fault(plan)) if plan else ()
+    serving = rig.start(
+        "simulate", "--write", str(path), "--world-log", str(rig.world_log),
+        "--world", rig.world(world), *options,
+    )  # fmt: skip
+    serving.wait_for("Ctrl-C ends it")
+    yield
+    serving.send(signal.SIGINT)
+    serving.finish()
+
+
+def at_a_terminal(rig, *arguments):
+    """Exit code of a command that a person types at the bench, and what it shows."""
+    typist = Typist(rig, *arguments)
+    try:
+        return typist.ends()
+    finally:
+        typist.close()
+
+
+def test_a_latch_outlives_its_run_until_a_person_resets_it_at_the_bench(rig):
+    plan = contact("opened", MEASURING) + contact("closed", MEASURING, more="after_s = 1.0\n")
+    sweep = ("sweep", "--no-figures", *SHORT)
+    with served(rig, DOOR, plan):
+        first = rig.run(*sweep)
+        assert first.code == 4, first.stderr
+        assert "rig interlocks reset --bench bench.toml; then start again" in first.errors[0]
+        outputs = rig.outputs()
+        again = rig.run(*sweep, "--results", "elsewhere")
+        assert again.code == 4, again.stderr
+        assert "interlock door (person) opened at" in again.errors[0]
+        assert rig.outputs() == outputs, "nothing was switched on"
+
+        by_a_program = rig.run("interlocks", "reset")
+        assert by_a_program.code == 2
+        assert "typed at a terminal of the bench's computer" in by_a_program.stderr
+        shown = rig.run("interlocks")
+        assert re.search(r"door \(person, daq.501.0\): closed; LATCHED since 20", shown.stderr)
+        code, told = at_a_terminal(rig, "interlocks", "reset")
+        assert code == 0, told
+        assert "interlock door is reset; nothing starts by itself" in told
+        assert rig.outputs() == outputs
+        assert re.search(r"closed; reset 20\S+ by ", rig.run("interlocks").stderr)
+
+
+@pytest.mark.thorough
+def test_an_open_door_is_not_reset_and_a_terminal_elsewhere_resets_nothing(rig):
+    with served(rig, DOOR + "closed = false\n"):
+        first = rig.run("sweep", "--no-figures", *SHORT)
+        assert first.code == 4, first.stderr
+        code, told = at_a_terminal(rig, "interlocks", "reset")
+        assert code == 4
+        assert "interlock door is open; close it first" in told
+        rig.env["SSH_CONNECTION"] = "10.0.0.1 1 10.0.0.2 22"
+        code, told = at_a_terminal(rig, "interlocks", "reset")
+        assert code == 2
+        assert "this terminal is on another computer" in told
+        assert "LATCHED" in rig.run("interlocks").stderr
+
+
+@pytest.mark.thorough
+def test_a_latch_that_could_not_be_recorded_keeps_the_run_from_beginning(rig):
+    (rig.folder / "state").write_text("not a folder")
+    with served(rig, DOOR):
+        ended = rig.run("sweep", "--no-figures", *SHORT)
+    assert ended.code == 1, ended.stderr
+    assert "of interlock 'door' cannot be written" in ended.errors[0]
+    assert rig.outputs() == []
+
+
+@pytest.mark.thorough
+def test_a_record_that_cannot_be_read_counts_as_a_latch(rig):
+    with served(rig, DOOR):
+        assert rig.run("sweep", "--no-figures", *SHORT).code == 0
+        (record,) = (rig.folder / "state").rglob("interlock-*.json")
+        record.write_text("{")
+        ended = rig.run("sweep", "--no-figures", *SHORT)
+    assert ended.code == 4, ended.stderr
+    assert "cannot be read" in ended.errors[0]
+
+
+PROVED = contact("opened", more="after_s = 3.0\n") + contact("closed", more="after_s = 4.0\n")
+
+
+def test_a_contact_that_is_to_be_proved_is_seen_open_and_closed_before_anything_is_armed(rig):
+    world = rig.world(DOOR + "proof = true\n")
+    ended = rig.sweep(*SHORT, "--world", world, "--fault", rig.fault(PROVED))
+    assert ended.code == 0, ended.stderr
+    assert "proof test of interlock door: open it" in ended.stderr
+    assert "interlock door opens and closes: recorded" in ended.stderr
+    closed = [x["t_us"] for x in rig.log() if x["what"] == "contact"][-1]
+    assert min(x["t_us"] for x in rig.log() if x["what"] in ("homing", "move")) > closed
+
+
+@pytest.mark.thorough
+def test_a_contact_that_is_welded_fails_its_proof_test_and_nothing_is_armed(rig):
+    plan = contact("stuck-closed") + PROVED
+    world = rig.world(DOOR + "proof = true\n")
+    ended = rig.sweep(*SHORT, "--world", world, "--fault", rig.fault(plan))
+    assert ended.code == 4, ended.stderr
+    assert "interlock door was not seen to open within 120 s" in ended.errors[0]
+    assert not [x for x in rig.log() if x["what"] in ("homing", "move")]
+
+
+@pytest.mark.thorough
+def test_a_proof_test_is_recorded_with_its_date(rig):
+    plan = "".join(  # somebody who opens and closes it again and again
+        contact("opened", more=f"after_s = {at_s}\n")
+        + contact("closed", more=f"after_s = {at_s + 2}\n")
+        for at_s in range(4, 100, 4)
+    )
+    with served(rig, DOOR, plan):
+        assert "last proof test: never" in rig.run("interlocks").stderr
+        proved = rig.run("interlocks", "proof", "door")
+        assert proved.code == 0, proved.stderr
+        assert re.search(r"last proof test: 20\S+ by ", rig.run("interlocks").stderr)
+
+
+@pytest.mark.parametrize("arguments", [(), ("reset",), ("proof", "door")])
+def test_without_a_bench_file_there_is_no_interlock(rig, arguments):
+    ended = rig.run("interlocks", *arguments)
+    assert ended.code == 2
+    told = "there is no bench file" if arguments != ("reset",) else "typed at a terminal"
+    assert told in ended.stderr

@@ -185,6 +185,8 @@ class Worker:
         self._ahead: _Ahead | None = None
         """The simulated bench of the next run, while this one is taken."""
         self._watch = DriftWatch(queue, self._terms.file, self._terms.bench, self._terms.results)
+        self._proven: set[str] = set()
+        """Interlock contacts that were seen to open and close since this process began."""
         self._mounted: BenchSettings | None = None
         """The bench of the latest run."""
         self._from, self._until = window_of(queue)
@@ -432,6 +434,7 @@ class Worker:
             journal=path,
             compiled=False,
             held=(self._lock,),
+            proven=self._proven,
         )
         toml = bench.recorded_toml or bench.plan.text
         if resume is not None and self._queue.meta("despite changes"):

@@ -1,0 +1,170 @@
+"""Show the interlock contacts of a bench, reset them after an opening, test that they work.
+
+Without a subcommand it shows each contact: level, latch, last proof test.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rig.cli.option_groups import Debug
+from rig.cli.outcome import reported, say
+from rig.core.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from rig.bench.plan import BenchPlan
+    from rig.run.interlock_store import InterlockStore
+    from rig.run.interlocks import InterlockWatch
+
+BENCH_FILE = Path("bench.toml")
+BenchToml = Annotated[Path, typer.Option(help="Bench file.")]
+Contact = Annotated[str | None, typer.Argument(help="Name of the contact; all that are latched.")]
+REMOTE = ("SSH_CONNECTION", "SSH_TTY")
+"""Variables of a shell that somebody has opened from another computer."""
+
+app = typer.Typer(
+    name="interlocks",
+    invoke_without_command=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+
+@app.callback()
+def show(context: typer.Context, bench: BenchToml = BENCH_FILE, debug: Debug = False) -> None:
+    """Show the interlock contacts of a bench, reset them after an opening, test that they work.
+
+    Without a subcommand it shows each contact: level, latch, last proof test.
+    """
+    if context.invoked_subcommand is not None:
+        return
+    with reported(debug):
+        plan, records = _declared(bench)
+        with _looking(plan, records) as watch:
+            for contact in plan.settings.interlock:
+                record = records.get(contact.name)
+                told = f"{contact.name} ({contact.kind}, {contact.input}): "
+                told += watch.level(contact.name)
+                if record.opened is not None:
+                    told += f"; LATCHED since {record.opened}: {record.why}"
+                elif record.reset is not None:
+                    told += f"; reset {record.reset} by {record.reset_by}"
+                proof = "never" if record.proof is None else f"{record.proof} by {record.proof_by}"
+                say(f"{told}; last proof test: {proof}")
+
+
+@app.command()
+def reset(name: Contact = None, bench: BenchToml = BENCH_FILE, debug: Debug = False) -> None:
+    """Reset contacts of a person that have opened and are closed again.
+
+    At the bench only, from a terminal of its computer: first look at the bench, since nobody else
+    does. The time and the user are recorded. Nothing starts by itself afterwards.
+    """
+    with reported(debug):
+        _require_terminal()
+        plan, records = _declared(bench, name)
+        latched = [
+            contact.name
+            for contact in plan.settings.interlock
+            if name in (None, contact.name) and records.get(contact.name).opened is not None
+        ]
+        if not latched:
+            say(
+                f"{plan.settings.name}: nothing is latched"
+                if name is None
+                else f"{name} is not latched"
+            )
+            return
+        with _looking(plan, records) as watch:
+            for one in latched:
+                watch.reset(one)
+                say(f"interlock {one} is reset; nothing starts by itself: start the run again")
+
+
+@app.command()
+def proof(
+    name: Annotated[str, typer.Argument(help="Name of the contact.")],
+    bench: BenchToml = BENCH_FILE,
+    debug: Debug = False,
+) -> None:
+    """Have a contact opened and closed by hand, and record with date that both were seen."""
+    from rig.run.stopping import StopFlag
+
+    with reported(debug), StopFlag() as stop:
+        plan, records = _declared(bench, name)
+        with _looking(plan, records, stop.check) as watch:
+            watch.prove(name, say)
+
+
+def _require_terminal() -> None:
+    """Raise ConfigurationError unless a person types this at the computer of the bench."""
+    if not sys.stdin.isatty():
+        raise ConfigurationError(
+            "a reset is typed at a terminal of the bench's computer, not given by another program",
+            "look at the bench, then run it there",
+        )
+    if remote := next((name for name in REMOTE if name in os.environ), None):
+        raise ConfigurationError(
+            f"a reset is typed at the bench, and this terminal is on another computer ({remote})",
+            "go to the bench, look at it, then run it there",
+        )
+
+
+def _declared(path: Path, name: str | None = None) -> tuple[BenchPlan, InterlockStore]:
+    """Return the bench and the records of its contacts. Raises ConfigurationError if it has none,
+    or none of that name."""
+    from rig.bench.plan import read_bench
+    from rig.run.interlock_store import InterlockStore, state_folder
+
+    if not path.exists():
+        raise ConfigurationError(
+            f"there is no bench file {path}",
+            "interlocks belong to a bench with a bench file: name it with --bench",
+        )
+    plan = read_bench(path)
+    known = [contact.name for contact in plan.settings.interlock]
+    if not known:
+        raise ConfigurationError(
+            f"{path} declares no interlock", "add an [[interlock]] table for each contact"
+        )
+    if name is not None and name not in known:
+        raise ConfigurationError(
+            f"{path} declares no interlock {name!r}", f"it declares {', '.join(known)}"
+        )
+    return plan, InterlockStore(plan, state_folder())
+
+
+@contextmanager
+def _looking(
+    plan: BenchPlan, records: InterlockStore, in_each_wait: Callable[[], None] = lambda: None
+) -> Iterator[InterlockWatch]:
+    """Connect to the instruments that read contacts, under the bench's lock, and watch without
+    acting until the levels are known."""
+    from rig.bench.connect import connect
+    from rig.core.clock import WallClock
+    from rig.run.holds import Holds
+    from rig.run.interlocks import CLOSE_S, InterlockWatch
+    from rig.run.lock import BenchLock
+
+    roles = {contact.role for contact in plan.settings.interlock}
+    needed = tuple(part for part in plan.instruments if part.role in roles)
+    with ExitStack() as at_the_end:
+        at_the_end.enter_context(BenchLock(plan))
+        clock = WallClock()
+        bench = connect(replace(plan, instruments=needed), clock)
+        at_the_end.callback(bench.close)
+        watch = InterlockWatch(bench, Holds(), list, records, looks_only=True)
+        at_the_end.callback(watch.end)
+        watch.begin()
+        clock.each_slice(in_each_wait)
+        clock.sleep(CLOSE_S)
+        yield watch
