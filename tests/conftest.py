@@ -6,9 +6,11 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -21,10 +23,14 @@ from benches import Bench
 from compiled_kernels import ensure_compiled
 from hypothesis import settings
 
+from rig.bench.plan import read_bench
 from rig.core.cache import DiskCache
 from rig.physics.skin.condensed import CondensedSkin, build_skin
 from rig.physics.skin.settings import SkinSettings
 from rig.physics.trials import SkinTrial, SlideSettings, slide
+from rig.run.bench_mark import BenchMarks
+from rig.run.lock import address_names
+from rig.run.shared_folder import VARIABLE as SHARED_FOLDER
 
 settings.register_profile("any computer", deadline=None, derandomize=True)
 settings.load_profile("any computer")
@@ -39,7 +45,12 @@ GUARD_PATIENCE_S = 30.0
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the kernels before there are workers, so that no two of them compile the same."""
+    """Compile the kernels before there are workers, so that no two of them compile the same.
+
+    Locks and marks of benches go to a folder of this test run, never to that of the computer."""
+    shared = tempfile.mkdtemp(prefix="rig-tests-shared-")
+    os.environ[SHARED_FOLDER] = shared
+    config.add_cleanup(lambda: shutil.rmtree(shared, ignore_errors=True))
     if not hasattr(config, "workerinput") and not config.option.collectonly:
         ensure_compiled()
 
@@ -138,6 +149,8 @@ class Rig:
         self.world_log = folder / "world.jsonl"
         self.env = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "TERM")}
         self.env["XDG_STATE_HOME"] = str(folder / "state")
+        self.shared = folder / "shared"
+        self.env[SHARED_FOLDER] = str(self.shared)
         self._started: list[Running] = []
 
     def on_bench(self, *arguments: str) -> list[str]:
@@ -225,6 +238,17 @@ class Rig:
                     return report
             time.sleep(0.05)
         return None
+
+    def marks(self) -> list[dict[str, Any]]:
+        """The marks that runs have left on benches, one for each address."""
+        return [json.loads(path.read_text()) for path in self.shared.glob("*.mark")]
+
+    def mark_unsafe(self, bench_file: Path, failures: dict[str, str]) -> None:
+        """Mark a bench as one that an earlier run could not make safe."""
+        plan = read_bench(bench_file)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv(SHARED_FOLDER, str(self.shared))
+            BenchMarks(address_names(plan), plan.settings.name, None).unsafe(failures)
 
     def only(self, pattern: str) -> Path:
         """The one file below the results folder that matches."""

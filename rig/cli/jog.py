@@ -173,6 +173,7 @@ def _at_the_bench(
     from rig.bench.connect import connect
     from rig.cli.terminal import HELP
     from rig.jog.session import AXES, JogSession
+    from rig.run.bench_mark import BenchMarks
     from rig.run.guard import GuardLink, report_path
 
     plan, clock = chosen.plan, chosen.clock
@@ -190,12 +191,22 @@ def _at_the_bench(
     report = report_path(request.results, plan.settings.name)
     if chosen.started is not None:
         report = request.results / OWN_BENCH_REPORT
-    guard = GuardLink(plan, None, report, chosen.lock.files if chosen.lock is not None else ())
+    held, addresses = ((), ()) if chosen.lock is None else (chosen.lock.files, chosen.lock.names)
+    marks = BenchMarks(addresses, plan.settings.name, None)
+    guard = GuardLink(plan, None, report, held, addresses)
+    try:
+        marks.running(guard.pid)
+    except RigError:
+        guard.done()
+        raise
     with terminal:
         say(HELP)
-        ended = session.go(guard)
-    if ended.off_failures:
-        say(guard.take_over().summary)
-    else:
+        ended = session.go(guard, marks)
+    if not ended.off_failures:
         guard.done()
+        return ended
+    taken_over = guard.take_over()
+    say(taken_over.summary)
+    if taken_over.safe:
+        marks.clear()
     return ended

@@ -3,20 +3,22 @@ other parts of the program or of the installation are broken."""
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rig.cli.outcome import reported, say
-from rig.core.errors import ConfigurationError, UnsafeError
+from rig.core.errors import ConfigurationError, RigError, UnsafeError
+
+if TYPE_CHECKING:
+    from rig.bench.plan import Restable
 
 
 def make_safe(
     bench: Annotated[Path, typer.Option(help="Bench file.")] = Path("bench.toml"),
-    results: Annotated[Path, typer.Option(help="Folder with the guard's report.")] = Path(
-        "results"
-    ),
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Put every instrument of a bench into its safe state: motion stopped, outputs off.
@@ -30,8 +32,7 @@ def make_safe(
     with reported(debug), StopFlag():
         from rig.bench.plan import parse_to_make_safe
         from rig.core.toml_files import MAX_TOML_BYTES, read_text
-        from rig.run.guard import make_bench_safe, report_path
-        from rig.run.lock import in_use
+        from rig.run.guard import make_bench_safe
 
         if not bench.exists():
             raise ConfigurationError(
@@ -41,8 +42,13 @@ def make_safe(
             )
         text = read_text(bench, "bench file", MAX_TOML_BYTES)
         described = parse_to_make_safe(text, str(bench))
-        if (user := in_use(described)) is not None:
-            say(f"{user}; it is made safe all the same, and what runs on it will fail")
+        if not described.instruments and not described.failures:
+            raise ConfigurationError(
+                f"the bench file {bench} names no instruments: nothing was made safe",
+                "add their tables, or name the file of your bench with --bench",
+            )
+        with _only_warning():
+            _report_what_is_known(described)
         failures = make_bench_safe(text, str(bench))
         roles = [part.role for part in described.instruments if part.role not in failures]
         name = str(bench) if described.settings is None else described.settings.name
@@ -53,4 +59,39 @@ def make_safe(
                 "; ".join(f"{role}: {why}" for role, why in failures.items()),
                 "switch the bench off by hand and find out why",
             )
-        report_path(results, name).unlink(missing_ok=True)
+        _clear_marks(described)
+
+
+@contextlib.contextmanager
+def _only_warning() -> Iterator[None]:
+    """Show what the block raises, since it must not prevent making the bench safe."""
+    try:
+        yield
+    except RigError as error:
+        say(f"warning: {error.one_line()}")
+
+
+def _report_what_is_known(described: Restable) -> None:
+    """Say what an earlier run left, and who uses the bench now."""
+    from rig.run.bench_mark import read_marks
+    from rig.run.lock import address_names, in_use
+
+    for mark in read_marks(address_names(described)):
+        if not mark.lives:
+            say(mark.in_words())
+    if (user := in_use(described)) is not None:
+        say(f"{user}; it is made safe all the same, and what runs on it will fail")
+
+
+def _clear_marks(described: Restable) -> None:
+    """Remove the marks of earlier runs; that of one that is still at work is its own to remove."""
+    from rig.run.bench_mark import clear_marks, read_marks
+    from rig.run.lock import address_names
+
+    clear_marks(
+        [
+            name
+            for name in address_names(described)
+            if not any(mark.lives for mark in read_marks([name]))
+        ]
+    )

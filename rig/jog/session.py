@@ -37,6 +37,7 @@ from rig.jog.keys import (
     WatchForce,
 )
 from rig.run.arming import BEAT_EVERY_S, SHUTDOWN_DEADLINE_S, Arming, ShutdownFailure
+from rig.run.bench_mark import BenchMarks
 from rig.run.force_monitor import ForceMonitor
 from rig.run.guard import GuardLink
 from rig.run.holds import HoldError, Holds, PauseSwitch
@@ -214,6 +215,7 @@ class JogSession:
         self._bench, self._clock, self._stop = bench, bench.clock, stop
         self._person, self._settings = person, settings
         self._guard: GuardLink
+        self._marks: BenchMarks
         self._axes = {axis.name: axis for axis in axes}
         self._drives: dict[str, _Linear | _Rotary] = {
             name: _Rotary(bench.rotary) if name == "rotary" else _Linear(getattr(bench, name))
@@ -232,11 +234,11 @@ class JogSession:
         self._last_beat_s = 0.0
         self._guard_missed = False
 
-    def go(self, guard: GuardLink) -> JogOutcome:
-        """Jog until the operator leaves, a signal comes or something fails; then stop everything.
-        Never raises a RigError."""
+    def go(self, guard: GuardLink, marks: BenchMarks) -> JogOutcome:
+        """Jog until the operator leaves, a signal comes or something fails; then stop everything,
+        and mark the bench as it was left. Never raises a RigError."""
         ended = JogOutcome()
-        self._guard = guard
+        self._guard, self._marks = guard, marks
         unregister = self._clock.each_slice(self._each_slice)
         try:
             with PauseSwitch(self._holds):
@@ -288,6 +290,14 @@ class JogSession:
             else:
                 ended.off_failures.append(failure)
                 ended.code = ExitCode.UNSAFE
+        try:
+            if ended.off_failures:
+                self._marks.unsafe({off.name: off.reason for off in ended.off_failures})
+            else:
+                self._marks.clear()
+        except RigError as error:
+            ended.failures.append(error)
+            ended.code = ended.code or error.code
         if not ended.off_failures:
             self._guard.safe()
 

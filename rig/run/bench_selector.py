@@ -1,7 +1,7 @@
 """Select the bench that a command works on: that of a bench file, or a simulated one that it
 starts.
 
-The bench of a file is locked, and refused where its last guard left it unsafe. A simulated bench
+The bench of a file is locked, and refused where an earlier run left it unsafe. A simulated bench
 boots as a process of its own and belongs to the command alone. Nothing is connected here.
 """
 
@@ -75,6 +75,8 @@ class BenchSelector:
 
     say: Callable[[str], None]
     """Function that shows a line to a person."""
+    warn: Callable[[str], None] | None = None
+    """Function that shows what became of an earlier run; None for `say`."""
     paced: bool = False
     """True if a simulated bench's time passes at a person's pace."""
     while_it_boots: Callable[[], None] = lambda: None
@@ -115,14 +117,17 @@ class BenchSelector:
     def _of_file(self, request: BenchRequest, at_the_end: ExitStack, path: Path) -> ChosenBench:
         from rig.bench.plan import read_bench
         from rig.core.clock import WallClock
-        from rig.run.guard import refuse_unsafe, report_path
+        from rig.run.bench_mark import clear_marks, read_marks, refuse_unsafe
         from rig.run.lock import BenchLock
 
         plan = read_bench(path)
         _refuse_simulation_options(request, path)
         lock = at_the_end.enter_context(BenchLock(plan))
-        self._report_takeovers(report_path(request.results, plan.settings.name))
-        refuse_unsafe(request.results, plan.settings.name)
+        marks = read_marks(lock.names)
+        refuse_unsafe(marks, str(path))
+        for mark in marks:
+            self._warn(mark.in_words())
+        clear_marks(lock.names)
         if plan.settings.simulation is not None:
             self.say(f"SIMULATED bench ({path}). {NOT_MEASURED}")
         roles = ", ".join(part.role for part in plan.instruments)
@@ -156,7 +161,10 @@ class BenchSelector:
 
         for report in reports:
             if (notice := takeover_notice(report)) is not None:
-                self.say(notice)
+                self._warn(notice)
+
+    def _warn(self, text: str) -> None:
+        (self.warn or self.say)(text)
 
 
 def start_simulated(

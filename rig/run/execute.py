@@ -29,6 +29,7 @@ from rig.files.journal.reader import read_journal
 from rig.files.journal.recorder import Recorder
 from rig.files.runfile.compile import compile_run
 from rig.run.arming import BEAT_EVERY_S, ShutdownFailure
+from rig.run.bench_mark import BenchMarks
 from rig.run.checked_procedure import CheckedProcedure, internal
 from rig.run.context import Run
 from rig.run.guard import GuardLink
@@ -66,6 +67,8 @@ def execute(
         outcome.points_done = len(recorded)
         outcome.points_planned = len({point.id for point in points} | recorded.keys())
         require_roles(points, plan)
+        if job.lock is not None:
+            job.lock.check()
         bench = connect(plan, clock, stop.check)
     except RigError as error:
         clock.close()
@@ -108,11 +111,14 @@ class _Execution:
         self.stop, self.outcome = stop, outcome
         self.observers = Observers(observers, self._warn_of_observer)
         self.recorder = Recorder(journal.writer)
-        held = job.held
+        held, addresses = job.held, tuple[str, ...]()
         if job.lock is not None:
             job.lock.note_run(journal.path)
             held += job.lock.files
-        self.guard = GuardLink(bench.plan, journal.path, job.guard_report(bench, journal), held)
+            addresses = job.lock.names
+        report = job.guard_report(bench, journal)
+        self.marks = BenchMarks(addresses, bench.settings.name, journal.path.resolve())
+        self.guard = GuardLink(bench.plan, journal.path, report, held, addresses)
         self.readings = dict(journal.recorded)
         self.run = Run(
             job.settings,
@@ -148,6 +154,7 @@ class _Execution:
         unregister = self.bench.clock.each_slice(self._each_slice)
         self.bench.clock.while_computing(self.guard.beat)
         try:
+            self.marks.running(self.guard.pid)  # before anything is switched on
             with PauseSwitch(self.run.holds):
                 self._begin_interlocks()
                 self.loop.record_all(points)
@@ -168,6 +175,8 @@ class _Execution:
         self._summarise()
         if self.outcome.off_failures:
             self.outcome.taken_over = self.guard.take_over()
+            if self.outcome.taken_over.safe:
+                self._mark()
         else:
             self.guard.done()
 
@@ -238,8 +247,10 @@ class _Execution:
         if self.outcome.off_failures:
             self.outcome.code = ExitCode.UNSAFE
             self.outcome.status = "failed"
+            self._mark()
         else:
             self.outcome.safe = not self.run.failures
+            self._mark()
             self.guard.safe()
         with contextlib.suppress(RigError):  # a failed recorder is reported by _save
             for failure in self.outcome.off_failures:
@@ -271,6 +282,21 @@ class _Execution:
         for error in watch.failures():
             self._failed_late(error)
             self.outcome.code = ExitCode.UNSAFE
+
+    def _mark(self) -> None:
+        """Mark the bench as the run leaves it; the mark of a safe one is removed."""
+        outcome = self.outcome
+        taken_over = outcome.taken_over is not None and outcome.taken_over.safe
+        try:
+            if outcome.off_failures and not taken_over:
+                self.marks.unsafe({off.name: off.reason for off in outcome.off_failures})
+            elif self.run.failures:
+                last = "; ".join(error.message for error in self.run.failures)
+                self.marks.stopped(f"the last run ended with: {last}")
+            else:
+                self.marks.clear()
+        except RigError as error:
+            self._failed_late(error)
 
     # --- second: data -----------------------------------------------------------------------------
 

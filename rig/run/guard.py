@@ -4,8 +4,9 @@ It runs in a session of its own and listens on a pipe. The run sends it the benc
 and a message when the bench is safe and when the run is done. If the pipe closes before that, the
 run has died: the guard acts. If a heartbeat is late, the run hangs (or was suspended): the guard
 kills it, then acts. To act, it connects to every instrument of the bench and calls its driver's
-`make_safe`, each isolated from the others' failures, then compiles the journal, then writes a
-report of what was done. A report of an unsafe bench prevents the next run from starting.
+`make_safe`, each isolated from the others' failures, then compiles the journal, and writes a report
+of what was done. It leaves a mark on a bench that others use (`rig.run.bench_mark`), which the next
+command reports; the mark of an unsafe bench refuses it.
 
 This module is the program as well (``python -m rig.run.guard``); it imports the rest of the project
 only when it has to act, so a guard costs a few milliseconds.
@@ -59,54 +60,34 @@ def report_path(results: Path, bench_name: str) -> Path:
 
 
 def takeover_notice(path: Path) -> str | None:
-    """Return, once, a sentence on what the guard did when its run died, from its report.
-
-    Returns None for a guard that is still acting, and for one that could not make the bench safe:
-    `refuse_unsafe` reports that.
-    """
+    """Return, once, a sentence on what the guard did when the run of a simulated bench of its own
+    died, from its report. Returns None for a guard that is still acting, and for one that could not
+    make the bench safe: that bench has ended."""
     try:
         report = json.loads(path.read_text())
         if report["safe"] is not True or report.get("told") or "file" not in report:
             return None
-        notice = (
-            f"the guard of an earlier run had to act at {report['time']}: {report['cause']}; "
-            "the bench was made safe"
-        )
-        if report["journal"] is not None:
-            notice += f"; data: {report['file']}; continue with: rig resume {report['journal']}"
+        notice = _in_words(report)
     except (OSError, ValueError, KeyError, TypeError):
         return None
     _mark_reported(path, report)
     return notice
 
 
+def _in_words(report: dict[str, Any]) -> str:
+    """Return what the guard has done, as a sentence."""
+    words = (
+        f"the guard of an earlier run had to act at {report['time']}: {report['cause']}; "
+        "the bench was made safe"
+    )
+    if report["journal"] is not None and "file" in report:
+        words += f"; data: {report['file']}; continue with: rig resume {report['journal']}"
+    return words
+
+
 def _mark_reported(path: Path, report: dict[str, Any]) -> None:
     with contextlib.suppress(OSError):
         _write(path, report | {"told": True})
-
-
-def refuse_unsafe(results: Path, bench_name: str) -> None:
-    """Raise UnsafeError if the last guard could not make this bench safe."""
-    from rig.core.errors import UnsafeError
-
-    path = report_path(results, bench_name)
-    try:
-        report = json.loads(path.read_text())
-        safe = report["safe"] is True
-        failures = dict(report.get("failures", {}))
-    except FileNotFoundError:
-        return
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UnsafeError(
-            f"the guard's report {path} cannot be read ({error})",
-            f"check the bench, then run: rig make-safe --bench ... or remove {path}",
-        ) from error
-    if not safe:
-        troubles = "; ".join(f"{name}: {why}" for name, why in failures.items())
-        raise UnsafeError(
-            f"the bench {bench_name} was left unsafe at {report.get('time')}: {troubles}",
-            f"check the bench, then run: rig make-safe (report: {path})",
-        )
 
 
 class TakenOver(NamedTuple):
@@ -121,13 +102,19 @@ class GuardLink:
     """The run's side of the guard: starts it and keeps it informed."""
 
     def __init__(
-        self, plan: BenchPlan, journal: Path | None, report: Path, held: Sequence[int] = ()
+        self,
+        plan: BenchPlan,
+        journal: Path | None,
+        report: Path,
+        held: Sequence[int] = (),
+        marks: Sequence[str] = (),
     ):
         """Start the guard.
 
         `journal` is the run's journal, None if nothing is recorded. `held` are the lock files of
-        the bench, which the guard keeps open as long as it runs. Raises RigError if the guard
-        cannot be started.
+        the bench, which the guard keeps open as long as it runs. `marks` are the names of the
+        bench's addresses, whose marks it writes; none for a bench that belongs to the run alone.
+        Raises RigError if the guard cannot be started.
         """
         self._report = report.resolve()
         self._journal = None if journal is None else str(journal.resolve())
@@ -135,6 +122,8 @@ class GuardLink:
             "run_pid": os.getpid(),
             "journal": self._journal,
             "report": str(self._report),
+            "bench": plan.settings.name,
+            "marks": list(marks),
             "bench_toml": plan.text,
             "bench_source": plan.source,
             "heartbeat_timeout_s": plan.settings.heartbeat_timeout_s,
@@ -157,6 +146,11 @@ class GuardLink:
         self._heard_s = time.monotonic()
         """When the guard had last read everything that was sent to it."""
         self._tell(json.dumps(order))
+
+    @property
+    def pid(self) -> int:
+        """The guard's process id."""
+        return self._process.pid
 
     def trouble(self) -> str | None:
         """Return what is wrong with the guard, as the end of a sentence that begins with "the
@@ -275,15 +269,27 @@ def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[s
         "failures": failures,
         "journal": order["journal"],
     }
-    # A report that cannot be written must not prevent the compilation of the data.
-    with contextlib.suppress(OSError):
-        # Written before the compilation: the next run must see the state of the bench at once.
-        _write(Path(order["report"]), report)
+    # Published before the compilation: the next run must see the state of the bench at once.
+    _publish(order, report)
     journal = order["journal"]
     report["file"] = None if journal is None else _compile(Path(journal))
+    _publish(order, report)
+    return report
+
+
+def _publish(order: dict[str, Any], report: dict[str, Any]) -> None:
+    """Mark the bench and write the report. What cannot be written must not prevent the rest: the
+    mark that the run has written then stays, and refuses the bench."""
+    from rig.run.bench_mark import BenchMarks
+
+    with contextlib.suppress(RigError):
+        marks = BenchMarks(order["marks"], order["bench"], order["journal"])
+        if report["safe"]:
+            marks.stopped(_in_words(report))
+        else:
+            marks.unsafe(report["failures"])
     with contextlib.suppress(OSError):
         _write(Path(order["report"]), report)
-    return report
 
 
 def make_bench_safe(bench_toml: str, source: str) -> dict[str, str]:

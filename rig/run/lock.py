@@ -1,10 +1,16 @@
 """Locks that allow one program at a time on an instrument and end with the program.
 
 Two runs on one bench would stop each other's stages merely by connecting. Therefore every
-instrument's address has a lock file in the computer's temporary folder, where all users find the
-same one, and a program locks those of its bench from before it connects until it is done. The locks
-belong to the kernel (``flock``): they end with the processes that hold them, however those end; the
-files stay. A run's guard holds the locks as well, and acts under them when the run has died.
+instrument's address has a lock file in the folder that all users of the computer share
+(`rig.run.shared_folder`), and a program locks those of its bench from before it connects until it
+is done. The locks belong to the kernel (``flock``): they end with the processes that hold them,
+however those end; the files stay. A run's guard holds the locks as well, and acts under them when
+the run has died.
+
+A lock on a file that was removed is worth nothing, since the next program locks another file of the
+same name. So the file is compared with its name after it was locked, and again before a run
+connects (`BenchLock.check`); and a mark whose run lives (`rig.run.bench_mark`) refuses the bench as
+a lock does.
 
 The address is what the bench file says; one instrument under two names is not recognised.
 """
@@ -17,19 +23,20 @@ import fcntl
 import hashlib
 import json
 import os
-import tempfile
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from rig.core.errors import ConfigurationError
+from rig.run.bench_mark import BenchMark, read_marks
+from rig.run.shared_folder import SharedFolder, user_name
 
 if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan, Restable
 
 ADDRESS = ("resource", "host", "port", "unit_id")
 """Settings of a driver that form the address of an instrument."""
-EVERYBODY = 0o666
+SUFFIX = ".lock"
 ENTRY_BYTES = 4096
 GUARD_S = 10.0
 """How long a new run waits for the guard of a dead one."""
@@ -47,13 +54,18 @@ class BenchLock:
         self._entry = {
             "bench": plan.settings.name,
             "pid": os.getpid(),
+            "user": user_name(os.geteuid()),
             "since": time.strftime("%Y-%m-%d %H:%M:%S"),
         }
-        self._files: list[int] = []
+        self.names = address_names(plan)
+        """Names of the instruments' addresses, as the shared folder has them."""
+        self._files: dict[str, int] = {}
         try:
-            for path in lock_files(plan):
-                self._files.append(_open(path))
-                _take(self._files[-1], path)
+            with SharedFolder() as folder:
+                for name in self.names:
+                    self._files[name] = _take(folder, name + SUFFIX)
+            if (user := _living(read_marks(self.names))) is not None:
+                raise ConfigurationError(*user)
         except BaseException:
             self.release()
             raise
@@ -62,7 +74,20 @@ class BenchLock:
     @property
     def files(self) -> tuple[int, ...]:
         """File descriptors of the locks, for a process that shall hold them as well."""
-        return tuple(self._files)
+        return tuple(self._files.values())
+
+    def check(self) -> None:
+        """Raise ConfigurationError if a lock file was removed since it was locked: another program
+        may have locked its successor."""
+        with SharedFolder() as folder:
+            for name, file in self._files.items():
+                if not folder.holds(name + SUFFIX, file):
+                    raise ConfigurationError(
+                        f"the lock {folder.path / (name + SUFFIX)} of the bench "
+                        f"{self._entry['bench']} was removed, and another program may use the "
+                        "bench",
+                        "end what runs on the bench, then start again",
+                    )
 
     def note_run(self, journal: Path) -> None:
         """Write the run's journal into the lock files, for the message of a program that finds them
@@ -73,7 +98,7 @@ class BenchLock:
     def release(self) -> None:
         """Release all locks."""
         while self._files:
-            os.close(self._files.pop())
+            os.close(self._files.popitem()[1])
 
     def __enter__(self) -> Self:
         return self
@@ -83,7 +108,7 @@ class BenchLock:
 
     def _write(self) -> None:
         text = json.dumps(self._entry).encode()
-        for file in self._files:
+        for file in self._files.values():
             with contextlib.suppress(OSError):  # On a full disk the lock works without its text.
                 os.ftruncate(file, 0)
                 os.pwrite(file, text, 0)
@@ -91,22 +116,27 @@ class BenchLock:
 
 def in_use(plan: BenchPlan | Restable) -> str | None:
     """Return which program uses an instrument of this bench, in words; None if none does."""
-    for path in lock_files(plan):
-        file = _open(path)
-        try:
-            if not _locked(file):
-                return _in_use(_entry_of(file), path).message
-        finally:
-            os.close(file)
-    return None
+    names = address_names(plan)
+    with SharedFolder() as folder:
+        for name in names:
+            try:
+                file = folder.open_file(name + SUFFIX, create=False)
+            except OSError:
+                continue
+            try:
+                if not _locked(file):
+                    return _in_use(_entry_of(file), folder.path / (name + SUFFIX))[0]
+            finally:
+                os.close(file)
+    user = _living(read_marks(names))
+    return None if user is None else user[0]
 
 
-def lock_files(plan: BenchPlan | Restable) -> tuple[Path, ...]:
-    """Return the lock file of every address of a bench, each once, in one order for all
-    programs."""
+def address_names(plan: BenchPlan | Restable) -> tuple[str, ...]:
+    """Return the name under which the shared folder has each instrument's address, each once, in
+    one order for all programs."""
     addresses = {address_of(part.settings.model_dump()) for part in plan.instruments}
-    digests = sorted(hashlib.sha256(address.encode()).hexdigest()[:16] for address in addresses)
-    return tuple(Path(tempfile.gettempdir()) / f"tactile-rig-{digest}.lock" for digest in digests)
+    return tuple(sorted(hashlib.sha256(one.encode()).hexdigest()[:16] for one in addresses))
 
 
 def address_of(settings: dict[str, Any]) -> str:
@@ -117,30 +147,32 @@ def address_of(settings: dict[str, Any]) -> str:
     return " ".join(str(settings[name]).upper() for name in ADDRESS if name in settings)
 
 
-def _open(path: Path) -> int:
-    """Open the lock file, and create it if there is none; another user may have created it."""
-    try:
-        while True:
-            with contextlib.suppress(FileNotFoundError):
-                return os.open(path, os.O_RDWR | os.O_NOFOLLOW)
-            with contextlib.suppress(FileExistsError):
-                file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW)
-                os.fchmod(file, EVERYBODY)
-                return file
-    except OSError as error:
-        raise ConfigurationError(
-            f"the lock {path} of an instrument cannot be opened: {error.strerror}",
-            "free the disk, or have its owner remove it",
-        ) from error
-
-
-def _take(file: int, path: Path) -> None:
-    """Acquire the lock. After a program has died, its guard holds it for as long as it acts."""
+def _take(folder: SharedFolder, name: str) -> int:
+    """Lock the file and return its descriptor. After a program has died, its guard holds the lock
+    for as long as it acts."""
+    path = folder.path / name
     give_up = time.monotonic() + GUARD_S
-    while not _locked(file):
-        entry = _entry_of(file)
-        if time.monotonic() > give_up or _runs(entry.get("pid")):
-            raise _in_use(entry, path)
+    while True:
+        try:
+            file = folder.open_file(name, create=True)
+        except OSError as error:
+            raise ConfigurationError(
+                f"the lock {path} of an instrument cannot be opened: {error.strerror}",
+                "free the disk, or have its owner remove it",
+            ) from error
+        try:
+            locked = _locked(file)
+            if locked and folder.holds(name, file):
+                file, taken = -1, file
+                return taken
+            if locked:
+                continue  # it was removed in between: the file of that name is another one
+            entry = _entry_of(file)
+            if time.monotonic() > give_up or _runs(entry.get("pid")):
+                raise ConfigurationError(*_in_use(entry, path))
+        finally:
+            if file >= 0:
+                os.close(file)
         time.sleep(LOOK_EVERY_S)
 
 
@@ -162,19 +194,35 @@ def _entry_of(file: int) -> dict[str, Any]:
     return entry if isinstance(entry, dict) else {}
 
 
-def _in_use(entry: dict[str, Any], path: Path) -> ConfigurationError:
+def _in_use(entry: dict[str, Any], path: Path) -> tuple[str, str]:
+    """Return who uses the bench, and what can be done about it."""
     bench, pid, since = (entry.get(name, "?") for name in ("bench", "pid", "since"))
+    who = f"pid {pid} ({entry.get('user', '?')})"
     run = f" (run {entry['file']})" if "file" in entry else ""
     if _runs(pid):
-        return ConfigurationError(
-            f"the bench {bench} is in use by pid {pid} since {since}{run}",
+        return (
+            f"the bench {bench} is in use by {who} since {since}{run}",
             "wait until it has ended, or end it with Ctrl-C",
         )
-    return ConfigurationError(
-        f"the bench {bench} was in use by pid {pid}, which has died{run}; its guard has been "
+    return (
+        f"the bench {bench} was in use by {who}, which has died{run}; its guard has been "
         f"making it safe for {GUARD_S:g} s (lock {path})",
         "check the bench, then start again",
     )
+
+
+def _living(marks: list[BenchMark]) -> tuple[str, str] | None:
+    """Return, as `_in_use` does, whose run is at work although its lock file was removed."""
+    for mark in marks:
+        if mark.lives and mark.run is not None:
+            run = f" (run {mark.journal})" if mark.journal else ""
+            who = f"pid {mark.run.pid} ({mark.user})"
+            return (
+                f"the bench {mark.bench} is in use by {who} since {mark.time}{run}, although its "
+                "lock file was removed",
+                "wait until it has ended, or end it with Ctrl-C",
+            )
+    return None
 
 
 def _runs(pid: object) -> bool:

@@ -242,22 +242,29 @@ def test_a_bench_in_real_time_is_driven_made_safe_and_ended(rig: Any) -> None:
         assert words in error
 
 
-def test_make_safe_clears_the_report_that_kept_runs_from_starting(rig: Any) -> None:
+def test_make_safe_clears_the_mark_that_kept_runs_from_starting(rig: Any) -> None:
     simulator = rig.start("simulate", "--write", "sim.toml")
     simulator.wait_for("drive it")
-    rig.results.mkdir()
-    report = rig.results / "guard-simulated.json"
-    report.write_text('{"safe": false, "time": "yesterday", "failures": {"daq": "silent"}}')
+    rig.mark_unsafe(rig.folder / "sim.toml", {"daq": "silent"})
 
     refused = rig.run("sweep", *SHORT, "--bench", "sim.toml")
     assert refused.code == 7
-    assert "left unsafe at yesterday: daq: silent" in refused.errors[0]
-    assert rig.run("make-safe", "--bench", "sim.toml").code == 0
-    assert not report.exists()
+    assert re.search("left unsafe at 20.*: daq: silent", refused.errors[0])
+    safe = rig.run("make-safe", "--bench", "sim.toml")
+    assert safe.code == 0
+    assert "daq: silent" in safe.stderr.splitlines()[0], "it says first what is known"
+    assert rig.marks() == []
     again = rig.run("sweep", *SHORT, "--bench", "sim.toml")
     assert again.code == 0, again.stderr
     simulator.send(signal.SIGTERM)
     assert simulator.finish().code == 0
+
+
+def test_make_safe_on_a_file_without_instruments_says_that_nothing_was_there(rig: Any) -> None:
+    (rig.folder / "empty.toml").write_text('name = "b"\n[fixture]\nmounted = "plate"\n')
+    nothing = rig.run("make-safe", "--bench", "empty.toml")
+    assert nothing.code == 2
+    assert "empty.toml names no instruments: nothing was made safe" in nothing.errors[0]
 
 
 @pytest.mark.parametrize(

@@ -82,6 +82,8 @@ class Guard:
     def __init__(self, log: list[str]) -> None:
         self._log = log
 
+    pid = 0
+
     def beat(self) -> None:
         pass
 

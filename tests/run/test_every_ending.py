@@ -202,6 +202,8 @@ class Guard:
     def __init__(self, story: Story) -> None:
         self._story = story
 
+    pid = 0
+
     def beat(self) -> None:
         pass
 

@@ -19,8 +19,9 @@ import pytest
 from drivers.simulated.bench.start import start
 from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.clock import ControlLink, WallClock
-from rig.core.errors import InstrumentError, UnsafeError
-from rig.run.guard import GuardLink, act, make_bench_safe, refuse_unsafe, report_path
+from rig.core.errors import InstrumentError
+from rig.run.bench_mark import read_marks
+from rig.run.guard import GuardLink, act, make_bench_safe
 
 PATIENCE_S = 60.0
 
@@ -51,6 +52,8 @@ class Bench:
             "run_pid": 0,
             "journal": str(self.journal),
             "report": str(self.report),
+            "bench": "simulated",
+            "marks": [],
             "bench_toml": self.plan.text,
             "bench_source": self.plan.source,
             "heartbeat_timeout_s": 60.0,
@@ -216,25 +219,16 @@ def test_a_bench_that_is_gone_is_reported_unsafe_with_every_instrument(
     tmp_path: Path, guard: Guard
 ) -> None:
     bench = Bench(tmp_path)
-    bench.report = report_path(tmp_path, bench.plan.settings.name)
     bench.end()
-    guard.tell(json.dumps(bench.order()))
+    guard.tell(json.dumps(bench.order(marks=["an-address"])))
     guard.finish()
     report = report_of(bench)
     assert report["safe"] is False
     assert set(report["failures"]) == {"generator", "daq", "stage_z"}
-    with pytest.raises(UnsafeError) as caught:
-        refuse_unsafe(tmp_path, bench.plan.settings.name)
-    told = caught.value.one_line()
-    assert report["time"] in told
-    for words in (
-        "generator: OUTP1 0",
-        "daq: STOP",
-        "stage_z: ",
-        "rig make-safe",
-        str(bench.report),
-    ):
-        assert words in told
+    (mark,) = read_marks(["an-address"])
+    assert mark.refuses
+    for words in ("left unsafe at ", "generator: OUTP1 0", "daq: STOP", "stage_z: "):
+        assert words in mark.in_words()
 
 
 def test_an_instrument_that_hangs_keeps_no_other_from_being_made_safe(
@@ -283,39 +277,3 @@ def test_a_report_that_cannot_be_written_keeps_no_data_back(bench: Bench) -> Non
     assert report["safe"] is True
     assert "not compiled" in report["file"]
     assert bench.outputs()[-1][0] is False
-
-
-def write(text: str) -> Callable[[Path], object]:
-    return lambda path: path.write_text(text)
-
-
-@pytest.mark.parametrize(
-    "leave",
-    [
-        write(""),
-        write("{}"),
-        write("[]"),
-        write('{"safe": "perhaps"}'),
-        write('{"safe": false, "failures": 3}'),
-        write('{"safe": false}'),
-        lambda path: path.write_bytes(b"\xff\xfe"),
-        lambda path: path.mkdir(),
-    ],
-    ids=["empty", "no word", "a list", "perhaps", "odd failures", "unsafe", "no text", "a folder"],
-)
-def test_a_report_that_does_not_say_safe_refuses_the_next_run(
-    tmp_path: Path, leave: Callable[[Path], object]
-) -> None:
-    leave(report_path(tmp_path, "bench-3"))
-    refuse_unsafe(tmp_path, "another-bench")
-    with pytest.raises(UnsafeError) as caught:
-        refuse_unsafe(tmp_path, "bench-3")
-    told = caught.value.one_line()
-    assert "guard-bench-3.json" in told
-    assert "rig make-safe" in told
-
-
-def test_a_safe_report_or_none_lets_the_next_run_go(tmp_path: Path) -> None:
-    refuse_unsafe(tmp_path, "bench-3")
-    report_path(tmp_path, "bench-3").write_text('{"safe": true, "failures": {}}')
-    refuse_unsafe(tmp_path, "bench-3")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -11,7 +12,10 @@ import pytest
 
 from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.errors import ConfigurationError, ExitCode
-from rig.run.lock import BenchLock, in_use, lock_files
+from rig.run import lock
+from rig.run.bench_mark import BenchMarks, clear_marks
+from rig.run.lock import BenchLock, address_names, in_use
+from rig.run.shared_folder import user_name
 
 BENCH = """
 name = "{name}"
@@ -41,8 +45,7 @@ sys.stdin.read()
 @pytest.fixture(autouse=True)
 def locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A folder for locks of this test's own."""
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setenv("RIG_SHARED_FOLDER", str(tmp_path / "shared"))
 
 
 def plan(name: str = "b", generator: int = 5025, port: str = "/dev/ttyX") -> BenchPlan:
@@ -89,9 +92,8 @@ def test_a_serial_line_is_one_programs_whoever_is_on_it() -> None:
 def test_a_refused_lock_keeps_nothing() -> None:
     """The first of its instruments is free, the second is not."""
     both = plan()
-    free, taken = lock_files(both)
+    assert len(address_names(both)) == 2
     with BenchLock(plan(generator=1)), BenchLock(plan(port="/dev/ttyZ")):
-        assert free != taken
         assert in_use(both) is not None
     with BenchLock(both):
         assert in_use(plan(port="/dev/ttyZ")) is not None
@@ -109,7 +111,10 @@ def test_who_has_it_is_told_and_a_dead_one_has_nothing(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError) as refused:
         BenchLock(plan())
     assert refused.value.code == ExitCode.USAGE
-    assert f"the bench b is in use by pid {holder.pid} since 20" in refused.value.message
+    assert (
+        f"the bench b is in use by pid {holder.pid} ({user_name(os.geteuid())}) since 20"
+        in refused.value.message
+    )
     assert "(run /data/run.rigj)" in refused.value.message
     holder.kill()
     holder.wait()
@@ -135,7 +140,7 @@ def test_the_guard_of_a_dead_run_holds_its_bench_until_it_is_safe(
     assert run.stdout.readline() == b"held\n"
     run.stdout.readline()
     run.wait()
-    assert f"pid {run.pid}, which has died" in str(in_use(plan()))
+    assert f"pid {run.pid} (" in str(in_use(plan()))
     monkeypatch.setattr("rig.run.lock.GUARD_S", 0.2)
     with pytest.raises(ConfigurationError, match=r"its guard has been making it safe for 0\.2 s"):
         BenchLock(plan())
@@ -148,7 +153,93 @@ def test_the_guard_of_a_dead_run_holds_its_bench_until_it_is_safe(
     run.stdout.close()
 
 
-def test_a_lock_that_cannot_be_opened_refuses_the_bench() -> None:
-    lock_files(plan())[0].mkdir()
+def test_a_lock_that_cannot_be_opened_refuses_the_bench(tmp_path: Path) -> None:
+    lock = tmp_path / "shared" / (address_names(plan())[0] + ".lock")
+    lock.mkdir(parents=True)
     with pytest.raises(ConfigurationError, match="cannot be opened: Is a directory"):
+        BenchLock(plan())
+    lock.rmdir()
+    lock.symlink_to(tmp_path / "somewhere else")
+    with pytest.raises(ConfigurationError, match="cannot be opened"):
+        BenchLock(plan())
+    assert not (tmp_path / "somewhere else").exists()
+
+
+def test_the_temporary_folder_does_not_choose_the_locks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with BenchLock(plan()):
+        monkeypatch.setenv("TMPDIR", str(tmp_path))
+        monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+        with pytest.raises(ConfigurationError, match="in use by pid"):
+            BenchLock(plan())
+
+
+def test_a_removed_lock_file_does_not_give_two_runs_one_bench(tmp_path: Path) -> None:
+    first = BenchLock(plan())
+    marks = BenchMarks(first.names, "b", "/data/run.rigj")
+    marks.running(os.getpid())
+    for path in (tmp_path / "shared").glob("*.lock"):
+        path.unlink()
+    with pytest.raises(ConfigurationError) as refused:
+        BenchLock(plan())
+    assert f"in use by pid {os.getpid()} (" in refused.value.message
+    assert "its lock file was removed" in refused.value.message
+    assert "/data/run.rigj" in str(in_use(plan()))
+    with pytest.raises(ConfigurationError, match="was removed, and another program may use"):
+        first.check()  # and a run that has not begun yet does not begin
+    marks.clear()
+    with BenchLock(plan()) as second:
+        second.check()
+    first.release()
+
+
+def test_a_lock_file_removed_while_it_is_waited_for_is_not_the_lock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It goes away between being opened and being locked, as when its owner removes it."""
+    taken = []
+    locked = lock._locked
+
+    def removed_first(file: int) -> bool:
+        if len(taken) == 0:
+            for path in (tmp_path / "shared").glob("*.lock"):
+                path.unlink()
+        taken.append(file)
+        return locked(file)
+
+    monkeypatch.setattr(lock, "_locked", removed_first)
+    with BenchLock(plan()) as held:
+        assert len(taken) == 3, "the first of two files once more"
+        held.check()
+
+
+def test_nobody_else_can_block_or_aim_the_locks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shared = tmp_path / "shared"
+    with BenchLock(plan()) as held:
+        BenchMarks(held.names, "b", None).running(os.getpid())
+        assert shared.stat().st_mode & 0o777 == 0o700
+        assert {path.stat().st_mode & 0o777 for path in shared.iterdir()} == {0o600}
+        clear_marks(held.names)
+    for path in shared.iterdir():
+        path.unlink()
+    shared.chmod(0o770)  # an administrator has made it for a group
+    with BenchLock(plan()) as held:
+        BenchMarks(held.names, "b", None).running(os.getpid())
+        assert {path.stat().st_mode & 0o777 for path in shared.iterdir()} == {0o660}
+        clear_marks(held.names)
+    shared.chmod(0o777)
+    with pytest.raises(ConfigurationError, match="can be written by everybody"):
+        BenchLock(plan())
+    shared.chmod(0o700)
+    monkeypatch.setattr("rig.run.shared_folder.os.geteuid", lambda: shared.stat().st_uid + 1)
+    if shared.stat().st_uid != 0:
+        with pytest.raises(ConfigurationError, match="belongs to"):
+            BenchLock(plan())
+    monkeypatch.undo()
+    monkeypatch.setenv("RIG_SHARED_FOLDER", str(tmp_path / "link"))
+    (tmp_path / "link").symlink_to(shared)
+    with pytest.raises(ConfigurationError, match="cannot be opened"):
         BenchLock(plan())

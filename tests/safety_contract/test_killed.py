@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import signal
@@ -13,6 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+from processes import children_named
 
 from drivers.simulated.bench.options import Options
 from rig.files.journal.reader import read_journal
@@ -155,18 +155,6 @@ def test_a_run_whose_guard_is_stopped_says_so_once_and_goes_on(rig):
     assert f"kill -CONT {guard}" in warning
     assert rig.outputs() == [True, False]
     assert not Path(f"/proc/{guard}").exists()
-
-
-def children_named(module, parent):
-    """Processes of one parent whose command line names a module."""
-    found = []
-    for process in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):
-            words = (process / "cmdline").read_bytes().split(b"\0")
-            own = (process / "stat").read_text().rpartition(")")[2].split()[1]
-            if module.encode() in words and int(own) == parent:
-                found.append(int(process.name))
-    return found
 
 
 @pytest.mark.thorough

@@ -118,13 +118,11 @@ def test_a_killed_run_leaves_a_bench_that_the_guard_made_safe(rig, bench_file):
 
 
 @pytest.mark.thorough
-def test_an_unsafe_report_keeps_the_next_run_from_starting(rig, bench_file):
-    rig.results.mkdir()
-    (rig.results / "guard-simulated.json").write_text(
-        '{"time": "2026-11-21T03:00:00+0000", "safe": false, '
-        '"failures": {"generator": "no answer"}}'
+def test_an_unsafe_mark_keeps_the_next_run_from_starting_wherever_its_results_go(rig, bench_file):
+    rig.mark_unsafe(bench_file, {"generator": "no answer"})
+    refused = rig.run(
+        "sweep", "--bench", str(bench_file), "--frequencies", "210", "--results", "elsewhere"
     )
-    refused = rig.run("sweep", "--bench", str(bench_file), "--frequencies", "210")
     assert refused.code == 7
     assert "no answer" in refused.errors[0]
     assert "rig make-safe" in refused.errors[0]
@@ -144,7 +142,7 @@ def test_a_second_run_on_the_bench_is_refused_and_disturbs_nothing(rig, bench_fi
     second = rig.run("sweep", "--bench", str(bench_file), "--json", "--results", "elsewhere")
     assert second.code == 2, second.stderr
     (error,) = second.object["errors"]
-    assert f"the bench simulated is in use by pid {running.process.pid} since " in error
+    assert f"the bench simulated is in use by pid {running.process.pid} (" in error
     assert ".rigj" in error
     running.wait_for("^10/60 ")
 

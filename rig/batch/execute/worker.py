@@ -474,7 +474,10 @@ class Worker:
     def _bench_for(self, claim: Claim, procedure: Procedure, at_the_end: ExitStack) -> ChosenBench:
         """The bench file's bench, locked once for all runs; or a simulated one for this run."""
         fixture = procedure.fixtures[0]
-        selector = BenchSelector(lambda text: self._send("note", level="info", text=text))
+        selector = BenchSelector(
+            lambda text: self._send("note", level="info", text=text),
+            warn=lambda text: self._send("note", level="warning", text=text),
+        )
         if self._terms.bench is None:
             request = self._simulated(claim)
             with self._stop.nothing_connected(), ExitStack() as nothing:
