@@ -41,6 +41,7 @@ from rig.instruments.roles import ForceFrames, Identity
 from rig.run import execute as execution
 from rig.run.context import Run
 from rig.run.execute import execute
+from rig.run.guard import TakenOver
 from rig.run.holds import PAUSE
 from rig.run.job import RunJob
 from rig.run.observers import RunObserver
@@ -216,9 +217,9 @@ class Guard:
     def done(self) -> None:
         self._story.append(("guard", "done"))
 
-    def take_over(self) -> str:
+    def take_over(self) -> TakenOver:
         self._story.append(("guard", "take over"))
-        return "the guard then made the bench safe"
+        return TakenOver(True, "the guard then made the bench safe")
 
 
 class Puppet(Procedure):
