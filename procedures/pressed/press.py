@@ -59,6 +59,7 @@ class Press:
         way_down = Approach(
             settings.normal_force_N, rates.approach_s, self._delay_s, settings.acceleration_mm_s2
         )
+        self._run.count_press()
         self._go_near()
         self._go_down(way_down)
         return way_down.stiffness_N_mm

@@ -168,6 +168,7 @@ def press(run: Run, target_N: float) -> Preload:
     park(run, "preload", lambda came_from_mm: unload(run, "film", came_from_mm))
     zero = tare_in_free_air(run)
     come_close(run, CONTACT_N, FORCE_WINDOW_S, CHECKED_EVERY_S)
+    run.count_press()
     while (pressed := _press_from(run, _approach(run, first_mm, last_mm), target_N)) is None:
         run.event("warning", "preload", "the contact was not confirmed: the approach continues")
     pressed.zero = zero

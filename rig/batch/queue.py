@@ -34,6 +34,9 @@ Ending = Literal["complete", "stopped", "failed", "died"]
 BUSY_S = 30.0
 """How long to wait for a transaction of another process, in s."""
 AT_ONCE = 1000
+HOLDS, PRESSES = "holds", "presses"
+"""Entries about the batch: how many holds its runs have had, and how often they have pressed
+the object."""
 
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -100,6 +103,10 @@ class AttemptResult:
     points_done: int = 0
     points_planned: int = 0
     summary: Mapping[str, Any] | None = None
+    holds: int = 0
+    """Holds of this attempt, which are counted for the batch, not for each run."""
+    presses: int = 0
+    """How often it has pressed the object; counted likewise."""
 
 
 @dataclass(frozen=True)

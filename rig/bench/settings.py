@@ -76,6 +76,17 @@ class MountedSkinSettings(Settings):
         return self
 
 
+class HoldLimits(Settings):
+    """How many holds a run may have before it ends: after each hold the object is pressed anew, so
+    a loose contact in the sensor's cable would press it again and again. Pauses by the operator
+    are not included."""
+
+    per_point: int = Field(default=5, ge=0)
+    """Holds that may disturb one point, or the arming before it."""
+    per_run: int = Field(default=20, ge=0)
+    """Holds of a run as a whole, counted from its start or from where it was resumed."""
+
+
 class FixtureSettings(Settings):
     """Settings of a fixture that is mounted on the bench."""
 
@@ -118,6 +129,7 @@ class BenchSettings(Interlocks):
     is marked as simulated in either case."""
     heartbeat_timeout_s: float = Field(default=5.0, ge=1, le=600)
     """Time without a heartbeat after which the guard ends the run and makes the bench safe."""
+    holds: HoldLimits = HoldLimits()
     fixture: FixtureSettings
     also_mounted: tuple[FixtureSettings, ...] = ()
     """Further fixtures mounted at the same time, each with its own positions, so that runs on any

@@ -232,6 +232,8 @@ def as_object(outcome: RunOutcome, figures: list[str]) -> dict[str, Any]:
         "points_planned": outcome.points_planned,
         "points_done": outcome.points_done,
         "duration_s": outcome.duration_s,
+        "holds": outcome.holds,
+        "presses": outcome.presses,
         "summary": dict(outcome.summary),
         "errors": [failure.one_line() for failure in outcome.failures]
         + [f"{off.name} not switched off: {off.reason}" for off in outcome.off_failures],

@@ -14,7 +14,7 @@ from rig.files.journal.recorder import Recorder
 from rig.instruments.roles import Record, Scaling
 from rig.run.arming import SHUTDOWN_DEADLINE_S, Arming
 from rig.run.force_monitor import ForceMonitor
-from rig.run.holds import Holds
+from rig.run.holds import Disturbances, Holds
 from rig.run.interlock_store import InterlockStore
 from rig.run.interlocks import InterlockWatch
 from rig.run.points import Reading
@@ -43,6 +43,7 @@ class Run:
         """Readings recorded so far, by point id; a resumed run begins with those of earlier
         attempts."""
         self.holds = Holds()
+        self.disturbances = Disturbances(bench.settings.holds)
         self._force: ForceMonitor | None = None
         self.warnings: list[str] = []
         self.failures: list[RigError] = []
@@ -189,6 +190,11 @@ class Run:
         """Raise the reason why the force stream ended or has been silent for too long."""
         if self._force is not None:
             self._force.check_stream()
+
+    def count_press(self) -> None:
+        """Note that z goes down to press the object now. A run reports how often, since each time
+        wears film and skin."""
+        self.disturbances.presses += 1
 
     def record_raw(self, stream: str, record: Record) -> None:
         """Record raw samples of a converter, as the DAQ returned them: counts with their scaling.

@@ -232,6 +232,8 @@ class _Execution:
         self.observers.making_safe()
         failures = self._switch_off(False)
         self.outcome.duration_s = self.bench.clock.now() - self._begun_s
+        found = self.run.disturbances
+        self.outcome.holds, self.outcome.presses = found.holds, found.presses
         self.outcome.made_safe = tuple(self.run.made_safe)
         self.outcome.off_failures = [failure for failure in failures if not failure.watches]
         for failure in failures:

@@ -9,14 +9,57 @@ from __future__ import annotations
 
 import signal
 import threading
+from dataclasses import dataclass
 from types import FrameType
 from typing import Self
 
-from rig.core.errors import RigError
+from rig.bench.settings import HoldLimits
+from rig.core.errors import ExitCode, RigError
+from rig.core.units import counted
 
 
 class HoldError(RigError):
     """Raised in a wait that a hold disturbs; it is never the outcome of a run."""
+
+
+class HoldLimitError(RigError):
+    """Raised when a run has had more holds than the bench file allows. The bench is safe."""
+
+    def __init__(self, message: str, hint: str):
+        super().__init__(message, hint, ExitCode.INSTRUMENT)
+
+
+@dataclass
+class Disturbances:
+    """How often holds have disturbed a run, pauses by the operator not included."""
+
+    limits: HoldLimits
+    holds: int = 0
+    """Holds of the run so far."""
+    presses: int = 0
+    """How often z has gone down to press the object so far."""
+    at_point: int = 0
+    """Holds since the point under way was begun for the first time, with its arming."""
+
+    def begin_hold(self) -> None:
+        """Count a hold."""
+        self.holds += 1
+        self.at_point += 1
+
+    def check(self, point: str, reason: str) -> None:
+        """Raise HoldLimitError where there have been more holds than allowed, at this point or in
+        the run; `reason` is that of the latest."""
+        for key, limit, number, where in (
+            ("per_point", self.limits.per_point, self.at_point, f"at {point}"),
+            ("per_run", self.limits.per_run, self.holds, "in this run"),
+        ):
+            if number > limit:
+                raise HoldLimitError(
+                    f"{counted(number, 'hold')} {where}, the limit is {limit} ([holds] {key} of "
+                    f"the bench file), the latest: {reason}; in this run "
+                    f"{counted(self.holds, 'hold')}, {counted(self.presses, 'press', 'presses')}",
+                    "check the sensor's plug and cable, then resume the run",
+                )
 
 
 class Holds:

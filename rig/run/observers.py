@@ -56,6 +56,10 @@ class RunObserver:
         ``hold`` (for another reason), each with the bench safe but for ``running``; or it is
         ``making safe``."""
 
+    def hold_begun(self, reason: str, holds: int, presses: int) -> None:
+        """Take note of a hold that is no pause by the operator, once the bench is safe: its reason,
+        and how many holds and presses the run has had so far."""
+
     def saving(self) -> None:
         """Take note that the bench is safe and the run file is about to be written. Not called for
         a run without a point, nor if the journal is compiled later."""
@@ -98,6 +102,10 @@ class Observers(RunObserver):
     def state(self, name: str) -> None:
         """See `RunObserver`."""
         self._each(lambda one: one.state(name))
+
+    def hold_begun(self, reason: str, holds: int, presses: int) -> None:
+        """See `RunObserver`."""
+        self._each(lambda one: one.hold_begun(reason, holds, presses))
 
     def making_safe(self) -> None:
         """Report the state ``making safe`` without waiting for the observers: one that blocks must

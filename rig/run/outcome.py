@@ -27,6 +27,10 @@ class RunOutcome:
     """Journal, if it is still needed to resume the run or to recover its data."""
     duration_s: float = 0.0
     """Bench time of this attempt, from its start until the bench was safe."""
+    holds: int = 0
+    """Holds of this attempt, pauses by the operator not included."""
+    presses: int = 0
+    """How often z has gone down to press the object in this attempt."""
     summary: Mapping[str, Any] = field(default_factory=dict)
     failures: list[RigError] = field(default_factory=list)
     """Failures, the first cause first."""

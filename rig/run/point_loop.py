@@ -2,7 +2,8 @@
 
 a hold (pause, silent sensor)   the bench is made safe, the run waits until the condition has
                                 passed, arms again and retakes the point; where the bench was
-                                not made safe the run ends
+                                not made safe the run ends, and so it does after more holds than
+                                the bench file allows
 a trip (a limit was exceeded)   the bench is made safe, the run arms again and retakes the point
                                 once; a second trip of the same point ends the run
 an invalid reading              the point is retaken without arming, as often as the setting
@@ -107,6 +108,7 @@ class PointLoop:
             self._run.check_stop()
             self._stop.check_between_points(point.duration_s)
             reading = self._record(point)
+            self._run.disturbances.at_point = 0
             self._readings[point.id] = reading
             self._outcome.points_done += 1
             self._observers.point_recorded(
@@ -115,8 +117,9 @@ class PointLoop:
 
     # --- one point, and what disturbs it ----------------------------------------------------------
 
-    def _arm(self) -> None:
-        """Arm the bench; after a hold, wait and arm it anew. A trip meanwhile ends the run."""
+    def _arm(self, point: Point | None = None) -> None:
+        """Arm the bench, again for this point where one is given; after a hold, wait and arm it
+        anew. A trip meanwhile ends the run."""
         while True:
             self._run.holds.acknowledge()  # Arming deals with every hold so far.
             try:
@@ -124,7 +127,7 @@ class PointLoop:
                     self._procedure.arm(self._run)
                 return
             except HoldError as hold:
-                self._wait_out(hold)
+                self._wait_out(hold, "the arming of the bench" if point is None else point.id)
 
     def _record(self, point: Point) -> Reading:
         """Measure a point until it is recorded; see the module's table."""
@@ -134,14 +137,14 @@ class PointLoop:
                 with self._phases.measuring():
                     return self._take(point, discard_invalid=retries > 0)
             except HoldError as hold:
-                self._wait_out(hold)
-                self._arm()
+                self._wait_out(hold, point.id)
+                self._arm(point)
             except TripError as trip:
                 if point.id in self._tripped:
                     raise
                 self._tripped.add(point.id)
                 self._make_safe_after(trip, point)
-                self._arm()
+                self._arm(point)
             except InvalidReadingError as invalid:
                 retries -= 1
                 self._run.event("warning", "invalid", f"{point.id}: {invalid.message}")
@@ -165,9 +168,10 @@ class PointLoop:
         self._recorder.put_point_keep(point.id, reading)
         return reading
 
-    def _wait_out(self, hold: HoldError) -> None:
+    def _wait_out(self, hold: HoldError, where: str) -> None:
         """Make the bench safe, then wait until no hold is in force. The force is still read: that
-        is how the end of its silence is seen."""
+        is how the end of its silence is seen. HoldLimitError after too many holds; `where` is the
+        point that is disturbed, for its message."""
         asked_for = hold.message == PAUSE
         self._run.event("info" if asked_for else "warning", "hold", hold.message)
         self._observers.making_safe()
@@ -179,6 +183,7 @@ class PointLoop:
             raise _not_safe(self._run.failures) from hold
         self._phases.enter(RunPhase.ON_HOLD)
         if not asked_for:
+            self._count(hold, where)
             self._observers.event(
                 "warning", f"on hold: {hold.message}; the bench is safe and the run waits"
             )
@@ -189,6 +194,13 @@ class PointLoop:
             self._run.check_force_stream()
         self._phases.enter(RunPhase.READY)
         self._observers.state(RUNNING)
+
+    def _count(self, hold: HoldError, where: str) -> None:
+        """Count a hold that nobody has asked for, and end the run where there were too many."""
+        found = self._run.disturbances
+        found.begin_hold()
+        self._observers.hold_begun(hold.message, found.holds, found.presses)
+        found.check(where, hold.message)
 
     def _make_safe_after(self, trip: TripError, point: Point) -> None:
         """Make the bench safe. Raises the trip if that failed: an object that may still be under

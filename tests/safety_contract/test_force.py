@@ -262,6 +262,24 @@ def test_a_run_does_not_continue_after_a_hold_that_left_the_film_pressed(rig):
 
 
 @pytest.mark.thorough
+def test_a_contact_that_stays_loose_ends_the_run_with_its_counts(rig):
+    """Every 3 s the force sensor is silent for half a second: no trial is ever completed."""
+    gaps = "".join(silence(f"after_s = {seconds}\n", 0.5) for seconds in range(6, 200, 3))
+    ended = rig.run(
+        *("slip-trial", "--json", "--no-figures", "--fault", rig.fault(gaps)),
+        *("--world-log", str(rig.world_log)),
+    )
+
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert "6 holds at trial-001, the limit is 5 ([holds] per_point of the bench file)" in error
+    assert "check the sensor's plug and cable, then resume the run" in error
+    assert ended.object["holds"] == 6
+    assert ended.object["presses"] <= 6
+    assert rest(rig) == pytest.approx(5.0, abs=0.02)
+
+
+@pytest.mark.thorough
 def test_a_force_sensor_that_is_silent_while_the_stage_is_homed_is_a_hold(rig):
     """There is no way back yet to a place that nobody knows, and nothing is pressed."""
     ended = rig.sweep(*SHORT, "--fault", rig.fault(silence("at = 3\n", 0.6)))

@@ -25,7 +25,7 @@ from typing import Any
 from rig.batch.execute.postprocess import PostprocessJob, PostprocessQueue, PostprocessResult
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.settings import BatchFile, Occasion
-from rig.batch.queue import Queue
+from rig.batch.queue import HOLDS, PRESSES, Queue
 from rig.batch.report.heartbeat import Heartbeat, HeartbeatRecord, HeartbeatState
 from rig.batch.report.notify import Notifier
 from rig.core.errors import ExitCode
@@ -74,6 +74,27 @@ class BatchProgress:
     points: str = ""
 
 
+@dataclass
+class _Count:
+    """A number that is counted over all attempts of a batch."""
+
+    name: str
+    """Its entry in the queue."""
+    before: int = 0
+    """In the attempts that have ended."""
+    now: int = 0
+    """In the attempt under way."""
+
+    @property
+    def total(self) -> int:
+        """In all of them."""
+        return self.before + self.now
+
+    def close_attempt(self) -> None:
+        """The attempt under way has ended."""
+        self.before, self.now = self.total, 0
+
+
 class Supervisor:
     """Runs a batch to its end. `say` gets lines for the person who started it."""
 
@@ -99,6 +120,9 @@ class Supervisor:
             self._batch = BatchFile.model_validate_json(self._queue.meta("file")).batch
             self._simulated = self._queue.meta("simulated") == "yes"
             self._runs = sum(self._queue.counts().values())
+            self._holds, self._presses = (
+                _Count(name, int(self._queue.meta(name, "0"))) for name in (HOLDS, PRESSES)
+            )
             self._heartbeat = Heartbeat(self._folder.heartbeat)
             self._notifier = Notifier(self._batch.notify)
             self._postprocess = PostprocessQueue(self._log, (lock,))
@@ -125,6 +149,8 @@ class Supervisor:
             code = self._one_worker()
             if self._end is not None:
                 return ExitCode(int(self._end["code"]))
+            self._holds.close_attempt()
+            self._presses.close_attempt()
             crashes = 0 if self._begun_a_run else crashes + 1
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             text = f"the worker died ({how}); see {self._folder.log}"
@@ -217,6 +243,8 @@ class Supervisor:
                 self._runs,
                 now.point,
                 self._simulated,
+                self._holds.total,
+                self._presses.total,
                 message,
             )
         )
@@ -300,6 +328,25 @@ class Supervisor:
         if event["level"] != "info":
             self._say(f"{event['level']}: {event['text']}")
 
+    def _count(self, event: Mapping[str, Any]) -> None:
+        """Take over the numbers of holds and presses of the attempt under way."""
+        for count in (self._holds, self._presses):
+            if count.now != event[count.name]:
+                count.now = event[count.name]
+                self._queue.set_meta(count.name, str(count.total))
+
+    def _on_disturbed(self, event: Mapping[str, Any]) -> None:
+        """A run is on hold; people are notified of the first hold of a run only."""
+        now, holds = self._progress, event["holds"]
+        self._count(event)
+        counts = f"{counted(holds, 'hold')}, {counted(event['presses'], 'press', 'presses')}"
+        text = f"run {now.run} at {now.points or 'its start'}: {event['reason']} ({counts})"
+        self._queue.add_event("warning", f"hold: {text}")
+        if holds == 1:
+            self._notify(
+                "hold", f"{text}; the bench is safe, and the run continues when that is over"
+            )
+
     def _on_state(self, event: Mapping[str, Any]) -> None:
         self._set_state(event["state"], event.get("text", ""))
 
@@ -319,6 +366,9 @@ class Supervisor:
 
     def _on_finished(self, event: Mapping[str, Any]) -> None:
         self._give_up = None
+        self._count(event)
+        self._holds.close_attempt()
+        self._presses.close_attempt()
         text = f"run {event['number']}: {event['ending']}, {event['points']} points"
         if event["reason"]:
             text += f": {event['reason']}"

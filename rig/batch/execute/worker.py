@@ -153,6 +153,10 @@ class _Reporter(RunObserver):
         """See `rig.run.observers.RunObserver`."""
         self._send("note", level=level, text=message)
 
+    def hold_begun(self, reason: str, holds: int, presses: int) -> None:
+        """See `rig.run.observers.RunObserver`."""
+        self._send("disturbed", reason=reason, holds=holds, presses=presses)
+
     def state(self, name: str) -> None:
         """See `rig.run.observers.RunObserver`. That it runs again is said when it is asked for."""
         if name == PAUSED:
@@ -403,6 +407,8 @@ class Worker:
             bench_s=ended.bench_s,
             journal=str(journal),
             points=f"{ended.points_done}/{ended.points_planned}",
+            holds=ended.holds,
+            presses=ended.presses,
         )
 
     def _perform(self, claim: Claim, at_the_end: ExitStack) -> RunOutcome:
@@ -558,6 +564,8 @@ def _ended(outcome: RunOutcome) -> AttemptResult:
         outcome.points_done,
         outcome.points_planned,
         dict(outcome.summary),
+        outcome.holds,
+        outcome.presses,
     )
 
 

@@ -1,7 +1,8 @@
 """What the end of a run means for the night: try again, continue, hold, or end. Pure functions.
 
 A time-out is worth another try, a limit never: what was refused or tripped once would be again,
-with the skin pressed once more. A condition that keeps failing is left out and the night continues.
+with the skin pressed once more. Neither are more holds than the bench file allows. A condition that
+keeps failing is left out and the night continues.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from typing import Literal
 from rig.batch.plan.settings import BatchSettings
 from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
 from rig.files.errors import RecordingError
+from rig.run.holds import HoldLimitError
 
 FailureKind = Literal[
-    "timeout", "instrument", "died", "limit", "usage", "storage", "unsafe", "internal"
+    "timeout", "instrument", "holds", "died", "limit", "usage", "storage", "unsafe", "internal"
 ]
 """Why a run failed, as retries distinguish it."""
 
@@ -39,6 +41,8 @@ def kind_of(code: int, failures: Sequence[RigError], made_safe: bool = False) ->
     first = failures[0] if failures else None
     if isinstance(first, RecordingError):
         return "storage"
+    if isinstance(first, HoldLimitError):
+        return "holds"
     if isinstance(first, InstrumentTimeoutError):
         return "timeout"
     by_code: dict[int, FailureKind] = {

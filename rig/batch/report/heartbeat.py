@@ -3,7 +3,8 @@
 One JSON object, replaced as a whole, so that a reader never sees half of it:
 
     {"time": "2026-11-22T23:14:05+01:00", "pid": 4711, "state": "running", "run": 12, "of": 240,
-     "point": "trial-003", "simulated": false, "message": "slip-trial-002, repeat 3"}
+     "point": "trial-003", "simulated": false, "holds": 0, "presses": 14,
+     "message": "slip-trial-002, repeat 3"}
 
 A monitor that cannot read JSON goes by the file's own time. A disk that is full or gone
 stops nothing: the file grows old, which the monitor sees.
@@ -45,6 +46,10 @@ class HeartbeatRecord:
     point: str = ""
     """Id of the point being taken."""
     simulated: bool = False
+    holds: int = 0
+    """Holds of all runs so far that nobody has asked for."""
+    presses: int = 0
+    """How often all runs have pressed the object so far."""
     message: str = ""
     """What is under way, or why the batch is held or has ended; for people."""
     time: str = ""
@@ -66,7 +71,7 @@ class Heartbeat:
         """Write this, at once where more than the point has changed, else every `EVERY_S`. Fills in
         time and pid. Never raises."""
         now_s = self._monotonic_s()
-        told = (beat.state, beat.run, beat.of, beat.simulated, beat.message)
+        told = (beat.state, beat.run, beat.of, beat.simulated, beat.holds, beat.message)
         if told == self._written and now_s < self._due_s:
             return
         self._written, self._due_s = told, now_s + EVERY_S

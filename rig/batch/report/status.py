@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from rig.batch.folder import BatchFolder
-from rig.batch.queue import Queue, RemainingWork, RunRow, RunState
+from rig.batch.queue import HOLDS, PRESSES, Queue, RemainingWork, RunRow, RunState
 from rig.core.units import counted, time_span
 
 LATEST = 5
@@ -30,6 +30,10 @@ class BatchStatus:
     unprocessed: int
     """Finished runs whose files are still to be made."""
     bench_s: float
+    holds: int
+    """Holds of all runs so far; a pause by a person is none."""
+    presses: int
+    """How often the runs have pressed the object; of the run under way at its latest hold."""
     current: RunRow | None
     failures: list[RunRow]
     events: list[tuple[str, str, str]]
@@ -52,6 +56,8 @@ class BatchStatus:
             "left_s": self.remaining.bench_s,
             "left_spread_s": self.remaining.spread_s,
             "bench_s": self.bench_s,
+            "holds": self.holds,
+            "presses": self.presses,
             "unprocessed": self.unprocessed,
             "finish": self.finish.isoformat(timespec="seconds"),
             "run": None if self.current is None else self.current.number,
@@ -80,6 +86,12 @@ class BatchStatus:
             ends = f", until {self.finish:%Y-%m-%d %H:%M}" if self._real_time else ""
             shown.append(f"remaining: {time_span(self.remaining.bench_s)}{spread}{ends}")
         shown.append(f"elapsed: {time_span(self.bench_s)} of bench time")
+        if self.presses or self.holds:
+            holds, presses = (
+                counted(self.holds, "hold"),
+                counted(self.presses, "press", "presses"),
+            )
+            shown.append(f"so far: {holds}, {presses}")
         if self.unprocessed:
             shown.append(f"files of {counted(self.unprocessed, 'run')} still to be made")
         shown += [f"failed: run {r.number} {r.condition}: {r.reason}" for r in self.failures]
@@ -112,6 +124,8 @@ def status_of(folder: BatchFolder) -> BatchStatus:
             queue.remaining(),
             len(queue.unprocessed()),
             queue.bench_s(),
+            int(queue.meta(HOLDS, "0")),
+            int(queue.meta(PRESSES, "0")),
             next(queue.rows(("running",)), None),
             queue.latest(("failed",), LATEST),
             queue.events(LATEST),
