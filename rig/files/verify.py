@@ -11,6 +11,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -288,6 +289,17 @@ def _outcome(run: RunFile) -> Iterator[str]:
         yield "journal_header was changed"
 
 
+def _times(run: RunFile) -> Iterator[str]:
+    """Times of day: the run does not end before it starts."""
+    start, end = (text_of(run.entry[name]) for name in ("start_time", "end_time"))
+    try:
+        ended_early = datetime.fromisoformat(end) < datetime.fromisoformat(start)
+    except ValueError:
+        return  # The start of some imported recordings is not known.
+    if ended_early:
+        yield f"it ends at {end}, before its start at {start}: the computer's clock was set back"
+
+
 def _marks(run: RunFile) -> Iterator[str]:
     """Marks: title, outcome, instruments and header agree on simulated and imported."""
     simulated, imported = run.header.simulated, run.header.origin is not None
@@ -309,7 +321,7 @@ def _marks(run: RunFile) -> Iterator[str]:
             yield f"instrument/{name} does not agree on whether it is simulated"
 
 
-_CHECKS = (_datasets, _structure, _points, _samples, _outcome, _marks)
+_CHECKS = (_datasets, _structure, _points, _samples, _outcome, _times, _marks)
 
 
 def _journal(file: Path) -> Iterator[str]:

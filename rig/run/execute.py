@@ -43,6 +43,7 @@ from rig.run.phases import Phases, RunPhase
 from rig.run.point_loop import PointLoop
 from rig.run.points import Point, check_points, require_roles
 from rig.run.stopping import StopFlag, StopRequestedError
+from rig.run.time_of_day import jump_in_words
 
 
 def execute(
@@ -202,6 +203,7 @@ class _Execution:
             return
         if due:
             self._miss_guard()
+            self._notice_set_clock()
         self.recorder.check()
         self.stop.check()
         self.run.interlocks.check()
@@ -215,6 +217,13 @@ class _Execution:
             self._guard_missed = True
             text = f"the guard {trouble}: if this run dies as well, nothing makes the bench safe"
             self.run.event("warning", "guard", text)
+            self.observers.event("warning", text)
+
+    def _notice_set_clock(self) -> None:
+        """Record that the computer's clock was set."""
+        if jump_s := self.journal.time_of_day.jump_s():
+            text = jump_in_words(jump_s)
+            self.run.event("warning", "clock-set", text)
             self.observers.event("warning", text)
 
     # --- first: safe ------------------------------------------------------------------------------

@@ -55,9 +55,10 @@ class InterlockStore:
     def __init__(self, plan: BenchPlan, folder: Path | None):
         self._bench = plan.settings.name
         self._folder = folder
-        addresses = {part.role: address_of(part.settings.model_dump()) for part in plan.instruments}
+        settings = {part.role: part.settings for part in plan.instruments}
         self._paths = {
-            one.name: _file_name(addresses[one.role], one) for one in plan.settings.interlock
+            one.name: _file_name(address_of(settings[one.role].model_dump()), one)
+            for one in plan.settings.interlock
         }
         self._kept: dict[str, ContactRecord] = {}
 

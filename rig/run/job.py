@@ -9,7 +9,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from rig.run.outcome import RunOutcome
 from rig.run.points import Point, Reading
 from rig.run.procedure import Procedure
 from rig.run.source_state import source_state
+from rig.run.time_of_day import TimeOfDay
 
 PROGRAM = "tactile-rig"
 
@@ -37,6 +38,7 @@ class Journal:
     attempt: int
     recorded: Mapping[str, Reading]
     """Readings of the points that an earlier attempt recorded, by point id."""
+    time_of_day: TimeOfDay
     elapsed_s: float = 0.0
     """Seconds from the run's start to the start of this attempt."""
 
@@ -58,7 +60,7 @@ class Journal:
             "status": outcome.status,
             "reason": "; ".join(reasons),
             "attempt": self.attempt,
-            "end_time": now_iso(),
+            "end_time": self.time_of_day.now_iso(),
             "duration_s": duration_s,
             "points_done": outcome.points_done,
             "points_planned": outcome.points_planned,
@@ -127,11 +129,13 @@ class RunJob:
 
     def open_journal(self, bench: Bench, points: Sequence[Point]) -> Journal:
         """Begin the journal, or continue the interrupted one."""
-        header = self._header(bench, points)
         if self.resume is None:
-            writer = self._begin(header)
-            return Journal(writer, 1, {})
-        begun = self.resume.header
+            time_of_day = TimeOfDay()
+            return Journal(
+                self._begin(self._header(bench, points, time_of_day)), 1, {}, time_of_day
+            )
+        time_of_day = TimeOfDay(_latest(self.resume))
+        header, begun = self._header(bench, points, time_of_day), self.resume.header
         for what, was, now in (
             ("settings or bench", begun.fingerprint, header["fingerprint"]),
             ("program version", begun.program.version, header["program"]["version"]),
@@ -146,6 +150,7 @@ class RunJob:
             JournalWriter.reopen(self.resume.path),
             len(self.resume.ends) + 1,
             self.recorded,
+            time_of_day,
             self._elapsed_s(),
         )
 
@@ -163,9 +168,13 @@ class RunJob:
         start_time = self.resume.header.start_time
         assert start_time is not None, "only an import has none"
         begun = datetime.fromisoformat(start_time)
-        return (datetime.now().astimezone() - begun).total_seconds()
+        # Where the clock was set back since, no time passed as far as anybody can know.
+        passed_s = (datetime.now().astimezone() - begun).total_seconds()
+        return max(passed_s, self.resume.last_time)
 
-    def _header(self, bench: Bench, points: Sequence[Point]) -> dict[str, Any]:
+    def _header(
+        self, bench: Bench, points: Sequence[Point], time_of_day: TimeOfDay
+    ) -> dict[str, Any]:
         bench_toml = self.recorded_toml or bench.plan.text
         simulated = bench.simulated
         marker = "SIMULATED " if simulated else ""
@@ -176,7 +185,7 @@ class RunJob:
             "run_uuid": str(uuid.uuid4()),
             "collection": self.collection,
             "run_number": self.run_number,
-            "start_time": now_iso(),
+            "start_time": time_of_day.now_iso(),
             "program": {
                 "name": PROGRAM,
                 "version": rig.__version__,
@@ -222,6 +231,10 @@ class RunJob:
         }
 
 
-def now_iso() -> str:
-    """Return the present local time with its offset from UTC, ISO 8601."""
-    return datetime.now().astimezone().isoformat(timespec="milliseconds")
+def _latest(interrupted: JournalContents) -> datetime | None:
+    """Return the latest time of day that an interrupted run reached, None if its start is not
+    known."""
+    start = interrupted.header.start_time
+    if start is None:
+        return None
+    return datetime.fromisoformat(start) + timedelta(seconds=interrupted.last_time)

@@ -52,7 +52,13 @@ def sensor() -> Sensor:
 def run(sensor: Sensor) -> Iterator[Run]:
     """A run with nothing but a clock and a force sensor."""
     slow = SimpleNamespace(settings=SimpleNamespace(timeout_s=2.0))
-    plan = SimpleNamespace(instruments=(slow, SimpleNamespace(settings=SimpleNamespace())))
+    plan = SimpleNamespace(
+        instruments=(
+            SimpleNamespace(role="stage_z", settings=slow.settings),
+            SimpleNamespace(role="daq", settings=SimpleNamespace()),
+        ),
+        settings=SimpleNamespace(name="bench", interlock=()),
+    )
     bench = SimpleNamespace(clock=WallClock(), force_sensor=sensor, plan=plan)
     made = Run(None, bench, None, {}, 0.0)  # type: ignore[arg-type]
     yield made

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 import shutil
+import signal
 import subprocess
 from pathlib import Path
 
@@ -138,3 +139,30 @@ def test_a_run_whose_results_are_deleted_ends_safely_and_keeps_everything(rig):
     assert verify(file) == []
     with RunFile.open(file) as run:
         assert len(run.point_ids()) >= 3
+
+
+SET_BACK = """
+import pathlib, time
+real = time.time
+time.time = lambda: real() - (3600 if pathlib.Path("set-back").exists() else 0)
+"""
+
+
+@pytest.mark.thorough
+def test_a_clock_that_is_set_back_is_recorded_and_the_resumed_run_is_sound(rig):
+    """`time.time` of the run stands for the computer's clock, which a test must not set."""
+    (rig.folder / "sitecustomize.py").write_text(SET_BACK)
+    rig.env["PYTHONPATH"] = str(rig.folder)
+    running = rig.start_sweep("--frequencies", FORTY_POINTS)
+    running.wait_for(r"^3/40 ")
+    (rig.folder / "set-back").touch()
+    running.wait_for(r"clock was set back by 3600 s")
+    running.send(signal.SIGINT)
+    stopped = running.finish()
+    assert stopped.code == 130, stopped.stderr
+    resumed = rig.run("resume", str(rig.only("*.rigj")), "--no-figures")
+    assert resumed.code == 0, resumed.stderr
+    file = rig.only("*.h5")
+    assert verify(file) == []
+    with RunFile.open(file) as run:
+        assert b"clock-set" in run.entry["events/code"][()].tolist()
