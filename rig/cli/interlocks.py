@@ -8,8 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -147,24 +146,9 @@ def _declared(path: Path, name: str | None = None) -> tuple[BenchPlan, Interlock
 def _looking(
     plan: BenchPlan, records: InterlockStore, in_each_wait: Callable[[], None] = lambda: None
 ) -> Iterator[InterlockWatch]:
-    """Connect to the instruments that read contacts, under the bench's lock, and watch without
-    acting until the levels are known."""
-    from rig.bench.connect import connect
-    from rig.core.clock import WallClock
-    from rig.run.holds import Holds
-    from rig.run.interlocks import CLOSE_S, InterlockWatch
+    """Watch the contacts without acting on them, under the bench's lock."""
+    from rig.run.interlocks import watched
     from rig.run.lock import BenchLock
 
-    roles = {contact.role for contact in plan.settings.interlock}
-    needed = tuple(part for part in plan.instruments if part.role in roles)
-    with ExitStack() as at_the_end:
-        at_the_end.enter_context(BenchLock(plan))
-        clock = WallClock()
-        bench = connect(replace(plan, instruments=needed), clock)
-        at_the_end.callback(bench.close)
-        watch = InterlockWatch(bench, Holds(), list, records, looks_only=True)
-        at_the_end.callback(watch.end)
-        watch.begin()
-        clock.each_slice(in_each_wait)
-        clock.sleep(CLOSE_S)
+    with BenchLock(plan), watched(plan, records, in_each_wait, looks_only=True) as watch:
         yield watch

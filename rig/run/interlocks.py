@@ -12,12 +12,17 @@ The states are those of `rig.control.interlock`.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import partial
 
+from rig.bench.connect import connect
 from rig.bench.connected import Bench
 from rig.bench.interlocks import InterlockSettings, by_role
+from rig.bench.plan import BenchPlan
 from rig.control.interlock import STEADY_S, Contact, ContactEvent, ContactState
+from rig.core.clock import WallClock
 from rig.core.errors import ExitCode, InstrumentError, RigError
 from rig.core.threads import start_thread
 from rig.instruments.roles import ReadsInputs
@@ -197,9 +202,13 @@ class InterlockWatch:
 
         Raises InterlockError if the contact is latched, or does not open or close in time.
         """
-        self.check()
+        if self._store.get(name).opened is not None:
+            raise self._error(name)
         self._proving = name
         try:
+            if not self._await_closed(name):
+                say(f"interlock {name} is {self.level(name)}: close it first")
+            self._require_closed(name)
             say(f"proof test of interlock {name}: open it (within {PROOF_S:g} s)")
             if not self._await(name, lambda contact: contact.hinders and contact.readable, PROOF_S):
                 raise InterlockError(
@@ -207,18 +216,29 @@ class InterlockWatch:
                     "the contact may be welded or bridged: repair it, then start again",
                 )
             say(f"interlock {name} is seen to be open: close it (within {PROOF_S:g} s)")
-            if not self._await(name, lambda contact: contact.state in _AT_REST, PROOF_S):
-                raise InterlockError(
-                    f"interlock {name} was not seen to close within {PROOF_S:g} s",
-                    "close it, look at its wire and its switch, then start again",
-                )
-            if self._contacts[name].latched:
-                self._contacts[name].reset()
+            self._require_closed(name)
         finally:
             self._proving = None
         self._store.prove(name)
         self._note("info", "interlock", f"interlock {name} was seen to open and to close")
         say(f"interlock {name} opens and closes: recorded")
+
+    def _await_closed(self, name: str, seconds: float = 0.0) -> bool:
+        """Wait until a contact is closed; return whether it is in time. During its proof test only:
+        the opening before was meant, and is forgotten."""
+        if not self._await(name, lambda contact: contact.state in _AT_REST, seconds):
+            return False
+        with self._lock:
+            if self._contacts[name].latched:
+                self._contacts[name].reset()
+        return True
+
+    def _require_closed(self, name: str) -> None:
+        if not self._await_closed(name, PROOF_S):
+            raise InterlockError(
+                f"interlock {name} was not seen to close within {PROOF_S:g} s",
+                "close it, look at its wire and its switch, then start again",
+            )
 
     def _await(self, name: str, seen: Callable[[Contact], bool], seconds: float) -> bool:
         """Wait until a contact is as it should be; return whether it is in time."""
@@ -366,3 +386,31 @@ class InterlockWatch:
 
 def _hold(declared: InterlockSettings) -> str:
     return f"the interlock {declared.name} ({declared.kind}) is open"
+
+
+@contextmanager
+def watched(
+    plan: BenchPlan,
+    records: InterlockStore,
+    in_each_wait: Callable[[], None] = lambda: None,
+    looks_only: bool = False,
+) -> Iterator[InterlockWatch]:
+    """Connect to the instruments that read contacts, and to no other, and watch in real time within
+    the block. Nothing is armed. The caller holds the bench's lock.
+
+    The levels are known when the block begins. Raises RigError if an instrument cannot be
+    connected to.
+    """
+    roles = {contact.role for contact in plan.settings.interlock}
+    needed = tuple(part for part in plan.instruments if part.role in roles)
+    clock = WallClock()
+    with ExitStack() as at_the_end:
+        bench = connect(replace(plan, instruments=needed), clock)
+        at_the_end.callback(bench.close)
+        watch = InterlockWatch(bench, Holds(), list, records, looks_only=looks_only)
+        at_the_end.callback(watch.end)
+        watch.begin()
+        clock.each_slice(in_each_wait)
+        if looks_only:
+            clock.sleep(CLOSE_S)
+        yield watch

@@ -23,6 +23,7 @@ from rig.core.errors import (
     RigError,
 )
 from rig.files.errors import RecordingError
+from rig.run.interlocks import InterlockError
 
 
 def batch(**given: Any) -> BatchSettings:
@@ -35,6 +36,7 @@ def batch(**given: Any) -> BatchSettings:
         (3, InstrumentTimeoutError("daq", "read", "silent"), "timeout"),
         (3, InstrumentError("daq", "read", "garbage"), "instrument"),
         (4, LimitError("too much"), "limit"),
+        (4, InterlockError("interlock door (person) opened"), "interlock"),
         (2, ConfigurationError("unknown"), "usage"),
         (1, RigError("a defect"), "internal"),
         (1, RecordingError("run.rigj", "disk full"), "storage"),
@@ -62,6 +64,12 @@ def test_what_may_pass_is_tried_again_so_often(kind: FailureKind, tries: int) ->
 @pytest.mark.parametrize("kind", ["limit", "usage", "internal"])
 def test_what_would_happen_again_is_never_tried_again(kind: FailureKind) -> None:
     assert after_failure(batch(), kind, {kind: 1}, 0, 0, "x").run == "failed"
+
+
+def test_a_persons_interlock_ends_the_night_and_the_run_is_taken_again_after_a_new_start() -> None:
+    forgiving = batch(on_failure="continue", retries={"instrument": 3})
+    decision = after_failure(forgiving, "interlock", {"interlock": 1}, 0, 0, "door; reset it")
+    assert decision == FailureDecision("again", "end", "door; reset it")
 
 
 def test_tries_of_one_kind_are_not_those_of_another() -> None:

@@ -261,3 +261,38 @@ def test_without_a_bench_file_there_is_no_interlock(rig, arguments):
     assert ended.code == 2
     told = "there is no bench file" if arguments != ("reset",) else "typed at a terminal"
     assert told in ended.stderr
+
+
+# --- in a batch ---------------------------------------------------------------------------------
+
+NIGHT = """
+[batch]
+name = "night"
+figures = false
+detect = false
+
+[[experiment]]
+procedure = "sweep"
+settings = { frequencies_Hz = [300, 600] }
+repeat = 2
+"""
+
+
+@pytest.mark.thorough
+def test_a_batch_ends_at_an_opened_door_and_goes_on_only_after_reset_and_resume(rig):
+    (rig.folder / "night.toml").write_text(NIGHT)
+    plan = contact("opened", MEASURING) + contact("closed", MEASURING, more="after_s = 2.0\n")
+    with served(rig, DOOR, plan):
+        ended = rig.run("batch", "run", "night.toml", "--bench", "bench.toml")
+        assert ended.code == 4, ended.stderr
+        status = rig.run("batch", "status")
+        assert "rig interlocks reset --bench" in status.stdout + status.stderr
+        outputs = rig.outputs()
+        assert outputs == [True, False], "no second try, no second run"
+        again = rig.run("batch", "resume")
+        assert again.code == 4, again.stderr
+        assert rig.outputs() == outputs
+        assert at_a_terminal(rig, "interlocks", "reset")[0] == 0
+        assert rig.outputs() == outputs, "the reset starts nothing"
+        done = rig.run("batch", "resume")
+        assert done.code == 0, done.stderr

@@ -19,8 +19,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence, Set
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence, Set
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -39,6 +39,8 @@ from rig.batch.queue import AttemptResult, Claim, Queue
 from rig.core.errors import ExitCode, RigError
 from rig.core.units import counted
 from rig.run.bench_selector import BenchRequest, BenchSelector, ChosenBench, start_simulated
+from rig.run.interlock_store import InterlockStore, state_folder
+from rig.run.interlocks import InterlockError, InterlockWatch, watched
 from rig.run.observers import PAUSED, RunObserver
 from rig.run.stopping import MAKING_SAFE_S, StopFlag, StopRequestedError, TimeLimit
 
@@ -189,6 +191,8 @@ class Worker:
         self._ahead: _Ahead | None = None
         """The simulated bench of the next run, while this one is taken."""
         self._watch = DriftWatch(queue, self._terms.file, self._terms.bench, self._terms.results)
+        self._interlocks: InterlockWatch | None = None
+        """The watch over the interlock contacts while the batch waits between runs."""
         self._proven: set[str] = set()
         """Interlock contacts that were seen to open and close since this process began."""
         self._mounted: BenchSettings | None = None
@@ -263,8 +267,9 @@ class Worker:
         return upcoming.condition.rest_s + (self._batch.retries.rest_s if again else 0.0)
 
     def _between_runs(self) -> None:
-        """Act on requests to stop or pause; the bench is safe."""
+        """Act on requests to stop or pause, and on interlocks; the bench is safe."""
         self._stop.check()
+        self._check_interlocks()
         if self._commands.stop_after_run:
             raise _stopped("between runs")
         if self._commands.paused.is_set():
@@ -281,13 +286,45 @@ class Worker:
         self._wait("held")
 
     def _wait(self, state: str) -> None:
-        while self._commands.paused.is_set():
-            self._stop.check()
-            if self._commands.stop_after_run:
-                raise _stopped(f"while {state}")
-            if self._until is not None and self._clock.now() >= self._until:
-                raise self._time_over(f"{self._limit_name()} was reached while it was {state}")
-            time.sleep(CHECK_EVERY_S)
+        with self._interlocks_watched():
+            while self._commands.paused.is_set():
+                self._stop.check()
+                self._check_interlocks()
+                if self._commands.stop_after_run:
+                    raise _stopped(f"while {state}")
+                if self._until is not None and self._clock.now() >= self._until:
+                    raise self._time_over(f"{self._limit_name()} was reached while it was {state}")
+                time.sleep(CHECK_EVERY_S)
+
+    @contextmanager
+    def _interlocks_watched(self) -> Iterator[None]:
+        """Watch the bench's interlock contacts while no run does: a door that is opened and closed
+        between two runs latches as well."""
+        bench = self._bench
+        if bench is None or not bench.plan.settings.interlock or self._interlocks is not None:
+            yield
+            return
+        with ExitStack() as at_the_end:
+            try:
+                records = InterlockStore(bench.plan, state_folder())
+                self._interlocks = at_the_end.enter_context(watched(bench.plan, records))
+            except RigError as error:  # The next run judges it.
+                text = f"interlocks are not watched between runs: {error.one_line()}"
+                self._send("note", level="warning", text=text)
+            try:
+                self._check_interlocks()
+                yield
+            finally:
+                self._interlocks = None
+
+    def _check_interlocks(self) -> None:
+        """Raise _EndError if a person's contact is latched."""
+        if self._interlocks is None:
+            return
+        try:
+            self._interlocks.check()
+        except InterlockError as latched:
+            raise _EndError(latched.message, latched.hint, latched.code) from latched
 
     def _time_over(self, why: str) -> _EndError:
         """What ends the batch at its `stop_by`; the next `rig batch resume` opens a new window."""

@@ -2,7 +2,8 @@
 
 A time-out is worth another try, a limit never: what was refused or tripped once would be again,
 with the skin pressed once more. Neither are more holds than the bench file allows. A condition that
-keeps failing is left out and the night continues.
+keeps failing is left out and the night continues. A person's interlock
+ends the night: only a person resets it and starts again.
 """
 
 from __future__ import annotations
@@ -15,9 +16,19 @@ from rig.batch.plan.settings import BatchSettings
 from rig.core.errors import ExitCode, InstrumentTimeoutError, RigError
 from rig.files.errors import RecordingError
 from rig.run.holds import HoldLimitError
+from rig.run.interlocks import InterlockError
 
 FailureKind = Literal[
-    "timeout", "instrument", "holds", "died", "limit", "usage", "storage", "unsafe", "internal"
+    "timeout",
+    "instrument",
+    "holds",
+    "died",
+    "interlock",
+    "limit",
+    "usage",
+    "storage",
+    "unsafe",
+    "internal",
 ]
 """Why a run failed, as retries distinguish it."""
 
@@ -43,6 +54,8 @@ def kind_of(code: int, failures: Sequence[RigError], made_safe: bool = False) ->
         return "storage"
     if isinstance(first, HoldLimitError):
         return "holds"
+    if isinstance(first, InterlockError):
+        return "interlock"
     if isinstance(first, InstrumentTimeoutError):
         return "timeout"
     by_code: dict[int, FailureKind] = {
@@ -68,6 +81,8 @@ def after_failure(
     """
     if kind == "unsafe":
         return FailureDecision("again", "end", f"the bench could not be made safe: {reason}")
+    if kind == "interlock":  # a person has to reset it, and to start the batch again
+        return FailureDecision("again", "end", reason)
     if kind == "storage":
         return FailureDecision("again", "hold", f"the data cannot be saved: {reason}")
     if before.get(kind, 0) <= getattr(batch.retries, kind, 0):
