@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rig.bench.settings import HoldLimits
 from rig.core.clock import WallClock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 from rig.instruments.roles import ForceFrames
@@ -57,9 +58,11 @@ def run(sensor: Sensor) -> Iterator[Run]:
             SimpleNamespace(role="stage_z", settings=slow.settings),
             SimpleNamespace(role="daq", settings=SimpleNamespace()),
         ),
-        settings=SimpleNamespace(name="bench", interlock=()),
+        settings=SimpleNamespace(name="bench", interlock=(), holds=HoldLimits()),
     )
-    bench = SimpleNamespace(clock=WallClock(), force_sensor=sensor, plan=plan)
+    bench = SimpleNamespace(
+        clock=WallClock(), force_sensor=sensor, plan=plan, settings=plan.settings
+    )
     made = Run(None, bench, None, {}, 0.0)  # type: ignore[arg-type]
     yield made
     made.arming.make_safe()
