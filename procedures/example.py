@@ -23,7 +23,7 @@ class Creep(PressedProcedure):
     columns = (Column("creep", "um", "Way of z during the hold"),)  # key of the reading: creep_um
 
     class Settings(PressedSettings):  # each field is an option, the suffix is its unit
-        """What a creep run may be asked for."""
+        """The settings of a creep run."""
 
         hold_s: float = 10.0
         """How long the force is held."""

@@ -84,25 +84,26 @@ LOW_LIMIT, HIGH_LIMIT = 11584, 11585  # LINT, position units
 TELEGRAM = 111
 POLL_S = 0.002
 JUST_SEEN_S = 0.01
-"""A tick of 100 Hz: who sends the axis on as often as that has asked where it is before, and who
-does so more often need not ask more often. What another client has the drive do may be undone by a
-new target for so long; a drive with a fault takes none."""
+"""Age in s up to which an answer of the drive is used again, one tick at 100 Hz: a caller that
+sends targets at that rate has polled the axis anyway, and a faster one need not poll more often.
+For that long a new target may override a stop by another client; a drive with a fault accepts no
+target."""
 ARRIVAL_POLL_S = 0.02
 KEEP_ALIVES_PER_TIMEOUT = 20
-"""How often the communication time-out is fed within its length."""
+"""Number of keep-alives within one communication time-out."""
 ACKNOWLEDGE_TIMEOUT_S = 0.5
-"""How long the drive may take to acknowledge a task."""
+"""Longest time in s that the drive may take to acknowledge a task."""
 FAULT_TIMEOUT_S = 5.0
 ENABLE_TIMEOUT_S = 10.0
 UPDATES_Hz = 1000.0
 """Targets a second: a poll and a new target take less than a millisecond on this link."""
 REJECT_HOLD_S = 0.02
-"""How long a stop is held before it may be lifted: many of the drive's cycles."""
+"""Time in s for which a stop is held before it may be lifted: many of the drive's cycles."""
 SETTLING_S = 1.0
-"""How much longer than its profile a motion may take."""
+"""Time in s that a motion may take longer than its profile."""
 MAX_OVERTRAVEL_mm = 0.1
-"""How far beyond its target an axis may be seen that has started from rest: many times what a drive
-overshoots, and less than the distance to any obstacle."""
+"""Largest distance beyond its target at which an axis may be seen that has started from rest: many
+times the overshoot of a drive, and less than the distance to any obstacle."""
 
 _POWER_OFF = (
     Stw1.NO_COAST_STOP
@@ -138,21 +139,21 @@ class FestoAxis:
         self._identity: Identity | None = None
         self._interlock = StageInterlock(self._device)
         self._in_charge = False
-        """Whether this connection has taken the drive over: from then on its faults are ours."""
+        """True if this connection has taken the drive over: from then on its faults are ours."""
         self._reported_fault = 0
         """The fault that has been raised already; `keep_alive` does not raise it again."""
         self._seen = Inputs()
         self._seen_at_s = -1.0
         self._motion: MotionWatch | None = None
-        """The task under way; None where there is none. Another thread's stop clears it."""
+        """The task under way; None if there is none. Another thread's stop clears it."""
         self._acknowledged = False
-        """Whether the drive has shown that it has taken that task."""
+        """True if the drive has shown that it has taken that task."""
 
     # --- the role -----------------------------------------------------------------------------
 
     @property
     def identity(self) -> Identity:
-        """Who answered at connect."""
+        """Identity of the drive that answered when it was connected."""
         assert self._identity is not None, "connect() identifies before anything else"
         return self._identity
 
@@ -166,7 +167,7 @@ class FestoAxis:
         }
 
     def homed(self) -> bool:
-        """Whether the drive knows where it is (ZSW1.11)."""
+        """Return whether the drive knows where it is (ZSW1.11)."""
         return Zsw1.HOMED in self._poll().zsw1
 
     def home(self) -> None:
@@ -246,7 +247,7 @@ class FestoAxis:
         return ticket
 
     def _watch(self, target: int, speed_mm_s: float, fresh: bool) -> MotionWatch:
-        """What is to be seen of a motion to `target` from where the axis was seen last."""
+        """Return a watch over a motion to `target` from the last known position."""
         own = self._settings
         distance_mm = abs(self._mm(target - self._seen.position))
         ramps_s = 4 * own.max_speed_mm_s / min(own.acceleration_mm_s2, own.deceleration_mm_s2)
@@ -261,8 +262,8 @@ class FestoAxis:
         )
 
     def moving(self) -> bool:
-        """Whether a motion is under way; raises InstrumentError for a fault and for a motion that
-        was not ended by us."""
+        """Return whether a motion is under way; raises InstrumentError for a fault and for a motion
+        that was not ended by us."""
         seen = self._poll()
         self._interlock.require_armed("move")
         motion = self._motion  # another thread may stop the axis
@@ -277,7 +278,7 @@ class FestoAxis:
                 "move",
                 f"stands at {self._mm(seen.position):g} mm and has not arrived at "
                 f"{motion.target:g} mm",
-                "look for what holds the axis; the motion may still be under way",
+                "check what blocks the axis; the motion may still be under way",
             )
         return True
 
@@ -465,7 +466,8 @@ class FestoAxis:
         self._send(off, ticket, "switch on")
 
     def _prepare_task(self, ticket: Ticket) -> None:
-        """Before the first write of a task: power on, homed, and no old task acknowledged."""
+        """Check before the first write of a task that the power is on, the axis is homed, and no
+        old task is still acknowledged."""
         self._take_charge(ticket)
         if Zsw1.HOMED not in self._poll().zsw1:
             raise self._error("move", "the axis has not been homed", "home it first")
@@ -505,8 +507,8 @@ class FestoAxis:
             self._clock.sleep(POLL_S)
 
     def _stopping(self) -> Outputs:
-        """The image that stops. It neither takes power from an axis that has it, which may hang
-        by it, nor gives power to one that has none."""
+        """Return the image that stops the axis. It neither takes power from an axis that has it,
+        which may hang by it, nor gives power to one that has none."""
         powered = Zsw1.OPERATION_ENABLED in self._seen.zsw1
         return replace(_at_rest(self._settings), stw1=_STOP if powered else _POWER_OFF)
 
@@ -555,7 +557,8 @@ class FestoAxis:
     # --- judging ------------------------------------------------------------------------------
 
     def _require_sound(self, seen: Inputs) -> None:
-        """Once we are in charge: no fault, and nothing that has ended the task under way."""
+        """Raise InstrumentError, once this connection is in charge, for a fault or for anything
+        that has ended the task under way."""
         if not self._in_charge:
             return
         if Zsw1.FAULT in seen.zsw1:
@@ -583,7 +586,8 @@ class FestoAxis:
             raise self._error("move", _STOPPED_BY_OTHERS, _LOOK)
 
     def _arrived(self, seen: Inputs, motion: MotionWatch) -> bool:
-        """Whether the target is reached by position too: the bit may still be the last target's."""
+        """Return whether the target is reached by position too: the bit may still be the last
+        target's."""
         missing_mm = abs(self._mm(seen.position) - motion.target)
         within = missing_mm <= self._settings.position_tolerance_mm
         return Zsw1.TARGET_REACHED in seen.zsw1 and within
@@ -609,7 +613,7 @@ class FestoAxis:
             "move",
             f"ran past its target: it is at {self._mm(seen.position):g} mm on the way to "
             f"{motion.target:g} mm",
-            "look at the encoder and at the drive's settings before it moves again",
+            "check the encoder and the drive's settings before it moves again",
         )
 
     def _mm(self, counts: int) -> float:
@@ -626,7 +630,7 @@ class FestoAxis:
         return InstrumentError(self._device, command, cause, hint)
 
 
-_LOOK = "look at the drive's display and at the axis"
+_LOOK = "check the drive's display and the axis"
 _STOPPED_BY_OTHERS = (
     "the motion was stopped, not on our command (make-safe from another terminal, or the drive "
     "itself)"

@@ -47,7 +47,7 @@ WAITS = 2
 _READ, _WRITE, _DONE = 1, 2, 0x10
 _BASIC, _REGULAR = 1, 2
 _BROKEN = (OSError, EOFError, struct.error, ValueError, IndexError, KeyError, TypeError)
-"""What the library may raise over an unusable answer; each becomes an InstrumentError."""
+"""Exceptions that the library may raise for an unusable answer; each becomes an InstrumentError."""
 
 
 class CmmtLink:
@@ -62,7 +62,7 @@ class CmmtLink:
         self.device = device
         self.where = f"{host}:{port}"
         self.charging = False
-        """Whether a time-out is being charged to the clock just now."""
+        """True if a time-out is being charged to the clock just now."""
         self._host, self._port, self._unit_id = host, port, unit_id
         self._timeout_s = timeout_s
         self._clock = clock
@@ -130,7 +130,7 @@ class CmmtLink:
             raise self.garbage(what, (reply.address, list(reply.registers)), (address, [value]))
 
     def watch(self, timeout_ms: int) -> None:
-        """Have the drive stop by itself when no request comes for so long, and read that back.
+        """Set the time without a request after which the drive stops by itself, and read it back.
 
         Every connection opened later does the same first: it is unconfirmed whether the drive
         keeps the time-out beyond the connection that set it.

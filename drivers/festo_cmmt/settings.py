@@ -1,7 +1,7 @@
-"""What the bench file says of a CMMT drive, and what the drive's fault numbers mean.
+"""The settings of a CMMT drive in a bench file, and the meanings of the drive's fault numbers.
 
-Plain data: nothing here talks to a drive or knows a sequence. Fault numbers: ``icp_map.csv`` of the
-vendor's client festo-edcon 0.14.12.
+Plain data: nothing here communicates with a drive or knows a sequence. Fault numbers:
+``icp_map.csv`` of the vendor's client festo-edcon 0.14.12.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LARGEST_COUNT = 2**31 - 1
 
 @dataclass(frozen=True)
 class Fault:
-    """What a fault number means and what to do about it."""
+    """Meaning and remedy of a fault number."""
 
     meaning: str
     remedy: str
@@ -30,7 +30,7 @@ class Fault:
 COMMUNICATION_FAULT = 391
 """The drive's own communication time-out has expired."""
 _LIMIT_REMEDY = "correct the travel limits in the bench file, or the position asked for"
-_SWITCH_REMEDY = "look at the axis, move it off the switch with the vendor's software, home again"
+_SWITCH_REMEDY = "check the axis, move it off the switch with the vendor's software, home again"
 FAULTS: Mapping[int, Fault] = {
     56: Fault("the homing method is not valid", "choose another in the drive's parameters"),
     57: Fault("homing took too long", "check the homing switch and the drive's homing time-out"),
@@ -43,24 +43,24 @@ FAULTS: Mapping[int, Fault] = {
     116: Fault("held by the negative limit switch", _SWITCH_REMEDY),
     117: Fault("held by the positive limit switch", _SWITCH_REMEDY),
     118: Fault("both limit switches at once", "check the switches' wiring"),
-    126: Fault("following error: the axis did not follow", "look for what blocks the axis"),
+    126: Fault("following error: the axis did not follow", "check what blocks the axis"),
     279: Fault("no fixed stop was found", "make diagnosis 279 a warning in the drive's parameters"),
-    280: Fault("the fixed stop was lost", "look for what gave way under the axis"),
+    280: Fault("the fixed stop was lost", "check what gave way under the axis"),
     294: Fault("control by PLC is not set", "end the vendor's software: it has taken control"),
     COMMUNICATION_FAULT: Fault(
         "communication time-out: no request reached the drive",
-        "the program hung or the network failed; look at the bench and start again",
+        "the program hung or the network failed; check the bench and start again",
     ),
 }
 """Numbers from the vendor's icp_map.csv, in our words."""
 
 
 class FestoCmmtSettings(Settings):
-    """Where the drive is, what its numbers mean and what the axis may do."""
+    """Address, units and limits of the drive."""
 
     driver: Literal["festo-cmmt"] = "festo-cmmt"
     axis: Wiring[Literal["z", "x"]]
-    """Which axis of the bench it moves."""
+    """Axis of the bench that the drive moves."""
     host: Wiring[str] = Field(min_length=1)
     """Address or name of the drive."""
     port: Wiring[int] = Field(default=502, ge=1, le=65535)
@@ -71,9 +71,9 @@ class FestoCmmtSettings(Settings):
     """Longest wait for an answer; two have to fit into `communication_timeout_ms`, so that one lost
     answer does not stop the drive."""
     position_unit_mm: float = Field(default=0.001, gt=0, le=1)
-    """What one count of position is in the drive's parametrisation."""
+    """Length of one count of position in the drive's parametrisation."""
     speed_unit_mm_s: float = Field(default=0.001, gt=0, le=1)
-    """What one count of speed is."""
+    """Speed of one count."""
     trust_units: bool = False
     """Move although the drive does not report its units, because a person has checked them."""
     low_limit_mm: float
@@ -87,16 +87,16 @@ class FestoCmmtSettings(Settings):
     deceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
     """Deceleration of every motion and of a controlled stop."""
     full_acceleration_mm_s2: float = Field(default=1000, gt=0, le=50_000)
-    """What the drive's parameters call 100 % of acceleration and deceleration."""
+    """Acceleration and deceleration that the drive's parameters define as 100 %."""
     communication_timeout_ms: Wiring[int] = Field(default=1000, ge=100, le=10_000)
-    """The drive stops by itself when no request has reached it for so long."""
+    """Time without a request after which the drive stops by itself."""
     torque_limit_percent: float | None = Field(default=None, gt=0, le=100)
     """Every motion travels to a fixed stop with this clamping torque: the barrier behind the force
     limit. Left out, the drive pushes with all it has."""
     position_tolerance_mm: float = Field(default=0.02, gt=0, le=1)
-    """How far from its target a motion may end."""
+    """Largest distance from its target at which a motion may end."""
     homing_timeout_s: float = Field(default=60, gt=0, le=600)
-    """How long homing may take."""
+    """Longest time in s that homing may take."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

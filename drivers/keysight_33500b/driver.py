@@ -33,7 +33,7 @@ READBACK_TOLERANCE = 1e-5  # relative; the 16-bit amplitude and 1 uHz frequency 
 
 
 class Keysight33500BSettings(BaseSettings):
-    """Where the generator is and what it may put out."""
+    """Address and output limits of the generator."""
 
     driver: Literal["keysight-33500b"] = "keysight-33500b"
     resource: Wiring[str]
@@ -62,7 +62,7 @@ class Generator33500B:
 
     @property
     def identity(self) -> Identity:
-        """Who answered at connect."""
+        """Identity of the generator that answered when it was connected."""
         assert self._identity is not None, "connect() identifies before anything else"
         return self._identity
 

@@ -39,7 +39,7 @@ LOWEST_RATE_S_S = 3.0
 MOST_SAMPLES = 8_000_000  # of one acquisition, all channels together
 POLL_S = 0.001
 PATIENCE_S = 1.0
-"""How much longer than its nominal duration an acquisition may take to complete."""
+"""Time in s that an acquisition may take longer than its nominal duration."""
 WIDE_RANGES_V = (10.0, 5.0, 2.5, 1.25)
 
 
@@ -70,7 +70,7 @@ MODELS: dict[str, U2300AModel] = {
 
 
 class KeysightU2300ASettings(BaseSettings):
-    """Where the DAQ is and what is wired to it."""
+    """Address and wiring of the DAQ."""
 
     driver: Literal["keysight-u2300a"] = "keysight-u2300a"
     resource: Wiring[str]
@@ -117,7 +117,7 @@ class U2300ADaq:
 
     @property
     def identity(self) -> Identity:
-        """Who answered at connect."""
+        """Identity of the DAQ that answered when it was connected."""
         assert self._identity is not None, "connect() identifies before anything else"
         return self._identity
 
@@ -358,7 +358,8 @@ class U2300ADaq:
         return acquisition.channels
 
     def _scaling_at(self, acquisition: Acquisition, rate_S_s: float) -> Scaling:
-        """How the sheet turns codes into volts, and where the multiplexer puts each channel."""
+        """Return the scaling from codes to volts, and the delay of each channel by the multiplexer,
+        from the data sheet."""
         model, channels = self.model, self._scan_order(acquisition)
         spare = 16 - model.bits
         # U2331A: V = code * span / (2^12 - 1); 16-bit models: V = code * range / 32768.

@@ -420,7 +420,7 @@ class GsvLink:
 class ForceAmplifier:
     """A GSV-8 with a three-axis sensor on its first three channels.
 
-    One thread reads; the others may ask meanwhile.
+    One thread reads; other threads may call the other methods meanwhile.
     """
 
     def __init__(self, settings: MeGsv8Settings, clock: Clock):

@@ -91,7 +91,7 @@ OUTSIDE_C = (-40.0, 150.0)
 ARRIVAL_POLL_S = 0.02
 POLL_S = 0.005
 KEEP_ALIVES_PER_TIMEOUT = 5
-"""How often each drive is asked for its state within its communication time-out."""
+"""Number of state polls of each drive within its communication time-out."""
 OVERDUE = 2.0
 """A keep-alive that is this many times overdue does not wait for the line to be free."""
 JUST_SEEN_S = 0.05
@@ -99,13 +99,13 @@ JUST_SEEN_S = 0.05
 UPDATE_S = 0.02
 """The fastest line takes this long for a poll and a new target, with room for keep-alives."""
 BEGIN_S = 0.1
-"""How long the drive may take to show that it moves."""
+"""Longest time in s that the drive may take to show that it moves."""
 ACKNOWLEDGE_TIMEOUT_S = 0.5
 ALARM_TIMEOUT_S = 5.0
 SETTLING_S = 1.0
-"""How much longer than its profile a motion may take."""
+"""Time in s that a motion may take longer than its profile."""
 MAX_OVERTRAVEL_mm = 0.1
-"""How far beyond its target an axis may be seen that has started from rest."""
+"""Largest distance beyond its target at which an axis may be seen that has started from rest."""
 
 
 class AzInput(IntFlag):
@@ -164,16 +164,16 @@ class AzAxis:
         self._identity = Identity("Oriental Motor", "AZ", "unknown", "unknown")
         self._interlock = StageInterlock(self._device)
         self._in_charge = False
-        """Whether this connection has taken the drive over: from then on its alarms are ours."""
+        """True if this connection has taken the drive over: from then on its alarms are ours."""
         self._reported_alarm = 0
         """The alarm that has been raised already; `keep_alive` does not raise it again."""
         self._stop_stands = False
-        """Whether a stop of ours may not have been lifted."""
+        """True if a stop by this program may still be in effect."""
         self._turn = 0
-        """Which of two lengths is next."""
+        """Index of the one of two lengths that is next."""
         self._state_at_s = -1.0
         self._motion: MotionWatch | None = None
-        """The motion under way; None where there is none. Another thread's stop clears it."""
+        """The motion under way; None if there is none. Another thread's stop clears it."""
         self._position = AzPosition(0, 0)
         self._position_at_s = -1.0
         self._abspen_seen = -1
@@ -184,7 +184,8 @@ class AzAxis:
 
     @property
     def identity(self) -> Identity:
-        """Who answered at connect; an AZ reports neither serial number nor firmware."""
+        """Identity of the drive that answered when it was connected; an AZ reports neither serial
+        number nor firmware."""
         return self._identity
 
     def reach(self) -> Mapping[str, Reach]:
@@ -198,7 +199,7 @@ class AzAxis:
         }
 
     def homed(self) -> bool:
-        """Whether the drive knows where it is (ABSPEN)."""
+        """Return whether the drive knows where it is (ABSPEN)."""
         self._poll()
         return bool(self._internal() & AzInternalOutput.ABSPEN)
 
@@ -275,7 +276,7 @@ class AzAxis:
         return ticket
 
     def _watch(self, target: int, speed_mm_s: float, fresh: bool) -> MotionWatch:
-        """What is to be seen of a motion to `target` from where the axis was seen last."""
+        """Return a watch over a motion to `target` from the last known position."""
         own, now_s = self._settings, self._clock.now()
         from_mm, target_mm = self._mm(self._position.feedback), self._mm(target)
         unseen_mm = own.max_speed_mm_s * (now_s - self._position_at_s)
@@ -286,10 +287,10 @@ class AzAxis:
         return MotionWatch.towards(target_mm, from_mm, overtravel_mm, longest_s, now_s)
 
     def moving(self) -> bool:
-        """Whether a motion is under way; raises InstrumentError for an alarm and for a motion that
-        was not ended by us.
+        """Return whether a motion is under way; raises InstrumentError for an alarm and for a
+        motion that was not ended by us.
 
-        An axis that has just been seen on its way is not asked again.
+        An axis that has just been seen in motion is not polled again.
         """
         self._interlock.require_armed("move")
         if self._just_seen_on_its_way():
@@ -311,7 +312,7 @@ class AzAxis:
         raise self._error(
             "move",
             f"stands at {here_mm:g} mm and has not arrived at {motion.target:g} mm",
-            "look for what holds the axis; the motion may still be under way",
+            "check what blocks the axis; the motion may still be under way",
         )
 
     def move_to(self, position_mm: float, speed_mm_s: float) -> None:
@@ -363,7 +364,7 @@ class AzAxis:
         self._check_peer_drives()
 
     def make_safe(self) -> None:
-        """Have the STOP input stand, and verify that the drive has it.
+        """Switch the STOP input on, and verify that the drive has it on.
 
         It waits for answers, not for bench time, so that a watcher may call it while the bench's
         clock stands: the axis is at rest after speed / deceleration at most. No motion is begun
@@ -441,9 +442,10 @@ class AzAxis:
             self._clock.sleep(POLL_S)
 
     def _prepare_motion(self, ticket: Ticket) -> Ticket:
-        """Before the first write of a motion: no alarm, no stop of ours left standing because an
-        answer was lost, homed, and the position known. What has just been seen is not read again:
-        with an alarm the drive does not start. Returns the ticket to continue with."""
+        """Check before the first write of a motion that there is no alarm, no earlier stop that is
+        still in effect because an answer was lost, that the axis is homed and its position known,
+        and return the ticket of the motion. A state that has just been read is not read again: with
+        an alarm the drive does not start."""
         self._interlock.require_armed("move")
         now_s = self._clock.now()
         unseen = now_s - self._state_at_s > OVERDUE * self._keep_alive_s()
@@ -588,7 +590,7 @@ class AzAxis:
     # --- judging ------------------------------------------------------------------------------
 
     def _require_sound(self, state: AzState) -> None:
-        """Once we are in charge: no alarm."""
+        """Raise InstrumentError for an alarm, once this connection is in charge."""
         if self._in_charge and state.alarm:
             self._reported_alarm = state.alarm
             raise self._alarmed(state.alarm)
@@ -614,7 +616,7 @@ class AzAxis:
         if motion.has_passed(here_mm):
             self._abort(
                 f"ran past its target: it is at {here_mm:g} mm on the way to {motion.target:g} mm",
-                "look at the sensor and at the drive's settings before it moves again",
+                "check the sensor and the drive's settings before it moves again",
             )
 
     def _abort(self, cause: str, hint: str) -> None:
@@ -694,7 +696,7 @@ class AzAxis:
 
 
 _HOMED = AzInternalOutput.HOME_END | AzInternalOutput.ABSPEN
-_LOOK = "look at the drive's display and at the axis"
+_LOOK = "check the drive's display and the axis"
 _STOPPED_BY_OTHERS = (
     "the motion was stopped, not on our command (make-safe from another terminal, or the drive "
     "itself)"

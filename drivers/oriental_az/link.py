@@ -1,6 +1,6 @@
 """A Modbus RTU line with AZ drives on it: one request at a time, and no answer taken for another's.
 
-What is written and read, nothing about motion. Every request is sent once: only the caller knows
+Knows how to write and read, nothing about motion. Every request is sent once: only the caller knows
 whether a repetition is harmless. The drives of one RS-485 line share one `AzLine` in a process;
 each has its own `AzLink` on it, with its own time-out and its own name in errors.
 
@@ -42,13 +42,14 @@ GAP_S = 0.003
 SLOW_GAP_S = 0.005
 """The same below 19200 baud."""
 RESPONSE_WAIT_S = 0.003
-"""From a request to the begin of its answer, as the drive's parameter is set at the factory."""
+"""Time in s from a request to the beginning of its answer, with the factory setting of the drive's
+parameter."""
 BITS_A_BYTE = 11
 """Start, eight data, parity or a second stop, stop."""
 READ_WAIT_S = 0.005
 HELD_UP_S = 0.1
-"""A wait for the line that is longer has met something else, as another instrument's time-out: the
-line's drives are kept alive meanwhile."""
+"""Longest wait in s for the line in normal operation. A longer one has another cause, such as
+another instrument's time-out, and the line's drives need keep-alives meanwhile."""
 WAITS = 2
 """Times the time-out: a drive may have to echo before it is asked."""
 EXCEPTIONS = {
@@ -89,12 +90,12 @@ class AzRequest:
 
     @property
     def frame(self) -> bytes:
-        """As it goes over the wire."""
+        """The request as bytes on the wire."""
         body = bytes([self.unit]) + self.pdu
         return body + struct.pack("<H", crc16(body))
 
     def answered_by(self, frame: bytes) -> bool:
-        """Whether a whole frame is the answer, or the drive's refusal."""
+        """Return whether a whole frame is the answer, or the drive's refusal."""
         if frame[0] != self.unit:
             return False
         if frame[1] == self.pdu[0] | 0x80:
@@ -123,7 +124,7 @@ def echoing(unit: int, number: int) -> AzRequest:
 
 
 class NoAnswerError(Exception):
-    """Nothing, or nothing whole, came within the time-out."""
+    """No answer, or no complete answer, came within the time-out."""
 
 
 class BrokenAnswerError(Exception):
@@ -143,7 +144,7 @@ class AzLine:
     def __init__(self, path: str, baudrate: int, parity: str, clock: Clock):
         self.path = path
         self._waits: dict[object, float] = {}
-        """Who waits for the line, and since when."""
+        """Callers that wait for the line, and since when."""
         self._baudrate, self._parity = baudrate, parity
         self._clock = clock
         self._gap_s = GAP_S if baudrate >= 19_200 else SLOW_GAP_S
@@ -204,7 +205,7 @@ class AzLine:
         self._watched.pop(unit, None)
 
     def watch(self, unit: int, device: str, patience_s: float) -> None:
-        """Have `silent_peer` watch this drive from now on."""
+        """Let `silent_peer` watch this drive from now on."""
         self._watched[unit] = device, patience_s
         self._heard_s[unit] = self._clock.now()
 
@@ -227,12 +228,12 @@ class AzLine:
 
     @property
     def free(self) -> bool:
-        """Whether something may be sent at once."""
+        """True if a request may be sent now."""
         return self._clock.now() >= self._free_at_s
 
     @property
     def waiting(self) -> bool:
-        """Whether a caller waits for the line to be free, and for no longer than `HELD_UP_S`."""
+        """True if a caller waits for the line to be free, and for no longer than `HELD_UP_S`."""
         now_s = self._clock.now()
         return any(now_s - since_s <= HELD_UP_S for since_s in tuple(self._waits.values()))
 
@@ -285,7 +286,7 @@ class AzLine:
                 raise BrokenAnswerError(f"{type(error).__name__}: {error}") from error
 
     def _synchronise(self, unit: int, timeout_s: float) -> None:
-        """Have the drive echo a new number; all that comes before is dropped."""
+        """Make the drive echo a new number, and drop all that comes before the echo."""
         while time.monotonic() < self._listen_until_s:
             self._port.read(self._port.in_waiting or 1)
         request = echoing(unit, next(self._numbers))
@@ -309,7 +310,7 @@ class AzLine:
                 return frame[1:-2]
 
     def _send(self, request: AzRequest) -> float:
-        """When it was sent, in wall time."""
+        """Send the bytes and return the wall time at which they were sent."""
         time.sleep(max(0.0, self._free_at_s - self._clock.now()))
         self._port.reset_input_buffer()
         self._sent_at_s = self._clock.now()
@@ -319,7 +320,8 @@ class AzLine:
         return sent
 
     def _receive(self, give_up: float, got: bytes) -> bytes:
-        """What has come, waiting a little; NoAnswerError where it is too late."""
+        """Return the bytes that have come, waiting a little. Raises NoAnswerError after the
+        deadline."""
         data: bytes = self._port.read(self._port.in_waiting or 1)
         if not data and time.monotonic() > give_up:
             raise NoAnswerError(f"only {got.hex(' ')} came" if got else "")
@@ -331,12 +333,13 @@ class AzLine:
         self._free_at_s = max(self._free_at_s, now_s + self._gap_s)
 
     def _wire_s(self, request: AzRequest) -> float:
-        """What request and answer take on the line."""
+        """Return the time in s that request and answer take on the line."""
         on_wire = len(request.pdu) + 3 + request.answer_bytes
         return on_wire * BITS_A_BYTE / self._baudrate + RESPONSE_WAIT_S
 
     def exchange_s(self, request: AzRequest) -> float:
-        """What it takes in all, up to when the next may be sent."""
+        """Return the time in s that an exchange takes in all, until the next request may be
+        sent."""
         return self._wire_s(request) + self._gap_s
 
     # --- the port -----------------------------------------------------------------------------
@@ -391,9 +394,9 @@ class AzLink:
         self.line = line
         self.where = f"unit {unit_id} on {line.path}"
         self.charging = False
-        """Whether a time-out is being charged to the clock just now."""
+        """True if a time-out is being charged to the clock just now."""
         self.failures = 0
-        """How many exchanges have failed."""
+        """Number of exchanges that have failed."""
         self._unit, self._timeout_s, self._clock = unit_id, timeout_s, clock
         self._closed = False
 

@@ -1,7 +1,7 @@
-"""What the bench file says of an AZ drive, and what the drive's alarm numbers mean.
+"""The settings of an AZ drive in a bench file, and the meanings of the drive's alarm numbers.
 
-Plain data: nothing here talks to a drive or knows a sequence. Alarms 30h, 62h, 66h, 67h, 84h and
-85h: the manuals HP-5142E and HM-60262E, public code; the others from memory of the latter.
+Plain data: nothing here communicates with a drive or knows a sequence. Alarms 30h, 62h, 66h, 67h,
+84h and 85h: the manuals HP-5142E and HM-60262E, public code; the others from memory of the latter.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ LARGEST_STEP = 2**31 - 1
 """Positions travel as signed 32-bit integers."""
 FASTEST_Hz = 4_000_000
 LARGEST_RATE = 1_000_000_000
-"""Of acceleration and deceleration, in 0.001 kHz/s, which are steps/s2."""
+"""Largest acceleration and deceleration, in 0.001 kHz/s, which are steps/s2."""
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """What an alarm number means and what to do about it."""
+    """Meaning and remedy of an alarm number."""
 
     meaning: str
     remedy: str
@@ -31,10 +31,10 @@ class Alarm:
 
 COMMUNICATION_ALARM = 0x85
 """No request has come over the line within the drive's communication time-out."""
-_BLOCKED = "look for what blocks the axis; if it belongs there, raise torque_limit_percent"
+_BLOCKED = "check what blocks the axis; if it belongs there, raise torque_limit_percent"
 _POWER = "check the drive's power supply, then switch it off and on"
 _SERVICE = "switch the drive off and on; if it comes again, have it repaired"
-_COOL = "let it cool down; look for friction and for too much current at rest"
+_COOL = "let it cool down; check for friction and for too much current at rest"
 ALARMS: Mapping[int, Alarm] = {
     0x10: Alarm("position deviation: the axis did not follow", _BLOCKED),
     0x20: Alarm("overcurrent", _SERVICE),
@@ -44,7 +44,7 @@ ALARMS: Mapping[int, Alarm] = {
     0x26: Alarm("the motor is too hot", _COOL),
     0x28: Alarm("the position sensor failed", _SERVICE),
     0x30: Alarm("overload", _BLOCKED),
-    0x31: Alarm("overspeed", "look at what drives the axis, and at its load"),
+    0x31: Alarm("overspeed", "check what drives the axis, and its load"),
     0x33: Alarm("absolute position error: the axis has lost its reference", "home it again"),
     0x41: Alarm("the drive's memory failed", _SERVICE),
     0x4A: Alarm("no coordinates: the axis has not been homed", "home it first"),
@@ -53,7 +53,7 @@ ALARMS: Mapping[int, Alarm] = {
     0x62: Alarm("homing failed", "check the home sensor and the homing method in the drive"),
     0x66: Alarm(
         "limit switch reached",
-        "look at the axis, move it off the switch with the vendor's software, home again",
+        "check the axis, move it off the switch with the vendor's software, home again",
     ),
     0x67: Alarm(
         "software limit", "correct the travel limits in the bench file, or the position asked for"
@@ -63,22 +63,22 @@ ALARMS: Mapping[int, Alarm] = {
     0x84: Alarm("RS-485 communication error", "check the cable, its shield and its termination"),
     COMMUNICATION_ALARM: Alarm(
         "communication time-out: no request on the line",
-        "the program hung or the cable failed; look at the bench and start again",
+        "the program hung or the cable failed; check the bench and start again",
     ),
 }
-"""In our words."""
+"""Alarms by number, described in our own words."""
 
 
 class OrientalAzSettings(Settings):
-    """Where the drive is, what its numbers mean and what the axis may do."""
+    """Address, units and limits of the drive."""
 
     driver: Literal["oriental-az"] = "oriental-az"
     axis: Wiring[Literal["z", "x"]]
-    """Which axis of the bench it moves."""
+    """Axis of the bench that the drive moves."""
     port: Wiring[str] = Field(min_length=1)
     """Serial port of the RS-485 line, for example /dev/ttyUSB0; both axes may share it."""
     baudrate: Literal[9600, 19_200, 38_400, 57_600, 115_200, 230_400] = 230_400
-    """As the drive's BAUD switch says; a servo wants the fastest."""
+    """Baud rate set by the drive's BAUD switch; a servo needs the fastest."""
     parity: Wiring[Literal["E", "O", "N"]] = "E"
     """Even, odd or none, with one stop bit."""
     unit_id: Wiring[int] = Field(ge=1, le=31)
@@ -99,15 +99,16 @@ class OrientalAzSettings(Settings):
     deceleration_mm_s2: float = Field(default=200, gt=0, le=50_000)
     """Deceleration of every motion and of a stop."""
     communication_timeout_ms: Wiring[int] = Field(default=1000, ge=200, le=10_000)
-    """The drive stops by itself when no request has come over its line for so long."""
+    """Time without a request over its line after which the drive stops by itself."""
     torque_limit_percent: float = Field(default=100, gt=0, le=100)
     """Operating current of every motion: the barrier behind the force limit."""
     position_tolerance_mm: float = Field(default=0.02, gt=0, le=1)
-    """How far from its target a motion may end."""
+    """Largest distance from its target at which a motion may end."""
     following_limit_mm: float = Field(default=0.2, gt=0, le=10)
-    """How far the axis may lag behind its command before it counts as held back."""
+    """Largest distance by which the axis may lag behind its command; beyond it, it is reported as
+    held back."""
     homing_timeout_s: float = Field(default=60, gt=0, le=600)
-    """How long homing may take."""
+    """Longest time in s that homing may take."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -1,4 +1,5 @@
-"""What every driver of a motorised stage shares: the interlock, and the watch over one motion.
+"""The parts that all drivers of motorised stages share: the interlock, and the watch over one
+motion.
 
 No I/O and no protocol. A driver of a new stage owns one `StageInterlock` and keeps three rules:
 
@@ -45,7 +46,7 @@ link, and less than a shutdown action may take (3 s)."""
 
 
 class StageState(Enum):
-    """Whether a stage may be set in motion."""
+    """The states of a stage that decide whether it may be set in motion."""
 
     ARMED = "armed"
     STOPPING = "stopping"
@@ -58,7 +59,8 @@ class MotionRefusedError(InstrumentError):
 
 @dataclass(frozen=True)
 class Ticket:
-    """What `StageInterlock.ticket` gives at the beginning of a motion: how many stops had begun."""
+    """A ticket from `StageInterlock.ticket` for one motion: the number of stops that had begun
+    before it."""
 
     stops: int
 
@@ -75,7 +77,7 @@ class StopUnderWay:
     """One stop, as `StageInterlock.stopping` gives it."""
 
     answers: int
-    """How many calls of `make_safe` it answers when it has seen the stage at rest."""
+    """Number of calls of `make_safe` that it answers when it has seen the stage at rest."""
 
 
 class StageInterlock:
@@ -107,13 +109,14 @@ class StageInterlock:
 
     @property
     def is_stopping(self) -> bool:
-        """Whether a stop is under way, made safe or not."""
+        """True if a stop is under way, made safe or not."""
         return self._stopping > 0
 
     # --- motions ------------------------------------------------------------------------------
 
     def ticket(self) -> Ticket:
-        """What a motion needs for `permit`: take it first, before anything is checked or sent."""
+        """Return the ticket that a motion needs for `permit`. Take it first, before anything is
+        checked or sent."""
         with self._changed:
             return Ticket(self._stops)
 
@@ -166,7 +169,7 @@ class StageInterlock:
                 self._stopping -= 1
 
     def answers_all(self, stop: StopUnderWay) -> bool:
-        """Whether the stage will be armed when `stop` has seen it at rest.
+        """Return whether the stage will be armed when `stop` has seen it at rest.
 
         False where it has been made safe since the stop began: a stop input that the drive holds
         must then be left standing.
@@ -203,7 +206,8 @@ class StageInterlock:
 
 @dataclass
 class MotionWatch:
-    """What is to be seen of one motion; lengths in the axis's own unit (mm or deg).
+    """Limits within which one motion has to be seen; lengths are in the axis's own unit (mm or
+    deg).
 
     A driver makes one for every motion and drops it when the motion ends, in whichever thread.
     """
@@ -212,9 +216,9 @@ class MotionWatch:
     direction: int
     """Towards larger positions 1, towards smaller ones -1, 0 where the axis stood at the target."""
     overtravel: float
-    """How far beyond the target the axis may be seen."""
+    """Largest distance beyond the target at which the axis may be seen."""
     longest_s: float
-    """How long the motion may take."""
+    """Longest time in s that the motion may take."""
     begun_at_s: float
     """Bench time at which it was sent; a driver sets it again when the stage has acknowledged."""
 
@@ -232,7 +236,8 @@ class MotionWatch:
         return self.begun_at_s + self.longest_s
 
     def has_passed(self, position: float) -> bool:
-        """Whether the axis has run past its target: a broken encoder, or a drive that runs away."""
+        """Return whether the axis has run past its target: a broken encoder, or a drive that runs
+        away."""
         return (position - self.target) * self.direction > self.overtravel
 
 

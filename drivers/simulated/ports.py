@@ -22,14 +22,14 @@ from drivers.simulated.task_log import TaskLog
 
 @dataclass(frozen=True)
 class Excitation:
-    """What a generator channel's terminals carry: volts into an open circuit."""
+    """The signal at a generator channel's terminals: volts into an open circuit."""
 
     on: bool
     function: str
     """SCPI short name: ``SIN``, ``SQU``, ``DC``, ..."""
     frequency_Hz: float
     amplitude_V: float
-    """Peak."""
+    """Peak amplitude."""
     offset_V: float
     phase_rad: float
 
@@ -44,7 +44,7 @@ class TimePort(Protocol):
 
 
 class GeneratorPort(TimePort, Protocol):
-    """Where a signal generator's output terminals end."""
+    """The World's side of a signal generator's output terminals."""
 
     def excite(self, channel: int, excitation: Excitation, by: str) -> None:
         """Put ``excitation`` on a channel's terminals from now on."""
@@ -52,7 +52,7 @@ class GeneratorPort(TimePort, Protocol):
 
 
 class AnalogueInputPort(TimePort, Protocol):
-    """What a data acquisition unit's input terminals see."""
+    """The World's side of a data acquisition unit's input terminals."""
 
     def begin_acquisition(self) -> int:
         """A fresh acquisition number; it keys the noise of that acquisition."""
@@ -78,7 +78,7 @@ class AnalogueInputPort(TimePort, Protocol):
 
 
 class DigitalInputPort(Protocol):
-    """What an instrument's digital inputs see."""
+    """The World's side of an instrument's digital inputs."""
 
     def input_high(self, device: str, line: str) -> bool:
         """Return the present level of input `line` of the instrument called `device`."""
@@ -86,7 +86,7 @@ class DigitalInputPort(Protocol):
 
 
 class ForcePort(TimePort, Protocol):
-    """What a force sensor in the World feels."""
+    """The World's side of a force sensor: the force on it."""
 
     @property
     def noise_key(self) -> tuple[int, ...]:
@@ -102,7 +102,7 @@ class ForcePort(TimePort, Protocol):
 
 
 class TaskLogPort(Protocol):
-    """Where an instrument records that a task of its own begins."""
+    """The log in which an instrument records that one of its tasks begins."""
 
     @property
     def tasks(self) -> TaskLog:
@@ -119,11 +119,11 @@ class LogPort(Protocol):
 
 
 class DrivePort(TimePort, LogPort, TaskLogPort, Protocol):
-    """What a simulated drive stands in."""
+    """The World's side of a simulated drive."""
 
 
 class AxisPort(DrivePort, Protocol):
-    """What a drive with a linear axis stands in: something may push against its carriage."""
+    """The World's side of a drive with a linear axis: something may push against its carriage."""
 
     def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
         """Force in N along the axis's positive direction on its carriage, standing at
@@ -138,10 +138,10 @@ class Exchange:
     request: bytes
     reply: bytes | None
     device: str = ""
-    """Which of several devices on the line replies."""
+    """Name of the device on the line that replies."""
     delay_s: float = 0.0
-    """When the reply has arrived in real time, wire time included. In slaved time it comes at
-    once: a client that models the line's time lets it pass itself."""
+    """Delay in s of the reply in real time, wire time included. In slaved time there is none: a
+    client that models the line's time waits for it."""
 
 
 class SerialInstrument(Protocol):
@@ -152,5 +152,6 @@ class SerialInstrument(Protocol):
         ...
 
     def frames_until(self, now_us: int) -> bytes:
-        """What the instrument sends without being asked since the last call; empty for most."""
+        """Return the bytes that the instrument has sent without a request since the last call;
+        empty for most."""
         ...

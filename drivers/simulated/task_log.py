@@ -1,4 +1,4 @@
-"""Which tasks have begun on the bench: motions of its axes, and the DAQ's acquisitions.
+"""Log of the tasks that have begun on the bench: motions of its axes, and the DAQ's acquisitions.
 
 Fault plans name a moment by them ("during the third move of stage_z"). The log counts tasks, keeps
 their times and calls whoever listens; it does not know what a listener does.
@@ -33,6 +33,7 @@ class TaskLog:
         return number
 
     def is_past(self, task: TaskStart | None, after_s: float, now_us: int) -> bool:
-        """Whether `task` began at least `after_s` ago; None stands for the World's beginning."""
+        """Return whether `task` began at least `after_s` ago; None stands for the World's
+        beginning."""
         began_us = 0 if task is None else self._began_us.get(task)
         return began_us is not None and now_us >= began_us + round(after_s * 1e6)

@@ -65,17 +65,17 @@ THE_DEVICE = 0
 FULL_TURN_deg = 360.0
 POLL_S = 0.02
 KEEP_ALIVE_S = 0.05
-"""How old the last answer may become before a keep-alive asks: at 115200 baud an exchange takes 5
-to 10 ms, which a stream of set points needs for itself."""
+"""Age in s of the last answer at which a keep-alive is sent. It is not shorter, because an exchange
+at 115200 baud takes 5 to 10 ms, which a stream of set points needs for itself."""
 SETTLING_S = 1.0
-"""How much longer than its profile a motion may take."""
+"""Time in s that a motion may take longer than its profile."""
 SETTLED_S = 0.2
-"""How long a stage that reports no motion may stand off its target, for its loop to settle."""
+"""Time in s that a stage that reports no motion may be off its target while its loop settles."""
 MAX_OVERTRAVEL_deg = 0.1
-"""How far beyond its target a stage may be seen that has started from rest."""
+"""Largest angle beyond its target at which a stage may be seen that has started from rest."""
 
 _NUMBER = re.compile(r"-?\d+(\.\d+)?")
-_LOOK = "look at the stage and at what is mounted on it"
+_LOOK = "check the stage and what is mounted on it"
 
 
 class ZaberAxis:
@@ -110,16 +110,17 @@ class ZaberAxis:
         self._idle_from_s = math.inf
         """Since when it has reported no motion; infinite while it moves."""
         self._motion: MotionWatch | None = None
-        """The turn under way; None where there is none. Another thread's stop clears it."""
+        """The turn under way; None if there is none. Another thread's stop clears it."""
         self._full_stop_s = settings.max_speed_deg_s / settings.max_acceleration_deg_s2
         self._braking_s = self._full_stop_s
-        """How long a stop may take: the stage may brake with the turn's own acceleration."""
+        """Longest time in s that a stop may take: the stage may brake with the turn's own
+        acceleration."""
 
     # --- the role -----------------------------------------------------------------------------
 
     @property
     def identity(self) -> Identity:
-        """Who answered at connect."""
+        """Identity of the stage that answered when it was connected."""
         assert self._identity is not None, "connect() identifies before anything else"
         return self._identity
 
@@ -135,7 +136,7 @@ class ZaberAxis:
         }
 
     def homed(self) -> bool:
-        """Whether it has a reference and nothing has put that in doubt since."""
+        """Return whether it has a reference and nothing has put that in doubt since."""
         return not self._doubts()
 
     def home(self) -> None:
@@ -210,8 +211,8 @@ class ZaberAxis:
         return ticket
 
     def moving(self) -> bool:
-        """Whether a turn is under way; raises InstrumentError for a flag and for a turn that ended
-        elsewhere."""
+        """Return whether a turn is under way; raises InstrumentError for a flag and for a turn that
+        ended elsewhere."""
         busy = self._poll()
         self._interlock.require_armed("turn")
         self._require_undisturbed("turn")
@@ -229,7 +230,7 @@ class ZaberAxis:
             raise self._error(
                 "turn",
                 f"{stands} {self._seen_deg:.4f} deg and has not arrived at {motion.target:.4f} deg",
-                "look for what holds or slows the stage, then stop it",
+                "check what blocks or slows the stage, then stop it",
             )
         return True
 
@@ -332,7 +333,8 @@ class ZaberAxis:
         return self._as_number("get limit.cycle.dist", reply.data)
 
     def _check_units(self) -> None:
-        """That a microstep is what the bench file says, and where the angle is to be read."""
+        """Check that a microstep is as the bench file states, and find the setting from which the
+        angle is read."""
         own = self._settings
         resolution = self._number("resolution")
         if resolution != own.resolution:
@@ -379,7 +381,7 @@ class ZaberAxis:
     def _watch(
         self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float, fresh: bool
     ) -> MotionWatch:
-        """What is to be seen of a turn from now on, whether its answer comes or not."""
+        """Return a watch over a turn from now on, whether its answer comes or not."""
         fastest = self._settings.max_speed_deg_s
         turning_s = speed_deg_s / acceleration_deg_s2
         overtravel_deg = MAX_OVERTRAVEL_deg
@@ -412,8 +414,8 @@ class ZaberAxis:
                 self._clock.sleep(POLL_S)
 
     def _poll(self) -> bool:
-        """Whether the stage is busy; a flag that has just appeared raises, and so does a stage that
-        runs past its target, which is stopped first."""
+        """Return whether the stage is busy; a flag that has just appeared raises, and so does a
+        stage that runs past its target, which is stopped first."""
         known = self._disturbed
         busy = self._read()
         if self._disturbed and not known:
@@ -427,7 +429,7 @@ class ZaberAxis:
                 "turn",
                 f"ran past its target: it is at {self._seen_deg:.4f} deg on the way to "
                 f"{motion.target:.4f} deg",
-                "look at the encoder and at the stage's settings before it turns again",
+                "check the encoder and the stage's settings before it turns again",
             )
         return busy
 
@@ -456,13 +458,14 @@ class ZaberAxis:
         return flags
 
     def _doubts(self) -> str:
-        """Why the stage may not turn, as a flag; empty where it may."""
+        """Return the reason why the stage may not turn, as a flag; empty if it may."""
         if self._disturbed:
             return self._disturbed
         return next((flag for flag in self._flags() if flag not in NOTES), "")
 
     def _disturbs(self, flag: str) -> bool:
-        """Whether a flag stops the stage; "not homed" does not before the stage has been homed."""
+        """Return whether a flag stops the stage; "not homed" does not before the stage has been
+        homed."""
         return flag not in NOTES and (self._referenced or flag not in NOT_REFERENCED)
 
     def _note(self, flag: str) -> bool:

@@ -31,7 +31,7 @@ class ZaberFrameError(ValueError):
 
 @dataclass(frozen=True)
 class Reply:
-    """What a stage answered."""
+    """The answer of a stage."""
 
     device: int
     axis: int
@@ -39,7 +39,7 @@ class Reply:
     accepted: bool
     """False where it rejected the command; `data` is then the reason."""
     busy: bool
-    """Whether a motion is under way."""
+    """True if a motion is under way."""
     flag: str
     """The gravest warning flag, or `NO_FLAG`."""
     data: str

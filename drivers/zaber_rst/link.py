@@ -36,14 +36,14 @@ READ_BYTES = 4096
 
 
 class _Port(Protocol):
-    """What bytes go through."""
+    """Serial port or TCP connection that the bytes go through."""
 
     def write(self, data: bytes) -> None:
         """Send it; OSError where that fails."""
         ...
 
     def read(self) -> bytes:
-        """What has come; waits for `READ_WAIT_S` where nothing has."""
+        """Return the bytes that have come; wait for `READ_WAIT_S` if there are none."""
         ...
 
     def close(self) -> None:
@@ -111,7 +111,7 @@ class ZaberLink:
         self.name = name
         self.where = f"device {device} at {port}"
         self.charging = False
-        """Whether a time-out is being charged to the clock just now."""
+        """True if a time-out is being charged to the clock just now."""
         self._path, self._baudrate = port, baudrate
         self._device = device
         self._timeout_s = timeout_s

@@ -1,8 +1,8 @@
-"""What the bench file says of a Zaber rotary stage, and what the stage's flags and refusals mean.
+"""The settings of a Zaber rotary stage in a bench file, and the meanings of its flags and refusals.
 
-Plain data: nothing here talks to a stage or knows a sequence. The names of the warning flags are
-those of the vendor's client zaber-motion 10.2.0. NOT CONFIRMED on a stage, and to be tried at the
-first bench; all of it stands here or is named here:
+Plain data: nothing here communicates with a stage or knows a sequence. The names of the warning
+flags are those of the vendor's client zaber-motion 10.2.0. NOT CONFIRMED on a stage, and to be
+tried at the first bench; all of it stands here or is named here:
 
 * the microstep of a model (`ZaberRstSettings.microstep_deg` has no default for that reason):
   0.00015625 deg for an X-RST120AK, 0.000234375 deg for an X-RSW60A, both at resolution 64;
@@ -40,7 +40,7 @@ _NETWORK = re.compile(r"socket://[\w.-]+:\d{1,5}")
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a flag or a reason says and what to do about it."""
+    """Meaning and remedy of a flag or a reason."""
 
     meaning: str
     remedy: str
@@ -51,7 +51,7 @@ NOTES = frozenset({"--", "NI", "ND", "NR", "NT", "NU", "NJ"})
 """Flags of which nothing has to follow; NI stands after every change of a motion under way."""
 
 _POWER = "check the supply, then switch the stage off and on"
-_BLOCKED = "look for what blocks the stage, then home it"
+_BLOCKED = "check what blocks the stage, then home it"
 _SERVICE = "home the stage; if it comes again, ask its maker"
 _HAND = "make sure that no one is at the stage, then home it"
 FLAGS: Mapping[str, Meaning] = {
@@ -111,7 +111,7 @@ UNKNOWN_REASON = Meaning("for a reason that this program does not know", "look i
 
 
 class ZaberRstSettings(Settings):
-    """Where the stage is, what its numbers mean and what it may do."""
+    """Address, units and limits of the stage."""
 
     driver: Literal["zaber-rst"] = "zaber-rst"
     port: Wiring[str] = Field(min_length=1)
@@ -125,7 +125,7 @@ class ZaberRstSettings(Settings):
     timeout_s: Wiring[float] = Field(default=0.5, gt=0, le=10)
     """Longest wait for an answer."""
     microstep_deg: Wiring[float] = Field(gt=0, le=0.01)
-    """What one microstep turns at `resolution`, from the stage's data sheet."""
+    """Angle of one microstep at `resolution`, from the stage's data sheet."""
     resolution: Wiring[int] = Field(default=64, ge=1, le=256)
     """Microsteps in a full step; the stage has to be set so."""
     low_limit_deg: float
@@ -137,9 +137,9 @@ class ZaberRstSettings(Settings):
     max_acceleration_deg_s2: float = Field(gt=0, le=50_000)
     """Largest acceleration allowed, set in the stage too; it brakes with it when it is stopped."""
     angle_tolerance_deg: float = Field(default=0.01, gt=0, le=1)
-    """How far from its target a turn may end."""
+    """Largest distance from its target at which a turn may end."""
     homing_timeout_s: float = Field(default=60, gt=0, le=600)
-    """How long homing may take."""
+    """Longest time in s that homing may take."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

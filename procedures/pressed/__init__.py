@@ -1,4 +1,4 @@
-"""What every procedure shares that presses the skin on an object at a controlled normal force.
+"""The common parts of all procedures that press the skin on an object at a controlled normal force.
 
 `PressedProcedure` is the base class for a procedure of your own: docs/add-a-procedure.md.
 """

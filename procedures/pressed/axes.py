@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 SLOWEST_mm_s = 0.01
 """Slowest speed that z is commanded to move at."""
 ARRIVED_EVERY_S = 0.05
-"""From one question whether x has arrived to the next."""
+"""Interval in s at which x is polled for its arrival."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class StagePoll:
     """A stage's answer to where it is."""
 
     at_s: float = 0.0
-    """When it was asked, on the run's clock: the middle between question and answer."""
+    """Time of the poll on the run's clock: the middle between question and answer."""
     position_mm: float = 0.0
     commanded_mm: float = 0.0
 
@@ -33,11 +33,11 @@ class PolledAxis(Protocol):
     """An axis whose position a trial records."""
 
     in_motion: bool
-    """Whether the axis is polled; one at rest stays where it was polled last."""
+    """True if the axis is polled; one at rest stays where it was polled last."""
 
     @property
     def polled_s(self) -> float:
-        """When it was polled last, on the run's clock."""
+        """Time of the latest poll, on the run's clock."""
         ...
 
     def ask_poll(self) -> None:
@@ -82,7 +82,7 @@ class PressingStage(PolledStage):
         super().__init__(run, "stage_z", stage, links)
         self.in_motion = True
         self.target_late_s = 0.0
-        """By how much later than usual the latest target came to the stage."""
+        """Delay of the latest target to the stage beyond the usual delay."""
         self._link_s = link_s
 
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
@@ -114,7 +114,7 @@ class ArrivalWatch:
         self._asked = 0
         """Number of the latest question."""
         self.arrived = False
-        """Whether the stage has answered that it stands."""
+        """True if the stage has answered that it stands."""
 
     def under_way(self, tick: Tick) -> bool:
         """Return whether the stage has not arrived, as far as is known; ask if it is time to."""

@@ -1,4 +1,4 @@
-"""To the thing that is pressed and away from it: what every procedure does with z around contact.
+"""The ways of z to the pressed object and away from it, the same in every procedure.
 
 The stage waits where it is clear of everything, the force sensor is zeroed there in free air, and
 the way to just above the earliest contact is quick. The fixture says where contact may be felt:
@@ -25,14 +25,15 @@ FORCE_RATE_S_S = 1000.0
 """Frames a second that a force sensor is asked for (paper 4.1)."""
 TRAVEL_mm_s = 10.0
 CLEAR_mm = 0.3
-"""Where the quick way ends, before the earliest contact."""
+"""Distance before the earliest contact at which the quick way ends."""
 BOTTOM_mm = 0.002
-"""So near to the latest contact is there."""
+"""Distance from the latest contact at which z has arrived there."""
 PRESSED_N = 0.4
 """Mean force that is still pressed after the way back: far above the sensor's noise and its drift
 within a run."""
 SETTLED_S = 0.1
-"""From the end of the way back until the force is judged, and the stretch that is judged."""
+"""Time in s from the end of the way back until the force is judged, and the length of the force
+record that is judged."""
 TARE_S = 0.2
 """Stretch of force that the zero is the mean of; the rest before it is twice as long."""
 UNLOAD_DEADLINE_S = 20.0
@@ -44,26 +45,29 @@ ARRIVED_S = 0.08
 
 
 class ForceZero(NamedTuple):
-    """What the force sensor says in free air, in N along its axes, z up out of the object."""
+    """Force sensor's reading in free air, in N along its axes; z points up out of the object."""
 
     x_N: float = 0.0
     y_N: float = 0.0
     z_N: float = 0.0
 
     def columns(self) -> Reading:
-        """It, as columns of a reading."""
+        """Return the zero as columns of a reading."""
         return {f"force_zero_{name}": value for name, value in self._asdict().items()}
 
 
 ZERO_COLUMNS = tuple(
     Column(f"force_zero_{axis}", "N", f"Force zero along {axis}") for axis in "xyz"
 )
-"""Of a table of readings: where the force sensor's zero was found."""
+"""Columns with the force sensor's zero."""
+
+ZERO_LABEL = "force sensor offset before taring (x, y, z); N"
+"""Label of ``force_zero_N`` in a summary, see `Procedure.summary_labels`."""
 
 
 def force_zero_of(readings: Sequence[Reading]) -> dict[str, Any]:
-    """``force_zero_N`` of a run's summary: x, y, z of the last reading, whose drift from run to run
-    shows a sensor that is overloaded, warm or touched by something."""
+    """Return ``force_zero_N`` of a run's summary: x, y, z of the last reading. Its drift from run
+    to run shows a sensor that is overloaded, warm or touched by something."""
     names = [column.key for column in ZERO_COLUMNS]
     found = [zero for r in readings if None not in (zero := [r.get(name) for name in names])]
     return {"force_zero_N": found[-1]} if found else {}
@@ -184,12 +188,13 @@ def refuse_early_contact(run: Run, force_N: float, contact_N: float) -> None:
         "approach",
         f"force_sensor reads {force_N:.2g} N at {stage.position_mm():.2f} mm, before any contact "
         f"can be (contact_from_mm = {contact_range_mm(run.bench)[0]:g} mm)",
-        "look what is in the way; correct [fixture] if contact belongs there",
+        "check what is in the way; correct [fixture] if contact belongs there",
     )
 
 
 def nothing_felt(run: Run, force_N: float, contact_N: float, check: str) -> InstrumentError:
-    """That the way to the latest contact is over; `check` names what to look at."""
+    """Return the error for a way to the latest contact on which no contact was felt. `check` names
+    what to check."""
     return InstrumentError(
         "stage_z",
         "approach",
@@ -200,13 +205,14 @@ def nothing_felt(run: Run, force_N: float, contact_N: float, check: str) -> Inst
 
 
 def not_there(run: Run, within_s: float) -> InstrumentError:
-    """That z has not come to the latest contact, and felt nothing, in more time than it needs."""
+    """Return the error for a z that has not reached the latest contact, without contact, in more
+    time than it needs."""
     return InstrumentError(
         "stage_z",
         "approach",
         f"it stands at {run.bench.stage_z.position_mm():.3f} mm after {within_s:.3g} s of approach "
         f"and has not come to {contact_range_mm(run.bench)[1]:g} mm (contact_to_mm)",
-        "look what holds the stage; then start again",
+        "check what blocks the stage; then start again",
     )
 
 
@@ -255,7 +261,7 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
                 "stage_z",
                 "unload",
                 f"the stage stands and the {pressed} may still be pressed: {error.one_line()}",
-                "look at the stage; then start again, or move it away by hand",
+                "check the stage; then start again, or move it away by hand",
             )
         )
         return
@@ -305,7 +311,7 @@ def _judge_what_remains(run: Run, pressed: str, stands_mm: float) -> None:
     if force_N <= (min(PRESSED_N, limit_N) if run.force.tared else limit_N):
         return
     told = f"the {pressed} is still pressed with {force_N:.3g} N at {stands_mm:.3f} mm"
-    hint = "look what presses; move the stage away by hand"
+    hint = "check what presses; move the stage away by hand"
     if force_N > limit_N:
         raise UnsafeError(f"stage_z: unload: {told}, over the limit of {limit_N:g} N", hint)
     run.fail(InstrumentError("stage_z", "unload", told, hint))

@@ -26,7 +26,7 @@ and its place in the run file."""
 
 @dataclass(frozen=True)
 class ForceTiming:
-    """What follows from the frames that the force sensor sends a second."""
+    """Times that follow from the frame rate of the force sensor."""
 
     rate_S_s: float
 
@@ -42,8 +42,8 @@ class ForceTiming:
 
     @property
     def older_s(self) -> float:
-        """By how much older a tick's force is than at `FORCE_RATE_S_S`: half of what window and
-        frame are longer."""
+        """Additional age in s of a tick's force compared with `FORCE_RATE_S_S`: half of the
+        additional length of window and frame."""
         longer_s = self.window_s - FORCE_WINDOW_S + 1 / self.rate_S_s - 1 / FORCE_RATE_S_S
         return longer_s / 2
 
@@ -53,7 +53,7 @@ class ForceTiming:
         return FORCE_AGE_S + self.older_s
 
     def delay_s(self, rates: ServoRates) -> float:
-        """From a command to the first force that shows it."""
+        """Time in s from a command to the first force that shows it."""
         return rates.delay_s + self.older_s
 
 
@@ -65,11 +65,11 @@ class TrialForce:
         self._run, self._record = run, record
         self.timing = ForceTiming(record.force_rate_S_s)
         self.tangential_N = 0.0
-        """Of the latest `update`, along x."""
+        """Force along x of the latest `update`."""
         self.measured_s = 0.0
-        """When the force of the latest `update` acted, on the run's clock."""
+        """Time on the run's clock at which the force of the latest `update` acted."""
         self.older_s = 0.0
-        """By how much older than usual it is."""
+        """Additional age of that force compared with the usual one."""
         self._first_frame = self._frames_sent = 0
         """Number of the record's first frame, and frames since then when the tick began."""
 
@@ -82,7 +82,7 @@ class TrialForce:
         return float(force_N[2])
 
     def start_recording(self) -> None:
-        """Have the record begin with the next frame."""
+        """Start the record with the next frame."""
         self._first_frame = self._run.force.frames_seen
 
     def count_frames(self) -> None:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from rig.control.force_servo import ContactShift, ForceServo
 
 SILENT_S = 0.5
-"""Where z does not answer for longer, nothing holds the force: what moves has to stop. A stalled
-computer is silent for less."""
+"""Longest time in s without an answer of z. After it the force is no longer controlled and all
+motion has to stop. A stalled computer is silent for less."""
 
 
 class ForceHold:
@@ -35,13 +35,14 @@ class ForceHold:
         self._servo, self._z, self._links = servo, z, links
         self._force, self._record, self._ticks = force, record, ticks
         self._at_rest_s = at_rest_s
-        """From when on z has stood where the servo begins: an older force is not for it."""
+        """Time since which z has been at rest where the servo begins. The servo does not use an
+        older force."""
         self._stepped_at = ticks.begun
         """Number of the tick of the latest step."""
 
     @property
     def shift(self) -> ContactShift:
-        """What the motion under way has shown so far."""
+        """Shift of the contact that the motion under way has shown so far."""
         return self._servo.shift
 
     def begin_motion(self, expected: ContactShift | None) -> None:

@@ -1,4 +1,4 @@
-"""What every trial with the skin pressed on an object records: streams and columns of its file."""
+"""The streams and columns that every trial with the skin pressed on an object records."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ ASKED = (
     Column("trial", "", "Trial"),
     Column("set_normal_force", "N", "Set point of the normal force"),
 )
-"""What was asked for."""
+"""Columns of what was requested."""
 
 HELD = (
     *ZERO_COLUMNS,
@@ -68,7 +68,7 @@ HELD = (
     Column("force_error_rms", "%", "Force error, rms"),
     Column("force_error_peak", "%", "Force error, peak"),
 )
-"""How contact was found and the force held."""
+"""Columns on how contact was found and the force held."""
 
 TOUCHED = (
     Column("clock_offset", "s", "DAQ's clock behind the force's"),
@@ -78,7 +78,7 @@ TOUCHED = (
     Column("touch_gain_2", "V s/N", "S2 by rate of force"),
     Column("touch_gain_2_error", "V s/N", "Standard error"),
 )
-"""What touch-down and tap tell: the two clocks, and how much each strip gives."""
+"""Columns from touch-down and tap: the offset of the two clocks, and the gain of each strip."""
 
 CALIBRATED = (
     Column("load_scale_1", "N/s/V", "Load rate of S1 by volt"),
@@ -96,9 +96,9 @@ RECORDED = (
     Column("ticks", "", "Ticks"),
     Column("late_ticks", "", "Ticks that began late or were left out"),
     Column("missed_ticks", "", "Ticks that were left out"),
-    Column("held_back_ticks", "", "Ticks that told z nothing: it was busy"),
+    Column("held_back_ticks", "", "Ticks in which z got no command because it was busy"),
     Column("largest_lateness", "s", "Largest lateness of a tick"),
     Column("invalid", "", "Why the trial does not count", "text"),
     Column("filter_delay", "s", "Delay of the anti-alias filter"),
 )
-"""How the record went."""
+"""Columns on the quality of the record."""

@@ -1,4 +1,4 @@
-"""The links that a trial talks on while its ticks run.
+"""The links that a trial uses while its ticks run.
 
 A tick never waits for a link. Each instrument has a worker that carries out what is asked of it,
 one request after the other, in a background thread in real time and at once in virtual time.
@@ -28,10 +28,10 @@ class TrialLinks:
 
     @contextlib.contextmanager
     def working(self) -> Iterator[None]:
-        """Within it, requests are carried out by the links' workers (in real time).
+        """Let the links' workers carry out requests within the block (in real time).
 
-        Leaving it waits for what was asked, unless something was raised: then what has not begun is
-        dropped.
+        At its end the block waits for the requests, unless it has raised: then those that have not
+        begun are dropped.
         """
         with contextlib.ExitStack() as stack:
             for worker in self._workers.values():
@@ -39,9 +39,9 @@ class TrialLinks:
             yield
 
     def ask(self, role: str, what: str, work: Callable[[], None]) -> None:
-        """Have `work` done on a link. It replaces an earlier request for `what` that has not begun.
+        """Request `work` on a link. It replaces an earlier request for `what` that has not begun.
 
-        Raises what an earlier request on this link has raised.
+        Raises the exception of an earlier request on this link.
         """
         self._workers[role].ask(what, work)
 

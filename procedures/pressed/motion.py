@@ -1,4 +1,4 @@
-"""What was recorded of a motion under the held force, as plain arrays."""
+"""The record of a motion under the held force, as plain arrays."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MotionRecord:
-    """What was recorded from the begin of a motion to its end: arrays of float64, shape (n,).
+    """The record from the beginning of a motion to its end: arrays of float64, shape (n,).
 
     Positions, forces and signals are sampled by three instruments. Each group has its own n and its
     own times, in s since the motion began.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class AxisRows:
-    """What a further axis adds to every row of positions, in a stream of its own."""
+    """The values that a further axis adds to every row of positions, in a stream of its own."""
 
     axis: PolledAxis
     stream: str
@@ -38,7 +38,7 @@ class PositionRecorder:
         self._further: list[AxisRows] = []
         self._recorded_rows = 0
         self._latest_row_s = -math.inf
-        """When the axes of the latest row were polled last, on the run's clock."""
+        """Time on the run's clock of the latest poll of the axes in the latest row."""
 
     def add(self, rows: AxisRows) -> None:
         """Record a further axis, row by row with the stages."""

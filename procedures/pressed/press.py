@@ -32,7 +32,7 @@ TAP = 0.15
 """Share of the normal force that the tap lets go. The clocks need a twentieth (`clock_offset`)."""
 TAP_mm_s = 1.0
 PATIENCE_S = 10.0
-"""From contact to a held force, at most."""
+"""Longest time in s from contact to a held force."""
 
 
 class Press:
@@ -51,7 +51,7 @@ class Press:
         self._z, self._recorder, self._ticks = z, recorder, ticks
         self._settings: PressedSettings = run.settings
         self._delay_s = recorder.force.timing.delay_s(series.rates)
-        """From a command to the first force that shows it."""
+        """Time in s from a command to the first force that shows it."""
 
     def down(self) -> float:
         """Press the object with the normal force, and return the contact's stiffness in N/mm."""
@@ -143,7 +143,7 @@ class Press:
                 "stage_z",
                 "press",
                 f"{force_N:.3g} N at {here_mm:.3f} mm, {self._settings.normal_force_N:g} N wanted",
-                "look at the skin and the object; correct contact_to_mm if it may go further",
+                "check the skin and the object; correct contact_to_mm if it may go further",
             )
         if here_mm < contact_range_mm(run.bench)[1] - BOTTOM_mm:
             return not_there(run, within_s)

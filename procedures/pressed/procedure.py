@@ -78,8 +78,8 @@ class PressedProcedure(TrialProcedure):
 
     Settings = PressedSettings
     columns: ClassVar[tuple[Column, ...]] = ()
-    """The columns that `reading` fills, besides those that every trial has. The run file gets a
-    plot over the trials for each number, and the summary its mean and standard deviation."""
+    """The columns that `reading` fills, in addition to those that every trial has. The run file
+    gets a plot over the trials for each number, and the summary its mean and standard deviation."""
 
     settings: Any
 

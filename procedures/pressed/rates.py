@@ -1,4 +1,4 @@
-"""How often a servo acts under the force, and how often the stages are polled, as links allow."""
+"""The rates of the force servo and of the stages' polls, as their links allow."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ServoRates:
-    """How often the servo acts and the stages are polled, as their links have time for."""
+    """Rates at which the servo acts and the stages are polled, as their links allow."""
 
     tick_Hz: float
     """Ticks of the servo."""
     delay_s: float
-    """From a command to the first force that shows it, with a force sensor at `FORCE_RATE_S_S`."""
+    """Time in s from a command to the first force that shows it, with a force sensor at
+    `FORCE_RATE_S_S`."""
     poll_rate_Hz: float
-    """How often both stages are asked where they are, at most."""
+    """Highest rate at which both stages are polled."""
     link_s: float = LINK_S
-    """What a poll and a new target of z usually take together, at most."""
+    """Usual longest time in s of a poll and a new target of z together."""
 
     @property
     def tick_s(self) -> float:
-        """From one tick of the servo to the next."""
+        """Time in s from one tick of the servo to the next."""
         return 1 / self.tick_Hz
 
     @property
     def approach_s(self) -> float:
-        """From one tick of an approach to the next; each of them polls z."""
+        """Time in s from one tick of an approach to the next; each of them polls z."""
         return max(self.tick_s, 1 / POLL_RATE_Hz)
 
 

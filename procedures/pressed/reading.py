@@ -1,5 +1,5 @@
-"""What a trial with the skin pressed on an object has recorded, and what it shows of any motion:
-servo, clocks, whether it counts."""
+"""The record of a trial with the skin pressed on an object, and its reading: servo, clocks, whether
+it is valid."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CONTACT_N = 0.1
 """Force that means contact: ten times the sensor's noise over a look."""
 DECIMATED_Hz = 1000.0
 MISSING_S = 0.05
-"""Samples or frames of so long may be under way when a record ends."""
+"""Length in s of samples or frames that may still be under way when a record ends."""
 SERVO_ERROR_S = 0.005
 """Stretch over which the error of the force is averaged, in an odd number of frames."""
 HELD_BACK = 0.5
@@ -38,13 +38,13 @@ HELD_BACK = 0.5
 AT_REST_S = 0.2
 """Beginning of a record, before contact: the strips' zero is its mean."""
 CLOCKS_SEEN_S, CLOCKS_SEARCHED_S = 0.1, 0.2
-"""What the two clocks are compared by reaches so far beyond touch-down and tap; and how far apart
-they are assumed to be at most."""
+"""Time in s beyond touch-down and tap over which the two clocks are compared, and their largest
+assumed offset."""
 
 
 @dataclass
 class TrialRecord:
-    """What a trial has recorded so far; times in s since the record began."""
+    """The record of a trial so far; times in s since the record began."""
 
     number: int
     tick_Hz: float
@@ -52,14 +52,14 @@ class TrialRecord:
     force_rate_S_s: float
     """Frames a second, as the force sensor reported."""
     begun_s: float = 0.0
-    """When the record began, on the run's clock."""
+    """Time on the run's clock at which the record began."""
     filter_delay_s: float = 0.0
     zero: ForceZero = field(default_factory=ForceZero)
-    """Of the force sensor, before the skin touched anything."""
+    """Zero of the force sensor, before the skin touched anything."""
     contact_mm: float = 0.0
     stiffness_N_mm: float = 0.0
     tapped_s: float = 0.0
-    """When the tap was over."""
+    """End of the tap."""
     motion_from_s: float = 0.0
     motion_to_s: float = 0.0
     volts: list[npt.NDArray[np.float64]] = field(default_factory=list)
@@ -69,7 +69,7 @@ class TrialRecord:
     position: list[tuple[float, float, float, float, float]] = field(default_factory=list)
     """Time, z, x, z commanded, x commanded."""
     rows: int = 0
-    """Of the strips."""
+    """Rows of the strips' signals."""
     signal_rows: int = 0
     frames: int = 0
     held_back: int = 0
@@ -81,7 +81,7 @@ class TrialRecord:
         return np.concatenate(self.force)
 
     def frame_times_s(self) -> npt.NDArray[np.float64]:
-        """When the frames came, (n,)."""
+        """Times at which the frames came, (n,)."""
         return np.arange(sum(len(block) for block in self.force)) / self.force_rate_S_s
 
     def load_rates(self, scales: Mapping[str, LoadScale]) -> npt.NDArray[np.float64]:
@@ -109,8 +109,9 @@ class TrialRecord:
 
 
 def reading_of(run: Run, record: TrialRecord) -> Reading:
-    """How the force was held during the motion, how the record went, both clocks, the truth of a
-    simulated bench; and why the trial is invalid if it is (``invalid``)."""
+    """Return the reading of a trial: how the force was held during the motion, the quality of the
+    record, both clocks, the truth of a simulated bench; and the reason why the trial is invalid, if
+    it is (``invalid``)."""
     settings: PressedSettings = run.settings
     force, t = record.forces_N(), record.frame_times_s()
     held = (t >= record.motion_from_s) & (t <= record.motion_to_s)
@@ -156,8 +157,8 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
 
 
 def _touch_down(run: Run, record: TrialRecord, force: npt.NDArray[np.float64]) -> Reading:
-    """How far the force sensor's clock and the DAQ's are apart, and each strip's gain, from
-    touch-down and tap that all of them saw."""
+    """Return the offset of the force sensor's clock from the DAQ's, and each strip's gain, from
+    touch-down and tap."""
     volts = np.concatenate(record.volts)
     rate_S_s = record.force_rate_S_s
     touch_s = float(np.argmax(force[:, 0] > CONTACT_N)) / rate_S_s

@@ -1,4 +1,4 @@
-"""What every tick of a trial does besides its own task: poll the stages, collect and record.
+"""Polls the stages, collects and records in every tick of a trial, whatever else the tick does.
 
 Samples of the strips, frames of the force sensor and positions come at rates of their own. Each is
 recorded once in a poll interval, in a tick of its own where there are several ticks to choose from,
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class PollSchedule:
-    """Which ticks of a loop poll the stages: `rate_Hz` times a second at most."""
+    """Selects the ticks of a loop that poll the stages: `rate_Hz` times a second at most."""
 
     def __init__(self, rate_Hz: float):
         self._rate_Hz = rate_Hz
@@ -35,7 +35,7 @@ class PollSchedule:
         self._latest = -1
         """Number of the latest poll in the loop under way."""
         self.interval_s = math.inf
-        """From one poll to the next."""
+        """Time in s from one poll to the next."""
 
     def begin_loop(self, tick_Hz: float) -> None:
         """Count from the first tick of a loop at this rate; it is due."""
@@ -66,14 +66,14 @@ class TickRecorder:
     ):
         self._run, self._links = run, links
         self._axes: list[PolledAxis] = [*stages]
-        """In the order in which they are polled."""
+        """Axes in the order in which they are polled."""
         self.force = TrialForce(run, record)
         self._strips = StripRecorder(run, record, links)
         self._positions = PositionRecorder(run, record, *stages)
         self._schedule = PollSchedule(poll_rate_Hz)
         self._poll_due = self._recording = False
         self._left: list[Callable[[], None]] = []
-        """What is still to be collected in this poll interval, the next one last."""
+        """Tasks that are still to be done in this poll interval, the next one last."""
 
     def add_axis(self, rows: AxisRows) -> None:
         """Poll a further axis, after the stages, and record its positions with theirs."""
@@ -98,8 +98,9 @@ class TickRecorder:
 
     @contextlib.contextmanager
     def loop(self, tick_Hz: float) -> Iterator[None]:
-        """Around a loop of ticks at this rate. Leaving it records what had come when its last tick
-        began; what that raises is not raised where the loop itself has raised something."""
+        """Prepare for a loop of ticks at this rate within the block. At its end, record what had
+        come when the last tick began; an exception of this is dropped if the block itself has
+        raised."""
         self._schedule.begin_loop(tick_Hz)
         try:
             yield

@@ -1,4 +1,4 @@
-"""What the trials of one run share."""
+"""State that the trials of one run share."""
 
 from __future__ import annotations
 
@@ -9,17 +9,27 @@ from rig.analysis.trial.load_rate import LoadScale, amplifier_dB, load_scale, lo
 from rig.bench.settings import STRIPS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from procedures.pressed.rates import ServoRates
     from rig.run.context import Run
 
 
+def _strips(names: Sequence[str]) -> str:
+    """Return ``strips 1 and 2 have`` or ``strip 1 has`` for names such as ``strip_1``."""
+    numbers = [name.removeprefix("strip_") for name in names]
+    return (
+        f"strip {numbers[0]} has" if len(numbers) == 1 else f"strips {' and '.join(numbers)} have"
+    )
+
+
 @dataclass
 class PressedSeries:
-    """What the stages allow, and what the trials of a series have taught the ones that follow."""
+    """State of a series: the rates that the stages allow, and what earlier trials measured."""
 
     rates: ServoRates
     scales: dict[str, LoadScale] = field(default_factory=dict)
-    """Of the strips that are calibrated."""
+    """Load rate by volt of each calibrated strip."""
     contact_mm: float | None = None
     """Position of z at which the object was felt last."""
 
@@ -38,7 +48,8 @@ def load_scales_for(run: Run) -> dict[str, LoadScale]:
         run.event(
             "warning",
             "calibration",
-            f"{' and '.join(missing)} of the skin: not calibrated, so volts are not told as load "
-            "rate; name the records in [calibrations] of the bench file",
+            f"{_strips(missing)} no calibration record, so signals are stored in volts only. To "
+            "get load rate (N/s), calibrate the films (rig calibrate pvdf) and list the records "
+            "under [calibrations] of the bench file",
         )
     return scales

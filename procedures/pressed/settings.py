@@ -1,4 +1,4 @@
-"""What trials with the skin pressed on an object have in common: settings, expectations, arming.
+"""The common settings, expectations and arming of trials with the skin pressed on an object.
 
 The skin hangs on the x-z stage above the object, which stands on the force sensor. A trial goes
 down until the object is felt, brings the normal force up and holds it by a servo on z while
@@ -17,6 +17,7 @@ from procedures.pressed.contact import (
     HOMING_S,
     SETTLED_S,
     TARE_S,
+    ZERO_LABEL,
     expected_contact_mm,
     force_zero_of,
     park,
@@ -40,31 +41,37 @@ MIN_FORCE_RATE_S_S = 100.0
 """Fewest frames a second of a force sensor: below, a frame is longer than the tap's way back, so
 that the clocks could not be compared, and the servo has no new force in every usual tick."""
 DELAY_S = 0.004
-"""From a command to the first force that shows it, with a force sensor at 1000 frames/s: link 1 ms,
-half a frame, half of the window that a tick takes the mean of, the rubber's relaxation. Two
-milliseconds too much ring at 500 Hz (decision 0038)."""
+"""Time in s from a command to the first force that shows it, with a force sensor at 1000 frames/s:
+link 1 ms, half a frame, half of the window that a tick takes the mean of, the rubber's relaxation.
+Two milliseconds too much ring at 500 Hz (decision 0038)."""
 LINK_S = 0.001
-"""What a poll of an axis and a new target together have in `DELAY_S`; of what they take longer,
-half comes between poll and command (decision 0042)."""
+"""Share in s of `DELAY_S` for a poll of an axis and a new target together. If they take longer,
+half of the additional time is between poll and command (decision 0042)."""
 TICK_Hz = 100.0
 """Ticks of the servo, where the links of the stages have time for them."""
 POLL_RATE_Hz = 100.0
-"""How often stages and DAQ are polled and recorded at most, also where ticks are more frequent. An
-approach, which needs the place of z in every tick, has no more ticks than that."""
+"""Highest rate at which stages and DAQ are polled and recorded, also if ticks are more frequent. An
+approach, which needs the position of z in every tick, has no higher tick rate."""
 NEAR_mm = 0.06
-"""Where the slow search begins, before the place at which contact has been felt already."""
+"""Distance before the place of an earlier contact at which the slow search begins."""
 TAP_S = 0.04
-"""From the way back to the way on, and until the servo takes over."""
+"""Time in s from the way back to the way on, and from there until the servo takes over."""
 AFTER_S = 0.1
-"""What is still recorded after the motion."""
+"""Time in s that is still recorded after the motion."""
 RISE_S = 0.22
-"""Expected from touch to the normal force (measured on the skin, 2 to 8 N)."""
+"""Expected time in s from touch to the normal force (measured on the skin, 2 to 8 N)."""
 
 TOUCH_DRIFT = {
     f"mean_touch_gain_{number}_dB": DriftFigure("gain by touch-down and tap", strip, 0.5)
     for number, strip in enumerate(STRIPS, 1)
 }
 """Five times the largest difference that was seen on the simulated bench (decision 0051)."""
+SUMMARY_LABELS = {
+    "mean_touch_gain_1_dB": "strip 1, touch-down gain; dB re 1 V s/N",
+    "mean_touch_gain_2_dB": "strip 2, touch-down gain; dB re 1 V s/N",
+    "force_zero_N": ZERO_LABEL,
+}
+"""Labels of values that are shown after a run, see `Procedure.summary_labels`."""
 
 
 class PressedSettings(BaseSettings):
@@ -101,7 +108,7 @@ class PressedSettings(BaseSettings):
     range_V: float = Field(default=1.25, gt=0)
     """Input range of the strips' channels, bipolar."""
     object: str = ""
-    """What the skin is pressed on."""
+    """Object that the skin is pressed on."""
 
     @model_validator(mode="after")
     def _can_be_held(self) -> PressedSettings:
@@ -116,37 +123,37 @@ class PressedSettings(BaseSettings):
 
     @property
     def block_samples(self) -> int:
-        """Of the DAQ."""
+        """Number of samples in a block of the DAQ."""
         return round(self.rate_S_s * self.block_s)
 
     @property
     def acquisition(self) -> Acquisition:
-        """Of the strips."""
+        """Acquisition of the strips' signals."""
         channels = tuple(InputChannel(name, self.range_V) for name in STRIPS)
         return Acquisition(channels, self.rate_S_s, self.block_samples)
 
     @property
     def tick_s(self) -> float:
-        """From one tick to the next, where the stages' links have time for it."""
+        """Time in s from one tick to the next, if the stages' links allow it."""
         return 1 / (self.tick_Hz or TICK_Hz)
 
     @property
     def updates_a_tick(self) -> int:
-        """How many stages are looked at and told a new target in every tick."""
+        """Number of stages that are polled and given a new target in every tick."""
         return 1
 
     @property
     def updates_Hz(self) -> float:  # noqa: N802 - the unit keeps its capital
-        """How often the stages are to be told a new target, 0 where that is left to them."""
+        """Rate of new targets for the stages; 0 if their links decide."""
         return (self.tick_Hz or 0.0) * self.updates_a_tick
 
 
 def trial_points(
     settings: PressedSettings, moves: tuple[Move, ...], motion_s: float, first_s: float
 ) -> tuple[Point, ...]:
-    """One point a trial: `motion_s` is expected of the motion under the held force and what makes
-    it ready, `first_s` of the first trial besides. The ways in z are a matter of the fixture:
-    `pressed_overhead_s`."""
+    """Return one point for each trial. `motion_s` is the expected time of the motion under the held
+    force with its preparation, `first_s` an additional time of the first trial. The ways in z
+    depend on the fixture: `pressed_overhead_s`."""
     held = (
         Move("force_sensor.force", settings.largest_force_N, ("largest_force_N",)),
         Move("stage_z.update_rate", settings.updates_Hz, ("tick_Hz",)),
@@ -203,7 +210,8 @@ def pressed_overhead_s(
 
 
 def summary_of(readings: Sequence[Reading], names: Sequence[str]) -> dict[str, Any]:
-    """How many trials count; of those the means of what is named, and its standard deviations."""
+    """Return the number of valid trials, and the means and standard deviations of the named values
+    over them."""
     counting = [r for r in readings if not r["invalid"]]
     found: dict[str, Any] = {"trials": len(readings), "valid_trials": len(counting)}
     if readings and "tick_Hz" in readings[-1]:  # not in files of before
@@ -230,7 +238,8 @@ def _touch_gains_of(readings: Sequence[Reading]) -> dict[str, float]:
 
 
 def import_what_a_trial_needs() -> None:
-    """What takes seconds to import: never while something is switched on."""
+    """Import what a trial needs. It takes seconds, so it must not happen while something is
+    switched on."""
     import scipy.ndimage
     import scipy.special  # noqa: F401
 

@@ -24,9 +24,11 @@ if TYPE_CHECKING:
 CLOCKS_DIFFER = 1e-3
 """Far more than the clocks of DAQ and computer do: a block is asked for when it may be there."""
 BLOCKS_A_POLL = 4
-"""Blocks read at once, at most, one being due: a loop that is late has the force to handle too."""
+"""Largest number of blocks that are read in a row when one is due: a loop that is late has the
+force to handle too."""
 CATCHING_UP = 2.0
-"""Where blocks are shorter: this many times those that come in a poll interval are read."""
+"""Ratio of the blocks that are read at most in a poll interval to those that come in it, if blocks
+are shorter."""
 
 
 class StripRecorder:
@@ -70,7 +72,8 @@ class StripRecorder:
     # --- on the link ----------------------------------------------------------------------------
 
     def _rows_by_now(self) -> float:
-        """How many rows the DAQ may have sampled, its clock running ahead of ours perhaps."""
+        """Return the largest number of rows that the DAQ may have sampled by now, since its clock
+        may run ahead."""
         since_s = self._run.clock.now() - self._record.begun_s
         return since_s * self._settings.rate_S_s * (1 + CLOCKS_DIFFER)
 

@@ -29,7 +29,7 @@ class TrialTicks:
         self._run, self._links, self._recorder = run, links, recorder
         self._loops, self._tick_s = loops, tick_s
         self._next_tick_s = 0.0
-        """When the first tick of the next loop is due, on the run's clock."""
+        """Time on the run's clock at which the first tick of the next loop is due."""
         self.begun = 0
         """Ticks that have begun or were missed since the trial began."""
 

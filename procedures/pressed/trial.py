@@ -44,14 +44,15 @@ if TYPE_CHECKING:
     from rig.run.points import Reading
 
 LATE_ARRIVAL_S = 1.0
-"""How much later than computed x may arrive: it is asked every 0.05 s, on a link that may wait."""
+"""Time in s that x may arrive later than computed: it is polled every 0.05 s, on a link that may be
+busy."""
 
 
 class PressedTrial:
     """One trial under way; what moves under the held force is the procedure's own."""
 
     even_moves = False
-    """Whether the servo's moves fill their ticks (`rig.control.force_servo`)."""
+    """True if the servo's moves fill their ticks (`rig.control.force_servo`)."""
 
     def __init__(
         self,
@@ -159,7 +160,7 @@ class PressedTrial:
                 "stage_x",
                 "move",
                 f"it has not come to {to_mm:g} mm at {speed_mm_s:g} mm/s within {longest_s:.3g} s",
-                "look what holds the stage; then start again",
+                "check what blocks the stage; then start again",
             )
 
     def complete_motion(self, least_s: float) -> None:
@@ -207,12 +208,12 @@ class PressedTrial:
 
     @property
     def delay_s(self) -> float:
-        """From a command to the first force that shows it."""
+        """Time in s from a command to the first force that shows it."""
         return self.recorder.force.timing.delay_s(self.series.rates)
 
     @property
     def contact_shift(self) -> ContactShift:
-        """What the motion under way, or the latest one, has shown so far."""
+        """Shift of the contact that the motion under way, or the latest one, has shown so far."""
         return self._held().shift
 
     def _held(self) -> ForceHold:

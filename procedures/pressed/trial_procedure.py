@@ -1,4 +1,4 @@
-"""What the procedures of this project have in common whose points are trials with a pressed skin.
+"""The common base of this project's procedures whose points are trials with a pressed skin.
 
 A procedure of your own begins with `procedures.pressed.PressedProcedure`, which decides more.
 """
@@ -12,6 +12,7 @@ from procedures.pressed.contact import contact_range_mm
 from procedures.pressed.layout import STREAMS
 from procedures.pressed.rates import ServoRates, rates_for, warn_of_slow_links
 from procedures.pressed.settings import (
+    SUMMARY_LABELS,
     TOUCH_DRIFT,
     PressedSettings,
     import_what_a_trial_needs,
@@ -32,6 +33,7 @@ class TrialProcedure(Procedure):
 
     streams: ClassVar[tuple[StreamPlan, ...]] = STREAMS
     drift: ClassVar[Mapping[str, DriftFigure]] = TOUCH_DRIFT
+    summary_labels: ClassVar[Mapping[str, str]] = SUMMARY_LABELS
     point_name = ("trial", "trials")
     summary_keys: ClassVar[tuple[str, ...]] = (
         "force_error_rms_percent",
@@ -45,7 +47,7 @@ class TrialProcedure(Procedure):
     def __init__(self, settings: Any):
         super().__init__(settings)
         self._series = None
-        """What the trials have taught the ones that follow; None before the first arming."""
+        """State that trials pass on to later ones; None before the first arming."""
 
     def import_ahead(self) -> None:
         """Import what a trial needs: never while something is switched on."""

@@ -14,7 +14,7 @@ from itertools import pairwise
 from typing import Protocol
 
 STREAM_AHEAD_S = 0.006
-"""How long before its time a set point is sent: the stage's delay in following (assumed)."""
+"""Time in s by which a set point is sent ahead: the stage's delay in following (assumed)."""
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ class PolledRotary:
 
 @dataclass
 class RollSeries(PressedSeries):
-    """What the trials of a series have learned for the following ones."""
+    """State that the trials of a series pass on to later ones."""
 
     offset: Estimate | None = None
     """Height of the rotary axis above the point of contact in mm; None if not measured."""

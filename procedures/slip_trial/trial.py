@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class SlipSeries(PressedSeries):
-    """What the trials of a series have learned for the following ones."""
+    """State that the trials of a series pass on to later ones."""
 
     shift: ContactShift | None = None
     """Change of the contact that the first slide has shown; the servo knew none in that slide."""

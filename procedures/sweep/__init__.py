@@ -61,6 +61,11 @@ class Sweep(Procedure):
     Settings = SweepSettings
     layout = sweep_layout.LAYOUT
     streams = (StreamPlan("waveform", "daq", CHANNELS, "Load cell and film, raw counts"),)
+    summary_labels = {  # noqa: RUF012
+        "force_zero_N": contact.ZERO_LABEL,
+        "gain_near_200_Hz_error_dB": "gain near 200 Hz, standard error; dB",
+        "gain_near_200_Hz_at_Hz": "gain near 200 Hz, measured at; Hz",
+    }
     drift = {"gain_near_200_Hz_dB": DriftFigure("gain near 200 Hz", "film", 0.5)}  # noqa: RUF012
 
     settings: SweepSettings

@@ -253,7 +253,7 @@ class SweepPointRun:
         return abs(before.response.value - last.response.value) <= visible
 
     def _outlast_ringing(self, now: float, visible: float, size: float) -> None:
-        """If ringing was seen to decay below what can be resolved, wait until it no longer matters.
+        """Wait until ringing no longer matters, if it was seen to decay below what can be resolved.
 
         The time from the first difference to one below ``visible`` gives the longest possible time
         constant.

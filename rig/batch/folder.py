@@ -41,11 +41,11 @@ class BatchFolder:
 
     @property
     def log(self) -> Path:
-        """What the batch's processes wrote on their standard error, tracebacks among it."""
+        """File with the standard error of the batch's processes, tracebacks included."""
         return self.path / "batch.log"
 
     def journal(self, number: int, procedure: str) -> Path:
-        """Where a run's journal goes, whichever attempt it is."""
+        """Return the path of a run's journal, the same for all attempts."""
         return self.path / "runs" / f"r{number:05d}_{procedure}{JOURNAL_SUFFIX}"
 
     def run_file(self, number: int, procedure: str) -> Path:
@@ -58,10 +58,11 @@ class BatchFolder:
 
     @contextlib.contextmanager
     def held_by(self, who: str, patience_s: float) -> Iterator[int]:
-        """Be a batch's "worker", "supervisor" or "postprocess", which one process is at a time.
+        """Hold the lock of a batch's "worker", "supervisor" or "postprocess", which only one
+        process can hold at a time.
 
-        Gives the descriptor of the lock, for child processes that have to hold it as well.
-        ConfigurationError where another process holds it for longer than `patience_s`.
+        Gives the descriptor of the lock, for child processes that have to hold it as well. Raises
+        ConfigurationError if another process holds it for longer than `patience_s`.
         """
         path = self.path / f"{who}.lock"
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
@@ -82,7 +83,7 @@ class BatchFolder:
             os.close(file)
 
     def is_held(self, who: str) -> bool:
-        """Whether a process is the batch's `who` now; see `held_by`."""
+        """Return whether a process is the batch's `who` now; see `held_by`."""
         try:
             file = os.open(self.path / f"{who}.lock", os.O_RDWR | os.O_CLOEXEC)
         except OSError:

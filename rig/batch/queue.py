@@ -1,4 +1,4 @@
-"""The queue of a batch: which runs there are and how each ended, in one SQLite file.
+"""The queue of a batch: its runs and their outcomes, in one SQLite file.
 
 The plan is written once, whole, before anything begins. From then on a run changes its state only
 in a transaction that is on the disk (write-ahead log, full sync) before anybody acts on it: a run
@@ -32,7 +32,7 @@ from rig.core.errors import ConfigurationError, RigError
 RunState = Literal["queued", "running", "done", "failed", "set-aside"]
 Ending = Literal["complete", "stopped", "failed", "died"]
 BUSY_S = 30.0
-"""How long to wait for a transaction of another process, in s."""
+"""Longest wait for a transaction of another process, in s."""
 AT_ONCE = 1000
 HOLDS, PRESSES = "holds", "presses"
 """Entries about the batch: how many holds its runs have had, and how often they have pressed
@@ -69,7 +69,7 @@ CREATE TABLE request (id INTEGER PRIMARY KEY, time TEXT NOT NULL, kind TEXT NOT 
 
 
 class RunEstimate(NamedTuple):
-    """What a run is expected to take."""
+    """Expected duration and size of a run."""
 
     duration_s: float
     spread_s: float
@@ -92,7 +92,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class AttemptResult:
-    """How an attempt ended."""
+    """Outcome of an attempt."""
 
     ending: Ending
     kind: str = ""
@@ -111,7 +111,7 @@ class AttemptResult:
 
 @dataclass(frozen=True)
 class RemainingWork:
-    """What a batch has still to do, as planned."""
+    """Work that a batch has still to do, as planned."""
 
     runs: int
     bench_s: float
@@ -180,7 +180,8 @@ class Queue:
 
     @classmethod
     def open(cls, path: Path, *, read_only: bool = False) -> Self:
-        """An existing queue; ConfigurationError where there is none, or the file is not one."""
+        """Open an existing queue. Raises ConfigurationError if there is none, or if the file is not
+        a queue."""
         if not path.is_file():
             raise ConfigurationError(
                 f"{path.parent} holds no batch: there is no {path.name} in it",
@@ -208,8 +209,8 @@ class Queue:
         return cls(path, sql)
 
     def close_log(self) -> None:
-        """Leave one file, which can be read from where nothing can be written; nothing happens
-        while another process has it open."""
+        """Merge the write-ahead log into the one file, which can then be read from a read-only
+        folder. Does nothing while another process has the file open."""
         with contextlib.suppress(sqlite3.OperationalError):
             self._sql.execute("PRAGMA journal_mode = DELETE")
 
@@ -236,7 +237,7 @@ class Queue:
             self._sql.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))
 
     def counts(self) -> dict[RunState, int]:
-        """How many runs there are in each state."""
+        """Return the number of runs in each state."""
         found = dict.fromkeys(("queued", "running", "done", "failed", "set-aside"), 0)
         found.update(self._sql.execute("SELECT state, count(*) FROM run GROUP BY state").fetchall())
         return found  # type: ignore[return-value]
@@ -310,7 +311,7 @@ class Queue:
         return None if row is None else (row[0], json.loads(row[1]))
 
     def attempts(self, number: int) -> dict[str, int]:
-        """How often a run's attempts ended for each kind of reason."""
+        """Return the number of a run's attempts that ended for each kind of reason."""
         return dict(
             self._sql.execute(
                 "SELECT kind, count(*) FROM attempt WHERE run = ? AND kind != '' GROUP BY kind",
@@ -319,7 +320,8 @@ class Queue:
         )
 
     def failed_in_a_row(self, most: int) -> int:
-        """How many of the latest ended runs have failed without one done since, up to `most`."""
+        """Return the number of latest ended runs, up to `most`, that have failed without one done
+        since."""
         rows = self._sql.execute(
             "SELECT state FROM run WHERE ended IS NOT NULL AND state IN ('done', 'failed')"
             " ORDER BY ended DESC, number DESC LIMIT ?",
@@ -329,7 +331,7 @@ class Queue:
         return states.index("done") if "done" in states else len(states)
 
     def failures_of(self, condition: str) -> int:
-        """How many runs of a condition have failed for good."""
+        """Return the number of runs of a condition that have failed for good."""
         return int(
             self._sql.execute(
                 "SELECT count(*) FROM run WHERE condition = ? AND state = 'failed'", (condition,)
@@ -391,7 +393,7 @@ class Queue:
             )
 
     def unfinished(self) -> Claim | None:
-        """The claim that a worker has left behind; None where there is none."""
+        """Return the claim of a worker that died during a run; None if there is none."""
         row = self._sql.execute(
             "SELECT number, repeat, condition FROM run WHERE state = 'running' LIMIT 1"
         ).fetchone()
@@ -411,7 +413,7 @@ class Queue:
         return changed.rowcount
 
     def put_back(self) -> int:
-        """Queue again what failed or was set aside; returns how many runs these are."""
+        """Queue failed and left-out runs again, and return their number."""
         with self._transaction():
             self._sql.execute("UPDATE condition SET set_aside = ''")
             self._sql.execute(

@@ -114,8 +114,8 @@ class LinkWorker:
                 self._failure = None
 
     def ask(self, what: str, work: Work) -> None:
-        """Have `work` called. It replaces an earlier request of the same name `what` that has not
-        begun. Raises the exception of an earlier call."""
+        """Request a call of `work`. It replaces an earlier request of the same name `what` that has
+        not begun. Raises the exception of an earlier call."""
         self.check()
         if not self._in_loop:
             work()
@@ -178,8 +178,9 @@ class LinkWorker:
             raise failure
 
     def begin_making_safe(self) -> None:
-        """From now on let no drive end a wait: one that does not answer gets no further keep-alive,
-        so that it stops by itself. The others do, whatever the procedure does."""
+        """Let no drive end a wait from now on. A drive that does not answer gets no further
+        keep-alive, so that it stops by itself. The other drives continue to get keep-alives,
+        whatever the procedure does."""
         self._making_safe = True
         # An answer that was lost before must not stop the keep-alives while the axis is lifted.
         self._feed_failure = None

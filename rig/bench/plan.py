@@ -57,9 +57,9 @@ class BenchPlan:
     text: str
     """Text of the file, unchanged."""
     source: str
-    """Where it came from, for messages and the run file."""
+    """Origin of the plan, for messages and the run file."""
     stand_ins: tuple[str, ...] = ()
-    """What a dry run has to say of instruments that stand in for those of the bench file."""
+    """Lines of a dry run on simulated instruments that replace those of the bench file."""
 
     @property
     def mounted(self) -> tuple[Fixture, ...]:

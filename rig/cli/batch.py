@@ -122,10 +122,12 @@ def pause(folder: Folder = None, results: Results = RESULTS, debug: Debug = Fals
 def stop(
     folder: Folder = None,
     results: Results = RESULTS,
-    now: Annotated[bool, typer.Option("--now", help="At once; the point is discarded.")] = False,
+    now: Annotated[
+        bool, typer.Option("--now", help="Stop at once; the point under way is discarded.")
+    ] = False,
     after_run: Annotated[
         bool,
-        typer.Option("--after-run", help="After the run under way [after its point]."),
+        typer.Option("--after-run", help="Stop after the run under way [after its point]."),
     ] = False,
     debug: Debug = False,
 ) -> None:

@@ -11,6 +11,7 @@ import typer
 
 from rig.cli.outcome import printable, reported, say, tell_failure
 from rig.core.errors import ExitCode, RigError
+from rig.core.units import counted
 from rig.detector import DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def _answer(result: DetectionResult | DetectionFailure | RigError, file: Path) -
 
 
 def _code(answers: Sequence[Answer]) -> ExitCode:
-    """Of files that all failed the first one's; 5 where some did not."""
+    """Return the exit code: that of the first file if all failed, 5 if only some failed."""
     failed = [answer for answer in answers if isinstance(answer, RigError)]
     if not failed:
         return ExitCode.DONE
@@ -117,14 +118,21 @@ def _tell(file: Path, answer: Answer, as_json: bool, debug: bool) -> None:
 
 
 def _in_words(found: DetectionResult) -> str:
-    """``2 predictive, 1 incipient slip, first at 6.384 s of trial-001; in FILE``"""
-    counts = [f"{count} {kind}" for kind, count in found.events.items() if count]
-    summary = ", ".join(counts) or "nothing found"
-    if found.first_slip is not None:
+    """Return the result as one line, ``1 trial: 1 incipient slip (first at 6.384 s of trial-001),
+    2 early warnings. Saved FILE; draw with: rig show FILE``."""
+    parts = []
+    if slips := found.events.get("incipient slip", 0):
+        assert found.first_slip is not None
         trial, time_s = found.first_slip
-        summary += f", first slip at {time_s:.3f} s of {trial}"
-    trials = "1 trial" if found.trials == 1 else f"{found.trials} trials"
-    return f"{summary} in {trials}; {'already in' if found.kept else 'saved'} {found.file}"
+        parts.append(f"{counted(slips, 'incipient slip')} (first at {time_s:.3f} s of {trial})")
+    for kind, one in (("predictive", "early warning"), ("roll", "roll"), ("rejected", "")):
+        if count := found.events.get(kind, 0):
+            parts.append(counted(count, one) if one else f"{count} ignored")
+    saved = "Saved before as" if found.kept else "Saved"
+    return (
+        f"{counted(found.trials, 'trial')}: {', '.join(parts) or 'nothing found'}. "
+        f"{saved} {found.file}; draw with: rig show {found.file}"
+    )
 
 
 def _as_object(files: Sequence[Path], answers: Sequence[Answer], code: ExitCode) -> dict[str, Any]:
@@ -166,7 +174,7 @@ def _result(answer: Answer) -> dict[str, Any]:
 
 
 class _DetectionProgress:
-    """On a terminal a bar with the time left, elsewhere one plain line a file; on stderr."""
+    """Shows progress on stderr: a bar with the time left on a terminal, else one line per file."""
 
     def __init__(self, files: int):
         from rich.console import Console

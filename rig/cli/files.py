@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 LONGEST_LIST = 8
 """Longest list whose numbers are shown one by one."""
+LONGEST_LINE = 80
+"""Length in characters of several texts from which each is shown in a line of its own."""
 
 Files = Annotated[
     list[Path], typer.Argument(help="Run files and processed files (.h5) or journals (.rigj).")
@@ -199,13 +201,31 @@ def _draw(file: Path, folder: Path | None) -> None:
 
 
 def _tell(values: Mapping[str, Any], indent: str = "") -> None:
-    """Names and values, one a line; tables indented below their name."""
+    """Print names and values, one per line, and tables indented below their names."""
     for name, value in values.items():
         if isinstance(value, Mapping):
             print(printable(f"{indent}{name}:"))  # noqa: T201 - stdout carries data
             _tell(value, indent + "  ")
+        elif _is_text_list(value):
+            print(printable(f"{indent}{name}:"))  # noqa: T201 - stdout carries data
+            for line in value:
+                print(printable(f"{indent}  {line}"))  # noqa: T201 - stdout carries data
+        elif isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
+            for number, one in enumerate(value, 1):
+                print(printable(f"{indent}{name} {number}:"))  # noqa: T201 - stdout carries data
+                _tell(one, indent + "  ")
         else:
             print(printable(f"{indent}{name}: {_in_words(value)}"))  # noqa: T201 - stdout carries data
+
+
+def _is_text_list(value: Any) -> bool:
+    """Return whether the value is several texts, of which each gets a line of its own."""
+    return (
+        isinstance(value, list | tuple)
+        and len(value) > 1
+        and all(isinstance(one, str) for one in value)
+        and sum(map(len, value)) > LONGEST_LINE
+    )
 
 
 def _in_words(value: Any) -> str:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 CHANNELS = ("v_1", "v_2", "F_n", "F_t")
 SCALED = {"v_1": "V", "v_2": "V", "F_n": "N", "F_t": "N", "time": "s"}
-"""What a scale gives, for one unit of the file."""
+"""Unit of the values after scaling."""
 
 
 def import_(
@@ -59,13 +59,13 @@ def import_(
     ] = None,
     sensor: Annotated[str, typer.Option(help="Sensor that was recorded.")] = "",
     sample: Annotated[str, typer.Option(help="Sample (skin or film) that was used.")] = "",
-    object_: Annotated[str, typer.Option("--object", help="What the skin touched.")] = "",
+    object_: Annotated[str, typer.Option("--object", help="Object that the skin touched.")] = "",
     user: Annotated[str, typer.Option(help="Name of the person who recorded it.")] = "",
     notes: Annotated[str, typer.Option(help="Remarks.")] = "",
     start_time: Annotated[
         str | None,
         typer.Option(
-            help="When the recording began, with its offset from UTC.",
+            help="Time at which the recording began, with its offset from UTC.",
             metavar="2026-11-22T09:30:00+01:00",
         ),
     ] = None,

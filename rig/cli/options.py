@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
 from pydantic import ValidationError
@@ -64,7 +64,7 @@ def parameters(model: type[Settings]) -> list[inspect.Parameter]:
                     option_name(field),
                     *_short(info),
                     help=_help(field, info, said.get(field, "")),
-                    metavar=(unit_of(field) or "VALUE"),
+                    metavar=_metavar(field, info),
                     show_default=False,
                     rich_help_panel="Settings",
                 ),
@@ -72,6 +72,13 @@ def parameters(model: type[Settings]) -> list[inspect.Parameter]:
         )
         for field, info in model.model_fields.items()
     ]
+
+
+def _metavar(field: str, info: FieldInfo) -> str:
+    """Return what stands for the value in the help: its choices, else its unit, else VALUE."""
+    if get_origin(info.annotation) is Literal:
+        return f"[{'|'.join(str(choice) for choice in get_args(info.annotation))}]"
+    return unit_of(field) or "VALUE"
 
 
 def settings_from(model: type[Settings], given: Mapping[str, str | None]) -> Settings:
@@ -116,10 +123,10 @@ def _short(info: FieldInfo) -> tuple[str, ...]:
 def _help(field: str, info: FieldInfo, said: str) -> str:
     words = " ".join(said.split())
     default = info.get_default(call_default_factory=True)
-    if default is None:
+    if default is None or default in ("", ()):
         return words
     if isinstance(default, tuple):
-        shown = f"{len(default)} values, {default[0]:g} to {default[-1]:g}" if default else "none"
+        shown = f"{len(default)} values, {default[0]:g} to {default[-1]:g}"
     else:
         shown = f"{default:g}" if isinstance(default, float) else str(default)
     unit = unit_of(field)

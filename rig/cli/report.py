@@ -11,6 +11,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, Tex
 from rich.text import Text
 
 from rig.cli.outcome import say, tell_failure
+from rig.core.settings import name_without_unit, unit_of
 from rig.core.units import counted, duration
 from rig.figures.drawing import DrawingProcess, Drawn
 from rig.run.observers import HOLD, PAUSED, RUNNING, RunObserver
@@ -103,7 +104,7 @@ class ConsoleObserver(RunObserver):
         self._say(f"{level}: {message}")
 
     def state(self, name: str) -> None:
-        """See `RunObserver`. The signal's handler shows what a stop does."""
+        """Show that the run is paused or resumed; the signal's handler shows what a stop does."""
         if name == PAUSED:
             self._say("PAUSED (bench is safe). Ctrl-Z continues, Ctrl-C ends the run.")
         elif name == RUNNING and self._interrupted:
@@ -145,22 +146,32 @@ def finish(
     if as_json:
         print(json.dumps(as_object(outcome, [str(path) for path in drawn.files])))  # noqa: T201 - stdout carries data
     else:
-        _tell_summary(outcome)
+        _tell_summary(procedure, outcome)
     for line in closing_lines(procedure, outcome, drawn.files):
         say(line)
 
 
-def _tell_summary(outcome: RunOutcome) -> None:
+def _tell_summary(procedure: type[Procedure], outcome: RunOutcome) -> None:
     for name, value in outcome.summary.items():
         if isinstance(value, list) and all(isinstance(item, str) for item in value):
             for sentence in value:
                 say(f"  {sentence}")
         elif isinstance(value, list):
-            say(f"  {name}: {', '.join(f'{item:.6g}' for item in value)}")
+            numbers = ", ".join(f"{item:.4g}" for item in value)
+            say(f"  {_labelled(procedure, name, numbers)}")
         elif not isinstance(value, dict):  # Tables are shown by --json only.
-            say(f"  {name}: {value:.6g}" if isinstance(value, float) else f"  {name}: {value}")
+            shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+            say(f"  {_labelled(procedure, name, shown)}")
     if outcome.file is not None:
         print(outcome.file, flush=True)  # noqa: T201 - stdout carries data
+
+
+def _labelled(procedure: type[Procedure], name: str, shown: str) -> str:
+    """Return ``label: value unit`` for a value of the summary."""
+    unit = {None: "", "percent": " %"}.get(unit_of(name), f" {unit_of(name)}")
+    label = procedure.summary_labels.get(name, name_without_unit(name).replace("_", " "))
+    label, _, stated = label.partition(";")
+    return f"{label}: {shown}{f' {stated.strip()}' if stated else unit}"
 
 
 def finish_dry_run(procedure: type[Procedure], outcome: RunOutcome, as_json: bool) -> None:

@@ -26,7 +26,7 @@ class LastingStream(io.TextIOWrapper):
             line_buffering=True,
         )
         self.failure: OSError | None = None
-        """Why output was lost first; None if nothing was lost."""
+        """Reason why output was lost first; None if nothing was lost."""
 
     def write(self, text: str) -> int:
         """Write the text if the descriptor still works."""

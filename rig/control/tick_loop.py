@@ -25,7 +25,7 @@ from rig.core.errors import ExitCode, RigError
 LATE = 0.5
 """Fraction of a period from which a tick is late."""
 BEHIND_FOR_S = 1.0
-"""How long the loop may miss one tick or more before each one that it runs."""
+"""Longest time in s for which every tick may be preceded by missed ones."""
 ROUNDING = 1e-6
 """Fraction of a period by which the clock may differ from the sum of its waits."""
 HIGHEST_RATE_Hz = 500.0
@@ -48,13 +48,13 @@ class Tick:
 
     @property
     def late_s(self) -> float:
-        """How late it began; 0 for a tick that a rounding clock began slightly early."""
+        """Delay of its beginning in s; 0 for a tick that a rounding clock began slightly early."""
         return max(0.0, self.began_s - self.due_s)
 
 
 @dataclass(frozen=True)
 class LoopStatistics:
-    """How well a loop kept its time."""
+    """Timing statistics of a loop."""
 
     ticks: int
     """Number of ticks due until the end of the loop."""

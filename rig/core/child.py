@@ -24,19 +24,19 @@ MAX_MEMORY_BYTES = 8 << 30
 MAX_ANSWER_BYTES = 1 << 30
 """Limit on the answer of a child that is waited for."""
 TAIL_BYTES = 1 << 16
-"""How much of the end of an output is returned where nothing else is asked for. A child that writes
-faster than it is polled waits for its pipe, and meets its time limit."""
+"""Number of bytes of the end of an output that are returned by default. A child that writes faster
+than it is polled waits for its pipe, and meets its time limit."""
 CHUNK_BYTES = 1 << 20
 """More than a pipe holds: one read empties it."""
 CHECK_EVERY_S = 0.1
-"""How often a child is checked that has closed its outputs or handed them on."""
+"""Interval in s at which a child is checked that has closed its outputs or handed them on."""
 KILLED_S = 5.0
-"""How long a killed process may take to disappear before it is left to the system."""
+"""Longest time in s in which a killed process may disappear; then it is left to the system."""
 
 
 @dataclass(frozen=True)
 class ChildResult:
-    """How a child ended."""
+    """The result of a child process."""
 
     failure: str
     """Empty where its exit code was 0; else the exit code, the signal or the time limit."""
@@ -45,11 +45,11 @@ class ChildResult:
     complaint: str = ""
     """The end of what it wrote to stderr, if that was read."""
     timed_out: bool = False
-    """Whether it was killed because its time was over."""
+    """True if it was killed because its time was over."""
 
     @property
     def reason(self) -> str:
-        """Why it failed, with the last line of its complaint."""
+        """Return the reason of the failure, with the last line that the child has written."""
         return ": ".join([self.failure, *self.complaint.strip().splitlines()[-1:]])
 
 
@@ -112,7 +112,7 @@ class Child:
 
     @property
     def output_bytes(self) -> int:
-        """How much it has written to stdout so far."""
+        """Return the number of bytes written to stdout so far."""
         return self._output.bytes
 
     def poll(self) -> ChildResult | None:

@@ -143,8 +143,8 @@ class Clock(ABC):
             self._pass(min(remaining, WAIT_SLICE_S))
 
     def charge(self, seconds: float) -> None:
-        """Let bench time pass for `seconds` of wall time that were spent on a link's time-out, as
-        far as it has not passed already. Callbacks run as in any wait."""
+        """Let bench time pass for the `seconds` of wall time that a link's time-out took, unless it
+        has passed already. Callbacks run as in any wait."""
         self.sleep(seconds)
 
     def announce(self, run: int, point: int) -> None:  # noqa: B027 - hardware need not know
@@ -152,11 +152,10 @@ class Clock(ABC):
         noise."""
 
     def while_computing(self, beat: Callable[[], None]) -> None:  # noqa: B027 - hardware does not
-        """Have `beat` called about once a second while a simulated bench computes, as a sign of
-        life."""
+        """Call `beat` about once a second while a simulated bench computes, as a sign of life."""
 
     def act(self, do: str, **values: object) -> bool:
-        """Have a simulated bench do what a person would do to a real one, such as ``weigh``.
+        """Make a simulated bench do what a person would do to a real one, such as ``weigh``.
         Returns whether there is such a bench: on a real one a person has to do it."""
         return False
 
@@ -237,11 +236,11 @@ class SlavedClock(Clock):
         return lambda: self._followed.pop(name, None) and None
 
     def while_computing(self, beat: Callable[[], None]) -> None:
-        """Have `beat` called during each request to the bench."""
+        """Call `beat` during each request to the bench."""
         self._control.beat = beat
 
     def act(self, do: str, **values: object) -> bool:
-        """Have the simulated bench do it; always returns True."""
+        """Make the simulated bench do it, and return True."""
         self._control.request(do, **values)
         return True
 

@@ -1,4 +1,5 @@
-"""What installed packages register with this one: procedures, drivers, simulators and benches.
+"""Loads what installed packages register with this one: procedures, drivers, simulators and
+benches.
 
 A package names modules, and for a procedure a class (``module:Class``), in the entry-point groups
 below. `load` is the one place where they are imported: it checks that what is registered has
@@ -34,7 +35,7 @@ KINDS = {
     BENCHES: "simulated bench",
     SIMULATORS: "simulator",
 }
-"""What an entry point of each group is called in a message."""
+"""Name of an entry point of each group in a message."""
 DATA: dict[str, tuple[str, ...]] = {
     DRIVERS: ("ROLES", "Settings"),
     SIMULATORS: ("link", "axes", "rates"),

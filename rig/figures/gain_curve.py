@@ -12,7 +12,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from rig.analysis.film.circuit import READINGS
+from rig.analysis.film.circuit import READING_NAMES, READINGS
 from rig.analysis.film.model import FIRST_ORDER_SLOPE, SLOPE_BAND_HZ
 from rig.analysis.response.complex_response import DB_PER_RELATIVE
 from rig.figures.style import STYLE, decades, set_margins
@@ -31,9 +31,9 @@ CURVE_POINTS = 2000
 DROP_LABEL_SHARE = 0.18
 """Height of a notch's label with its line, as a fraction of the axes' height."""
 _EXPLAINED = {
-    "printed": "printed: eq. (4) as it stands, Ω + S",
-    "ohmic": "ohmic: eq. (4) with 1/A4 for A4, so that units agree",
-    "circuit": "circuit: Kirchhoff's laws for the circuit as drawn",
+    "printed": "eq. (4) as printed (adds Ω and S)",
+    "ohmic": "eq. (4) with units corrected (1/A4 for A4)",
+    "circuit": "circuit analysis of the circuit as drawn",
 }
 _COLOURS = {"printed": "C3", "ohmic": "C2", "circuit": "C1"}
 
@@ -57,7 +57,7 @@ def draw_gain(curve: ResponseCurve, analysis: SweepAnalysis, title: str = "") ->
         _frequency_axis(residual, curve.frequencies)
         set_margins(figure, top=0.5)
         if title:
-            figure.suptitle(title, fontsize=9)
+            figure.suptitle(title, fontsize=9, parse_math=False)
     return figure
 
 
@@ -81,7 +81,7 @@ def draw_readings(
             computed = _dB(reading(f, given))
             line = {"color": _COLOURS[name], "linewidth": 1}
             plain.plot(f, computed, label=_EXPLAINED[name], **line)
-            label = f"{name}, {_signed(-offset, 1)} dB"
+            label = f"{READING_NAMES[name]}, {_signed(-offset, 1)} dB"
             shifted.plot(f, computed - offset, label=label, **line)
         _mark_corners(shifted, analysis)
         plain.set_title("Predictions from eq. (4), absolute", fontsize=9)
@@ -91,7 +91,7 @@ def draw_readings(
         _frequency_axis(shifted, curve.frequencies)
         set_margins(figure, top=0.68, between=0.14)
         if title:
-            figure.suptitle(title, fontsize=9)
+            figure.suptitle(title, fontsize=9, parse_math=False)
     return figure
 
 
@@ -116,7 +116,7 @@ def draw_linearity(linearity: LoadLinearity, title: str = "") -> Figure:
         figure.legend(loc="outside lower center", ncols=2, frameon=False)
         _frequency_axis(axes, linearity.frequencies)
         if title:
-            figure.suptitle(title, fontsize=9)
+            figure.suptitle(title, fontsize=9, parse_math=False)
     return figure
 
 
@@ -154,7 +154,7 @@ def _plain_line(axes: Axes, curve: ResponseCurve, level_dB: float) -> None:
         "--",
         color="0.3",
         linewidth=0.9,
-        label=f"20 dB/decade line fitted without corner (paper, eq. 2): {_signed(level_dB, 2)} dB",
+        label=f"20 dB/decade line fitted without corner\n(paper, eq. 2): {_signed(level_dB, 2)} dB",
         zorder=4,
     )
 
@@ -197,14 +197,14 @@ def _mark_corners(axes: Axes, analysis: SweepAnalysis) -> None:
     """Mark the measured corner and the one that R_PV C_PV predicts."""
     bottom, top = axes.get_ylim()
     for value, name, place in (
-        (analysis.corner.value, "corner, measured", "right"),
-        (analysis.circuit.film_corner_Hz, "corner of $R_{PV}C_{PV}$", "left"),
+        (analysis.corner.value, "corner, measured:", "right"),
+        (analysis.circuit.film_corner_Hz, "corner of\n$R_{PV}C_{PV}$:", "left"),
     ):
         if not np.isfinite(value):
             continue
         axes.axvline(value, color="0.3", linestyle=":", linewidth=0.9)
         axes.annotate(
-            f"{name}:\n{_hertz(value)}",
+            f"{name}\n{_hertz(value)}",
             (value, bottom),
             (-3 if place == "right" else 3, 3),
             textcoords="offset points",

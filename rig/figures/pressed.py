@@ -58,5 +58,8 @@ def heading(figure: Figure, run: RunFile, number: int, point: str) -> int:
     """Write title, file, and why the trial is invalid if it is; return the number of lines."""
     doubt = str(run.column("invalid")[number])
     invalid = f"\ninvalid: {doubt}" if doubt else ""
-    figure.suptitle(f"{run.header.title}: {point}\n{run.path.name}{invalid}", fontsize=9)
+    of = f"trial {number + 1} of {len(run.column('invalid'))}"
+    force = f"{run.settings['normal_force_N']:g} N normal force"
+    title = run.header.marked(f"{run.header.procedure.removesuffix('-trial')} {of}, {force}")
+    figure.suptitle(f"{title}\n{run.path.name}{invalid}", fontsize=9)
     return 3 if doubt else 2

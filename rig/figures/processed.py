@@ -63,8 +63,9 @@ def draw_trial(processed: ProcessedFile, trial: DetectedTrial) -> Figure:
         for axes in (signal, low):
             legend_above(axes)
         settings = processed.settings
+        mark = f"{processed.source.mark} " if processed.source.mark else ""
         figure.suptitle(
-            f"{processed.title}: {trial.id}\n"
+            f"{mark}slip detection, {trial.id}\n"
             f"detector {settings.logic} {processed.version}: {_in_words(trial)}\n"
             f"{processed.path.name}",
             fontsize=9,

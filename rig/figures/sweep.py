@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
@@ -100,7 +101,7 @@ def draw_measured(run: RunFile) -> Figure:
                 "markersize": 3,
                 "elinewidth": 0.6,
                 "color": f"C{number}",
-                "label": f"{level:g} N",
+                "label": f"{level:g} N peak load",
             }
             gain.errorbar(frequency[at], gains[at], 2 * run.column("gain_error")[at], **marker)
             phase.errorbar(
@@ -109,22 +110,25 @@ def draw_measured(run: RunFile) -> Figure:
             load.plot(frequency[at], deviation[at], ".", markersize=3, color=marker["color"])
         _reference(gain, frequency, gains)
         gain.set_ylabel("Gain (dB re 1 V/N)")
-        gain.legend(
-            loc="lower right", frameon=False, title="peak load",
-            title_fontsize=8,
-        )  # fmt: skip
+        gain.legend(loc="lower right", frameon=False)
         phase.set_ylabel("Phase (°)")
         show_at_least(gain, LEAST_SPAN_DB)
         show_at_least(phase, LEAST_SPAN_DEG)
         _tolerance(load, run, deviation)
         decades(load, frequency.min(), frequency.max())
         set_margins(figure, top=0.5)
-        figure.suptitle(_title(run), fontsize=9)
+        figure.suptitle(_title(run), fontsize=9, parse_math=False)
     return figure
 
 
 def _title(run: RunFile) -> str:
-    return f"{run.header.title}\n{run.path.name}"
+    """Return the mark, the film and the conditions of the sweep, and the file's name below."""
+    film = tomllib.loads(run.header.bench_toml).get("film", {}).get("name", "")
+    loads = run.settings.get("loads_N") or [run.settings["load_N"]]
+    of = f' of film "{film}"' if film else ""
+    peak = ", ".join(f"{load:g}" for load in loads)
+    conditions = f"sweep{of}, {peak} N peak, {run.settings['preload_N']:g} N preload"
+    return f"{run.header.marked(conditions)}\n{run.path.name}"
 
 
 def _tolerance(axes: mpl.axes.Axes, run: RunFile, deviation: np.ndarray) -> None:

@@ -323,7 +323,7 @@ class ForceFrames:
     first_index: int
     """Index of the first frame since the stream was started."""
     raw: npt.NDArray[np.float32]
-    """As the sensor sent them: (n, 3), in `raw_unit`; 0 on axes that the sensor lacks."""
+    """Values as the sensor sent them: (n, 3), in `raw_unit`; 0 on axes that the sensor lacks."""
     force_N: npt.NDArray[np.float64]
     """(n, 3): forces along the sensor's x, y, z after matrix and tare, 0 on axes that it lacks.
     What presses on the sensor is positive along z."""
@@ -337,8 +337,8 @@ class ForceFrames:
 
 
 class ForceSensor(Instrument, Protocol):
-    """A force sensor with up to three axes that streams. One reader thread calls `read`, others
-    call the rest meanwhile.
+    """A force sensor with up to three axes that streams. One reader thread calls `read`; other
+    threads may call the other methods at the same time.
 
     `reach` holds ``rate`` in frames/s, with twice the same value where it is fixed, and ``force``
     in N.

@@ -23,7 +23,7 @@ SILENCE_S = 0.2
 LONGEST_STEP_S = 0.15
 """Longest duration of a step: it has ended by itself when the release is noticed."""
 CONFIRM_S = 3.0
-"""How long homing waits for the key that confirms it."""
+"""Time in s for which homing waits for the key that confirms it."""
 FALLEN = 0.8
 """Fraction of the largest force below which all axes may move again after a trip."""
 RETREAT = 1.25

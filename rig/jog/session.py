@@ -115,7 +115,7 @@ class JogOperator(Protocol):
 
 @dataclass
 class JogOutcome:
-    """How a session ended."""
+    """The outcome of a session."""
 
     code: ExitCode = ExitCode.DONE
     failures: list[RigError] = field(default_factory=list)
@@ -335,8 +335,7 @@ class JogSession:
 
     @contextlib.contextmanager
     def _no_disturbance(self) -> Iterator[None]:
-        """Let nothing but a drive end a wait within the block, in which something is being
-        stopped."""
+        """Let only a drive end a wait within the block, in which something is being stopped."""
         before, self._undisturbed = self._undisturbed, True
         try:
             yield
@@ -528,8 +527,8 @@ class JogSession:
 
 
 def _urgent_alone(keys: list[Key]) -> list[Key]:
-    """Of several keys return only one that stops, if there is one; else each that differs from the
-    one before."""
+    """Return only a key that stops, if there is one among several; else each key that differs from
+    the one before."""
     for urgent in (Key.LEAVE, Key.STOP):
         if urgent in keys:
             return [urgent]

@@ -229,7 +229,7 @@ def _stream_of_strips(run: RunFile) -> str:
     if stream is None:
         raise ConfigurationError(
             f"{run.path}: a {run.header.procedure}, which records no strips v_1 and v_2",
-            "slips are looked for in slip trials, roll trials and imported recordings",
+            "slips can be detected in slip trials, roll trials and imported recordings",
         )
     return stream
 

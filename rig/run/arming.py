@@ -89,7 +89,7 @@ class ShutdownThread:
         return self._latest is not None and not self._latest.done
 
     def do(self, act: Act) -> Task:
-        """Have `act` called, after all earlier calls."""
+        """Call `act` in this thread, after all earlier calls."""
         self._latest = task = Task(act)
         self._tasks.put(task)
         return task
@@ -200,7 +200,8 @@ class Arming:
         return failures
 
     def begin(self, name: str, act: Act, head_start_s: float = HEAD_START_S) -> None:
-        """From another shutdown action: first call `act`, which belongs to the armed thing `name`.
+        """Call `act`, which belongs to the armed thing `name`, from another shutdown action and
+        before the rest of it.
 
         In real time the call is made in that thing's thread, and this waits for it no longer than
         `head_start_s`.

@@ -268,5 +268,6 @@ class Run:
         self.event("error", type(error).__name__, error.one_line())
 
     def check_stop(self) -> None:
-        """Let stop requests and failures of other threads end the run here; waits do it too."""
+        """Raise here if the run has to stop: a stop request, or a failure of another thread. Waits
+        do it too."""
         self.clock.sleep(0)

@@ -347,7 +347,7 @@ class _Execution:
                 self.outcome.code = error.code
 
     def _forget_what_is_not_in_the_journal(self) -> None:
-        """After a failure of the disk, drop the readings that are not in the journal."""
+        """Drop the readings that are not in the journal, after a failure of the disk."""
         with contextlib.suppress(RigError, OSError):
             recorded = {point.id for point in read_journal(self.journal.path).kept()}
             for lost in self.readings.keys() - recorded:

@@ -41,15 +41,16 @@ if TYPE_CHECKING:
 GUARD_SUFFIX = ".guard.json"
 """Suffix of a report next to its run file, for a bench that ended with the run."""
 TAKE_OVER_S = 30.0
-"""How long a run waits for its guard's second try: several time-outs of the links."""
+"""Longest time in s that a run waits for its guard's second try: several time-outs of the links."""
 SILENT_S = 5.0
-"""How long a guard may leave heartbeats unread before the run reports it: it reads each at once, so
-it is stopped, or gets no processor time."""
+"""Longest time in s for which a guard may leave heartbeats unread. After it the run reports that
+the guard is stopped or gets no processor time, since it normally reads each at once."""
 MOST_UNREAD_BYTES = 4096
-"""From here on no further heartbeats are sent. A pipe holds 65536 bytes, and a write to a full one
-would wait for ever; so the words that the bench is safe and that the run is done always fit."""
+"""Number of unread bytes from which no further heartbeats are sent. A pipe holds 65536 bytes, and a
+write to a full one would wait for ever; so there is always room for the messages that the bench is
+safe and that the run is done."""
 ENDING_S = 5.0
-"""How long a guard with nothing left to do may take to end before it is killed."""
+"""Longest time in s that a guard with nothing left to do may take to end before it is killed."""
 REST_S = 10.0
 """Longest time in which an axis comes to rest, in addition to the waits for its answers."""
 
@@ -144,7 +145,7 @@ class GuardLink:
                 "end other programs, or raise the limit (ulimit -u, ulimit -n), and start again",
             ) from error
         self._heard_s = time.monotonic()
-        """When the guard had last read everything that was sent to it."""
+        """Time at which the guard had last read everything that was sent to it."""
         self._tell(json.dumps(order))
 
     @property

@@ -378,7 +378,7 @@ class InterlockWatch:
     def _error(self, name: str) -> InterlockError:
         self._told.add(name)
         what = self._reasons.get(name, f"interlock {name} (person) opened")
-        hint = "look at the bench and close it"
+        hint = "check the bench and close it"
         if self._store.path(name) is not None:
             hint += f", then there: {RESET} --bench {self._bench.plan.source}"
         return InterlockError(what, f"{hint}; then start again")

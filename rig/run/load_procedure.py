@@ -146,6 +146,9 @@ def _wrong_attributes(procedure: type[Procedure]) -> Iterator[str]:
         yield "has streams that are not a tuple of rig.run.procedure.StreamPlan"
     if not isinstance(procedure.drift, Mapping):
         yield "has a drift that is not a mapping of names to rig.run.procedure.DriftFigure"
+    labels = procedure.summary_labels
+    if not isinstance(labels, Mapping) or not all(isinstance(one, str) for one in labels.values()):
+        yield "has summary_labels that are not a mapping of names to texts"
     words = procedure.point_name
     if not (isinstance(words, tuple) and list(map(type, words)) == [str, str]):
         yield 'has a point_name that is not a pair of words such as ("trial", "trials")'

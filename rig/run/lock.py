@@ -39,7 +39,7 @@ ADDRESS = ("resource", "host", "port", "unit_id")
 SUFFIX = ".lock"
 ENTRY_BYTES = 4096
 GUARD_S = 10.0
-"""How long a new run waits for the guard of a dead one."""
+"""Longest time in s that a new run waits for the guard of a run that died."""
 LOOK_EVERY_S = 0.1
 
 

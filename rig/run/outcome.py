@@ -14,7 +14,7 @@ from rig.run.guard import TakenOver
 
 @dataclass
 class RunOutcome:
-    """How a run ended."""
+    """The outcome of a run."""
 
     status: str
     """One of ``complete``, ``stopped`` and ``failed``."""

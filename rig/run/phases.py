@@ -11,8 +11,8 @@ class RunPhase(Enum):
     """The phase of a run, which decides what may end a wait."""
 
     READY = "ready"
-    """Nothing is armed, or the run is between two points. Stop requests and failures of the
-    recorder end a wait."""
+    """Phase in which nothing is armed, or the run is between two points. Stop requests and failures
+    of the recorder end a wait."""
     MEASURING = "measuring"
     """Arming, or measuring a point. Trips and holds end a wait as well."""
     ON_HOLD = "on hold"

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rig.run.stopping import StopFlag
 
 HOLD_POLL_S = 0.1
-"""How often a run on hold checks whether it may continue."""
+"""Interval in s at which a run on hold checks whether it may continue."""
 
 SwitchOff = Callable[[bool], list[ShutdownFailure]]
 """Runs the shutdown actions and returns those that failed; with True the watchers stay on."""

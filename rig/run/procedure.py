@@ -90,6 +90,9 @@ class Procedure(ABC):
     """Every stream that `take` records."""
     drift: ClassVar[Mapping[str, DriftFigure]] = MappingProxyType({})
     """Numbers of the summary by which a batch's reference run shows wear, by their key."""
+    summary_labels: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    """Label and, after a semicolon, unit of values of the summary, by name, for the terminal. The
+    other values are shown by their names."""
     point_name: ClassVar[tuple[str, str]] = ("point", "points")
     """Noun for one of its points, and for several."""
 

@@ -28,7 +28,7 @@ from rig.run.stream_reader import StreamReader
 
 FORCE_STREAM = "force_sensor"
 LATE_FRAMES_S = 1.0
-"""How long to wait for overdue frames."""
+"""Longest wait in s for overdue frames."""
 LOOK_EVERY_S = 0.02
 DRIFT_FRACTION = 1e-3
 """Largest change from beginning to end of a reading, as a fraction of the largest weight."""

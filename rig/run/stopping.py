@@ -58,7 +58,7 @@ class TimeLimit:
     """The time by which the bench has to be safe."""
 
     name: str
-    """What sets it, for people: ``stop_by = 07:00:00``."""
+    """The setting that sets it, for people: ``stop_by = 07:00:00``."""
     left_s: Callable[[], float]
     """Returns the bench time that is left, in s."""
 
@@ -89,7 +89,7 @@ class StopFlag:
         self.after_point = False
         """True if the run shall end before it begins another point."""
         self.time_limit: TimeLimit | None = None
-        """When the run under way has to be over, if anything says so."""
+        """Time by which the run under way has to end, if there is one."""
         self._say = say
         self._nothing_connected = False
         self._previous: dict[signal.Signals, object] = {}

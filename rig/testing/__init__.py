@@ -1,4 +1,4 @@
-"""The contract of the roles as a test kit for drivers, in whatever package they are.
+"""The contract of the roles as a test kit for drivers, in any package.
 
 A test module of a driver's package needs two lines beside its imports::
 

@@ -1,4 +1,4 @@
-"""What the contract needs to know of a driver: a `Case`, and the running simulator behind it."""
+"""Describes a driver for the contract: a `Case`, and the running simulator behind it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class HeardRequests(Protocol):
 
     @property
     def requests(self) -> int:
-        """How many requests there were."""
+        """Number of requests so far."""
         ...
 
 
@@ -58,19 +58,19 @@ class Service(ABC):
     settings: dict[str, Any]
     """A bench file's table for the driver."""
     place: str
-    """How messages name where the instrument is."""
+    """Name of the instrument's place in messages."""
 
     def now_s(self) -> float:
         """Return the bench time in seconds."""
         return self.clock.now()
 
     def sleep(self, seconds: float) -> None:
-        """Let bench time pass."""
+        """Let `seconds` of bench time pass."""
         self.clock.sleep(seconds)
 
     def in_real_time(self) -> AbstractContextManager[None]:
-        """Let time pass by itself meanwhile, for a module's `make_safe` that waits on the wall
-        clock; most do not."""
+        """Let bench time follow the wall clock within the block, for a module's `make_safe` that
+        waits on the wall clock; most do not."""
         return nullcontext()
 
     @abstractmethod
@@ -100,15 +100,15 @@ class Case(ABC):
     one parameter like another: the walk of faults visits the first of each in every step. All
     other requests are visited every one."""
     exclusive_link = ""
-    """Why nothing can be connected beside a live connection, where that is so."""
+    """Reason why a second connection is impossible while one is open; empty if it is possible."""
     deaf_greeting = ""
-    """Why a lost answer to the very first request goes unnoticed, where that is so."""
+    """Reason why a lost answer to the very first request is not noticed; empty if it is."""
     drives_nothing = ""
-    """Why the module's `make_safe` has nothing to do, where that is so."""
+    """Reason why the module's `make_safe` has nothing to do; empty if it has something to do."""
     anonymous = ""
-    """Why the instrument cannot say that it is simulated, where that is so."""
+    """Reason why the instrument cannot report that it is simulated; empty if it can."""
     stranger_told = "ACME T-1000"
-    """How another instrument than the expected one is named in the refusal."""
+    """Text that names an instrument other than the expected one in the refusal."""
 
     def __repr__(self) -> str:
         return self.name

@@ -225,15 +225,16 @@ def walk(case: Case, faults: list[tuple[int, str]]) -> None:
             assert failure.command, where
             assert failure.hint, where
         if kind == "silence" and not (at == 1 and case.deaf_greeting):
-            assert failures, f"{where}: nobody noticed"
+            assert failures, f"{where}: the fault was not reported"
             assert isinstance(failures[0], InstrumentTimeoutError), where
 
 
 def faulty_experiment(
     case: Case, kind: str, at: int, timeout_s: float
 ) -> tuple[list[InstrumentError], str, str]:
-    """What was told during an experiment with one fault, what the fault befell, and the time-outs
-    that one fault does not explain: one besides another error, or of a step that was repeated."""
+    """Return the errors of an experiment with one fault, the request that the fault was applied to,
+    and the time-outs that one fault does not explain: a time-out in addition to another error, or
+    of a step that was repeated."""
     with case.serve({"kind": kind, "at": at}) as service:
         service.settings["timeout_s"] = timeout_s
         failures: list[InstrumentError] = []
@@ -361,7 +362,7 @@ def check_another_instrument_is_refused_with_both_names_and_let_go(case: Case) -
 def check_make_safe_of_the_module_gets_in_beside_a_live_connection(case: Case) -> None:
     module = case.module()
     dies = bool(case.exclusive_link and not case.drives_nothing)
-    """Who has it to himself has to be gone before somebody else can come."""
+    """Close the live connection first where the instrument accepts only one."""
     with undisturbed(case) as service:
         settings = module.Settings.model_validate(service.settings)
         instrument = connect(case, service)

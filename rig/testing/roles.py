@@ -1,7 +1,7 @@
-"""What each role promises, as scripts that any driver of the role can be put through.
+"""The promises of each role, as scripts that any driver of the role can run through.
 
 A script is a sequence of steps in the order of an experiment. A step calls the instrument and
-checks what came of it against the truth: what the simulated instrument did, or what its terminals
+checks the result against the truth: what the simulated instrument did, or what its terminals
 carried. A step may be repeated after a failure, so a call that failed half-way must not spoil the
 next one. The last step of a script needs no other before it. A new role is one more entry in
 `ROLES`.
@@ -48,15 +48,15 @@ class Role:
 
     protocol: type
     quantities: frozenset[str]
-    """What `reach` must tell."""
+    """Names of the quantities that `reach` must have."""
     script: tuple[Step, ...]
     excite: Callable[[Any, Any], None]
     """Leaves the instrument in a state from which it has to be made safe."""
     attend: Callable[[Any, Any], object] = lambda instrument, service: None
-    """What the runner does for a connected instrument of the role on its own."""
+    """Do what the runner does by itself for a connected instrument of the role."""
     apart: tuple[Step, ...] = ()
-    """Steps for a just connected instrument that are tried without faults only: an error is what
-    they want, or nobody would miss what a fault takes from them."""
+    """Steps for an instrument that has just been connected. They are run without faults only,
+    because they expect an error, or because the loss of an answer has no visible effect in them."""
 
 
 # --- generator -------------------------------------------------------------------------------
@@ -201,9 +201,9 @@ def _homed(stage: Any, service: Any) -> None:
 
 
 def _home(stage: Any, service: Any) -> None:
-    """An axis that is homed already begins somewhere else: at its reference homing lasts no time on
-    the simulated drive, and where the drive said "homed" before, nothing tells a homing that is
-    over from one that never began. The driver refuses to guess."""
+    """Home the axis, after a move away from the reference if it is homed already. At the reference,
+    homing takes no time on the simulated drive, and a drive that reported "homed" before does not
+    show whether homing has begun. The driver then reports an error."""
     if service.truth("homed"):
         stage.stop()
         stage.move_to(10.0, 200.0)
@@ -251,7 +251,7 @@ def _stop(stage: Any, service: Any) -> None:
 
 
 def _keep_alive(stage: Any, service: Any) -> None:
-    """Nothing but keep-alives, and the axis goes on."""
+    """Check that the axis continues while only keep-alives are sent."""
     stage.start_move(5.0, 10.0)
     before = service.truth("position")
     for _ in range(10):
@@ -288,7 +288,8 @@ def _rest_from_motion(stage: Any, service: Any) -> None:
 
 
 def _rest_stage(stage: Any, service: Any) -> None:
-    """It answers before the axis stands: a watcher may call it while the bench's clock does."""
+    """Check that `make_safe` returns before the axis is at rest: a watcher may call it while the
+    bench's clock stands still."""
     before = service.now_s()
     stage.make_safe()
     stage.make_safe()
@@ -436,7 +437,7 @@ def _stop_rotary(stage: Any, service: Any) -> None:
 
 
 def _keep_alive_rotary(stage: Any, service: Any) -> None:
-    """Nothing but keep-alives, and the stage goes on."""
+    """Check that the stage continues while only keep-alives are sent."""
     stage.start_turn(5.0, 5.0, 500.0)
     before = service.truth("angle")
     for _ in range(5):
@@ -559,13 +560,14 @@ def _columns(service: Any) -> tuple[list[int], list[int]]:
 
 
 def _collected(sensor: Any, service: Any) -> list[ForceFrames]:
-    """What is due, as a reader takes it; frames that do not come are an error, as there."""
+    """Return the frames that are due, as a reader collects them. Missing frames are an error, as
+    there."""
     pieces: list[ForceFrames] = []
     deadline = time.monotonic() + service.settings["timeout_s"]
     while (missing := sensor.frames_behind) > 0.5:
         if time.monotonic() > deadline:
             raise InstrumentTimeoutError(
-                "force_sensor", "stream", f"{missing:.0f} frames are missing", "look at the cable"
+                "force_sensor", "stream", f"{missing:.0f} frames are missing", "check the cable"
             )
         if (piece := sensor.read()) is not None:
             pieces.append(piece)
@@ -630,7 +632,7 @@ def _force_stream(sensor: Any, service: Any) -> None:
         "bytes_consumed counts every byte that was taken off the link"
     )
     sensor.stop()
-    assert _soon(service.at_rest), "the sensor goes on streaming"
+    assert _soon(service.at_rest), "the sensor continues to stream"
     assert sensor.frames_behind == 0
 
 
@@ -656,7 +658,7 @@ def _calibrated(sensor: Any, service: Any) -> None:
 
 
 def _dropped(sensor: Any, service: Any) -> None:
-    """What was not read before `stop` is not in the next stream."""
+    """Check that frames that were not read before `stop` are not in the next stream."""
     _begin(sensor, service)
     service.sleep(_slice_s(service))
     assert round(sensor.frames_behind) == int(SLICE_FRAMES)
@@ -687,7 +689,7 @@ def _undisturbed(sensor: Any, service: Any) -> None:
     index = _check_frames(_collected(sensor, service), service, 0, since)
     assert index == int(2 * SLICE_FRAMES)
     sensor.stop()
-    assert _soon(service.at_rest), "the sensor goes on streaming"
+    assert _soon(service.at_rest), "the sensor continues to stream"
 
 
 def _excite_sensor(sensor: Any, service: Any) -> None:

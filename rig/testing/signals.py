@@ -1,4 +1,4 @@
-"""What the instruments measure during the checks of the contract."""
+"""The signals that the instruments measure during the checks of the contract."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 LEVEL_N = np.array([2.0, -3.0, 5.0])
 SLOPE_N_s = np.array([10.0, -15.0, 20.0])
-"""Of a sensor with 1000 frames/s."""
+"""Slope of the force for a sensor with 1000 frames/s."""
 USUAL_RATE_S_s = 1000.0
 
 
@@ -32,7 +32,7 @@ class ForceLaw:
 
     @property
     def slope_N_s(self) -> npt.NDArray[np.float64]:  # noqa: N802 - the unit keeps its capital
-        """How fast it rises along x, y, z."""
+        """Slopes of the force along x, y, z."""
         return self.scale * SLOPE_N_s * min(1.0, self.rate_S_s / USUAL_RATE_S_s)
 
     def __call__(self, time_s: Any) -> npt.NDArray[np.float64]:

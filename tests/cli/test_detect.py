@@ -43,22 +43,25 @@ def test_one_line_a_file_says_what_was_found(rig: Any, runs: list[str]) -> None:
     assert done.code == 0, done.stderr
     lines = done.stdout.splitlines()
     assert [line.split(":")[0] for line in lines] == runs
-    assert "1 incipient slip, first slip at 0.90" in lines[0]
-    assert f"of trial-001 in 1 trial; saved processed/r0.paper-hp-{DETECTOR_VERSION}-" in lines[0]
-    assert lines[2].startswith("r2.h5: nothing found in 1 trial; saved")
+    assert "1 trial: 1 incipient slip (first at 0.90" in lines[0]
+    assert (
+        f"of trial-001), 1 early warning. Saved processed/r0.paper-hp-{DETECTOR_VERSION}-"
+        in lines[0]
+    )
+    assert lines[2].startswith("r2.h5: 1 trial: nothing found. Saved")
     progress = done.stderr.splitlines()
     assert [line.split()[0] for line in progress] == ["1/3", "2/3", "3/3"]
 
     again = rig.run("detect", *HP, *runs)
-    assert again.stdout == done.stdout.replace("; saved ", "; already in ")
+    assert again.stdout == done.stdout.replace("Saved ", "Saved before as ")
 
 
 def test_the_default_detector_is_paper_hp_and_the_help_says_why(rig: Any, runs: list[str]) -> None:
     default = rig.run("detect", runs[0])
     assert default.code == 0, default.stderr
-    assert f"saved processed/r0.paper-hp-{DETECTOR_VERSION}-" in default.stdout
+    assert f"Saved processed/r0.paper-hp-{DETECTOR_VERSION}-" in default.stdout
     named = rig.run("detect", *HP, runs[0])
-    assert named.stdout == default.stdout.replace("; saved ", "; already in ")
+    assert named.stdout == default.stdout.replace("Saved ", "Saved before as ")
     shown = " ".join(re.sub(r"[│╭╮╰╯─]", " ", rig.run("detect", "--help").stdout).split())
     assert "[default: paper-hp]" in shown
     assert "trained on the skin model alone" in shown
@@ -68,7 +71,7 @@ def test_the_default_detector_is_paper_hp_and_the_help_says_why(rig: Any, runs: 
 def test_the_detector_rig_is_there_for_who_asks_for_it(rig: Any, runs: list[str]) -> None:
     done = rig.run("detect", "--detector", "rig", runs[0])
     assert done.code == 0, done.stderr
-    assert f"saved processed/r0.rig-{DETECTOR_VERSION}-" in done.stdout
+    assert f"Saved processed/r0.rig-{DETECTOR_VERSION}-" in done.stdout
 
 
 @pytest.mark.thorough
@@ -108,7 +111,7 @@ def test_parameters_may_be_given_otherwise(rig: Any, runs: list[str]) -> None:
     done = rig.run("detect", *HP, "--settings", "deaf.toml", runs[0])
     assert done.code == 0, done.stderr
     assert "incipient slip" not in done.stdout
-    shown = rig.run("show", "--no-figures", done.stdout.split("saved ")[1].strip())
+    shown = rig.run("show", "--no-figures", done.stdout.split("Saved ")[1].split(";")[0])
     for line in ("  fire_mV: 100", "    stop_Hz: 60", "    lag_deg: none", "simulated: yes"):
         assert line in shown.stdout.splitlines()
 

@@ -16,6 +16,7 @@ from rig.files.processed.values import DetectedTrial
 PROCESSED = SimpleNamespace(
     title="SIMULATED Slips detected: slide",
     version="1",
+    source=SimpleNamespace(mark="SIMULATED"),
     settings=SimpleNamespace(logic="paper-hp"),
     path=Path("r001.paper-hp-1-0123.h5"),
 )

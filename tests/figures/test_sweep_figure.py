@@ -25,8 +25,8 @@ def run_of(frequencies, loads=(1.0,), deviation=0.002):
     }
     return SimpleNamespace(
         column=columns.__getitem__,
-        settings={"load_tolerance_percent": 1.0},
-        header=SimpleNamespace(title="sweep"),
+        settings={"load_tolerance_percent": 1.0, "load_N": 1.0, "preload_N": 25.0},
+        header=SimpleNamespace(bench_toml='film.name = "f1"', marked="SIMULATED {}".format),
         path=Path("run.h5"),
     )
 
@@ -58,13 +58,13 @@ def test_every_frequency_axis_has_several_numbers(frequencies):
 def test_loads_are_told_apart_by_colour_and_legend():
     figure = draw_measured(run_of((20, 200, 2000), loads=(0.5, 1.0, 2.0)))
     gain, _, load = figure.axes
-    assert legend(gain)[-3:] == ["0.5 N", "1 N", "2 N"]
+    assert legend(gain)[-3:] == ["0.5 N peak load", "1 N peak load", "2 N peak load"]
     assert len({line.get_color() for line in load.get_lines()}) == 3
 
 
 def test_a_single_point_has_no_reference_and_no_picture_of_its_noise():
     gain = draw_measured(run_of((1000,))).axes[0]
-    assert legend(gain) == ["1 N"]
+    assert legend(gain) == ["1 N peak load"]
     low, high = gain.get_ylim()
     assert high - low >= 1.0
 
@@ -80,4 +80,9 @@ def test_a_sweep_stopped_above_the_reference_draws_without_a_word():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         figure = draw_measured(run_of((20000, 17000)))
-    assert legend(figure.axes[0]) == ["1 N"]
+    assert legend(figure.axes[0]) == ["1 N peak load"]
+
+
+def test_the_title_names_the_film_and_the_conditions():
+    title = draw_measured(run_of((100, 1000))).get_suptitle()
+    assert title == 'SIMULATED sweep of film "f1", 1 N peak, 25 N preload\nrun.h5'

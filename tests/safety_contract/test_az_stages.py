@@ -80,7 +80,7 @@ def test_an_alarm_in_the_slide_is_told_with_its_remedy_and_the_skin_lifted(rig):
     ended = take(rig, plan)
     assert ended.code == 3, ended.stderr
     (error,) = ended.errors
-    assert error.startswith("error: stage_x: drive alarm: 30h (overload); look for what blocks")
+    assert error.startswith("error: stage_x: drive alarm: 30h (overload); check what blocks")
     assert "NOT SAFE" not in ended.stderr
     assert_lifted(rig)
 

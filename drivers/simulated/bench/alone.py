@@ -37,11 +37,11 @@ class CountedFaults(WireFaults):
         super().__init__(plan, device)
         self.heard: list[bytes] = []
         self.answered: list[bool] = []
-        """Whether each of them has an answer."""
+        """For each request, True if it has an answer."""
 
     @property
     def requests(self) -> int:
-        """How many requests there were."""
+        """Number of requests so far."""
         return len(self.heard)
 
     def fault_for(self, request: bytes, reply: bytes | None) -> ReplyFault | None:
@@ -100,7 +100,7 @@ class LoneInstrument:
 
     @property
     def place(self) -> str:
-        """Where the instrument is, as its core's `bench_settings` takes it."""
+        """Place of the instrument, as its core's `bench_settings` takes it."""
         if self.core.link == "serial":
             path: str = self.server.path
             return path

@@ -31,18 +31,18 @@ SKIN_UNIT_MM = 0.0001
 """A count of the stages that carry the skin: 1 um would be 0.15 N of normal force (assumed)."""
 
 ROTARY_REACH_deg = 30.0
-"""How far the rotary stage may turn."""
+"""Largest angle of the rotary stage to either side."""
 
 
 @dataclass(frozen=True)
 class Endpoints:
-    """Where the bench listens."""
+    """Addresses at which the bench listens."""
 
     daq: str
     stages: tuple[int | str, ...]
-    """Of z and x: ports of drives on TCP, or the serial line that both are on."""
+    """Ports of the drives of z and x on TCP, or the serial line that both are on."""
     force_sensor: dict[str, Any]
-    """Its whole table."""
+    """The force sensor's table of the bench file."""
     generator: str = ""
     rotary: str = ""
 
@@ -82,7 +82,7 @@ def _interlock_tables(interlocks: Sequence[dict[str, Any]]) -> str:
 
 
 def _head_lines(options: Options) -> str:
-    """Where the head is, in the table of the fixture."""
+    """Return the lines with the position of the head, in the table of the fixture."""
     if options.fixture != HEAD:
         return ""
     from drivers.simulated.world.contact_geometry import HeadSettings

@@ -2,7 +2,7 @@
 
     {"do": "advance", "us": 10000}      -> {"now_us": ..., "streams": {name: bytes sent}}
     {"do": "point", "run": 0, "point": 7} -> {"now_us": ...}
-    {"do": "weigh", "force_N": [0, 0, 5]} -> {"now_us": ...}: somebody puts weights on the sensors
+    {"do": "weigh", "force_N": [0, 0, 5]} -> {"now_us": ...}: puts weights on the sensors
     {"do": "truth"}                     -> {"now_us": ..., ...}: what really happened
     {"do": "stop"}                      -> {"now_us": ...}, and the bench ends
 
@@ -53,7 +53,7 @@ class ControlServer:
         return int(self._server.sockets[0].getsockname()[1])
 
     def close(self) -> None:
-        """Stop listening."""
+        """Stop listening and close the connections."""
         if self._server is not None:
             self._server.close()
 
@@ -97,7 +97,7 @@ class ControlServer:
         self._time_passed()
 
     def connected(self) -> bool:
-        """Whether a new connection is the first, which owns the World's time."""
+        """Return whether a new connection is the first, which owns the World's time."""
         first, self._owned = not self._owned, True
         return first
 

@@ -1,4 +1,4 @@
-"""What stands on a simulated bench: its instruments, wired to one World, each behind its server."""
+"""Builds the instruments of a simulated bench, wired to one World, each behind its server."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ ANY_PORT = 502
 """Stands for the drive's port in a bench file that is only recorded."""
 
 ROTARY_START_deg = 8.0
-"""Where the rotary stage stands when it is switched on."""
+"""Angle of the rotary stage when it is switched on."""
 
 
 class Instruments:
-    """What stands on the bench, wired to its World and served, not yet listening."""
+    """The instruments of the bench, wired to its World, behind servers that do not listen yet."""
 
     def __init__(self, world: World, options: Options, faults: FaultPlan):
         from drivers.simulated.faults.plan import (
@@ -83,7 +83,7 @@ class Instruments:
         self.daq = HislipServer(daq, faults=wire(DAQ, SCPI_DIALECT))
         world.on_fault(DAQ, lambda fault, t_us: daq.overrun())
         self.serial: list[PtyServer | InstrumentTcpServer] = []
-        """Servers that need be told when nobody owns the time any more."""
+        """Servers that must follow the time by themselves once it has no owner any more."""
         self.rotary = _rotary(world, faults) if options.fixture == HEAD else None
         self.turning: PtyServer | None = None
         if self.rotary is not None:
@@ -117,7 +117,7 @@ class Instruments:
     def _serve_stages(
         self, options: Options, wire: Callable[[str, WireDialect], WireFaults]
     ) -> list[Any]:
-        """In front of z and x: a server each, or their common line."""
+        """Create the servers of z and x: one each, or their common line."""
         from drivers.simulated.instruments.oriental_az import AzDrive
         from drivers.simulated.transports.modbus_rtu import RTU_DIALECT, RtuLine
         from drivers.simulated.transports.modbus_tcp import MODBUS_DIALECT, ModbusTcpServer
@@ -142,7 +142,7 @@ class Instruments:
         return servers
 
     def monitor(self, settings: WatchSettings | None) -> Monitor | None:
-        """Who watches over the bench, where that is asked for."""
+        """The World's monitor of the bench, if it is asked for."""
         from drivers.simulated.world.monitor import Monitor
 
         if settings is None:
@@ -151,7 +151,7 @@ class Instruments:
         return Monitor(settings, self._world.pressed_N, self._active, tell)
 
     def _active(self) -> Iterator[str]:
-        """What moves or is driven now."""
+        """Return the names of what moves or is driven now."""
         now_us = self._world.now_us
         for drive in self.drives:
             speed = drive.velocity_mm_s(now_us)
@@ -185,7 +185,7 @@ class Instruments:
         return {**models, FORCE_SENSOR: self.sensor.title or self.sensor_driver}
 
     def listening(self) -> Endpoints:
-        """Where each listens."""
+        """Return the addresses at which the instruments listen."""
         generator = 0 if self.generator is None else self.generator.port
         stages = [getattr(stage, "port", None) or stage.path for stage in self.stages]
         rotary = "" if self.turning is None else self.turning.path
@@ -259,8 +259,8 @@ def _serve_sensor(
     faults: WireFaults,
     stream_faults: WireFaults,
 ) -> PtyServer | InstrumentTcpServer:
-    """In front of a force sensor the server of its link; its frames are watched where the World's
-    settings ask for that and the monitor knows them."""
+    """Create the server of a force sensor's link. Its frames are watched if the World's settings
+    ask for it and the monitor knows them."""
     from drivers.simulated.instruments.me_gsv8 import Gsv8
     from drivers.simulated.transports.serial_server import PtyServer
     from drivers.simulated.transports.serial_tcp import InstrumentTcpServer

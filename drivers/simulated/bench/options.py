@@ -1,4 +1,4 @@
-"""How a simulated bench is to be: what a command line or a caller chooses of it."""
+"""The options of a simulated bench that a command line or a caller chooses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from drivers.simulated.world.world import WorldSettings
 
 LINGER_S = 10.0
-"""How long a bench whose owner died goes on in real time: time for the guard to come and act."""
+"""Time in s for which a bench continues in real time after its owner has died, so that the guard
+can connect and act."""
 
 Fixture = Literal["film-clamp", "plate", "semi-spherical-object"]
 HEAD: Fixture = "semi-spherical-object"
@@ -36,14 +37,14 @@ DRIVES = {"festo-cmmt": "festo", "oriental-az": "az"}
 
 @dataclass(frozen=True)
 class Options:
-    """How to run the bench."""
+    """Options of a simulated bench."""
 
     fixture: Fixture = "film-clamp"
-    """What is mounted: the film in its clamp, or the skin above a plate or a head that rolls."""
+    """Mounted fixture: the film in its clamp, or the skin above a plate or a head that rolls."""
     stages: Stages = "festo"
-    """What moves it."""
+    """Kinds of the drives of z and x."""
     replace: dict[str, str] = field(default_factory=dict)
-    """By role, the driver whose simulator takes the place of the usual one."""
+    """Driver whose simulator replaces the usual one, by role."""
     seed: int = 0
     slaved: bool = False
     world: str | None = None
@@ -104,7 +105,7 @@ def driver_names(options: Options) -> tuple[str, ...]:
 
 
 def drive_kind(stages: Stages, name: str) -> str:
-    """Of the drive of one stage."""
+    """Return the kind of the drive of one stage."""
     z, _, x = stages.partition("-")
     return z if name == "stage_z" or not x else x
 

@@ -1,4 +1,4 @@
-"""The process of a simulated bench: a World, what is mounted, the control socket, until the end.
+"""The process of a simulated bench: a World, the mounted instruments and the control socket.
 
 ``python -m drivers.simulated.bench.process`` is a bench whose time is slaved to whoever started it
 and holds its standard input, the first line of which is the bench's options as a JSON object.
@@ -34,11 +34,11 @@ from drivers.simulated.world.world import World
 from rig.core.errors import ConfigurationError, InstrumentError, RigError
 
 SETTLE_EVERY_S = 0.02
-"""How often drives in real time look at what has befallen them."""
+"""Interval in s at which drives in real time check what has happened to them."""
 
 
 async def serve(options: Options, ready: Callable[[dict[str, Any]], None]) -> None:
-    """Be a bench until it is stopped; `ready` gets ``control_port``, ``bench_toml``,
+    """Run a bench until it is stopped; `ready` gets ``control_port``, ``bench_toml``,
     ``recorded_toml`` and the ``models`` of its instruments by role."""
     for asked, known in ((options.fixture, Fixture), (options.stages, Stages)):
         if asked not in get_args(known):

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["StartedBench", "alone", "options_for", "serve", "start", "variant_for", "variants"]
 
 ABANDONED_S = 0.5
-"""How long a bench that nobody has connected to may take to end by itself."""
+"""Time in s after which a bench ends by itself if no run has connected to it."""
 
 
 class StartedBench:

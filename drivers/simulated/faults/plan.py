@@ -70,7 +70,7 @@ class Placed(Settings):
     """During which acquisition of the DAQ since the World began. None, and no `move` either:
     `after_s` is measured from the World's beginning."""
     after_s: float = Field(default=0.0, ge=0, le=LONGEST_AFTER_s)
-    """How long after that began."""
+    """Delay in s after that began."""
 
     @property
     def task(self) -> TaskStart | None:
@@ -91,9 +91,9 @@ class ReplyFault(Placed):
     its moment on are counted whose reply can be disturbed in this way: it has a checksum, or can
     carry an error."""
     count: int = Field(default=1, ge=0)
-    """How many matching requests are disturbed; 0 means all further ones."""
+    """Number of matching requests that are disturbed; 0 means all later ones."""
     for_s: float | None = Field(default=None, gt=0, le=LONGEST_AFTER_s)
-    """How long requests are disturbed instead, from the first one on."""
+    """Time in s for which requests are disturbed instead, from the first one on."""
     command: str = ""
     """Beginning of a command in the request (upper or lower case, without its leading colon)."""
 
@@ -114,7 +114,7 @@ class ReplyFault(Placed):
 
 
 class WireFault(ReplyFault):
-    """A reply that is lost, spoilt, late, doubled, or ends its connection."""
+    """A reply that is lost, corrupted, late or doubled, or that ends its connection."""
 
     kind: Literal[
         "silence",
@@ -139,7 +139,7 @@ class ErrorReply(ReplyFault):
 
     kind: Literal["error"]
     code: int = Field(ge=-32768, le=32767)
-    """Its number; 1 to 255 where it is not a SCPI instrument's."""
+    """Error code; 1 to 255 except for SCPI instruments."""
 
 
 class Rejection(ReplyFault):
@@ -147,7 +147,7 @@ class Rejection(ReplyFault):
 
     kind: Literal["rejected"]
     reason: str = Field(default="BADDATA", pattern="^[A-Z]{1,20}$")
-    """What it gives as its reason."""
+    """Reason that the instrument gives."""
 
 
 class RefusedConnections(Settings):
@@ -201,7 +201,7 @@ class TurnedKnob(Placed):
 
 
 class Spike(Placed):
-    """Something pushes on the probe for a while."""
+    """A force that pushes on the probe for a while."""
 
     kind: Literal["spike"]
     for_s: float = Field(default=0.05, gt=0)
@@ -261,11 +261,11 @@ class EarlierFrames(Placed):
 
 
 class Clipped(Placed):
-    """What drives the vibrator gives no more than this amplitude, from then on."""
+    """A limit of the vibrator drive's amplitude, from then on."""
 
     kind: Literal["clipped"]
     amplitude_V: float = Field(gt=0)
-    """Peak."""
+    """Largest amplitude, peak."""
 
 
 class Overrun(Placed):
@@ -397,7 +397,8 @@ class FaultPlan(Settings):
         return plan
 
     def of(self, kind: type[F] | object, device: str | None = None) -> tuple[F, ...]:
-        """Its faults of a class or union of classes, in order; of one device where it is named."""
+        """Return the plan's faults of a class or union of classes, in order; only those of `device`
+        if it is given."""
         return tuple(
             fault
             for fault in self.fault

@@ -43,7 +43,8 @@ def _never(reply: bytes, code: object = None) -> bytes | None:
 
 @dataclass(frozen=True)
 class WireDialect:
-    """How a protocol reports that something went wrong; each returns None if a reply cannot."""
+    """The error replies of a protocol. Each method returns None if the protocol has no such
+    reply."""
 
     error: Callable[[bytes, int], bytes | None] = _never
     """The reply with an error code in it instead of success."""
@@ -63,7 +64,7 @@ class WireReply:
 
 @dataclass(frozen=True)
 class Delivery:
-    """What the server does after a request: send these, in order, then perhaps close."""
+    """The server's actions after a request: send these, in order, then close if `close` is set."""
 
     replies: tuple[WireReply, ...] = ()
     close: bool = False

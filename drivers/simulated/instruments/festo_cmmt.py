@@ -44,7 +44,7 @@ TELEGRAM = 111
 ARRIVED_mm = 0.01
 """Window of "target reached"."""
 NOMINAL_SPEED_mm_s = 1000.0
-"""What NIST_B calls 100 %."""
+"""Speed that NIST_B defines as 100 %."""
 
 # Parameter numbers (PNU), from the vendor's pnu_map.csv.
 _TELEGRAM, _SERIAL, _FIRMWARE, _TIMEOUT_ms = 3490, 2021, 2266, 4854
@@ -55,13 +55,13 @@ _WRITABLE = frozenset({_TELEGRAM, _CLAMPING, _LOW_LIMIT, _HIGH_LIMIT})
 
 @dataclass(frozen=True)
 class SimulatedCmmtSettings:
-    """How one simulated drive is set up, and its faults."""
+    """The settings of one simulated drive, and its faults."""
 
     name: str = "stage_z"
-    """Its name in the World, its log and fault plans."""
+    """Name of the drive in the World, its log and fault plans."""
     model: str = "CMMT-ST-C8-1C-MP-S0"
     serial: str = "SIMZ1"
-    """At most five characters."""
+    """Serial number, at most five characters."""
     position_unit_mm: float = 0.001
     speed_unit_mm_s: float = 0.001
     full_acceleration_mm_s2: float = 1000.0
@@ -70,7 +70,7 @@ class SimulatedCmmtSettings:
     homing_speed_mm_s: float = 20.0
     jog_speed_mm_s: float = 10.0
     unhomed_offset_mm: float = 37.5
-    """What the drive is wrong by before it has been homed."""
+    """Error of the drive's position before it has been homed."""
     enable_delay_us: int = 20_000
     mechanics: Mechanics = field(default_factory=Mechanics)
     faults: tuple[MoveFault, ...] = ()
@@ -87,7 +87,7 @@ class _Image:
         return bool(self.words[word] >> bit & 1)
 
     def bits(self, *bits: int) -> bool:
-        """Whether all these bits of STW1 are set."""
+        """Return whether all these bits of STW1 are set."""
         return all(self.bit(0, bit) for bit in bits)
 
     @property
@@ -98,12 +98,12 @@ class _Image:
 
     @property
     def motion(self) -> tuple[int, ...]:
-        """What a task is made of: override, target, speed, acceleration, deceleration."""
+        """Return the values of a task: override, target, speed, acceleration, deceleration."""
         return self.words[4:11]
 
     @property
     def speed(self) -> float:
-        """Asked speed in units, override included."""
+        """Return the requested speed in units, override included."""
         return (self.words[7] | self.words[8] << 16) * min(self.words[4] / 0x4000, 1.0)
 
 
@@ -137,7 +137,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         self._paused = False
         self._fixed_stop = False
         self._jogging = 0
-        """Which way: 1, -1, or 0 for not at all."""
+        """Direction of jogging: 1, -1, or 0 for none."""
         self._timeout_ms = 0
         self._fed_us = port.now_us
         self._mailbox = [0] * MAILBOX_WORDS

@@ -1,4 +1,5 @@
-"""What a simulated force sensor is to the simulated bench: the base class of every such core.
+"""The interface of a simulated force sensor to the simulated bench: the base class of every such
+core.
 
 A laboratory's own simulator is a subclass, registered in the entry-point group ``rig.simulators``
 under the name of its driver. The bench builds it over the World, puts it behind a serial or TCP
@@ -31,7 +32,7 @@ class ForceSensorCore(ABC):
     title: ClassVar[str] = ""
     """Maker and model, for messages."""
     link: ClassVar[Literal["serial", "tcp"]] = "serial"
-    """What the instrument is connected to: a serial port, or a TCP port with the same bytes."""
+    """Kind of the instrument's connection: a serial port, or a TCP port with the same bytes."""
     axes: ClassVar[str] = "xyz"
     """The axes that the sensor has, such as "z"."""
     rates: ClassVar[tuple[float, ...]] = ()
@@ -53,7 +54,7 @@ class ForceSensorCore(ABC):
 
     @abstractmethod
     def bench_settings(self, where: str) -> dict[str, Any]:
-        """Return the keys of a bench file's table for the driver, beside ``driver`` and
+        """Return the keys of a bench file's table for the driver, in addition to ``driver`` and
         ``timeout_s``. `where` is the path of a serial port or ``socket://127.0.0.1:4001``."""
 
     @abstractmethod
@@ -68,7 +69,7 @@ class ForceSensorCore(ABC):
     @property
     @abstractmethod
     def streaming(self) -> bool:
-        """Whether it is sending frames."""
+        """True if it is sending frames."""
 
     @property
     @abstractmethod

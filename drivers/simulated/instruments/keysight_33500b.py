@@ -41,7 +41,7 @@ IDENTITY = ("Agilent Technologies", "33512B", "SIMULATED", "4.00-1.00-4.00-00-00
 CHANNELS = (1, 2)
 OUTPUT_RESISTANCE_ohm = 50.0
 INFINITE = 9.9e37
-"""How SCPI writes infinity."""
+"""SCPI's notation of infinity."""
 
 # UNCONFIRMED figures of the data sheet, as open-circuit volts (twice those into 50 ohm).
 SMALLEST_AMPLITUDE_Vpp = 2e-3
@@ -62,7 +62,8 @@ PEAK_TO_PEAK_PER_RMS = {
 
 @dataclass(frozen=True)
 class ChannelState:
-    """What shapes a channel's terminals; voltages into an open circuit. Defaults are ``*RST``'s."""
+    """The settings that determine a channel's output; voltages into an open circuit. Defaults are
+    ``*RST``'s."""
 
     on: bool = False
     function: str = "SIN"
@@ -79,7 +80,7 @@ class ChannelState:
 
     @property
     def swing(self) -> float:
-        """How far the wave moves to either side of its offset, in open-circuit volts."""
+        """Largest deviation of the wave from its offset, in open-circuit volts."""
         return 0.0 if self.function == "DC" else self.amplitude_Vpp / 2
 
     @property
@@ -97,7 +98,7 @@ class ChannelState:
         return self.load_ohm / (self.load_ohm + OUTPUT_RESISTANCE_ohm)
 
     def excitation(self) -> Excitation:
-        """What the terminals carry."""
+        """Return the excitation at the terminals."""
         resting = self.burst or self.function == "DC"
         return Excitation(
             on=self.on,
@@ -111,7 +112,7 @@ class ChannelState:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a numeric setting may be, in displayed units."""
+    """Bounds of a numeric setting, in displayed units."""
 
     low: float
     high: float
@@ -533,7 +534,8 @@ def _channel(call: Call) -> int:
 
 
 def _asked(quantity: ScpiQuantity, bounds: Bounds, shown: float) -> float:
-    """What a parameter asks for; numbers are displayed values, bounds and result are kept ones."""
+    """Return the value that a parameter requests. Numbers are displayed values; bounds and result
+    are stored ones."""
     if not quantity.keyword:
         return quantity.value / shown
     kept = {"MIN": bounds.low, "MAX": bounds.high, "DEF": bounds.default, "INF": INFINITE}

@@ -61,12 +61,12 @@ be read while an acquisition runs (UNCONFIRMED)."""
 
 
 class Terminals(AnalogueInputPort, DigitalInputPort, Protocol):
-    """What the unit's terminals see."""
+    """The signals at the unit's terminals."""
 
 
 @dataclass(frozen=True)
 class SimulatedDaqModel:
-    """What distinguishes the units of the family."""
+    """The differences between the units of the family."""
 
     bits: int
     channels: int
@@ -79,13 +79,13 @@ class SimulatedDaqModel:
     """Converts all channels together (UNCONFIRMED for the U254x); selected by ``ROUT:ENAB``."""
 
     def highest_rate(self, channels: int) -> int:
-        """Largest rate per channel, in S/s, with so many channels in the scan."""
+        """Largest rate per channel, in S/s, with `channels` channels in the scan."""
         if channels == 1 or self.simultaneous:
             return self.single_rate_S_s
         return self.aggregate_rate_S_s // channels
 
     def skew_s(self, channels: int, rate_S_s: int, burst: bool) -> tuple[float, ...]:
-        """How late each channel of a scan is sampled after the first."""
+        """Return the delay of each channel of a scan after the first, in s."""
         if self.simultaneous:
             return (0.0,) * channels
         conversions_per_s = self.aggregate_rate_S_s if burst else rate_S_s * channels
@@ -107,7 +107,7 @@ MODELS: dict[str, SimulatedDaqModel] = {
 
 @dataclass(frozen=True)
 class SimulatedInput:
-    """How one channel is read."""
+    """Settings of one channel."""
 
     range_V: float = 10.0
     polarity: str = "BIP"
@@ -495,9 +495,10 @@ class KeysightU2300A(ScpiInstrument):
         return "DATA" if unread >= acquisition.points else "FRAG"
 
     def _data(self, call: Call) -> ScpiBlock:
-        """One block, or the whole single shot; an empty block and -230 when there is none yet.
+        """Return one block, or the whole single shot; an empty block and error -230 if there is
+        none yet.
 
-        What a real unit answers to a read that comes too early is UNCONFIRMED.
+        UNCONFIRMED: the answer of a real unit to a read that comes too early.
         """
         acquisition = self._caught_up()
         if acquisition is None or acquisition.lost:

@@ -78,12 +78,13 @@ class Sensor:
     zero_mV_V: tuple[float, float, float] = (0.012, -0.007, 0.021)
 
     def bridges(self, force_N: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """What the three bridges put out in mV/V under forces (n, 3)."""
+        """Return the outputs of the three bridges in mV/V under forces (n, 3)."""
         inverse, zero, *_ = _inverse(self.matrix, self.zero_mV_V)
         return np.asarray(force_N @ inverse.T + zero)
 
     def largest_bridge(self, force_N: npt.NDArray[np.float64]) -> float:
-        """What no bridge exceeds in mV/V while no component exceeds these, (3,) in N."""
+        """Return the bound in mV/V of all bridges' outputs while no component of the force exceeds
+        these, (3,) in N."""
         *_, sizes, zero_sizes = _inverse(self.matrix, self.zero_mV_V)
         return float((sizes @ force_N + zero_sizes).max())
 
@@ -109,7 +110,7 @@ class GsvMemory:
     values: int = CHANNELS
     user_scale: list[float] = field(default_factory=lambda: [INPUT_RANGE_MV_V] * CHANNELS)
     zero: list[float] = field(default_factory=lambda: [0.0] * CHANNELS)
-    """In input ranges."""
+    """Zero of each channel in input ranges."""
     input_type: list[int] = field(default_factory=lambda: [0] * CHANNELS)
     output_type: list[int] = field(default_factory=lambda: [1] * CHANNELS)
     output_offset: list[float] = field(default_factory=lambda: [0.0] * CHANNELS)
@@ -167,7 +168,7 @@ class Gsv8(ForceSensorCore):
     title = "ME GSV-8"
     rates = tuple(sorted(CONVERSIONS_PER_S / d for d in DIVISORS if CONVERSIONS_PER_S / d <= 12e3))
     alike = (b"A2 ", b"14 ")
-    """Its three channels are set up alike, and so one of them meets the faults."""
+    """True: the three channels are set up alike, so faults apply to one of them."""
     disturbances = KINDS
     vendor, model, serial_number = "ME-Messsysteme", "GSV-8", "SIM00001"
 
@@ -193,7 +194,7 @@ class Gsv8(ForceSensorCore):
         self._origin_us, self._sent = 0, 0
         self._divisor, self._period_s = 1, 0.0
         self._back_s = np.zeros(1)
-        """From the end of a frame to each of its conversions that is computed."""
+        """Time from each computed conversion to the end of its frame, in s."""
         self._crc16 = self._streaming = False
         self._last_error = 0
         self._noise_key: tuple[int, ...] | None = None
@@ -269,12 +270,12 @@ class Gsv8(ForceSensorCore):
 
     @property
     def streaming(self) -> bool:
-        """Whether measurement frames are being sent."""
+        """True if measurement frames are being sent."""
         return self._streaming
 
     @property
     def rate(self) -> float:
-        """In frames a second."""
+        """Frame rate in frames per second."""
         return CONVERSIONS_PER_S / self._divisor
 
     # --- frames in ---------------------------------------------------------------------------
@@ -414,7 +415,8 @@ class Gsv8(ForceSensorCore):
         return DONE, b""
 
     def _set_mode(self, request: GsvRequest) -> Answer:
-        """Answered although the lock is on, for nothing else could take it off (UNCONFIRMED)."""
+        """Set the mode. It is answered although the lock is on, since nothing else could take it
+        off (UNCONFIRMED)."""
         (mode,) = struct.unpack(">I", request.parameters)
         if mode & ~KNOWN_MODE:
             raise RefusedError(BAD_BITS)
@@ -593,8 +595,8 @@ class Gsv8(ForceSensorCore):
         return ranges, saturated
 
     def _all_below(self, bridge_mV_V: float, sizes_N: npt.NDArray[np.float64]) -> bool:
-        """Whether no bridge can reach this under forces of these sizes (n, m, 3): mostly all three
-        components may be as large as the largest, which is found sooner than each one's."""
+        """Return whether no bridge can reach this under forces of these sizes (n, m, 3): mostly all
+        three components may be as large as the largest, which is found sooner than each one's."""
         most = self.sensor.largest_bridge
         return (
             most(np.full(3, sizes_N.max())) < bridge_mV_V
@@ -630,7 +632,7 @@ BRIDGE_RANGES_MV_V = (INPUT_RANGE_MV_V, 7.0, 14.0)
 
 
 def _input_range(input_type: int) -> float:
-    """In mV/V."""
+    """Return the input range in mV/V."""
     return BRIDGE_RANGES_MV_V[input_type]
 
 
@@ -697,7 +699,8 @@ def _crc16(rows: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
 def _crc16_by_place(
     length: int,
 ) -> tuple[np.uint16, npt.NDArray[np.intp], npt.NDArray[np.uint16]]:
-    """What the start brings in, where each place's bytes begin, and what they bring in."""
+    """Return the contribution of the start, the index of each place's bytes, and the contributions
+    of the bytes."""
 
     def passed_on(remainders: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
         return np.asarray(remainders >> 8 ^ one_byte[remainders & 0xFF])

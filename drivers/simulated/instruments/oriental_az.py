@@ -66,20 +66,21 @@ _RANGES = {
     ERRORS_TO_ALARM: (1, 10),
     SLAVE_ERROR_RESPONSE: (0, 1),
 }
-"""What can be written, and the values that are taken; others are refused with exception 04."""
+"""Registers that can be written, and their accepted values; others are refused with exception
+04."""
 _ABSOLUTE, _FROM_COMMAND, _FROM_FEEDBACK, _STOP_TYPE = 1, 2, 3, 0
 _START, _HOME, _STOP, _FREE, _RESET = 0x08, 0x10, 0x20, 0x40, 0x80
 IN_POSITION_mm = 0.01
 ROOM_TEMPERATURE = 312
-"""In tenths of a degree."""
+"""Room temperature in tenths of a degree."""
 
 
 @dataclass(frozen=True)
 class SimulatedAzSettings:
-    """How one simulated drive is set up, and its faults."""
+    """The settings of one simulated drive, and its faults."""
 
     name: str = "stage_z"
-    """Its name in the World, its log and fault plans."""
+    """Name of the drive in the World, its log and fault plans."""
     unit_id: int = 1
     steps_per_mm: float = 3000.0
     """Resolution 9000 steps a revolution, lead 3 mm (assumed)."""
@@ -89,9 +90,10 @@ class SimulatedAzSettings:
     homing_speed_mm_s: float = 20.0
     homing_rate_mm_s2: float = 1000.0
     unhomed_offset_mm: float = 37.5
-    """What the drive is wrong by before it has been homed."""
+    """Error of the drive's position before it has been homed."""
     mechanics: Mechanics = field(default_factory=Mechanics)
-    """Its following window is where the drive's position deviation alarm is set to."""
+    """Mechanics of the axis. Its following window is the limit of the drive's position deviation
+    alarm."""
     faults: tuple[MoveFault, ...] = ()
 
 
@@ -121,12 +123,12 @@ class AzDrive(SimulatedDrive[MoveFault]):
 
     @property
     def name(self) -> str:
-        """As the World and fault plans call it."""
+        """Name of the drive in the World and fault plans."""
         return self.settings.name
 
     @property
     def unit_id(self) -> int:
-        """Its address on the line."""
+        """Address of the drive on the line."""
         return self.settings.unit_id
 
     def heard(self) -> None:
@@ -213,7 +215,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         self._rest()
 
     def _rest(self) -> None:
-        """Nothing is under way any more."""
+        """End the operation under way."""
         self.homing = False
         self._target_mm = self._runs_to_mm = None
 

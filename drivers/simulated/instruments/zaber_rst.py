@@ -36,9 +36,9 @@ PRIORITY = (
 )
 """Warning flags, the gravest first."""
 POWERLESS = frozenset({"FF", "FN", "FZ", "FH", "FV", "FO", "FC", "FM", "FD"})
-"""While one of these stands, nothing turns the stage."""
+"""Flags that keep the stage from turning while one of them is set."""
 PERSISTENT = frozenset({*POWERLESS, "WV", "WT", "WP", "WR", "WH", "NC"})
-"""Not cleared by ``warnings clear``: their cause stands on."""
+"""Flags that ``warnings clear`` does not clear, because their cause remains."""
 SPEED_DATA = 1.6384
 ACCELERATION_DATA = 1.6384e-4
 LARGEST = 2**31 - 1
@@ -48,12 +48,12 @@ KNOB_SPEED_deg_s = 5.0
 
 @dataclass(frozen=True)
 class SimulatedRotarySettings:
-    """How one simulated stage is built and set up, and its faults."""
+    """The mechanics and settings of one simulated stage, and its faults."""
 
     name: str = "rotary"
-    """Its name in the World, its log and fault plans."""
+    """Name of the stage in the World, its log and fault plans."""
     number: int = 1
-    """Its number on the chain."""
+    """Number of the stage on the chain."""
     device_id: str = "50919"
     serial: str = "SIM00001"
     """A real one is a number; the vendor's client identifies no stage with letters in it."""
@@ -65,16 +65,16 @@ class SimulatedRotarySettings:
     encoder: bool = True
     """Without one, a stage that is held back does not know it."""
     referenced: bool = False
-    """Whether it has been homed before the World begins."""
+    """True if the stage has been homed before the World begins."""
     start_deg: float = 40.0
-    """Where it stands then."""
+    """Angle of the stage when the World begins."""
     homing_speed_deg_s: float = 20.0
     max_speed_deg_s: float = 24.0
     """Factory setting of ``maxspeed``."""
     acceleration_deg_s2: float = 200.0
     """Factory setting of ``accel``."""
     stall_window_deg: float = 0.5
-    """How far it may lag behind before it stops itself."""
+    """Largest lag of the stage, beyond which it stops itself."""
     faults: tuple[RotaryFault, ...] = ()
 
 
@@ -104,15 +104,15 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
     # --- the World's side ---------------------------------------------------------------------
 
     def angle_deg(self, t_us: int) -> float:
-        """Where the stage stands or stood at a World time."""
+        """Return the angle of the stage at a World time."""
         return self.position_mm(t_us)
 
     def angles_deg(self, times_us: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-        """Where the stage stands or stood at ascending World times; shape of `times_us`."""
+        """Return the angles of the stage at ascending World times; shape of `times_us`."""
         return self.positions_mm(times_us)
 
     def speed_deg_s(self, t_us: int) -> float:
-        """How fast the stage turns or turned at a World time."""
+        """Return the speed of the stage at a World time."""
         return self.velocity_mm_s(t_us)
 
     # --- the chain's side ---------------------------------------------------------------------
@@ -258,7 +258,7 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
             raise _RejectedError("DRIVERDISABLED")
 
     def _interrupt(self) -> None:
-        """What a new command to move does to the flags, and to homing."""
+        """Set the flags for a new command that interrupts a motion, and end homing."""
         by_hand = "NC" in self.flags
         self.flags -= {"NC", "NI", "WM"}
         if self._moving and not by_hand:
@@ -335,7 +335,7 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
 
 
 class ChainLine:
-    """What a connection to a stage talks to: cuts bytes into commands; a `SerialInstrument`."""
+    """The line of a stage's connection, which cuts bytes into commands; a `SerialInstrument`."""
 
     def __init__(self, stage: SimulatedRotaryStage):
         self._stage = stage
@@ -351,7 +351,7 @@ class ChainLine:
                 yield exchange
 
     def frames_until(self, now_us: int) -> bytes:
-        """Nothing: it speaks when it is asked."""
+        """Return nothing: the stage sends only answers."""
         return b""
 
 

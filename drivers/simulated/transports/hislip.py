@@ -86,7 +86,7 @@ class ErrorCode(IntEnum):
 
 
 class ChannelRole(Enum):
-    """What a connection has become."""
+    """The role of a connection in its session."""
 
     NEW = auto()
     SYNCHRONOUS = auto()
@@ -95,7 +95,7 @@ class ChannelRole(Enum):
 
 
 class SessionState(Enum):
-    """Where a session stands."""
+    """The states of a session."""
 
     HALF_OPEN = auto()
     READY = auto()
@@ -123,7 +123,7 @@ ACCEPTED: dict[ChannelRole, frozenset[MessageType]] = {
     ),
     ChannelRole.CLOSED: frozenset(),
 }
-"""Which messages a client may send on which connection."""
+"""Messages that a client may send, by connection."""
 
 
 # --- events ----------------------------------------------------------------------------------
@@ -200,7 +200,7 @@ class Session:
     """The message under way is too large: its remaining parts are skipped."""
     program: bytearray = field(default_factory=bytearray)
     held: list[ProgramMessage | Triggered] = field(default_factory=list)
-    """What waits until another session gives up its exclusive lock."""
+    """Messages that wait until another session gives up its exclusive lock."""
 
     def reply(self, message_id: int, data: bytes) -> list[Event]:
         """Return a response, cut to the client's maximum message size."""
@@ -360,7 +360,7 @@ class Connection:
         return [Send(self, encode(MessageType.ERROR, code, 0, text.encode()))]
 
     def _fail(self, code: FatalErrorCode, text: str) -> list[Event]:
-        """Say why, then close the connection and the session it belongs to."""
+        """Send the reason, then close the connection and the session it belongs to."""
         said: list[Event] = [Send(self, encode(MessageType.FATAL_ERROR, code, 0, text.encode()))]
         if self.session is not None:
             return said + self._server.close_session(self.session)
@@ -439,7 +439,8 @@ class Connection:
         return self._deliver(Triggered(session))
 
     def _deliver(self, event: ProgramMessage | Triggered) -> list[Event]:
-        """To the instrument now, or when the session that locked it lets go."""
+        """Deliver to the instrument now, or when the session that has locked it releases the
+        lock."""
         if self._server.locked_out(event.session):
             event.session.held.append(event)
             return []

@@ -30,12 +30,12 @@ class LineDevice(Registers, Protocol):
 
     @property
     def name(self) -> str:
-        """As fault plans call it."""
+        """Name of the device in fault plans."""
         ...
 
     @property
     def unit_id(self) -> int:
-        """Its address on the line."""
+        """Address of the device on the line."""
         ...
 
     def heard(self) -> None:
@@ -122,7 +122,7 @@ class RtuLine:
                 yield exchange
 
     def frames_until(self, now_us: int) -> bytes:
-        """Return a slave says nothing of its own accord."""
+        """Return nothing: a slave sends only answers."""
         return b""
 
     def _next_frame(self) -> bytes | None:

@@ -22,7 +22,7 @@ ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
 MOST_READ, MOST_WRITTEN, MOST_WRITTEN_WITH_READ = 125, 123, 121
 LONGEST_REPLY_PDU = 253
 UNITS = (0, 1, 255)
-"""Unit identifiers answered to: the only device here, and what means "whoever is there"."""
+"""Unit identifiers that are answered: that of the only device here, and the one for any device."""
 
 D = TypeVar("D", bound="Registers")
 
@@ -38,7 +38,7 @@ class ModbusError(Exception):
 
 
 class Registers(Protocol):
-    """What is behind the registers; `by` names the connection. Answers at once."""
+    """The device behind the registers. `by` names the connection. Calls return without waiting."""
 
     def read(self, address: int, count: int, by: str) -> Sequence[int]:
         """Return the registers, or ModbusError."""
@@ -92,14 +92,14 @@ def read_registers(pdu: bytes, device: Registers, by: str) -> bytes:
 
 
 def write_register(pdu: bytes, device: Registers, by: str) -> bytes:
-    """Function 6."""
+    """Return the request of function 6, write one register."""
     address, value = _unpack(">HH", pdu[1:])
     device.write(address, [value], by)
     return pdu[1:]
 
 
 def write_registers(pdu: bytes, device: Registers, by: str) -> bytes:
-    """Function 16."""
+    """Return the request of function 16, write several registers."""
     address, count = _unpack(">HH", pdu[1:5])
     device.write(address, _values(pdu[5:], count, MOST_WRITTEN), by)
     return pdu[1:5]

@@ -359,7 +359,7 @@ _SUMMARY_ERRORS, _SUMMARY_MESSAGE, _SUMMARY_EVENTS, _SUMMARY_MASTER = 4, 16, 32,
 
 
 class ScpiInstrument(ABC):
-    """An instrument that understands SCPI: one state, whoever talks to it.
+    """An instrument that understands SCPI. It has one state for all connections.
 
     ``identity`` are the four fields of ``*IDN?``. The error queue and status registers are shared
     by all connections. After a command error the rest of a compound message is still carried out,
@@ -371,7 +371,7 @@ class ScpiInstrument(ABC):
     """Entries the error queue holds; the last becomes -350 when more arrive."""
 
     BLOCK_TERMINATOR = b"\n"
-    """What follows a binary block that ends a response."""
+    """Bytes after a binary block that ends a response."""
 
     def __init__(self, identity: tuple[str, str, str, str], commands: Sequence[ScpiCommand]):
         self.identity = identity

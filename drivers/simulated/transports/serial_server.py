@@ -28,8 +28,8 @@ from drivers.simulated.ports import SerialInstrument, TimePort
 
 LONGEST_BACKLOG = 64 * 1024
 TICK_S = 0.001
-"""How often a server in real time polls whether its instrument has something to send, and whether
-the kernel takes more of the queue."""
+"""Interval in s at which a server in real time polls whether its instrument has something to send,
+and whether the kernel accepts more of the queue."""
 READ_BYTES = 65536
 
 
@@ -75,7 +75,7 @@ class PtyServer:
 
     @property
     def path(self) -> str:
-        """What a client opens as its serial port."""
+        """Path that a client opens as its serial port."""
         assert self._folder is not None, "the server has been started"
         return str(Path(self._folder.name) / self._name)
 

@@ -17,7 +17,8 @@ from drivers.simulated.ports import SerialInstrument, TimePort
 from drivers.simulated.transports.tcp import TcpPeer, TcpServer
 
 TICK_S = 0.001
-"""How often a server in real time polls whether its instrument has something to send."""
+"""Interval in s at which a server in real time polls whether its instrument has something to
+send."""
 
 
 class SerialTcpServer(TcpServer):

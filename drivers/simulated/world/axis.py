@@ -25,11 +25,12 @@ import numpy.typing as npt
 
 CYCLE_us = 1000
 FASTEST_OTHER_mm_s = 20.0
-"""At which something may move what an axis pushes against, where it is not known how fast."""
+"""Largest speed at which the object may move that an axis pushes against, if its speed is not
+known."""
 COMMANDS_KEPT = 64
 """More than come within `LONGEST_LIGHT_s` from the fastest loop, 500 a second."""
 LONGEST_LIGHT_s = 0.1
-"""After which a load is asked for again, however light it was."""
+"""Longest time in s for which a light load is not computed again."""
 LEAST_SPEED_mm_s = 2.0
 """A load that is left alone may rise as if it were moved so fast: rubber recovers (assumed)."""
 HISTORY_KEPT = 20_000
@@ -41,25 +42,25 @@ Load = Callable[[float, int], float]
 
 @dataclass(frozen=True)
 class Mechanics:
-    """What the axis is built like."""
+    """Mechanical properties of the axis."""
 
     start_mm: float = 10.0
-    """Where the carriage stands when the World begins."""
+    """Position of the carriage when the World begins."""
     low_switch_mm: float = -5.0
-    """Where the negative hardware limit switch is."""
+    """Position of the negative hardware limit switch."""
     high_switch_mm: float = 105.0
     quick_deceleration_mm_s2: float = 5000.0
-    """How hard the drive brakes when a limit switch or a fault makes it stop."""
+    """Deceleration of the drive when a limit switch or a fault makes it stop."""
     following_window_mm: float = 0.5
-    """How far the carriage may lag behind the setpoint."""
+    """Largest lag of the carriage behind the setpoint."""
     fixed_stop_window_mm: float = 0.05
     """The same while the drive travels to a fixed stop: there it means that the stop is found."""
     peak_force_N: float = 200.0
-    """What the drive can push with when nothing else limits it."""
+    """Largest force of the drive when nothing else limits it."""
 
 
 class AxisEvent(Enum):
-    """What the axis met by itself; each ends its motion."""
+    """Events that end the motion of an axis without a command."""
 
     FOLLOWING_ERROR = "following error"
     FIXED_STOP = "fixed stop"
@@ -111,7 +112,7 @@ class Stretch:
         return self.position_mm + (self.velocity_mm_s + velocity) / 2 * dt
 
     def highest_mm(self, begin_s: float, end_s: float) -> float:
-        """Its largest position between two times, the first not before `start_s`."""
+        """Return the largest position between two times, the first not before `start_s`."""
         highest = max(self.at(begin_s)[0], self.at(end_s)[0])
         if self.acceleration_mm_s2 < 0:
             turns_s = self.start_s - self.velocity_mm_s / self.acceleration_mm_s2
@@ -136,7 +137,8 @@ def stop_profile(velocity_mm_s: float, deceleration_mm_s2: float) -> list[Phase]
 def move_profile(
     distance_mm: float, velocity_mm_s: float, speed: float, acceleration: float, deceleration: float
 ) -> list[Phase]:
-    """From a velocity to rest `distance_mm` further on, in the least time that the limits allow.
+    """Return the motion from a velocity to rest `distance_mm` further on, in the least time that
+    the limits allow.
 
     A motion that cannot stop in time, or goes the other way, stops first and comes back.
     """
@@ -173,7 +175,7 @@ class MotionPath:
 
     @property
     def rests_from_s(self) -> float:
-        """When the motion planned so far ends."""
+        """Time at which the motion planned so far ends."""
         return self._starts[-1]
 
     def at(self, t_s: float) -> tuple[float, float]:
@@ -221,7 +223,7 @@ class MotionPath:
         phases: list[Phase],
         end_mm: float,
     ) -> None:
-        """From `t_s` on do this instead; the motion ends exactly at `end_mm`."""
+        """Replace the motion from `t_s` on by this one, which ends exactly at `end_mm`."""
         keep = bisect_right(self._starts, t_s)
         if keep and self._starts[keep - 1] == t_s:
             keep -= 1  # a stretch of no length says nothing
@@ -269,8 +271,8 @@ class SimulatedAxis:
         self.seeks_fixed_stop = False
         """True if being held back is what the motion is for."""
         self.stiffest_load_N_mm = math.inf
-        """No load in its way rises faster, where that is known: then a force far below the limit is
-        not asked for in vain."""
+        """Largest stiffness of a load in its way, if it is known: then a force far below the limit
+        need not be computed."""
         self.other_axis: SimulatedAxis | None = None
         """The only other axis that moves the load, where there is one."""
         self.jammed = False
@@ -280,23 +282,24 @@ class SimulatedAxis:
         self._carriage = MotionPath(mechanics.start_mm)
         self._command: AxisCommand | None = None
         self._held_direction = 0.0
-        """Which way the setpoint went on when the carriage was held back; 0 while it follows."""
+        """Direction in which the setpoint continued when the carriage was held back; 0 while it
+        follows."""
         self._settled_us = 0
         self._settling = False
         self._asked: tuple[int, float] | None = None
-        """When the load was asked for last, in us, and how large it was, N."""
+        """Time of the latest computation of the load, in us, and the load, in N."""
         self._light_until_us = 0
-        """Until when it cannot have come to the force limit."""
+        """Time in us until which the load cannot reach the force limit."""
         self._commanded: deque[tuple[int, float]] = deque([(0, 0.0)], maxlen=COMMANDS_KEPT)
-        """When a speed was asked for, in us, and which: until the next, the setpoint goes no faster
-        than that or than it went then."""
+        """Times in us of commanded speeds, and the speeds. Until the next one the setpoint is not
+        faster than this speed or than it was at that time."""
         self._happenings: list[Happening] = []
 
     # --- what it does -------------------------------------------------------------------------
 
     @property
     def force_limit_N(self) -> float:  # noqa: N802 - the unit keeps its capital
-        """What the drive pushes with at most, from now on."""
+        """Largest force of the drive, from now on."""
         return self._force_limit_N
 
     @force_limit_N.setter
@@ -396,8 +399,8 @@ class SimulatedAxis:
             self._settling = False
 
     def _uneventful_until_us(self, t_us: int) -> int:
-        """Until when, up to `t_us`, no cycle would find anything: the load is light, and both
-        switches are farther than it can go."""
+        """Return the time, at most `t_us`, until which no cycle would find anything: the load is
+        light, and both switches are out of reach."""
         until_us = min(t_us, self._light_until_us - 1)
         if until_us - self._settled_us < CYCLE_us or self._held_direction or self.jammed:
             return 0
@@ -454,9 +457,9 @@ class SimulatedAxis:
         return math.inf  # more commands than are recorded
 
     def _stay(self, t_us: int, position: float, wanted: float, going: float) -> None:
-        """The carriage stands; it goes again when the setpoint has come back to it.
+        """Hold the carriage until the setpoint has come back to it.
 
-        A load that gives way meanwhile (a skin that creeps) does not draw the carriage on.
+        A load that yields meanwhile (a skin that creeps) does not move the carriage.
         """
         ahead = (wanted - position) * self._held_direction
         seeking, mechanics = self.seeks_fixed_stop, self.mechanics

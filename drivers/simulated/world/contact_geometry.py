@@ -23,13 +23,14 @@ from rig.physics.contact.settings import Cylinder, Object, Plate, Sphere
 Reals = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 Where = Callable[[Times], Reals]
-"""Where a carriage is or was in mm, or a rotary stage in deg, at ascending World times in us."""
+"""Function that returns positions of a carriage in mm, or of a rotary stage in deg, at ascending
+World times in us."""
 CLEARANCE_TOLERANCE_mm = 1e-6
-"""So far apart is apart, however positions are rounded."""
+"""Distance in mm from which there is no contact, despite the rounding of positions."""
 
 
 class Carriage(Protocol):
-    """What carries the skin along one axis."""
+    """The stage that carries the skin along one axis."""
 
     def positions_mm(self, times_us: Times) -> Reals:
         """Return its position at ascending World times."""
@@ -44,14 +45,14 @@ class HeadSettings(Settings):
     """The object with a head that the rotary stage carries."""
 
     body: Object = Cylinder()
-    """Its head: a roller as wide as the skin, or the paper's sphere, whose slices take five times
-    the computing: more than real time leaves on a slow computer."""
+    """Shape of the head: a roller as wide as the skin, or the paper's sphere, whose slices take
+    five times the computing time, which is too much for real time on a slow computer."""
     centre_mm: float = 10.0
     """Position of the x stage at which the middle of the skin is above it."""
     upright_deg: float = 15.0
     """Angle of the rotary stage at which it stands upright."""
     axis_offset_mm: float = Field(default=0.3, ge=-20, le=20)
-    """How far the rotary axis lies above where pure rolling wants it (assumed)."""
+    """Distance of the rotary axis above its place for pure rolling (assumed)."""
 
 
 @dataclass(frozen=True)
@@ -59,22 +60,22 @@ class ContactGeometry:
     """Skin and object at k instants; arrays (k,)."""
 
     approach_mm: Reals
-    """How far the object is beyond the height at which it touches the undeformed skin."""
+    """Distance of the object beyond the height at which it touches the undeformed skin."""
     x_mm: Reals
     """The object's place as the skin sees it: of a head, its centre's."""
     turned_rad: Reals
-    """By how much it is turned; positive rolls towards +x."""
+    """Angle of the object; a positive one rolls towards +x."""
 
     def __getitem__(self, part: slice) -> ContactGeometry:
         return ContactGeometry(self.approach_mm[part], self.x_mm[part], self.turned_rad[part])
 
 
 class Below(Protocol):
-    """What is below the skin."""
+    """The object below the skin."""
 
     @property
     def body(self) -> Plate | Cylinder | Sphere:
-        """Its shape."""
+        """Shape of the object."""
         ...
 
     def apart(self, begin_us: int, end_us: int) -> bool:

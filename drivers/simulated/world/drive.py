@@ -22,11 +22,12 @@ from drivers.simulated.world.axis import Load, Mechanics, SimulatedAxis
 from drivers.simulated.world.schedule import Schedule
 
 FARTHER_THAN_ANY_SWITCH_mm = 1e5
-"""Where an axis without a target goes: beyond whatever may end its motion."""
+"""Target of an axis without a target, beyond everything that may end its motion."""
 
 F = TypeVar("F", bound=MoveFault | RotaryFault)
 Due = tuple[int, Callable[[int], None]]
-"""World time in us at which something happens by itself, and what, given that time."""
+"""World time in us of an event that needs no command, and the function for the event, which takes
+that time."""
 
 
 class SimulatedDrive(ABC, Generic[F]):
@@ -47,7 +48,7 @@ class SimulatedDrive(ABC, Generic[F]):
         self._speed_share = 1.0
         """The share of a commanded speed that the axis reaches."""
         self._runs_to_mm: float | None = None
-        """Where a runaway goes instead of its target, until it is stopped."""
+        """Position to which a runaway moves instead of its target, until it is stopped."""
         self._schedule = Schedule(faults)
         port.tasks.listen(self._schedule.hear)
 
@@ -92,7 +93,7 @@ class SimulatedDrive(ABC, Generic[F]):
 
     @abstractmethod
     def _catch_up(self, t_us: int) -> None:
-        """React to what the axis has met by itself up to a World time."""
+        """React to the events of the axis up to a World time."""
 
     @abstractmethod
     def _apply_own_fault(self, fault: F, t_us: int, velocity_mm_s: float) -> None:

@@ -28,7 +28,7 @@ class ExcitationSegment:
     drive: SineDrive
     state: Complexes
     driven: dict[int, DrivenOutputs] = field(default_factory=dict, compare=False)
-    """What each output does here, made when it is first asked for."""
+    """Signal of each output in this segment, computed when it is first needed."""
 
 
 class DrivenLine:

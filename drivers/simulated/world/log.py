@@ -1,6 +1,6 @@
 """The World's log: what happened to the simulated physics, when, and who commanded it.
 
-One JSON object a line, flushed at once, so that it outlives the death of a run and of the bench
+One JSON object per line, flushed at once, so that it outlives the death of a run and of the bench
 itself. Tests read it as the bench's own account, which no driver can embellish.
 """
 

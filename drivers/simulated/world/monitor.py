@@ -42,8 +42,8 @@ class WatchSettings(Settings):
     force_limit_N: float = Field(gt=0)
     """Along any axis, of what the stages press with."""
     reaction_s: float = Field(default=0.015, gt=0, le=1)
-    """Within which a force over the limit has to stop rising: one delivery of frames, which is the
-    longest advance of a slaved bench, and the axis's braking."""
+    """Time in s within which a force over the limit has to stop rising: one delivery of frames,
+    which is the longest advance of a slaved bench, and the axis's braking."""
 
 
 class Monitor:
@@ -118,11 +118,11 @@ class WatchedLine:
         self._instrument, self._report = instrument, report
 
     def exchanges(self, data: bytes, by: str) -> Iterable[Exchange]:
-        """Those of the instrument."""
+        """Return the exchanges of the instrument."""
         return self._instrument.exchanges(data, by)
 
     def frames_until(self, now_us: int) -> bytes:
-        """Those of the instrument, written down where they are three floats."""
+        """Return the frames of the instrument; those of three floats are recorded."""
         sent = self._instrument.frames_until(now_us)
         size = FRAME_BYTES[bool(sent and sent[1] & 0x20)]
         if sent and sent[1] & 15 == 2 and len(sent) % size == 0:

@@ -1,6 +1,7 @@
 """The World with the skin above a plate or a head: its further settings, and how it is mounted.
 
-Apart from `world`, so that a bench with the film clamp does not import what it has no use for.
+It is separate from `world`, so that a bench with the film clamp does not import what it does not
+need.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ VISCOUS = 3.0
 
 
 class PlateWorldSettings(WorldSettings):
-    """What the simulated bench with the skin above its plate is like."""
+    """The physical parameters of a simulated bench with the skin above a plate."""
 
     skin: SkinSettings = SkinSettings()
     """The skin."""
     skin_mount: SkinMountSettings = SkinMountSettings()
-    """How it hangs above the object."""
+    """Mounting of the skin above the object."""
     contact: ContactSettings = ContactSettings()
     """Friction between skin and object, and the rubber's relaxation."""
     transducer: TransducerSettings = TransducerSettings()
@@ -45,11 +46,12 @@ class PlateWorldSettings(WorldSettings):
     strip_input: FrontEndSettings = FrontEndSettings()
     """Noise and hum of each strip's channel."""
     daq_model: Literal["U2331A", "U2542A"] = "U2542A"
-    """Which DAQ the bench has: strips want simultaneous samples."""
+    """Model of the DAQ: strips need simultaneous samples."""
 
 
 class HeadWorldSettings(PlateWorldSettings):
-    """What the simulated bench with the skin above a head on the rotary stage is like."""
+    """The physical parameters of a simulated bench with the skin above a head on the rotary
+    stage."""
 
     head: HeadSettings = HeadSettings()
     """The object with its head."""

@@ -1,6 +1,6 @@
-"""When the faults of a plan begin: at a bench time, or some time after a task began.
+"""The schedule of a plan's faults: each begins at a bench time, or some time after a task began.
 
-A schedule keeps their order and says which is due; its owner makes them happen.
+A schedule returns the faults that are due; its owner applies them.
 """
 
 from __future__ import annotations

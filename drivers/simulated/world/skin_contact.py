@@ -55,7 +55,7 @@ TANGENTIAL_N, NORMAL_N, STRIP_1_V, STRIP_2_V = range(4)
 
 
 class SkinMountSettings(Settings):
-    """How the skin hangs above the object."""
+    """Mounting of the skin above the object."""
 
     contact_mm: float = Field(default=12.4, gt=0)
     """Position of the z stage at which the skin just touches the object."""
@@ -64,7 +64,7 @@ class SkinMountSettings(Settings):
     jitter_um: float = Field(default=0.0, ge=0)
     """Peak of a vibration of the stage along x."""
     jitter_Hz: float = Field(default=50.0, gt=0)
-    """Its frequency."""
+    """Frequency of the jitter."""
 
 
 class SkinContact:
@@ -88,7 +88,7 @@ class SkinContact:
                 "the stages poll their load once a millisecond"
             )
         self.failure: str | None = None
-        """Why the contact stands still since a step had no solution."""
+        """Reason why the contact is frozen since a step had no solution."""
         self._skin, self._mount = skin, mount
         self._contact, self._transducer = contact, transducer
         self._below = below
@@ -97,7 +97,8 @@ class SkinContact:
         self.record = SlipRecord(skin.ridge, mount.ridge - 1, self.step_us, report)
         self._kept = round(KEPT_s * 1e6) // self.step_us
         self._results = np.zeros((4, 2 * self._kept))
-        """By step: F_t, F_n, volts of S1 and S2; column 0 is that of step ``_oldest``."""
+        """F_t, F_n and the volts of S1 and S2 for each step; column 0 belongs to step
+        ``_oldest``."""
         self._oldest = 0
         self._steps = 0
         """Steps done. Step n ends at n steps' time; the World begins with step 0."""
@@ -108,7 +109,7 @@ class SkinContact:
         """Stresses of the newest steps, whose volts have not been asked for."""
         begin = below.at(np.zeros(1, np.int64))
         self._object_at_mm, self._turned_rad = float(begin.x_mm[0]), float(begin.turned_rad[0])
-        """Where the skin sees the object and how it is turned, at the newest step."""
+        """Position and angle of the object relative to the skin, at the newest step."""
         # numba compiles or loads its machine code now, not at the first touch
         self._fresh_stepper().advance(-1.0, self._object_at_mm, normal_control="position")
 
@@ -176,7 +177,8 @@ class SkinContact:
             self._keep(np.zeros((4, idle)))
 
     def _remember(self, passed: ContactGeometry, last: int) -> None:
-        """Where the object was when nothing touched it, `last` being the step of its newest."""
+        """Store the positions of the object while nothing touches it; `last` is the step of the
+        newest."""
         shaken_mm = self._shaken_mm(passed.x_mm[-1:], last)
         self._object_at_mm = float(shaken_mm[0])
         self._turned_rad = float(passed.turned_rad[-1])

@@ -38,7 +38,7 @@ class _Slide:
 
 
 class SlipRecord:
-    """What happened since the last announced point; of several touches, the slips of the last."""
+    """Slips since the last announced point; after several touches, those of the last one."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class SlipRecord:
         self._ridge_touching = False
         self._ridge_lifts: list[int] = []
         self._rest_mm: float | None = None
-        """Where the plate was when the present touch, or the point, began."""
+        """Position of the plate when the present touch, or the point, began."""
         self._slide: _Slide | None = None
         self._done = 0
         """Steps before those that wait."""
@@ -99,7 +99,7 @@ class SlipRecord:
                 self._follow(done + begin, status[begin:end], plate_mm[begin:end])
 
     def _follow_ridge(self, done: int, status: Statuses) -> None:
-        """When the watched ridge leaves what it touched, whatever the others do."""
+        """Record when the watched ridge loses contact, whatever the other ridges do."""
         touching = (status[:, self._ridge_of_node == self._watched] != OPEN).any(axis=1)
         before = np.concatenate([[self._ridge_touching], touching[:-1]])
         for step in np.flatnonzero(before & ~touching).tolist():

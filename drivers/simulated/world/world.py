@@ -55,12 +55,12 @@ if TYPE_CHECKING:
 LOAD_CELL_TERMINAL = 101
 FILM_TERMINAL = 102
 STRIP_TERMINALS = {101: 1, 102: 2}
-"""Where the strips' amplifiers end while the skin is mounted."""
+"""Terminals of the strips' amplifiers while the skin is mounted."""
 VIBRATOR_CHANNEL = 1
 AMPLIFIER_CLIP_V = 10.0
 NOISE_CHUNK = 4096
 TERMINALS_SAMPLED = 4
-"""At most at once."""
+"""Largest number of terminals that are sampled together."""
 FORCE_NOISE = 900
 """Stream number that keys the force sensor's noise; terminals are the DAQ's streams."""
 FORCE_SENSOR_FOLLOWS_Hz = 1000.0
@@ -68,7 +68,7 @@ FORCE_SENSOR_FOLLOWS_Hz = 1000.0
 
 
 class WorldSettings(ContactsSettings):
-    """What the simulated bench is like; everything a real one would not let you choose."""
+    """The physical parameters of the simulated bench, which cannot be chosen on a real one."""
 
     film: Literal["drawn", "nominal", "open-circuit"] = "drawn"
     """A film drawn from the seed, the default film of the model, or none connected."""
@@ -79,28 +79,28 @@ class WorldSettings(ContactsSettings):
     load_cell_input: FrontEndSettings = FrontEndSettings()
     """Noise and hum of the load cell's channel."""
     clamp: FilmClampSettings = FilmClampSettings()
-    """Where the film is met, how stiff it is and how it creeps."""
+    """Position of the film, its stiffness and its creep."""
     load_cell_sensitivity_V_N: float = Field(default=0.1, gt=0)
     """True sensitivity of the load cell."""
     load_cell_zero_V: float = 0.0
-    """Its output under no load."""
+    """Output of the load cell without load."""
     force_sensor_zero_mV_V: tuple[float, float, float] = (0.012, -0.007, 0.021)
     """Bridge outputs of the force sensor under no load."""
     daq_model: Literal["U2331A", "U2542A"] = "U2331A"
-    """Which DAQ the bench has."""
+    """Model of the DAQ."""
     daq_buffer_samples: int = Field(default=8_000_000, ge=1)
-    """What its buffer holds, all channels together."""
+    """Size of the DAQ's buffer, all channels together."""
     generator_link: Literal["socket", "hislip"] = "socket"
-    """How the generator is reached."""
+    """Kind of the generator's connection."""
     watch: WatchSettings | None = None
-    """What the World's own monitor checks and logs; None: nothing."""
+    """Checks of the World's own monitor; None for none."""
 
 
 W = TypeVar("W", bound=WorldSettings)
 
 
 def read_world(path: str | None, kind: type[W] = WorldSettings) -> W:  # type: ignore[assignment]
-    """World settings from a TOML file; defaults if there is none."""
+    """Return the World settings in a TOML file; the defaults if there is none."""
     if path is None:
         return kind()
     tables = read_toml(Path(path), "file of World settings")
@@ -176,8 +176,8 @@ class World:
 
     @property
     def failure(self) -> str | None:
-        """Why this World can no longer be believed, if so; it continues only to be brought to
-        rest."""
+        """Reason why this World is no longer valid, if there is one; it continues only to be
+        brought to rest."""
         return None if self._skin is None else self._skin.failure
 
     def on_fault(self, device: str, act: Callable[[TimedFault, int], None]) -> None:

@@ -31,6 +31,12 @@ READINGS: Mapping[str, Reading] = {
     "circuit": pvdf.circuit,
 }
 """The three readings of the paper's equation (4), by name."""
+READING_NAMES: Mapping[str, str] = {
+    "printed": "eq. (4) as printed",
+    "ohmic": "eq. (4) with units corrected",
+    "circuit": "circuit analysis",
+}
+"""Names of the readings in a sentence."""
 PAPER_OFFSET_DB = 24.0
 """Offset that the paper subtracted from its computed gain to match the measured one (figure 7)."""
 SYMBOLS: Mapping[str, str] = {
@@ -88,8 +94,8 @@ class Separability:
             lines.append(f"  {', '.join(self.without_effect)} at all (no effect on |H|)")
         for name, size in self.seen_above.items():
             finite = math.isfinite(size)
-            below = f"below {size / 1e3:.2g} kΩ" if finite else "however large"
-            lines.append(f"  {name}: any value {below} fits")
+            below = f"any value below {float(f'{size / 1e3:.2g}'):g} kΩ" if finite else "any value"
+            lines.append(f"  {name}: {below} fits")
         return lines
 
 
@@ -118,22 +124,22 @@ class CircuitComparison:
 
     def sentences(self) -> list[str]:
         """Returns the comparison in words."""
-        offsets = ", ".join(
-            f"{name} {offset.value:+.2f} dB" for name, offset in self.offsets.items()
+        offsets = "; ".join(
+            f"{READING_NAMES[name]} {offset.value:+.2f} dB" for name, offset in self.offsets.items()
         )
         return [
             self._corner_sentence(),
             f"As values of the circuit: level {self.rate_sensitivity}, pole {self.time_constant}.",
             "Level predicted minus measured "
-            f"(± {self.level.high - self.level.value:.2g} dB) for the readings of equation (4): "
-            f"{offsets}. The paper subtracted {PAPER_OFFSET_DB:g} dB from its own prediction.",
+            f"(± {self.level.high - self.level.value:.2g} dB): {offsets}. "
+            f"(The paper applied {-PAPER_OFFSET_DB:g} dB to its own prediction.)",
             *self.separability.sentences(),
         ]
 
     def _corner_sentence(self) -> str:
         predicted = (
-            f"the circuit's values predict {self.film_corner_Hz:.0f} Hz for the film alone "
-            f"(R_PV C_PV) and {self.circuit_corner_Hz:.0f} Hz with the amplifier's input"
+            f"the nominal circuit predicts a corner at {self.film_corner_Hz:.0f} Hz for the film "
+            f"alone (R_PV C_PV) and at {self.circuit_corner_Hz:.0f} Hz with the amplifier's input"
         )
         if not math.isfinite(self.corner.high):
             return f"No corner was found up to {self.highest_Hz:g} Hz; {predicted}."
@@ -145,8 +151,8 @@ class CircuitComparison:
             return f"{found}, as expected: {predicted}."
         ratio = self.film_corner_Hz / self.corner.value
         return (
-            f"{found}; {predicted}. The film alone has {ratio:.2f} times the measured corner, so "
-            "the circuit's values do not explain the measured saturation."
+            f"{found}; {predicted}. The predicted corner of the film alone is {ratio:.2f} times "
+            "the measured one."
         )
 
 

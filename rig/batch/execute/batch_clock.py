@@ -22,11 +22,11 @@ SINCE = "window since"
 TIME_OVER = "time over"
 """The queue's entry that is not empty after a batch has ended because of its `stop_by`."""
 CHECK_EVERY_S = 0.2
-"""How often a rest in real time checks for commands."""
+"""Interval in s at which a rest in real time checks for commands."""
 
 
 class BatchClock(Protocol):
-    """What time it is for the batch, and how it rests."""
+    """The clock of a batch: gives the time and makes the batch rest."""
 
     def now(self) -> datetime:
         """Date and time, with the offset from UTC."""
@@ -60,7 +60,8 @@ class WallBatchClock:
 
 
 class VirtualBatchClock:
-    """Virtual time, `passed_s` after the batch began. `save` gets each new value, in s, at once."""
+    """Virtual time, `passed_s` after the batch began. `save` is called with each new value, in
+    s."""
 
     def __init__(self, begun: datetime, passed_s: float, save: Callable[[float], None]):
         self._begun, self._passed_s, self._save = begun, passed_s, save
@@ -96,7 +97,7 @@ def clock_of(queue: Queue) -> BatchClock:
 
 
 def window_of(queue: Queue) -> tuple[datetime | None, datetime | None]:
-    """When a batch may use the bench: not before, and by when it is over."""
+    """Return the times between which a batch may use the bench."""
     batch = BatchFile.model_validate_json(queue.meta("file")).batch
     return window(batch, datetime.fromisoformat(queue.meta(SINCE) or queue.meta("begun")))
 

@@ -1,4 +1,4 @@
-"""What became of a run whose worker died, as the run's own files show; nothing is guessed.
+"""Determines the outcome of a run whose worker died, from the run's own files alone.
 
 The guard has made the bench safe and compiled what there was before this is asked (the worker's
 lock is the guard's as well). A journal that ends whole, or a run file whose journal is gone, is a
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def outcome_from_journal(journal: Path) -> AttemptResult:
-    """How the attempt ended whose journal this is, or was before it was compiled."""
+    """Return how the attempt ended that has this journal, or had it before it was compiled."""
     if journal.exists():
         try:
             contents = read_journal(journal)
@@ -80,8 +80,8 @@ def archive_files(journal: Path) -> Path:
 def _ended(
     header: RunHeader, code: int | None, readings: Sequence[Reading], bench_s: float
 ) -> AttemptResult:
-    """The result of a run that was completed with this exit code, or, where it is None, of one that
-    was interrupted."""
+    """Return the result of a run that was completed with this exit code, or, where it is None, of
+    one that was interrupted."""
     if code is None:
         return AttemptResult(
             "died",

@@ -28,13 +28,13 @@ WORN_HINT = "check the film, its cable and its connector; replace it and calibra
 
 @dataclass(frozen=True)
 class HoldReason:
-    """Something that a person has to look at before the batch continues."""
+    """A condition that a person has to check before the batch continues."""
 
     kind: Literal["drift", "no-figure", "force-zero", "disk", "calibration"]
     text: str
     """Part, value, unit and limit."""
     hint: str
-    """What to do about it."""
+    """The remedy, for the operator."""
 
 
 @dataclass(frozen=True)
@@ -42,19 +42,19 @@ class ReferenceRun:
     """A run of the reference that has been finished."""
 
     number: int
-    """Its number in the batch's queue."""
+    """Number of the run in the batch's queue."""
     summary: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class _DriftedFigure:
-    """A figure beyond its tolerance; `by` is None where it was not found any more."""
+    """A figure beyond its tolerance; `by` is None if it was not found any more."""
 
     figure: DriftFigure
     text: str
     by: float | None
     lost: bool
-    """Whether next to nothing is left."""
+    """True if next to nothing is left."""
     crept: bool
     """No step since the reference before was beyond the tolerance."""
 
@@ -62,8 +62,8 @@ class _DriftedFigure:
 def watched_figures(
     usual: Mapping[str, DriftFigure], named: Mapping[str, float]
 ) -> dict[str, DriftFigure]:
-    """What is watched of a reference: the figures that the batch file names with their tolerances,
-    or else those of the procedure's ``DRIFT``."""
+    """Return the watched figures of a reference: those that the batch file names with their
+    tolerances, or else those of the procedure's ``DRIFT``."""
     if not named:
         return dict(usual)
     return {
@@ -92,7 +92,7 @@ def judge(
     watched: Mapping[str, DriftFigure],
     parts: Mapping[str, str],
 ) -> list[HoldReason]:
-    """What a reference run shows against the ones before it, oldest first.
+    """Return the changes of a reference run from the ones before it, oldest first.
 
     Each figure is compared with the first run that has it; `parts` are names as of `part_names`.
     A small change that has crept is reported as wear, a sudden one as wear or a tear, one that
@@ -119,8 +119,8 @@ def judge(
 def zero_drift(
     first_N: Sequence[float], now_N: Sequence[float], limit_N: float, since_run: int = 1
 ) -> list[HoldReason]:
-    """Whether the force sensor's zero (x, y, z in N, ``force_zero_N`` of a summary) has moved along
-    any axis by more than the limit since an earlier run."""
+    """Return whether the force sensor's zero (x, y, z in N, ``force_zero_N`` of a summary) has
+    moved along any axis by more than the limit since an earlier run."""
     moves = [now - first for first, now in zip(first_N, now_N, strict=True)]
     axis = max(range(len(moves)), key=lambda k: abs(moves[k]))
     if abs(moves[axis]) <= limit_N:
@@ -135,8 +135,8 @@ def zero_drift(
 
 
 def disk_space(free_bytes: float, needed_bytes: float, least_GB: float) -> list[HoldReason]:
-    """Whether the disk of the results holds what the rest of the batch needs and `least_GB` (1e9
-    bytes) besides."""
+    """Return whether the disk of the results has the space that the rest of the batch needs, and
+    `least_GB` (1e9 bytes) in addition."""
     free_GB, needed_GB = free_bytes / 1e9, needed_bytes / 1e9
     if free_GB - needed_GB >= least_GB:
         return []
@@ -151,7 +151,7 @@ def disk_space(free_bytes: float, needed_bytes: float, least_GB: float) -> list[
 def expiring(
     records: Iterable[tuple[Path, CalibrationRecord]], now: datetime, duration: timedelta
 ) -> list[HoldReason]:
-    """Which of the calibration records, each with its file, have expired or will expire before a
+    """Return the calibration records, each with its file, that have expired or will expire before a
     run of this duration, begun `now` (with time zone), is over."""
     findings = []
     for source, record in records:
@@ -213,7 +213,8 @@ def _moved(
 
 
 def _together(moved: Sequence[_DriftedFigure], watched: Mapping[str, DriftFigure]) -> bool:
-    """Whether every watched figure of several parts has moved, all alike or all to nothing."""
+    """Return whether every watched figure of several parts has moved, all alike or all to
+    nothing."""
     if len(moved) < len(watched) or len({found.figure.part for found in moved}) < 2:
         return False
     if all(found.lost for found in moved):

@@ -1,4 +1,4 @@
-"""What is made of a run after it: the compiled run file, the detector's findings, the figures.
+"""Makes the files of a finished run: the compiled run file, the detector's results, the figures.
 
 A batch gives each run to a process of its own, one at a time, of low priority:
 
@@ -54,25 +54,25 @@ class PostprocessJob:
     """A run whose files are to be made."""
 
     journal: Path
-    """Its journal, or where that was before it was compiled."""
+    """Journal of the run; if it has been compiled, the path that it had."""
     figures: bool = True
     detect: bool = True
 
 
 @dataclass(frozen=True)
 class PostprocessResult:
-    """What was made of a run."""
+    """The files that were made of a run."""
 
     journal: Path
     file: Path | None = None
     """The run file."""
     processed: Path | None = None
-    """What the detector found; None for a run without strips."""
+    """The processed file; None for a run without strips."""
     figures: tuple[Path, ...] = ()
     warnings: tuple[str, ...] = ()
-    """What could not be drawn, detected or trusted."""
+    """Warnings of figures and results that are missing or doubtful."""
     error: str = ""
-    """Why there is no run file; empty where there is one."""
+    """The reason why there is no run file; empty if there is one."""
 
     def as_line(self) -> str:
         """This result as a line of JSON."""
@@ -107,7 +107,7 @@ class PostprocessQueue:
         self._child: Child | None = None
 
     def __len__(self) -> int:
-        """How many runs are without their files."""
+        """Return the number of runs that are without their files."""
         return len(self._jobs)
 
     @property
@@ -116,12 +116,13 @@ class PostprocessQueue:
         return None if self._child is None else self._child.pid
 
     def add(self, job: PostprocessJob) -> None:
-        """Have the files of a run made after those of the runs before it."""
+        """Queue a run, whose files are made after those of the runs before it."""
         self._jobs.append(job)
 
     def poll(self, *, start: bool) -> PostprocessResult | None:
-        """The next result, if there is one; returns at once. The files of another run are begun
-        only where `start` is true; those under way are continued in any case."""
+        """Return the next result, or None if there is none yet. Returns without waiting. The files
+        of another run are begun only where `start` is true; those under way are continued in any
+        case."""
         if self._child is None:
             if start and self._jobs:
                 return self._begin(self._jobs[0])
@@ -165,7 +166,8 @@ class PostprocessQueue:
 
 
 def _result_of(job: PostprocessJob, ended: ChildResult) -> PostprocessResult:
-    """What a process reported; an error where it died, was killed or reported nothing."""
+    """Return the result that a process reported; an error if it died, was killed or reported
+    nothing."""
     output = ended.output.decode(errors="replace").strip()
     if not ended.failure:
         with contextlib.suppress(ValueError, LookupError, TypeError):
@@ -226,7 +228,7 @@ def _run_file(journal: Path) -> Path:
 
 
 def _kind_of(file: Path) -> tuple[bool, bool]:
-    """Whether a run file has points, and whether it has the strips' signals."""
+    """Return whether a run file has points, and whether it has the strips' signals."""
     from rig.files.runfile.reader import RunFile
     from rig.processing.detection import stream_of_strips
 
@@ -235,7 +237,7 @@ def _kind_of(file: Path) -> tuple[bool, bool]:
 
 
 def _detect(file: Path) -> tuple[Path | None, list[str]]:
-    """The processed file beside a run file, as `rig detect` makes it, and its warnings."""
+    """Return the processed file of a run file, as `rig detect` makes it, and its warnings."""
     from rig.detector import DEFAULT_DETECTOR
     from rig.detector.settings import named_detectors
     from rig.processing import detection

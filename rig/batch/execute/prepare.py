@@ -40,12 +40,12 @@ class PreparedBatch:
     bench: Path | None
     """Bench file; None where every run gets a simulated bench of its own."""
     expected: Mapping[str, ExpectedRun]
-    """What each run is expected to take, by condition."""
+    """Expected duration and size of a run, by condition."""
     forecast: Forecast
 
     @property
     def estimates(self) -> dict[str, RunEstimate]:
-        """What is expected of a run, by condition."""
+        """The estimate for a run, by condition."""
         return {
             name: RunEstimate(one.duration_s, one.spread_s, one.size_B)
             for name, one in self.expected.items()
@@ -125,7 +125,8 @@ def _request(
 
 
 def _simulation(batch: BatchFile, path: Path, bench: Path | None) -> Iterator[PlanFinding]:
-    """What is wrong with [simulation]: a bench that it is not for, files that are not there."""
+    """Return the findings about [simulation]: a bench that it does not fit, files that do not
+    exist."""
     own = batch.simulation
     if own is None:
         return

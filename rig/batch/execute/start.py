@@ -48,7 +48,7 @@ def begin(batch_file: Path, prepared: PreparedBatch, now: datetime) -> BatchFold
 def fingerprints(
     batch_file: Path, batch: BatchFile, files_from: Path, bench: Path | None
 ) -> dict[str, str]:
-    """What has to be unchanged for a batch to be resumed."""
+    """Return the fingerprints of everything that has to be unchanged for a batch to be resumed."""
     found = {
         "fingerprint batch file": _of_file(batch_file),
         "fingerprint program": f"{rig.__version__} {source_state()}".strip(),

@@ -33,12 +33,12 @@ from rig.core.units import counted
 from rig.run.stopping import StopFlag
 
 POLL_EVERY_S = 0.1
-"""How often stop requests, other terminals and background processes are looked at."""
+"""Interval in s at which stop requests, other terminals and background processes are polled."""
 STARTING_S = 300.0
 """Time limit from a claim to its run's plan: boot, connect, compile for the first time. From then
 on the run's guard watches."""
 CRASHES = 3
-"""So many workers in a row that die before they have begun a run end the batch."""
+"""Number of workers that may die in a row before a run has begun; then the batch ends."""
 HEARTBEAT: dict[str, HeartbeatState] = {
     "starting": "waiting",
     "pausing": "running",
@@ -56,14 +56,15 @@ REQUESTS = {
 BENCH_WAITS = ("waiting", "resting", "paused", "held")
 """States in which no run needs the computer: the files of finished runs may be begun."""
 CLOSING_S = 10.0
-"""How long the files under way may take when a person has asked the batch to stop."""
+"""Longest time in s that the files under way may take when a person has asked the batch to stop."""
 FILE_PATIENCE_S = 120.0
-"""How long a process that has outlived an earlier supervisor may take for the files under way."""
+"""Longest time in s that a process that has outlived an earlier supervisor may take for the files
+under way."""
 
 
 @dataclass
 class BatchProgress:
-    """What the batch is doing, for people and monitors."""
+    """The present activity of a batch, for people and monitors."""
 
     state: str = "starting"
     text: str = ""
@@ -109,8 +110,8 @@ class Supervisor:
         """The runs whose files are still to be made, by journal."""
 
     def run(self) -> ExitCode:
-        """Have all runs taken; returns the exit code of the batch. ConfigurationError where another
-        supervisor has the batch."""
+        """Take all runs and return the exit code of the batch. Raises ConfigurationError if another
+        supervisor runs the batch."""
         with (
             self._folder.held_by("supervisor", 0.0),
             self._folder.held_by("postprocess", FILE_PATIENCE_S) as lock,
@@ -227,7 +228,7 @@ class Supervisor:
         handler(event)
 
     def _poll(self) -> None:
-        """What has to be done often, beside listening to the worker."""
+        """Do what has to be done often, apart from reading the worker's messages."""
         self._write_heartbeat(HEARTBEAT.get(self._progress.state, self._progress.state))
         self._make_files(start=self._simulated or self._progress.state in BENCH_WAITS)
         for warning in self._notifier.poll():

@@ -54,16 +54,17 @@ if TYPE_CHECKING:
     from rig.run.procedure import Procedure
 
 CHECK_EVERY_S = 0.05
-"""How often a worker that waits for a person checks for commands."""
+"""Interval in s at which a worker that waits for a person checks for commands."""
 GUARD_PATIENCE_S = 60.0
-"""How long the guard of an earlier worker that died may take to make the bench safe."""
+"""Longest time in s that the guard of an earlier worker that died may take to make the bench
+safe."""
 
 SendEvent = Callable[..., None]
 
 
 @dataclass(frozen=True)
 class BatchTerms:
-    """What a batch was begun with, as its queue records it."""
+    """The settings with which a batch was begun, as its queue records them."""
 
     file: BatchFile
     bench: Path | None
@@ -327,7 +328,8 @@ class Worker:
             raise _EndError(latched.message, latched.hint, latched.code) from latched
 
     def _time_over(self, why: str) -> _EndError:
-        """What ends the batch at its `stop_by`; the next `rig batch resume` opens a new window."""
+        """Return the decision that ends the batch at its `stop_by`; the next `rig batch resume`
+        opens a new window."""
         self._queue.set_meta(TIME_OVER, "yes")
         return _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
 
@@ -378,7 +380,8 @@ class Worker:
         self._conclude(claim, ended)
 
     def _completed_elsewhere(self, claim: Claim) -> AttemptResult | None:
-        """How an interrupted run ended if `rig resume` has completed it since; else None."""
+        """Return the outcome of an interrupted run if `rig resume` has completed it since; else
+        None."""
         ended = outcome_from_journal(self._folder.journal(claim.number, claim.condition.procedure))
         return replace(ended, bench_s=0.0) if ended.ending == "complete" else None
 
@@ -498,7 +501,7 @@ class Worker:
         return outcome
 
     def _time_limit(self, bench_clock: Clock) -> TimeLimit | None:
-        """By when a run that begins now has to be over; None without `stop_by`."""
+        """Return the time by which a run that begins now has to end; None without `stop_by`."""
         if self._until is None:
             return None
         now, until = self._clock.now, self._until
@@ -541,8 +544,8 @@ class Worker:
         return None if ahead is None else ahead.started
 
     def _boot_next(self) -> None:
-        """Have the next run's simulated bench boot beside this run. One with a fault plan waits:
-        its plan may strike this process's disk."""
+        """Start the next run's simulated bench during this run. One with a fault plan is started
+        later: its plan may affect this process's disk."""
         if self._terms.bench is not None or (upcoming := self._queue.upcoming()) is None:
             return
         request = self._simulated(upcoming)
@@ -607,7 +610,7 @@ def _ended(outcome: RunOutcome) -> AttemptResult:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The program."""
+    """Run the worker program."""
     folder = BatchFolder(Path(arguments[0]))
     lines = threading.Lock()
 

@@ -1,4 +1,4 @@
-"""What a batch file expands to, as values: conditions and the runs of each, in their order."""
+"""The conditions that a batch file expands to and the runs of each, in their order, as values."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ class BatchCondition:
     id: str
     """Stable and readable: ``slip-trial-002``, after experiment and place in its matrix."""
     experiment: int
-    """Which ``[[experiment]]``, from 0."""
+    """Index of its ``[[experiment]]``, from 0."""
     procedure: str
     settings: Mapping[str, Any]
     """The whole of the procedure's settings, validated, as plain values of JSON."""
     varied: Mapping[str, Any]
-    """Those that the matrix or the sample varies."""
+    """Settings that the matrix or the sample varies."""
     reference: bool = False
     rest_s: float = 0.0
     """Rest before each of its runs."""
@@ -33,7 +33,7 @@ class PlannedRun:
     """Place in the queue, from 1; keys its file, and the noise of a simulated bench."""
     condition: str
     repeat: int
-    """Which of its condition's runs, from 1."""
+    """Number of the run among its condition's runs, from 1."""
 
 
 @dataclass(frozen=True)

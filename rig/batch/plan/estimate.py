@@ -1,4 +1,4 @@
-"""What a plan is expected to take: time with its spread, disk, and records that expire on the way.
+"""Estimates what a plan needs: time with its spread, disk space, and records that expire meanwhile.
 
 Bench time is what the procedures expect of their points and of making ready
 (`rig.run.procedure`), as progress and dry runs show it. Here are what comes to it between runs
@@ -33,8 +33,9 @@ from rig.run.checked_procedure import CheckedProcedure
 from rig.run.points import Point
 
 CONNECTING_S = 0.6
-"""On a real bench, from the end of a run to the begin of the next (journal, guard, connections),
-and what its links take within a run beyond those of a simulated bench."""
+"""Time in s on a real bench from the end of a run to the beginning of the next (journal, guard,
+connections), and the time that its links take within a run in excess of those of a simulated bench.
+"""
 RELATIVE = 0.03
 """Standard deviation of what is expected of a run, relative, the same for all runs: friction, the
 film's noise, how fast the drives home."""
@@ -60,7 +61,7 @@ RECORDS: dict[str, type[FilmCalibration] | type[ForceCalibration] | type[LoadCel
 
 @dataclass(frozen=True)
 class ExpectedRun:
-    """What one run of a condition is expected to take."""
+    """Expected duration and size of one run of a condition."""
 
     duration_s: float
     common_s: float
@@ -92,31 +93,32 @@ class ExpiringRecord:
 
 @dataclass(frozen=True)
 class Forecast:
-    """What a whole batch is expected to be."""
+    """Forecast of a whole batch."""
 
     begins: datetime
     duration_s: float
-    """From there to the end of the last run, rests included."""
+    """Time from then to the end of the last run, rests included."""
     spread_s: float
-    """Its standard deviation."""
+    """Standard deviation of the duration."""
     size_B: int
     runs: tuple[PlacedRun, ...]
     stop_by: datetime | None
     in_time: int
-    """How many runs of the queue, from the first on, will have ended by `stop_by`."""
+    """Number of runs of the queue, from the first on, that will have ended by `stop_by`."""
     expiring: tuple[ExpiringRecord, ...]
 
     @property
     def ends(self) -> datetime:
-        """When the last run is expected to be over, were there no `stop_by`."""
+        """Expected end of the last run, as if there were no `stop_by`."""
         return self.begins + timedelta(seconds=self.duration_s)
 
 
 def expect(
     plan: BatchPlan, fixtures: Mapping[str, FixtureSettings], real: bool
 ) -> dict[str, ExpectedRun]:
-    """What a run of each condition is expected to take. `fixtures`: what is mounted for each
-    procedure; `real`: a bench that stands there, homed and parked by the run before."""
+    """Return the expected duration and size of a run of each condition. `fixtures` are the mounted
+    fixtures by procedure. `real` is for a real bench, whose stages the run before has homed and
+    parked."""
     return {
         name: _expected(condition, fixtures[condition.procedure], real)
         for name, condition in plan.conditions.items()
@@ -124,8 +126,8 @@ def expect(
 
 
 def homing_s(plan: BatchPlan, fixtures: Mapping[str, FixtureSettings]) -> float:
-    """What the first run on a real bench is expected to take longer than `expect` says: its stages
-    may not know where they are."""
+    """Return the time in s that the first run on a real bench takes in addition to `expect`: its
+    stages may have to be homed."""
     if not plan.runs:
         return 0.0
     condition = plan.conditions[plan.runs[0].condition]
@@ -221,7 +223,7 @@ def _ends_of_contact(fixture: FixtureSettings) -> tuple[FixtureSettings, Fixture
 
 
 def _size_B(condition: BatchCondition, points: Iterable[Point]) -> int:  # noqa: N802 - bytes
-    """Bytes of a run file: every stream goes on for as long as its points take."""
+    """Return the size of a run file in bytes: every stream lasts as long as its points."""
     streams = installed(condition.procedure).streams
     size = float(RUN_B)
     for point in points:

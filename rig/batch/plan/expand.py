@@ -1,4 +1,4 @@
-"""What a batch file expands to: every condition with its settings, and the queue of runs.
+"""Expands a batch file to conditions with their settings, and to the queue of runs.
 
 Pure: the same file gives the same conditions, ids and order, whatever the day or the computer.
 Where a condition is wrong, the finding says at which part of the file it came from.
@@ -29,7 +29,7 @@ MOST_CONDITIONS = 100_000
 MOST_COMPARISONS = 2_000_000
 """Limit on comparisons of combinations with entries of exclude and include."""
 SHUFFLING, SAMPLING = 0, 1
-"""Which random numbers a seed is for."""
+"""Keys that make the random numbers of both uses of a seed independent."""
 
 
 def expand(batch: BatchFile) -> BatchPlan:
@@ -55,8 +55,8 @@ def expand(batch: BatchFile) -> BatchPlan:
 
 
 def labels(experiments: Sequence[Experiment]) -> list[str]:
-    """What the ids of each experiment's conditions begin with: its name or its procedure, and a
-    number where an earlier one has the same."""
+    """Return the label with which the ids of each experiment's conditions begin: its name or its
+    procedure, and a number if an earlier one has the same."""
     taken: dict[str, None] = {}
     for experiment in experiments:
         label = wanted = experiment.name or experiment.procedure
@@ -69,7 +69,7 @@ def labels(experiments: Sequence[Experiment]) -> list[str]:
 
 
 def check_defaults(defaults: Mapping[str, Mapping[str, Any]]) -> Iterator[PlanFinding]:
-    """What is wrong with [defaults] whatever the experiments are."""
+    """Return the findings about [defaults] that do not depend on the experiments."""
     for name, table in defaults.items():
         try:
             model = installed(name).Settings
@@ -92,7 +92,7 @@ class _Combination:
     """Place in the matrix, from 1; what is excluded keeps its place."""
     values: dict[str, Any]
     added: dict[str, tuple[Any, int]] = field(default_factory=dict)
-    """By setting: value, and which entry of include it is from."""
+    """Value, and the index of the entry of include that it comes from, by setting."""
 
     @property
     def varied(self) -> dict[str, Any]:
@@ -118,7 +118,7 @@ class Expansion:
         self._defaults = defaults.get(experiment.procedure, {})
         self._model: type[Settings] | None = None
         self._matrix: dict[str, list[Any]] = {}
-        """In the settings' units."""
+        """Values of the matrix by setting, in the settings' units."""
         self._places: dict[tuple[str, Any], int] = {}
         """Index of each value in its setting's list."""
         try:
@@ -128,7 +128,7 @@ class Expansion:
 
     @property
     def combinations(self) -> int:
-        """How many conditions there are at most."""
+        """Number of conditions at most."""
         experiment = self.experiment
         sizes = math.prod(len(values) for values in experiment.matrix.values())
         sampled = 1 if experiment.sample is None else experiment.sample.points
@@ -136,12 +136,12 @@ class Expansion:
 
     @property
     def comparisons(self) -> int:
-        """How many combinations are compared with entries of exclude and include."""
+        """Number of combinations that are compared with entries of exclude and include."""
         return self.combinations * (len(self.experiment.exclude) + len(self.experiment.include))
 
     @property
     def is_too_large(self) -> bool:
-        """Whether it is not to be expanded."""
+        """True if it is not to be expanded."""
         return self.combinations > MOST_CONDITIONS or self.comparisons > MOST_COMPARISONS
 
     def expand(self) -> None:
@@ -205,7 +205,7 @@ class Expansion:
         return list(kept.values())
 
     def _is_sampled_well(self, sample: SpaceSample | None) -> bool:
-        """Whether every range is one of a number that nothing else varies."""
+        """Return whether every range is one of a number that nothing else varies."""
         if sample is None:
             return True
         assert self._model is not None
@@ -341,7 +341,7 @@ class Expansion:
             self.findings.append(PlanFinding(where, told, _see(self.experiment.procedure)))
 
     def _origin(self, name: str, combination: _Combination) -> tuple[KeyPath, tuple[str, ...]]:
-        """Where in the file a combination's value of a setting is from."""
+        """Return the place in the file from which a combination has its value of a setting."""
         own, experiment = self.where, self.experiment
         if name in combination.added:
             return (*own, "include", combination.added[name][1], name), ("include",)
@@ -371,7 +371,8 @@ class _SettingConverter:
         self._model = model
 
     def table(self, table: Mapping[str, Any], where: KeyPath, place: str) -> dict[str, Any]:
-        """Those of a table, which `place` names for people, but for the ones that are wrong."""
+        """Return the settings of a table without the wrong ones. `place` names the table in
+        findings."""
         converted = {
             name: self.one(name, value, (*where, name), f"{place}.{shortened(name)}")
             for name, value in table.items()
@@ -425,7 +426,8 @@ def _same(value: Any) -> tuple[bool, Any]:
 
 
 def _has_all(values: Mapping[str, Any], entry: Mapping[str, Any], or_lacks: bool = False) -> bool:
-    """Whether a combination has every value of an entry; with `or_lacks`, contradicts none."""
+    """Return whether a combination has every value of an entry; with `or_lacks`, contradicts
+    none."""
     return all(
         _same(values[name]) == _same(value) if name in values else or_lacks
         for name, value in entry.items()
@@ -436,7 +438,7 @@ def _has_all(values: Mapping[str, Any], entry: Mapping[str, Any], or_lacks: bool
 
 
 def _too_many(expanded: Sequence[Expansion]) -> Iterator[PlanFinding]:
-    """Why a batch is too large to be expanded."""
+    """Return the reason why a batch is too large to be expanded."""
     others = references = conditions = 0
     hint = "make the matrix smaller, or two batches of it"
     for expansion in expanded:

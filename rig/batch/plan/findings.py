@@ -1,4 +1,4 @@
-"""What is wrong with a batch: all findings at once, each with its place in the batch file."""
+"""Collects the findings about a batch file, each with its place in the file."""
 
 from __future__ import annotations
 

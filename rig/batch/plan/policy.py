@@ -1,9 +1,10 @@
-"""What the end of a run means for the night: try again, continue, hold, or end. Pure functions.
+"""Decides what follows from the end of a run: try again, continue, hold, or end the batch. Pure
+functions.
 
-A time-out is worth another try, a limit never: what was refused or tripped once would be again,
-with the skin pressed once more. Neither are more holds than the bench file allows. A condition that
-keeps failing is left out and the night continues. A person's interlock
-ends the night: only a person resets it and starts again.
+A time-out is worth another try. A limit never is: it would be exceeded again, with the skin pressed
+once more. Neither are more holds than the bench file allows. A condition that keeps failing is left
+out and the night continues. A person's interlock ends the night: only a person resets it and starts
+again.
 """
 
 from __future__ import annotations
@@ -30,18 +31,18 @@ FailureKind = Literal[
     "unsafe",
     "internal",
 ]
-"""Why a run failed, as retries distinguish it."""
+"""Reason of a failure, as retries distinguish it."""
 
 
 @dataclass(frozen=True)
 class FailureDecision:
-    """What follows from a failed attempt for its run, its condition and the batch."""
+    """Consequences of a failed attempt for its run, its condition and the batch."""
 
     run: Literal["again", "failed"]
     batch: Literal["go-on", "hold", "end"] = "go-on"
     why: str = ""
     set_aside: bool = False
-    """Whether its condition's other runs are left out."""
+    """True if its condition's other runs are left out."""
 
 
 def kind_of(code: int, failures: Sequence[RigError], made_safe: bool = False) -> FailureKind:
@@ -74,10 +75,11 @@ def after_failure(
     failed_in_a_row: int,
     reason: str,
 ) -> FailureDecision:
-    """What to do about a failed attempt.
+    """Return the decision after a failed attempt.
 
-    `before`: attempts of this run that ended for each kind, this one included;
-    `failed_of_condition`, `failed_in_a_row`: runs failed for good, this one not included.
+    `before` has the number of this run's attempts that ended for each kind, this one included.
+    `failed_of_condition` and `failed_in_a_row` are numbers of runs that failed for good, without
+    this one.
     """
     if kind == "unsafe":
         return FailureDecision("again", "end", f"the bench could not be made safe: {reason}")
@@ -101,7 +103,7 @@ def after_failure(
 
 
 def reason_to_end(batch: BatchSettings, done: int, failed: int, bench_s: float) -> str:
-    """Which of the stop conditions is met; empty while none is."""
+    """Return the stop condition that is met; empty if none is."""
     when = batch.stop_when
     if when.finished_runs is not None and done >= when.finished_runs:
         return f"{done} runs are finished (stop_when.finished_runs = {when.finished_runs})"

@@ -12,14 +12,14 @@ from rig.run.procedure import Procedure
 
 @cache
 def known() -> tuple[str, ...]:
-    """Their names."""
+    """Return the names of the installed procedures."""
     return names(PROCEDURES)
 
 
 @cache
 def installed(name: str) -> type[Procedure]:
-    """The class of the procedure of this name; ConfigurationError where there is none, or where it
-    cannot be loaded."""
+    """Return the class of the procedure of this name. Raises ConfigurationError if there is none,
+    or if it cannot be loaded."""
     if name not in known():
         raise ConfigurationError(
             f"procedure = {shortened(name)!r} is unknown", f"known are {', '.join(known())}"

@@ -47,8 +47,8 @@ def parse_batch(text: str, name: str) -> tuple[BatchFile, BatchPlan, BatchText]:
 
 
 def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[PlanFinding]:
-    """What pydantic has found, in words. Where a value could be of several kinds and is of none of
-    them, that is one finding."""
+    """Return pydantic's findings in words. A value that could be of several kinds and is of none of
+    them is one finding."""
     by_place: dict[KeyPath, list[str]] = {}
     for item in error.errors():
         where: KeyPath = item["loc"]
@@ -63,7 +63,8 @@ def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[Pla
 
 
 def _existing(where: KeyPath, tables: Any) -> KeyPath:
-    """As far as a place exists in the file: pydantic adds which kind of value it tried."""
+    """Return the part of a place that exists in the file: pydantic adds the kind of value that it
+    tried."""
     found: KeyPath = ()
     for part in where:
         try:
@@ -75,7 +76,7 @@ def _existing(where: KeyPath, tables: Any) -> KeyPath:
 
 
 def _further(tables: Mapping[str, Any]) -> Iterator[PlanFinding]:
-    """What is wrong with the settings in a file of which another part is wrong."""
+    """Return the findings about the settings in a file of which another part is wrong."""
     defaults = tables.get("defaults", {})
     entries = tables.get("experiment", [])
     if not isinstance(defaults, dict) or not isinstance(entries, list):

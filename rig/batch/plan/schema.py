@@ -67,7 +67,7 @@ def batch_schema(warn: Callable[[str], None] = lambda _: None) -> dict[str, Any]
 
 
 def _or_text(field: str, part: dict[str, Any]) -> dict[str, Any]:
-    """A setting as its procedure takes it, or as text; one with a unit tells which."""
+    """Return the schema of a setting as its procedure takes it, or as text with a unit."""
     unit = unit_of(field)
     described = {k: v for k, v in part.items() if k in ("description", "default", "title")}
     bare = {k: v for k, v in part.items() if k not in described}

@@ -1,4 +1,4 @@
-"""The batch file: what a night does, and what ends or holds it.
+"""The settings of a batch file: what a batch does, and what ends or holds it.
 
     [batch]              the night: name, order, window, policies
     [defaults.PROCEDURE] settings that every experiment of a procedure begins with
@@ -81,8 +81,8 @@ Instant = Annotated[
 
 
 class Retries(Settings):
-    """How often a run that ended for a reason is tried again. A limit never is: what was refused
-    or tripped once would be again, with the skin pressed once more."""
+    """Number of further attempts at a run, by the reason of its failure. After a limit there is
+    none: it would be exceeded again, with the skin pressed once more."""
 
     timeout: int = Field(default=2, ge=0, le=100)
     """An instrument did not answer in time."""
@@ -95,7 +95,7 @@ class Retries(Settings):
 
 
 class StopWhen(Settings):
-    """What ends a batch safely before its last run (exit 6)."""
+    """Conditions that end a batch safely before its last run (exit 6)."""
 
     finished_runs: int | None = Field(default=None, ge=1)
     """This many runs have been finished."""
@@ -106,7 +106,7 @@ class StopWhen(Settings):
 
 
 class HoldWhen(Settings):
-    """What holds a batch: the bench is safe and the batch waits for a person."""
+    """Conditions that hold a batch: the bench is safe and the batch waits for a person."""
 
     consecutive_failures: int = Field(default=3, ge=1)
     """This many runs in a row have failed for good."""
@@ -117,7 +117,7 @@ class HoldWhen(Settings):
 
 
 class NotifySettings(Settings):
-    """Who is notified, and of what. Notifications cannot disturb a run."""
+    """Addresses that are notified, and the occasions. Notifications cannot disturb a run."""
 
     urls: tuple[str, ...] = ()
     """Addresses as apprise understands them (optional extra ``notify``)."""
@@ -140,27 +140,27 @@ class BatchSettings(Settings):
     sample: str = ""
     notes: str = ""
     not_before: Instant | None = None
-    """Nothing is connected earlier."""
+    """Time before which no instrument is connected."""
     stop_by: Instant | None = None
     """No run begins that would not have ended by then."""
     stop_when: StopWhen = StopWhen()
     hold_when: HoldWhen = HoldWhen()
     on_failure: Literal["continue", "hold", "stop"] = "continue"
-    """What happens to the batch when a run has failed for good."""
+    """Action of the batch when a run has failed for good."""
     on_hold: Literal["wait", "stop"] = "wait"
-    """Whether a batch on hold waits for a person, or ends."""
+    """Action of a batch on hold: wait for a person, or end."""
     set_aside_after: int = Field(default=2, ge=1)
-    """After this many failed runs of one condition its other runs are left out."""
+    """Number of failed runs of one condition after which its other runs are left out."""
     retries: Retries = Retries()
     order: Order = "as-written"
     seed: int = Field(default=0, ge=0)
     """Seed of every random order and sample."""
     allow_expired: bool = False
-    """Whether calibration records that have expired may be used."""
+    """True if calibration records that have expired may be used."""
     figures: bool = True
-    """Whether figures are drawn of every run."""
+    """True if figures are drawn of every run."""
     detect: bool = True
-    """Whether the detector analyses the strips of every trial."""
+    """True if the detector analyses the strips of every trial."""
     notify: NotifySettings = NotifySettings()
 
 
@@ -198,22 +198,23 @@ class Experiment(Settings):
     matrix: dict[str, list[Value]] = Field(default_factory=dict)
     """Values by setting: every combination is a condition."""
     sample: SpaceSample | None = None
-    """In place of a matrix, or crossed with it."""
+    """Random samples of settings, in place of a matrix or combined with it."""
     exclude: tuple[dict[str, Value], ...] = ()
     """Combinations to leave out: those that have all the values of one entry."""
     include: tuple[dict[str, Any], ...] = ()
-    """Settings added to the combinations that they do not contradict in a value of the matrix;
-    where there is none, one further combination."""
+    """Settings added to those combinations whose values of the matrix they do not contradict. If
+    there is no such combination, they are a further one."""
     repeat: int = Field(default=1, ge=1, le=100_000)
     """Runs of each condition."""
     block_by: tuple[str, ...] = ()
-    """With order "blocked": settings whose values stay together; without any, each repeat is a
+    """For order "blocked": settings whose values stay together. If it is empty, each repeat is a
     block."""
     every: int | None = Field(default=None, ge=1)
-    """A reference: one run before the others, one after so many of them, one after the last."""
+    """Makes the experiment a reference: it is run before the others, after every so many of them,
+    and after the last."""
     drift: dict[str, float] = Field(default_factory=dict)
-    """For a reference: figures of its summary, and how far each may move from the first reference,
-    in the figure's own unit; left out, what the procedure names."""
+    """For a reference: largest change from the first reference, by figure of the summary, in the
+    figure's own unit. Default: the figures that the procedure names."""
     rest_s: float = Field(default=0.0, ge=0, le=86_400)
     """Rest before each of its runs: rubber recovers."""
 
@@ -234,15 +235,15 @@ class FaultSelection(Settings):
     """A fault plan in effect on some runs."""
 
     runs: tuple[int, ...]
-    """Their numbers in the queue, from 1."""
+    """Numbers of the runs in the queue, from 1."""
     plan: str
     """The plan's file, relative to the batch file."""
     attempts: int = Field(default=1, ge=1)
-    """It is in effect in this many attempts of a run, from the first on."""
+    """Number of attempts of a run, from the first on, in which the faults are in effect."""
 
 
 class WorldChange(Settings):
-    """Other World settings from a run on."""
+    """Change of World settings, in effect from a run on."""
 
     from_run: int = Field(ge=1)
     settings: str
@@ -260,7 +261,7 @@ class Simulation(Settings):
     fault: tuple[FaultSelection, ...] = ()
     change: tuple[WorldChange, ...] = ()
     world_log: bool = False
-    """Whether the log of every simulated bench is saved with its run."""
+    """True if the log of every simulated bench is saved with its run."""
 
 
 class BatchFile(Settings):

@@ -30,12 +30,12 @@ RUNS_NAMED = 3
 
 @dataclass
 class ValidationResult:
-    """What validating a batch on a bench has found."""
+    """Result of validating a batch on a bench."""
 
     findings: list[PlanFinding] = field(default_factory=list)
     """Everything that is wrong; empty if the batch may begin."""
     fixtures: dict[str, FixtureSettings] = field(default_factory=dict)
-    """What is mounted for each procedure, and where everything is."""
+    """Mounted fixture for each procedure, with all positions."""
 
 
 def validate(
@@ -101,7 +101,7 @@ def _runs(numbers: list[int]) -> str:
 def _refusals(
     condition: BatchCondition, bench: Bench, real: BenchPlan | None
 ) -> Iterator[RigError]:
-    """Why a condition cannot be run on a bench, every reason for itself."""
+    """Return the reasons why a condition cannot be run on a bench, each on its own."""
     own = installed(condition.procedure)
     procedure = CheckedProcedure(own(own.Settings.model_validate(condition.settings)))
     try:

@@ -36,7 +36,7 @@ log = logging.getLogger("rig")
 
 @dataclass(frozen=True)
 class HeartbeatRecord:
-    """How far a batch is."""
+    """Progress of a batch."""
 
     state: HeartbeatState
     run: int = 0
@@ -51,9 +51,9 @@ class HeartbeatRecord:
     presses: int = 0
     """How often all runs have pressed the object so far."""
     message: str = ""
-    """What is under way, or why the batch is held or has ended; for people."""
+    """The present activity, or the reason why the batch is held or has ended; for people."""
     time: str = ""
-    """When it was written, ISO 8601 with time zone."""
+    """Time at which it was written, ISO 8601 with time zone."""
     pid: int = 0
     """Id of the process that writes."""
 
@@ -68,8 +68,8 @@ class Heartbeat:
         self._failed = False
 
     def write(self, beat: HeartbeatRecord) -> None:
-        """Write this, at once where more than the point has changed, else every `EVERY_S`. Fills in
-        time and pid. Never raises."""
+        """Write the record: immediately if more than the point has changed, else every `EVERY_S`.
+        Fills in time and pid. Never raises."""
         now_s = self._monotonic_s()
         told = (beat.state, beat.run, beat.of, beat.simulated, beat.holds, beat.message)
         if told == self._written and now_s < self._due_s:

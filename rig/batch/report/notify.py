@@ -60,10 +60,10 @@ class _Delivery:
     """One message to one receiver."""
 
     receiver: str
-    """For people: an address itself may hold a password."""
+    """Name of the address for messages: the address itself may contain a password."""
     program: tuple[str, ...]
     given: str
-    """For the program's standard input."""
+    """Text for the program's standard input."""
     title: str
 
 
@@ -108,7 +108,8 @@ class Notifier:
     def notify(
         self, occasion: Occasion, title: str, text: str, details: Mapping[str, Any] | None = None
     ) -> None:
-        """Have a message delivered, if the settings ask for this occasion; returns at once."""
+        """Send a message if the settings ask for this occasion. Returns without waiting for the
+        delivery."""
         if occasion not in self._settings.on:
             return
         now = datetime.now().astimezone().isoformat(timespec="seconds")

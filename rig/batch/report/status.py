@@ -11,20 +11,20 @@ from rig.batch.queue import HOLDS, PRESSES, Queue, RemainingWork, RunRow, RunSta
 from rig.core.units import counted, time_span
 
 LATEST = 5
-"""How many of the latest failures and events are shown."""
+"""Number of the latest failures and events that are shown."""
 
 
 @dataclass(frozen=True)
 class BatchStatus:
-    """How far a batch is."""
+    """Progress of a batch."""
 
     folder: BatchFolder
     name: str
     simulated: bool
-    """Whether its runs are on benches that it starts for itself, in virtual time."""
+    """True if its runs are on benches that it starts for itself, in virtual time."""
     state: str
     running: bool
-    """Whether its supervisor is at work."""
+    """True if its supervisor is at work."""
     counts: dict[RunState, int]
     remaining: RemainingWork
     unprocessed: int
@@ -41,7 +41,7 @@ class BatchStatus:
 
     @property
     def finish(self) -> datetime:
-        """When it ends if it continues as planned from now on."""
+        """Expected end if the batch continues as planned from now on."""
         return (self.now + timedelta(seconds=self.remaining.bench_s)).astimezone()
 
     def as_object(self) -> dict[str, Any]:
@@ -102,7 +102,7 @@ class BatchStatus:
 
     @property
     def _real_time(self) -> bool:
-        """Whether it is under way on a bench whose time passes by itself."""
+        """True if it is under way on a bench whose time passes by itself."""
         return self.running and not self.simulated
 
     def _state(self) -> str:

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 Format = Literal["text", "LVM", "MATLAB 5", "MATLAB 7.3"]
 
 MAX_BYTES = 128 << 20
-"""Largest size of a file: an hour of four columns at 1 kHz, as text. The file is read in one piece.
-"""
+"""Largest size of a file: an hour of four columns at 1 kHz, as text. The file is read in one
+piece."""
 MAX_HEAD = 64 << 10
 """Characters of the text before the numbers that are recorded with them."""
 

@@ -118,7 +118,7 @@ class Recorder:
             raise RecordingError(
                 self._journal.path,
                 f"the disk has not acknowledged anything for {timeout_s:g} s",
-                "look at the disk; the run can be resumed",
+                "check the disk; the run can be resumed",
             )
 
     def close(self) -> None:
