@@ -9,6 +9,9 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import stat
+import tempfile
+from functools import cache
 from pathlib import Path
 from typing import Protocol
 
@@ -75,10 +78,47 @@ class DiskCache:
 
 def user_cache() -> DiskCache:
     """Return the cache in the user's cache folder; ``RIG_CACHE`` overrides the place."""
+    override = os.environ.get("RIG_CACHE")
+    return DiskCache(Path(override) if override else _user_cache_folder())
+
+
+@cache
+def place_numba_cache(package: Path) -> None:
+    """Give numba a folder for the machine code of a package, before its kernels are imported.
+
+    numba stores it beside the source or in the user's home. A service has neither where the program
+    belongs to root and its user has no home; numba then refuses to import the kernels.
+    """
+    if os.access(package, os.W_OK) or _home_is_usable():
+        return
+    os.environ.setdefault("NUMBA_CACHE_DIR", str(_user_cache_folder() / "numba"))
+
+
+def _user_cache_folder() -> Path:
+    """Return the user's cache folder; for a user without a home, one of their own in the temporary
+    folder."""
     from platformdirs import user_cache_path
 
-    override = os.environ.get("RIG_CACHE")
-    return DiskCache(Path(override) if override else user_cache_path("tactile-rig"))
+    if _home_is_usable() or os.environ.get("XDG_CACHE_HOME"):
+        return user_cache_path("tactile-rig")
+    folder = Path(tempfile.gettempdir()) / f"tactile-rig-cache-{os.getuid()}"
+    with contextlib.suppress(OSError):  # what cannot be stored is computed again
+        folder.mkdir(mode=0o700, exist_ok=True)
+    try:
+        found = folder.lstat()
+        if found.st_uid == os.getuid() and stat.S_IMODE(found.st_mode) == 0o700:
+            return folder
+    except OSError:
+        pass
+    # Somebody else's folder of this name is not trusted: what is in it would be executed.
+    return Path(tempfile.mkdtemp(prefix="tactile-rig-cache-"))
+
+
+def _home_is_usable() -> bool:
+    try:
+        return os.access(Path.home(), os.W_OK | os.X_OK)
+    except RuntimeError:  # no HOME, and a user whom the computer does not know
+        return False
 
 
 def _digest(key: str, content: bytes) -> bytes:

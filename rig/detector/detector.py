@@ -6,15 +6,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.detector import kernel
-from rig.detector.events import EVENT_KINDS, SlipEvent
-from rig.detector.low_pass import LowPass, design_low_pass
-from rig.detector.settings import DetectorSettings
+from rig.core.cache import place_numba_cache
+
+place_numba_cache(Path(__file__).parent)
+from rig.detector import kernel  # noqa: E402 - after numba's cache has its place
+from rig.detector.events import EVENT_KINDS, SlipEvent  # noqa: E402
+from rig.detector.low_pass import LowPass, design_low_pass  # noqa: E402
+from rig.detector.settings import DetectorSettings  # noqa: E402
 
 Reals = NDArray[np.float64]
 

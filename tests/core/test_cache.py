@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -93,3 +96,41 @@ def test_the_users_cache_can_be_put_elsewhere(
     assert len(list(tmp_path.iterdir())) == 1
     monkeypatch.delenv("RIG_CACHE")
     assert "tactile-rig" in str(user_cache().folder)
+
+
+SERVICE = """
+import os, sys
+os.environ = {"TMPDIR": sys.argv[1], "PATH": os.environ["PATH"]}
+from pathlib import Path
+from rig.core import cache
+Path.home = classmethod(lambda cls: (_ for _ in ()).throw(RuntimeError("no home")))
+place = cache.user_cache().folder
+cache.user_cache().put("key", b"content")
+assert cache.user_cache().get("key") == b"content"
+os.access = lambda path, mode: False
+cache.place_numba_cache(Path("/usr/lib/rig"))
+print(place, place.stat().st_mode & 0o777 == 0o700, os.environ["NUMBA_CACHE_DIR"], sep="\\n")
+"""
+
+
+def test_a_user_without_a_home_has_a_cache_of_their_own_in_the_temporary_folder(
+    tmp_path: Path,
+) -> None:
+    shown = subprocess.run(
+        [sys.executable, "-c", SERVICE, str(tmp_path)], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    assert shown[0] == str(tmp_path / f"tactile-rig-cache-{os.getuid()}")
+    assert shown[1:] == ["True", shown[0] + "/numba"]
+
+
+def test_a_folder_of_somebody_else_in_the_temporary_folder_is_not_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / f"tactile-rig-cache-{os.getuid()}").mkdir(mode=0o777)
+    (tmp_path / f"tactile-rig-cache-{os.getuid()}").chmod(0o777)
+    for name in ("RIG_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", "/nonexistent")
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert user_cache().folder != tmp_path / f"tactile-rig-cache-{os.getuid()}"
+    assert user_cache().folder.parent == tmp_path

@@ -420,7 +420,10 @@ def _validated(path: Path, header: RunHeader | Mapping[str, Any]) -> RunHeader:
 
 def _refuges(lost: Path) -> list[Path]:
     """Return the folders, in order, in which a journal that has lost its name may continue."""
-    return [lost.parent, Path.home(), Path(tempfile.gettempdir())]
+    folders = [lost.parent]
+    with contextlib.suppress(RuntimeError):  # a service's user may have no home
+        folders.append(Path.home())
+    return [*folders, Path(tempfile.gettempdir())]
 
 
 def _copy(source: int, size: int, target: Path) -> int:

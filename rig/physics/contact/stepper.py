@@ -9,6 +9,7 @@ raises ``ConvergenceError`` and leaves the state unchanged.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -197,6 +198,9 @@ class ContactStepper:
         Raises ValueError for inputs out of range, and ConvergenceError if a step has no consistent
         solution; the steps before it remain done.
         """
+        from rig.core.cache import place_numba_cache
+
+        place_numba_cache(Path(__file__).parent)
         from rig.physics.contact import kernel
 
         normals, tangents = _paired(normal, tangential)
