@@ -92,7 +92,7 @@ class FestoCmmtSettings(Settings):
     """Time without a request after which the drive stops by itself."""
     torque_limit_percent: float | None = Field(default=None, gt=0, le=100)
     """Every motion travels to a fixed stop with this clamping torque: the barrier behind the force
-    limit. Left out, the drive pushes with all it has."""
+    limit. Left out, the drive pushes with all it has; an axis that presses needs it."""
     position_tolerance_mm: float = Field(default=0.02, gt=0, le=1)
     """Largest distance from its target at which a motion may end."""
     homing_timeout_s: float = Field(default=60, gt=0, le=600)

@@ -532,7 +532,7 @@ class AzAxis:
             round(speed_mm_s * own.steps_per_mm),
             round(own.acceleration_mm_s2 * own.steps_per_mm),
             round(own.deceleration_mm_s2 * own.steps_per_mm),
-            round(10 * own.torque_limit_percent),
+            round(10 * own.current_percent),
             TRIGGER_ALL,
         )
         words = tuple(word for value in values for word in halves(value))
@@ -609,7 +609,7 @@ class AzAxis:
         if abs(lag_mm) > self._settings.following_limit_mm:
             self._abort(
                 f"is held back by {abs(lag_mm):.3g} mm at {here_mm:g} mm on the way to "
-                f"{motion.target:g} mm, at {self._settings.torque_limit_percent:g} % of its "
+                f"{motion.target:g} mm, at {self._settings.current_percent:g} % of its "
                 "current",
                 "something is in the way; if it belongs there, raise torque_limit_percent",
             )

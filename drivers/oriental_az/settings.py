@@ -100,8 +100,9 @@ class OrientalAzSettings(Settings):
     """Deceleration of every motion and of a stop."""
     communication_timeout_ms: Wiring[int] = Field(default=1000, ge=200, le=10_000)
     """Time without a request over its line after which the drive stops by itself."""
-    torque_limit_percent: float = Field(default=100, gt=0, le=100)
-    """Operating current of every motion: the barrier behind the force limit."""
+    torque_limit_percent: float | None = Field(default=None, gt=0, le=100)
+    """Operating current of every motion: the barrier behind the force limit. Left out, the drive
+    pushes with all it has; an axis that presses needs it."""
     position_tolerance_mm: float = Field(default=0.02, gt=0, le=1)
     """Largest distance from its target at which a motion may end."""
     following_limit_mm: float = Field(default=0.2, gt=0, le=10)
@@ -124,6 +125,11 @@ class OrientalAzSettings(Settings):
         if fastest * self.steps_per_mm > LARGEST_RATE or slowest * self.steps_per_mm < 1:
             raise ValueError("acceleration or deceleration does not fit the drive's steps/s2")
         return self
+
+    @property
+    def current_percent(self) -> float:
+        """Operating current of every motion."""
+        return 100.0 if self.torque_limit_percent is None else self.torque_limit_percent
 
     @property
     def role(self) -> str:

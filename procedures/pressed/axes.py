@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
+from procedures.pressed.contact import contact_range_mm, refuse_deeper
 from rig.bench.limits import require
 
 if TYPE_CHECKING:
@@ -81,13 +82,15 @@ class PressingStage(PolledStage):
     def __init__(self, run: Run, stage: LinearStage, links: TrialLinks, link_s: float):
         super().__init__(run, "stage_z", stage, links)
         self.in_motion = True
+        self._deepest_mm = contact_range_mm(run.bench)[1]
         self.target_late_s = 0.0
         """Delay of the latest target to the stage beyond the usual delay."""
         self._link_s = link_s
 
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
         """Ask for a move to a position that the stage's limits allow, LimitError else; the speed is
-        brought within the stage's limits."""
+        brought within the stage's limits. TripError for a position below the latest contact."""
+        refuse_deeper(position_mm, self._deepest_mm)
         reach = self.stage.reach()
         require("position under the force", position_mm, reach["position"])
         self.commanded_mm = position_mm

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rig.core.errors import ConfigurationError, InstrumentError, LimitError, UnsafeError
 from rig.files.journal.layout import Column
+from rig.run.trip import TripError
 
 if TYPE_CHECKING:
     from rig.bench.connected import Bench
@@ -192,6 +193,18 @@ def refuse_early_contact(run: Run, force_N: float, contact_N: float) -> None:
     )
 
 
+def refuse_deeper(position_mm: float, deepest_mm: float) -> None:
+    """Raise TripError, before z is ordered there, for a position below `deepest_mm`: what holds the
+    force never goes deeper than where contact has to be felt at the latest."""
+    if position_mm > deepest_mm + BOTTOM_mm:
+        raise TripError(
+            f"stage_z: the force would be held at {position_mm:.3f} mm, deeper than contact_to_mm "
+            f"= {deepest_mm:g} mm",
+            "look whether the object gives way and whether the force sensor reads what is pressed; "
+            "correct contact_to_mm if it may go further",
+        )
+
+
 def nothing_felt(run: Run, force_N: float, contact_N: float, check: str) -> InstrumentError:
     """Return the error for a way to the latest contact on which no contact was felt. `check` names
     what to check."""
@@ -200,7 +213,7 @@ def nothing_felt(run: Run, force_N: float, contact_N: float, check: str) -> Inst
         "approach",
         f"no contact is felt down to {contact_range_mm(run.bench)[1]:g} mm (contact_to_mm): "
         f"force_sensor reads {force_N:.2g} N, contact means {contact_N:g} N",
-        f"check that {check}; correct [fixture]",
+        f"check that {check}, and that the sensor is not dead; correct [fixture]",
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from procedures.pressed.approach_watch import ApproachWatch, naming_the_sensor
 from procedures.pressed.contact import (
     BOTTOM_mm,
     CLEAR_mm,
@@ -111,6 +112,7 @@ class Press:
         z, force = self._z, self._recorder.force
         first_mm, last_mm = contact_range_mm(self._run.bench)
         touched = arrived = False
+        watch = ApproachWatch(self._run, CONTACT_N, self._settings.normal_force_N)
 
         def on_tick(tick: Tick) -> bool:
             nonlocal touched, arrived
@@ -118,17 +120,21 @@ class Press:
             polled, behind_s = z.latest, force.older_s + z.target_late_s
             here_mm = polled.position_mm
             step = way_down.step(polled.at_s, here_mm, force.measured_s, force_N, behind_s)
+            watch.step(here_mm, force_N, step.touched)
             if step.touched and not touched:
                 touched = True
                 self._record.contact_mm = self._series.contact_mm = here_mm
                 if here_mm < first_mm:
                     refuse_early_contact(self._run, force_N, CONTACT_N)
             arrived = step.arrived
-            z.start_move(min(here_mm + step.ahead_mm, last_mm), step.speed_mm_s)
+            target_mm = min(here_mm + step.ahead_mm, last_mm)
+            watch.commanded(target_mm - here_mm, step.speed_mm_s)
+            z.start_move(target_mm, step.speed_mm_s)
             return not arrived and (touched or here_mm < last_mm - BOTTOM_mm)
 
         longest_s = (last_mm - first_mm + CLEAR_mm) / way_down.search_mm_s + PATIENCE_S
-        self._ticks.run(longest_s, on_tick, self._series.rates.approach_s)
+        with naming_the_sensor(self._run, CONTACT_N):
+            self._ticks.run(longest_s, on_tick, self._series.rates.approach_s)
         if not arrived:
             z.stage.stop()
             raise self._no_force(touched, longest_s)

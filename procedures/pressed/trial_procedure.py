@@ -18,6 +18,7 @@ from procedures.pressed.settings import (
     import_what_a_trial_needs,
     summary_of,
 )
+from procedures.pressed.torque_limit import require_torque_limit
 from rig.run.points import Reading
 from rig.run.procedure import DriftFigure, Procedure, StreamPlan
 
@@ -56,6 +57,7 @@ class TrialProcedure(Procedure):
     def check(self, bench: Bench) -> None:
         """Refuse a fixture that does not state where contact has to be felt."""
         contact_range_mm(bench)
+        require_torque_limit(bench)
 
     def why_invalid(self, reading: Reading) -> str:
         """Return why a trial is invalid; "" for a valid one."""

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from procedures.pressed import contact
 from procedures.pressed.contact import contact_range_mm
+from procedures.pressed.torque_limit import require_torque_limit
 from procedures.sweep import layout as sweep_layout
 from procedures.sweep import preload
 from procedures.sweep.settings import (
@@ -117,6 +118,7 @@ class Sweep(Procedure):
     def check(self, bench: Bench) -> None:
         """Refuse a fixture that does not state the contact range."""
         contact_range_mm(bench)
+        require_torque_limit(bench)
 
     # --- acting ---------------------------------------------------------------------------------
 

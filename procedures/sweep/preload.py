@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from procedures.pressed.approach_watch import ApproachWatch, naming_the_sensor
 from procedures.pressed.contact import (
     HOMING_S,
     SETTLED_S,
@@ -25,6 +26,7 @@ from procedures.pressed.contact import (
     not_there,
     nothing_felt,
     park,
+    refuse_deeper,
     refuse_early_contact,
     stream_force,
     tare_in_free_air,
@@ -131,6 +133,7 @@ class Preload:
         # Aims beyond the target, because the film continues to creep.
         creep_N = CLOSE * self.target_N if missing_N > 0 else 0.0
         step_mm = (missing_N + creep_N) / self.stiffness_N_mm
+        refuse_deeper(self.position_mm + step_mm, contact_range_mm(run.bench)[1])
         self.position_mm += step_mm
         self._moved = step_mm, self.target_N - missing_N
         run.bench.stage_z.start_move(self.position_mm, RISE_N_s / self.stiffness_N_mm)
@@ -162,17 +165,26 @@ def press(run: Run, target_N: float) -> Preload:
     """Press the film with `target_N` and hold it; the shutdown action is registered before
     contact."""
     bench = run.bench
-    first_mm, last_mm = contact_range_mm(bench)
     stream_force(run, MIN_FORCE_RATE_S_S, "the control of the preload")
     run.force.watch(bench.force_sensor.reach()["force"].high)
     park(run, "preload", lambda came_from_mm: unload(run, "film", came_from_mm))
     zero = tare_in_free_air(run)
     come_close(run, CONTACT_N, FORCE_WINDOW_S, CHECKED_EVERY_S)
     run.count_press()
-    while (pressed := _press_from(run, _approach(run, first_mm, last_mm), target_N)) is None:
-        run.event("warning", "preload", "the contact was not confirmed: the approach continues")
+    with naming_the_sensor(run, CONTACT_N):
+        pressed = _press_until_confirmed(run, target_N)
     pressed.zero = zero
     return pressed
+
+
+def _press_until_confirmed(run: Run, target_N: float) -> Preload:
+    """Approach and press; again where the contact was not confirmed."""
+    first_mm, last_mm = contact_range_mm(run.bench)
+    while True:
+        contact_mm = _approach(run, first_mm, last_mm, target_N)
+        if (pressed := _press_from(run, contact_mm, target_N)) is not None:
+            return pressed
+        run.event("warning", "preload", "the contact was not confirmed: the approach continues")
 
 
 def duration_s(fixture: FixtureSettings, target_N: float, homed: bool) -> float:
@@ -192,19 +204,24 @@ def duration_s(fixture: FixtureSettings, target_N: float, homed: bool) -> float:
     )
 
 
-def _approach(run: Run, first_mm: float, last_mm: float) -> float:
+def _approach(run: Run, first_mm: float, last_mm: float, target_N: float) -> float:
     """Move slowly until contact is felt, with small targets ahead of the stage; return its
     position."""
     stage, clock = run.bench.stage_z, run.clock
     patience_s = (last_mm - stage.position_mm()) / APPROACH_mm_s + LATE_S
     begin_s = clock.now()
+    watch = ApproachWatch(run, CONTACT_N, target_N)
     while (here_mm := stage.position_mm()) < last_mm - BOTTOM_mm:
         if clock.now() - begin_s > patience_s:
             stage.stop()
             raise not_there(run, patience_s)
-        stage.start_move(min(here_mm + AHEAD_S * APPROACH_mm_s, last_mm), APPROACH_mm_s)
+        target_mm = min(here_mm + AHEAD_S * APPROACH_mm_s, last_mm)
+        watch.commanded(target_mm - here_mm, APPROACH_mm_s)
+        stage.start_move(target_mm, APPROACH_mm_s)
         clock.sleep(CHECKED_EVERY_S)
-        if (force_N := felt_N(run, FORCE_WINDOW_S)) > CONTACT_N:
+        force_N = felt_N(run, FORCE_WINDOW_S)
+        watch.step(here_mm, force_N, touched=False)
+        if force_N > CONTACT_N:
             touched_mm = stage.position_mm()
             if touched_mm < first_mm:
                 refuse_early_contact(run, force_N, CONTACT_N)
@@ -222,11 +239,14 @@ def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload | None:
     felt_s = start_s
     stiffness, largest_N = FIRST_STIFFNESS_N_mm, 0.0
     target_mm = contact_mm
+    deepest_mm = contact_range_mm(run.bench)[1]
+    watch = ApproachWatch(run, CONTACT_N, target_N)
     while clock.now() - start_s < PATIENCE_S:
         force_N = felt_N(run, FORCE_WINDOW_S)
         largest_N = max(largest_N, force_N)
         here_mm = stage.position_mm()
         pressed_mm = here_mm - contact_mm
+        watch.step(here_mm, force_N, touched=True)
         # Later than this it is a real contact: a film does not disappear.
         if force_N > CONTACT_N / 2 or pressed_mm > KNOWN_AFTER_mm:
             felt_s = clock.now()
@@ -253,8 +273,10 @@ def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload | None:
             speed_mm_s = _speed(stiffness, missing_N)
             ahead_mm = AHEAD_S * speed_mm_s
             target_mm = here_mm + min(max(missing_N / stiffness, -ahead_mm), ahead_mm)
+            refuse_deeper(target_mm, deepest_mm)
             require("position for the preload", target_mm, stage.reach()["position"])
             stage.start_move(target_mm, speed_mm_s)
+            watch.commanded(target_mm - here_mm, speed_mm_s)
         clock.sleep(TICK_S)
     raise InstrumentError(
         "stage_z",

@@ -52,6 +52,8 @@ class ForceMonitor:
         """Limit that trips now, and limit that `watch` was last called with."""
         self.tared = False
         """True if the sensor has been zeroed since this stream was begun."""
+        self.noise_N = np.zeros(3)
+        """Standard deviation of a frame's force along x, y, z, in N, at the latest `tare`."""
         self._trip: RigError | None = None
         """Reason why the reader's thread made the bench safe."""
         self._rate = 0.0
@@ -169,7 +171,9 @@ class ForceMonitor:
     def tare(self, seconds: float) -> tuple[float, float, float]:
         """Define the mean of the latest `seconds` as zero force. Returns the force along x, y, z in
         N that this mean is relative to the amplifier's own zero."""
-        zero = np.concatenate([f.raw[-n:] for f, n in self._latest(seconds)]).mean(axis=0)
+        latest = self._latest(seconds)
+        zero = np.concatenate([f.raw[-n:] for f, n in latest]).mean(axis=0)
+        self.noise_N = np.concatenate([f.force_N[-n:] for f, n in latest]).std(axis=0)
         zero_N = self._sensor.tare((float(zero[0]), float(zero[1]), float(zero[2])))
         with self._lock:
             if self._recent:

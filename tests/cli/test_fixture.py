@@ -87,6 +87,7 @@ host = "192.168.0.20"
 low_limit_mm = 0.0
 high_limit_mm = 20.0
 max_speed_mm_s = 20.0
+torque_limit_percent = 45.0
 [force_sensor]
 driver = "me-gsv8"
 port = "/dev/ttyUSB0"

@@ -161,6 +161,7 @@ host = "127.0.0.1"
 low_limit_mm = 0.0
 high_limit_mm = 14.0
 max_speed_mm_s = 20.0
+torque_limit_percent = 45.0
 [force_sensor]
 driver = "me-gsv8"
 port = "/dev/ttyACM0"

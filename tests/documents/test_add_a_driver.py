@@ -39,6 +39,7 @@ host = "127.0.0.1"
 low_limit_mm = 0.0
 high_limit_mm = 20.0
 max_speed_mm_s = 20.0
+torque_limit_percent = 45.0
 [force_sensor]
 driver = "acme-f10"
 port = "/dev/ttyUSB0"

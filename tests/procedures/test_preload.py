@@ -12,6 +12,7 @@ import pytest
 from procedures.sweep import preload
 from rig.core.errors import InstrumentError
 from rig.instruments.roles import Reach
+from rig.run.trip import TripError
 
 CONTACT_mm, TARGET_N = 12.6, 25.0
 REACH = Reach(0.0, 14.0, "mm", "stage_z")
@@ -26,6 +27,7 @@ class Bench:
         self.position, self.target, self.speed = CONTACT_mm, 13.0, preload.APPROACH_mm_s
         self.known = deque([preload.CONTACT_N] * (late_ms + 1), maxlen=late_ms + 1)
         self.farthest_ahead_mm = 0.0
+        self.noise_N = np.full(3, 0.002)
 
     def now(self) -> float:
         return 1e-3 * self.now_ms
@@ -43,6 +45,11 @@ class Bench:
     ) -> np.ndarray:
         return np.array([0.0, 0.0, self.known[0]])
 
+    def latest_N(  # noqa: N802 - as above
+        self, seconds: float
+    ) -> np.ndarray:
+        return np.tile(self.mean_N(seconds), (10, 1))
+
     def position_mm(self) -> float:
         return self.position
 
@@ -57,13 +64,20 @@ class Bench:
         return {"position": REACH}
 
 
+def run_on(bench: Bench, clock: object = None, contact_to_mm: float = 14.0) -> SimpleNamespace:
+    """A run with this bench and its fixture."""
+    fixture = SimpleNamespace(parked_mm=5.0, contact_from_mm=12.5, contact_to_mm=contact_to_mm)
+    described = SimpleNamespace(stage_z=bench, settings=SimpleNamespace(fixture=fixture))
+    return SimpleNamespace(bench=described, clock=clock or bench, force=bench)
+
+
 @pytest.mark.parametrize("late_ms", [5, 60])
 @pytest.mark.parametrize("stiffness_N_mm", [30.0, 250.0])
 def test_a_late_force_neither_ends_the_way_to_the_preload_nor_sends_the_stage_far_ahead(
     stiffness_N_mm: float, late_ms: int
 ) -> None:
     bench = Bench(stiffness_N_mm, late_ms)
-    run = SimpleNamespace(bench=SimpleNamespace(stage_z=bench), clock=bench, force=bench)
+    run = run_on(bench)
     pressed = preload._press_from(run, CONTACT_mm, TARGET_N)  # type: ignore[arg-type]
     assert pressed is not None
     assert pressed.reached_N == pytest.approx(TARGET_N, rel=0.02)
@@ -76,8 +90,8 @@ def test_a_program_that_stands_still_on_the_way_to_contact_does_not_press_on() -
     bench.position = bench.target = CONTACT_mm - 0.1
     bench.known = deque([0.0] * 6, maxlen=6)
     in_free_air = SimpleNamespace(now=bench.now, sleep=_standing_still(bench, CONTACT_mm))
-    run = SimpleNamespace(bench=SimpleNamespace(stage_z=bench), clock=in_free_air, force=bench)
-    felt_mm = preload._approach(run, CONTACT_mm - 0.2, 13.0)  # type: ignore[arg-type]
+    run = run_on(bench, in_free_air)
+    felt_mm = preload._approach(run, CONTACT_mm - 0.2, 13.0, TARGET_N)  # type: ignore[arg-type]
     assert bench.now() > 3.0
     assert CONTACT_mm < felt_mm < CONTACT_mm + 0.051
     assert max(bench.known) < 90.0 * 0.051
@@ -88,15 +102,20 @@ def test_a_stage_that_stands_in_free_air_is_told_in_time() -> None:
     bench.position = bench.target = CONTACT_mm - 0.2
     bench.known = deque([0.0] * 6, maxlen=6)
     bench.start_move = lambda position_mm, speed_mm_s: None  # type: ignore[method-assign]
-    fixture = SimpleNamespace(parked_mm=5.0, contact_from_mm=12.0, contact_to_mm=13.0)
-    settings = SimpleNamespace(fixture=fixture)
-    run = SimpleNamespace(
-        bench=SimpleNamespace(stage_z=bench, settings=settings), clock=bench, force=bench
-    )
-    told = r"stands at 12\.400 mm after 2\.2 s of approach and has not come to 13 mm"
+    run = run_on(bench, contact_to_mm=13.0)
+    told = r"stage_z is held at 12\.400 mm.*; force_sensor reads 0 N of 25 N"
     with pytest.raises(InstrumentError, match=told):
-        preload._approach(run, 12.0, 13.0)  # type: ignore[arg-type]
-    assert bench.now() < 2.3
+        preload._approach(run, 12.0, 13.0, TARGET_N)  # type: ignore[arg-type]
+    assert bench.now() < 0.5
+
+
+def test_what_creeps_on_is_not_followed_below_the_latest_contact() -> None:
+    bench, pressed, run = held(90.0, 90.0)
+    run.bench.settings.fixture.contact_to_mm = bench.position + 0.02
+    bench.sleep = _giving_way(bench)  # type: ignore[method-assign]
+    with pytest.raises(TripError, match="deeper than contact_to_mm"):
+        pressed.hold(run, 0.05, 0.02)  # type: ignore[arg-type]
+    assert bench.target <= run.bench.settings.fixture.contact_to_mm + 0.002
 
 
 def _standing_still(bench: Bench, at_mm: float) -> Callable[[float], None]:
@@ -113,19 +132,21 @@ def _standing_still(bench: Bench, at_mm: float) -> Callable[[float], None]:
 
 def test_what_was_felt_and_is_gone_is_no_contact() -> None:
     bench = Bench(90.0, 5)
-    run = SimpleNamespace(bench=SimpleNamespace(stage_z=bench), clock=bench, force=bench)
+    run = run_on(bench)
     bench.position = CONTACT_mm - 0.4  # the sensor was shaken: nothing is touched yet
     bench.known = deque([0.0] * 6, maxlen=6)
     assert preload._press_from(run, bench.position, TARGET_N) is None  # type: ignore[arg-type]
     assert bench.position < CONTACT_mm
 
 
-def held(stiffness_N_mm: float, taken_for_N_mm: float) -> tuple[Bench, preload.Preload, object]:
+def held(
+    stiffness_N_mm: float, taken_for_N_mm: float
+) -> tuple[Bench, preload.Preload, SimpleNamespace]:
     """A film under less than its preload, and stiffer or softer than it is taken for."""
     bench = Bench(stiffness_N_mm, 5)
     bench.position = bench.target = CONTACT_mm + 0.95 * TARGET_N / stiffness_N_mm
     bench.sleep(0.01)
-    run = SimpleNamespace(bench=SimpleNamespace(stage_z=bench), clock=bench, force=bench)
+    run = run_on(bench)
     pressed = preload.Preload(
         TARGET_N, CONTACT_mm, taken_for_N_mm, TARGET_N, 0.0, 0.0, bench.position
     )
@@ -142,6 +163,7 @@ def test_a_film_that_is_stiffer_than_it_seemed_is_not_hunted_for(taken_for_N_mm:
 
 def test_a_film_that_never_comes_to_rest_is_told_in_time() -> None:
     bench, pressed, run = held(90.0, 90.0)
+    run.bench.settings.fixture.contact_to_mm = 100.0
     bench.sleep = _giving_way(bench)  # type: ignore[method-assign]
     with pytest.raises(InstrumentError, match=r"followed for 60 s and not within 0\.2 % of 25 N"):
         pressed.hold(run, 0.05, 0.02)  # type: ignore[arg-type]

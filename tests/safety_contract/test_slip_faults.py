@@ -87,8 +87,8 @@ def test_a_stage_that_is_held_before_contact_is_told_with_where_it_stands(rig):
     ended = take(
         rig, "", '[[fault]]\ndevice = "stage_z"\nkind = "stuck"\nmove = 4\nafter_s = 0.1\n'
     )
-    assert_told(ended, 3, "stage_z: approach: it stands at 11.")
-    assert "has not come to 13 mm" in ended.errors[0]
+    assert_told(ended, 3, "stage_z: approach: stage_z is held at 11.")
+    assert "look what holds the stage" in ended.errors[0]
     last_of(rig, "stage_z")
 
 

@@ -192,7 +192,9 @@ _KEYS: dict[str, Callable[[random.Random, str], Fault]] = {
     "frozen": lambda chance, device: {
         **_timed(chance, device), "for_s": round(chance.uniform(0.002, 2), 3),
     },
-    "dead-noisy": _timed,
+    "dead-noisy": lambda chance, device: {
+        **_timed(chance, device), "noise_N": round(chance.choice((0.0, chance.uniform(0, 1))), 3),
+    },
     "one-axis-stuck": lambda chance, device: {
         **_timed(chance, device), "axis": chance.choice("xyz"),
     },

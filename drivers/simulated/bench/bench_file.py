@@ -121,7 +121,7 @@ ridge = 3
 
 {_daq_table(endpoints, "strip_1 = 101, strip_2 = 102")}
 
-{_stage_table(options, endpoints, "z", 14.0, 45.0)}
+{_stage_table(options, endpoints, "z", 14.0, 25.0)}
 {_stage_table(options, endpoints, "x", 40.0, 30.0)}{_rotary_table(options, endpoints)}"""
 
 

@@ -220,6 +220,8 @@ class DeadSensor(Placed):
     """No force reaches the bridges any more, from then on; the amplifier sends its noise."""
 
     kind: Literal["dead-noisy"]
+    noise_N: float = Field(default=0.0, ge=0, le=10)
+    """Standard deviation of further noise, in each millisecond and along each axis."""
 
 
 class StuckSensorAxis(Placed):

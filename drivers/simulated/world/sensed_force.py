@@ -6,12 +6,15 @@ scale, or whose zero drifts. None of them changes the World's own account of the
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import numpy.typing as npt
 
 from drivers.simulated.faults.plan import DeadSensor, SensedFault, WrongScale
 
 AXES = "xyz"
+NOISE_SEED, NOISE_CHUNK = 7919, 256
 
 
 class SensedForce:
@@ -33,10 +36,28 @@ class SensedForce:
             since_s = np.maximum(times_s - begin_s, 0.0)
             begun = times_s >= begin_s
             if isinstance(fault, DeadSensor):
-                force_N = np.where(begun[:, None], 0.0, force_N)
+                noise_N = fault.noise_N * _noise(times_s) if fault.noise_N else 0.0
+                force_N = np.where(begun[:, None], noise_N, force_N)
             elif isinstance(fault, WrongScale):
                 force_N = np.where(begun[:, None], fault.factor * force_N, force_N)
             else:
                 force_N = force_N.copy()
                 force_N[:, AXES.index(fault.axis)] += fault.rate_N_s * since_s
         return force_N
+
+
+def _noise(times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return noise of standard deviation 1 at World times (n,), (n, 3): another value each
+    millisecond, always the same at the same time."""
+    ms = np.floor(times_s * 1e3).astype(int)
+    first = int(ms.min()) // NOISE_CHUNK
+    chunks = range(first, int(ms.max()) // NOISE_CHUNK + 1)
+    drawn = np.concatenate([_noise_chunk(chunk) for chunk in chunks])
+    noise: npt.NDArray[np.float64] = drawn[ms - first * NOISE_CHUNK]
+    return noise
+
+
+@lru_cache(maxsize=4)
+def _noise_chunk(chunk: int) -> npt.NDArray[np.float64]:
+    source = np.random.default_rng([NOISE_SEED, chunk])
+    return source.standard_normal((NOISE_CHUNK, 3))

@@ -1,0 +1,156 @@
+"""What ends an approach in which z presses on something that the force sensor does not show.
+
+A sensor that is dead does not always fall silent: its amplifier may send noise about the zero. Then
+nothing but the stage itself shows that it presses. An approach ends
+
+- where z stands although it is commanded to move: its torque limit holds it, or something else, and
+- where contact has been felt, z has gone on, and the mean force is no force by the sensor's own
+  noise, which was measured before contact.
+
+Each names the force sensor where that is the suspect.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections import deque
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from procedures.pressed.contact import contact_range_mm, felt_N
+from rig.core.errors import InstrumentError
+
+if TYPE_CHECKING:
+    from rig.run.context import Run
+
+HELD_S = 0.3
+"""Time over which z is compared with its commands. A stage takes less to come up to speed."""
+HELD_SHARE = 0.2
+"""Share of the commanded way that a stage which is not held covers at least."""
+NEARLY = 0.5
+"""Share of the wanted force from which z is not taken for held."""
+LEAST_WAY_mm = 0.03
+"""Commanded way within `HELD_S` from which z is judged: far above the resolution of a stage and
+what friction holds back."""
+CONFIRMED_mm = 0.08
+"""From the place where contact was felt to where its force has to be there: a skin or a film that
+is pressed so far pushes back with several times the force that means contact."""
+CONFIRMED_S = 0.05
+"""Stretch of force whose mean confirms a contact."""
+SIGMAS = 5.0
+"""Ratio of a mean force to the standard error of a mean of noise, from which it is a force."""
+SUSPECT = (
+    "suspect the force sensor: check its cable, its supply and that the object stands on it; press "
+    "on it by hand and look at its value (rig jog shows it) before anything is pressed again"
+)
+
+
+class ApproachWatch:
+    """Watches one approach, tick by tick."""
+
+    def __init__(self, run: Run, contact_N: float, target_N: float):
+        """`contact_N` is the force that means contact, and `target_N` the one that is wanted."""
+        self._run, self._contact_N, self._target_N = run, contact_N, target_N
+        self._first_mm, _ = contact_range_mm(run.bench)
+        self._recent: deque[tuple[float, float, float]] = deque()
+        """Time in s, position in mm, and commanded way since the approach began in mm."""
+        self._way_mm = self._ahead_mm = self._speed_mm_s = 0.0
+        self._touched_mm: float | None = None
+        self._confirmed = False
+
+    def commanded(self, ahead_mm: float, speed_mm_s: float) -> None:
+        """Note the latest target: how far it is ahead of where z was seen, and the speed."""
+        self._ahead_mm, self._speed_mm_s = max(ahead_mm, 0.0), speed_mm_s
+
+    def step(self, position_mm: float, force_N: float, touched: bool) -> None:
+        """Judge one tick: where z is, the force along z, and whether contact has been felt. Stops z
+        and raises InstrumentError."""
+        now_s = self._run.clock.now()
+        if self._recent:
+            passed_s = now_s - self._recent[-1][0]
+            self._way_mm += min(self._speed_mm_s * passed_s, self._ahead_mm)
+        self._recent.append((now_s, position_mm, self._way_mm))
+        while len(self._recent) > 2 and self._recent[1][0] <= now_s - HELD_S:
+            self._recent.popleft()
+        self._refuse_held(position_mm, force_N)
+        if touched and not self._confirmed:
+            self._confirm(position_mm)
+
+    def _refuse_held(self, position_mm: float, force_N: float) -> None:
+        """Refuse a stage that does not do what it is commanded."""
+        since_s, from_mm, way_mm = self._recent[0]
+        commanded_mm = self._way_mm - way_mm
+        if self._recent[-1][0] - since_s < HELD_S or commanded_mm < LEAST_WAY_mm:
+            return
+        moves = position_mm - from_mm >= HELD_SHARE * commanded_mm
+        if moves or force_N > NEARLY * self._target_N:  # near the force its moves are small
+            return
+        self._run.bench.stage_z.stop()
+        what = (
+            f"stage_z is held at {position_mm:.3f} mm, where it was commanded to go on by "
+            f"{commanded_mm:.2f} mm within {HELD_S:g} s"
+        )
+        if position_mm < self._first_mm or force_N > self._contact_N:
+            raise InstrumentError(
+                "stage_z",
+                "approach",
+                f"{what}; force_sensor reads {force_N:.2g} N of {self._target_N:g} N",
+                "look what holds the stage, and whether the force sensor reads what is pressed; if "
+                "the force needs it, raise torque_limit_percent",
+            )
+        raise InstrumentError(
+            "force_sensor",
+            "approach",
+            f"{what}, as if it pressed with all its torque limit allows, and the sensor reads "
+            f"{force_N:.2g} N",
+            SUSPECT,
+        )
+
+    def _confirm(self, position_mm: float) -> None:
+        """Refuse a contact whose mean force is no more than noise."""
+        if self._touched_mm is None:
+            self._touched_mm = position_mm
+        if position_mm - self._touched_mm < CONFIRMED_mm:
+            return
+        force = self._run.force
+        latest_N = force.latest_N(CONFIRMED_S)[:, 2]
+        noise_N = float(force.noise_N[2])
+        mean_N = float(latest_N.mean())
+        least_N = max(SIGMAS * noise_N / math.sqrt(len(latest_N)), self._contact_N / 2)
+        if mean_N >= least_N:
+            self._confirmed = True
+            return
+        self._run.bench.stage_z.stop()
+        raise InstrumentError(
+            "force_sensor",
+            "approach",
+            f"contact was felt at {self._touched_mm:.3f} mm, but stage_z has gone on to "
+            f"{position_mm:.3f} mm and the force has not changed: it is {mean_N:.2g} N on average, "
+            f"with a noise of {noise_N:.2g} N before contact",
+            SUSPECT,
+        )
+
+
+@contextlib.contextmanager
+def naming_the_sensor(run: Run, contact_N: float) -> Iterator[None]:
+    """Add the force sensor as the suspect to a failure of z where z may press and no force is read:
+    a torque limit that was reached, for instance."""
+    try:
+        yield
+    except InstrumentError as error:
+        if error.device != "stage_z" or not _may_press(run):
+            raise
+        force_N = felt_N(run, CONFIRMED_S)
+        if force_N > contact_N:
+            raise
+        cause = f"{error.cause}; force_sensor reads {force_N:.2g} N"
+        hint = f"{SUSPECT}; otherwise: {error.hint}" if error.hint else SUSPECT
+        raise InstrumentError(error.device, error.command, cause, hint) from error
+
+
+def _may_press(run: Run) -> bool:
+    """Return whether z stands where contact may be; False where it does not answer."""
+    with contextlib.suppress(InstrumentError):
+        return run.bench.stage_z.position_mm() > contact_range_mm(run.bench)[0]
+    return False

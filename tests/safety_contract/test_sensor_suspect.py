@@ -1,0 +1,99 @@
+"""A force sensor that reads too little or nothing: the stage does not press on."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+from tiers import mostly_thorough
+
+WATCHED = "[watch]\nforce_limit_N = {limit_N}\n"
+PROCEDURES = {  # World settings, options, torque limit as force in N
+    "sweep": ("clamp.contact_mm = 12.1\n", ("--frequencies", "300"), 45.0),
+    "slip-trial": ("skin_mount.contact_mm = 12.05\n", ("--distance", "0.5mm"), 25.0),
+    "roll-trial": ("skin_mount.contact_mm = 12.05\n", ("--angle", "2deg"), 25.0),
+}
+
+APPROACH = 'move = 4\nof = "stage_z"\n'
+"""From the beginning of a trial's approach on, the first slow way down."""
+
+
+def run(rig, procedure, fault, *asked, world=None):
+    """A run with a fault of the force sensor; the World notes the largest true force."""
+    own, options, _ = PROCEDURES[procedure]
+    plan = rig.fault(f'[[fault]]\ndevice = "force_sensor"\n{fault}\n')
+    watched = f"{world or own}{WATCHED.format(limit_N=100.0)}"
+    return rig.run(
+        procedure, "--json", "--no-figures", "--world-log", str(rig.world_log), "--fault", plan,
+        "--world", rig.world(watched), *options, *asked,
+    )  # fmt: skip
+
+
+def largest_N(rig):  # noqa: N802 - the unit keeps its capital
+    """The largest force that the stages have truly pressed with."""
+    (force_N,) = [entry["value"] for entry in rig.log() if entry["what"] == "largest-force"]
+    return force_N
+
+
+def pressed_for_s(rig):
+    """From the first touch-down to the lift-off that follows it, in s."""
+    log = rig.log()
+    touched_us = next(e["t_us"] for e in log if e["what"] == "touch-down")
+    lifted = (e["t_us"] for e in log if e["what"] == "lift-off")
+    return 1e-6 * (next(t_us for t_us in lifted if t_us > touched_us) - touched_us)
+
+
+@pytest.mark.parametrize("procedure", mostly_thorough(PROCEDURES, ["slip-trial"]))
+def test_a_dead_sensor_is_named_as_soon_as_the_torque_limit_holds_the_stage(rig, procedure):
+    ended = run(rig, procedure, 'kind = "dead-noisy"')
+    assert ended.code == 3, ended.stderr
+    assert "suspect the force sensor" in ended.errors[0]
+    assert largest_N(rig) < PROCEDURES[procedure][2] + 0.5
+    if procedure != "sweep":
+        assert pressed_for_s(rig) < 3.0
+
+
+def test_noise_alone_is_not_taken_for_a_contact_that_is_pressed(rig):
+    """Noise that is felt as contact in free air: z goes on, and the force does not change."""
+    noise = f'kind = "dead-noisy"\nnoise_N = 0.3\n{APPROACH}after_s = 1.2'
+    ended = run(rig, "slip-trial", noise, world="skin_mount.contact_mm = 12.9\n")
+    assert ended.code == 3, ended.stderr
+    assert "and the force has not changed" in ended.errors[0]
+    assert "suspect the force sensor" in ended.errors[0]
+    assert largest_N(rig) == 0.0
+
+
+def test_the_servo_orders_nothing_deeper_than_the_latest_contact(rig):
+    """The sensor reads less and less of a force that is held: z would follow it for ever."""
+    drift = f'kind = "drift"\nrate_N_s = -1.0\n{APPROACH}after_s = 4.0'
+    world = "skin_mount.contact_mm = 12.92\n"
+    ended = run(rig, "slip-trial", drift, "--rest", "20s", world=world)
+    assert ended.code == 4, ended.stderr
+    assert "deeper than contact_to_mm = 13 mm" in ended.errors[0]
+    deepest_mm = max(
+        e["value"]["target_mm"]
+        for e in rig.log()
+        if e["device"] == "stage_z" and e["what"] == "move"
+    )
+    assert deepest_mm <= 13.0021
+    assert largest_N(rig) < 15.0
+
+
+@pytest.mark.parametrize("how", mostly_thorough(["run", "dry-run"], ["run"]))
+def test_an_axis_that_presses_without_a_torque_limit_is_refused_before_anything_moves(rig, how):
+    path = rig.folder / "a-bench.toml"
+    serving = rig.start("simulate", "--write", str(path), "--world-log", str(rig.world_log))
+    serving.wait_for("Ctrl-C ends it")
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(line for line in lines if "torque_limit" not in line) + "\n")
+    dry = ["--dry-run"] if how == "dry-run" else []
+    refused = rig.run("sweep", "--bench", str(path), "--no-figures", "--frequencies", "300", *dry)
+    made_safe = rig.run("make-safe", "--bench", str(path))
+    serving.send(signal.SIGINT)
+    serving.finish()
+
+    assert refused.code == 2, refused.stderr
+    assert "[stage_z] of the bench file has no torque_limit_percent" in refused.errors[0]
+    assert "add torque_limit_percent = " in refused.errors[0]
+    assert made_safe.code == 0, made_safe.stderr
+    assert [e for e in rig.log() if e["what"] == "move"] == []
