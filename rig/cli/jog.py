@@ -175,9 +175,12 @@ def _at_the_bench(
     from rig.jog.session import AXES, JogSession
     from rig.run.bench_mark import BenchMarks
     from rig.run.guard import GuardLink, report_path
+    from rig.run.interlock_store import InterlockStore, state_folder
 
     plan, clock = chosen.plan, chosen.clock
-    needed = tuple(p for p in plan.instruments if p.role in (*AXES, "force_sensor"))
+    contacts = {contact.role for contact in plan.settings.interlock}
+    roles = {*AXES, "force_sensor", *contacts}
+    needed = tuple(part for part in plan.instruments if part.role in roles)
     try:
         connected = connect(replace(plan, instruments=needed), clock, stop.check)
     except RigError:
@@ -187,7 +190,8 @@ def _at_the_bench(
     _, warnings = apply_calibrations(connected, datetime.now().astimezone(), True)
     for warning in warnings:
         say(f"warning: {warning}")
-    session = JogSession(connected, settings, axis, stop, terminal)
+    records = InterlockStore(plan, None if chosen.started is not None else state_folder())
+    session = JogSession(connected, settings, axis, stop, terminal, records)
     report = report_path(request.results, plan.settings.name)
     if chosen.started is not None:
         report = request.results / OWN_BENCH_REPORT

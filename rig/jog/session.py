@@ -41,6 +41,8 @@ from rig.run.bench_mark import BenchMarks
 from rig.run.force_monitor import ForceMonitor
 from rig.run.guard import GuardLink
 from rig.run.holds import HoldError, Holds, PauseSwitch
+from rig.run.interlock_store import InterlockStore
+from rig.run.interlocks import InterlockWatch
 from rig.run.stopping import StopFlag
 from rig.run.trip import TripError
 
@@ -197,6 +199,7 @@ class JogSession:
         chosen: str | None,
         stop: StopFlag,
         person: JogOperator,
+        records: InterlockStore | None = None,
     ):
         """Prepare the session.
 
@@ -225,6 +228,13 @@ class JogSession:
         self._limited = limited
         self._arming = Arming(overlapping=not bench.clock.is_virtual)
         self._holds = Holds()
+        self._interlocks = InterlockWatch(
+            bench,
+            self._holds,
+            self._arming.emergency_stop,
+            records or InterlockStore(bench.plan, None),
+            lambda level, code, message: log.log(logging.getLevelName(level.upper()), message),
+        )
         self._force: ForceMonitor | None = None
         self._force_N: Vector | None = None
         self._places: dict[str, AxisPosition] = {}
@@ -239,6 +249,7 @@ class JogSession:
         and mark the bench as it was left. Never raises a RigError."""
         ended = JogOutcome()
         self._guard, self._marks = guard, marks
+        unregister_interlocks = self._clock.each_slice(self._interlocks.poll)
         unregister = self._clock.each_slice(self._each_slice)
         try:
             with PauseSwitch(self._holds):
@@ -251,11 +262,15 @@ class JogSession:
         finally:
             self._make_safe(ended)
             unregister()
+            unregister_interlocks()
+            self._interlocks.end()
         return ended
 
     # --- beginning and end --------------------------------------------------------------------
 
     def _begin(self) -> None:
+        self._interlocks.begin()
+        self._interlocks.check()
         waits_s = max(longest_call_s(part.settings) for part in self._bench.plan.instruments)
         deadline_s = SHUTDOWN_DEADLINE_S + waits_s
         if "force_sensor" in self._bench.instruments:
@@ -311,6 +326,7 @@ class JogSession:
         if self._undisturbed:
             return
         self._stop.check()
+        self._interlocks.check()
         if self._force is not None:
             self._force.check()
         if not self._blocked:
@@ -323,11 +339,13 @@ class JogSession:
 
     @contextlib.contextmanager
     def _first_cause(self) -> Iterator[None]:
-        """Report the first cause: a trip of the watcher replaces the exception of a call that it
-        disturbed."""
+        """Report the first cause: a person's interlock or a trip of the watcher replaces the
+        exception of a call that it disturbed."""
         try:
             yield
         except RigError:
+            self._interlocks.settle()
+            self._interlocks.check()
             if self._force is not None:
                 self._force.settle()
                 self._force.check_trip()

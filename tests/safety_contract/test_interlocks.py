@@ -296,3 +296,29 @@ def test_a_batch_ends_at_an_opened_door_and_goes_on_only_after_reset_and_resume(
         assert rig.outputs() == outputs, "the reset starts nothing"
         done = rig.run("batch", "resume")
         assert done.code == 0, done.stderr
+
+
+# --- by hand ------------------------------------------------------------------------------------
+
+
+def test_an_opened_door_ends_jogging_and_nothing_can_be_jogged_until_the_reset(rig):
+    """On the command's own bench; bench time passes no faster than real time."""
+    plan = rig.fault(contact("opened", more="after_s = 2.0\n"))
+    jog = Typist(
+        rig, "jog", "--world", rig.world(DOOR), "--fault", plan, "--world-log", str(rig.world_log)
+    )
+    try:
+        code, shown = jog.ends()
+    finally:
+        jog.close()
+    assert code == 4, shown
+    assert "interlock door (person) opened at 2.0" in shown
+    assert "every axis is at rest" in shown
+    with served(rig, DOOR + "closed = false\n"):
+        jog = Typist(rig, "jog", "--bench", "bench.toml")
+        try:
+            code, shown = jog.ends()
+        finally:
+            jog.close()
+    assert code == 4, shown
+    assert "rig interlocks reset --bench bench.toml" in shown.replace("\r\n", "")
