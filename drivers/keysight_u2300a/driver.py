@@ -266,7 +266,7 @@ class U2300ADaq:
             self._link.command("STOP")
 
     def inputs_high(self, names: Sequence[str]) -> Mapping[str, bool]:
-        """The levels of digital lines, such as "501.0": bit 0 of channel 501.
+        """Return the levels of digital lines, such as "501.0", bit 0 of channel 501: True for high.
 
         Their channels are made inputs first, which reads back. That the unit answers while an
         acquisition runs is unconfirmed.

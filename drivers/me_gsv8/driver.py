@@ -133,12 +133,24 @@ SET_MODE = GsvCommand(0x27, "SetMode")
 FIRMWARE_VERSION = GsvCommand(0x2B, "FirmwareVersion", 4)
 GET_TX_MAPPING = GsvCommand(0x49, "GetTxMapping", 2)
 SET_TX_MAPPING = GsvCommand(0x4A, "SetTxMapping")
+GET_DIO_DIRECTION = GsvCommand(0x59, "GetDIOdirection", 1)
+SET_DIO_DIRECTION = GsvCommand(0x5A, "SetDIOdirection")
+GET_DIO_LEVEL = GsvCommand(0x5D, "GetDIOlevel", 2)
 READ_DATA_RATE_RANGE = GsvCommand(0x63, "ReadDataRateRange", 4)
 GET_TX_MODE = GsvCommand(0x80, "GetTXMode", 2)
 SET_TX_MODE = GsvCommand(0x81, "SetTXMode")
 READ_DATA_RATE = GsvCommand(0x8A, "ReadDataRate", 4)
 WRITE_DATA_RATE = GsvCommand(0x8B, "WriteDataRate")
 GET_INPUT_TYPE = GsvCommand(0xA2, "GetInputType", 5)
+
+DIGITAL_GROUPS, LINES_PER_GROUP = 4, 4
+INPUTS = tuple(
+    f"{group}.{line}"
+    for group in range(1, DIGITAL_GROUPS + 1)
+    for line in range(1, LINES_PER_GROUP + 1)
+)
+"""Digital lines as the amplifier's connector has them. A whole group is inputs or outputs."""
+INPUT = b"\x01"
 
 TOKENS = ((GET_SERIAL_NUMBER, b""), (GET_TX_MAPPING, b"\0"), (GET_INPUT_TYPE, b"\x01\xff"))
 """Queries that change nothing and whose answers differ in length."""
@@ -436,6 +448,8 @@ class ForceAmplifier:
         self._started_s: float | None = None
         self._next = 0
         self._broken: InstrumentError | None = None
+        self._input_groups: set[int] = set()
+        """Groups of digital lines that are known to be inputs."""
 
     @property
     def identity(self) -> Identity:
@@ -530,6 +544,19 @@ class ForceAmplifier:
         self._zero = np.array(zero_mV_V, dtype=np.float64)
         x, y, z = (float(force) for force in self._matrix @ self._zero)
         return x, y, z
+
+    def inputs_high(self, names: Sequence[str]) -> Mapping[str, bool]:
+        """Return the levels of digital lines, such as "1.1": True for high. Each is one request;
+        their groups are made inputs first. The numbers of the commands are those of the maker's gsv86lib."""
+        return {name: self._is_high(*map(int, name.split("."))) for name in names}
+
+    def _is_high(self, group: int, line: int) -> bool:
+        if group not in self._input_groups:
+            self._agree(GET_DIO_DIRECTION, SET_DIO_DIRECTION, bytes((group,)), INPUT)
+            self._input_groups.add(group)
+        number = (group - 1) * LINES_PER_GROUP + line
+        (level,) = struct.unpack(">H", self._link.request(GET_DIO_LEVEL, bytes((number,))))
+        return bool(level)
 
     def make_safe(self) -> None:
         """Do nothing: a sensor drives nothing, and its stream guards the rest of the bench."""

@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 
@@ -67,6 +67,11 @@ from rig.instruments.roles import Identity, Reach
 ROLES = ("stage_z", "stage_x")
 """The roles this driver can play; which one, its settings say."""
 
+INPUTS = tuple(f"DIN{number}" for number in range(10))
+"""Direct inputs of the drive (HM-60262E p. 378, as M2FS-Control has it)."""
+INPUTS_EVERY_S = 0.1
+"""How often they may be read: a reading takes a tenth of that from the line."""
+
 Settings = OrientalAzSettings
 """The settings of a bench file, under the name by which the bench asks any driver for them."""
 
@@ -74,6 +79,8 @@ Settings = OrientalAzSettings
 DIRECT_DATA, OPERATION_TYPE = 0x58, 0x5A
 INPUT_COMMAND, OUTPUT_STATUS = 0x7C, 0x7E
 COMMAND_POSITION = 0xC6
+DIRECT_IO = 0xD4
+"""Upper register the outputs, lower the inputs, bit 0 is DIN0."""
 TEMPERATURES = 0xF8
 INTERNAL_OUTPUTS = 0x178
 ALARM_RESET = 0x180
@@ -85,6 +92,9 @@ STATE_REGISTERS = (6, 4)
 """Input command, outputs and alarm; in turn without the alarm, which the outputs show as well."""
 POSITION_REGISTERS = (8, 10)
 """Command position up to feedback position; in turn with the feedback speed."""
+INPUT_REGISTERS = (12, 14)
+"""Readings that end with the direct I/O, in turn: longer than any other. What they hold before it,
+among it the position, is not used."""
 OUTSIDE_C = (-40.0, 150.0)
 """No drive or motor reports a temperature beyond these."""
 
@@ -169,6 +179,7 @@ class AzAxis:
         """The alarm that has been raised already; `keep_alive` does not raise it again."""
         self._stop_stands = False
         """True if a stop by this program may still be in effect."""
+        self._inputs_read = 0
         self._turn = 0
         """Index of the one of two lengths that is next."""
         self._state_at_s = -1.0
@@ -362,6 +373,17 @@ class AzAxis:
             if self._motion is not None:
                 self._require_own(state)
         self._check_peer_drives()
+
+    def inputs_high(self, names: Sequence[str]) -> Mapping[str, bool]:
+        """Return the levels of direct inputs, such as "DIN0": True for high."""
+        if self._link.charging:
+            raise self._error(
+                "read inputs", "the line is waiting out a time-out", "look at its cable"
+            )
+        self._inputs_read += 1
+        count = INPUT_REGISTERS[self._inputs_read % 2]
+        words = self._link.read(DIRECT_IO + 2 - count, count, waits=False)
+        return {name: bool(words[-1] >> int(name.removeprefix("DIN")) & 1) for name in names}
 
     def make_safe(self) -> None:
         """Switch the STOP input on, and verify that the drive has it on.

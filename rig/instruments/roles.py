@@ -384,7 +384,8 @@ class DriverModule(Protocol):
     """The members of a module that an entry point of the group ``rig.drivers`` names.
 
     The module of an instrument with digital inputs (`ReadsInputs`) has their names as well, as a
-    tuple ``INPUTS``.
+    tuple ``INPUTS``; where a reading takes time that the link needs for something else, also the
+    shortest interval between two readings in s, ``INPUTS_EVERY_S``.
     """
 
     ROLES: tuple[str, ...]

@@ -30,7 +30,8 @@ from rig.run.holds import Holds
 from rig.run.interlock_store import InterlockStore
 
 READ_EVERY_S = 0.02
-"""Interval between two readings of the contacts of one instrument."""
+"""Interval between two readings of the contacts of one instrument, where its driver's
+``INPUTS_EVERY_S`` is not longer."""
 FRESH_S = 0.6
 """Longest wait for a reading that is newer than a failure: longer than it takes a contact that is
 not read to count as open."""
@@ -95,7 +96,13 @@ class InterlockWatch:
         self._opened = threading.Event()
         self._ending = threading.Event()
         self._threads: list[threading.Thread] = []
-        self._read_at_s = self._failed_at_s = float("-inf")
+        self._read_at_s: dict[str, float] = {}
+        self._every_s = {
+            part.role: max(READ_EVERY_S, getattr(part.driver, "INPUTS_EVERY_S", 0.0))
+            for part in bench.plan.instruments
+        }
+        """Interval between two readings, by role."""
+        self._failed_at_s = float("-inf")
         self._reading = self._begun = False
 
     @property
@@ -149,9 +156,8 @@ class InterlockWatch:
         from an open one happen. Raises nothing."""
         if not self._begun or self._reading:
             return
-        now_s = self._clock.now()
-        if self._clock.is_virtual and now_s - self._read_at_s >= READ_EVERY_S:
-            self._read_all()
+        if self._clock.is_virtual:
+            self._read_all(when_due=True)
         self._judge()
         self._tell()
 
@@ -270,7 +276,7 @@ class InterlockWatch:
 
     def _keep_reading(self, role: str) -> None:
         with self._clock.in_background():
-            while not self._ending.wait(READ_EVERY_S):
+            while not self._ending.wait(self._every_s[role]):
                 self._try_to_read(role)
                 with self._changed:
                     self._turns += 1
@@ -283,11 +289,15 @@ class InterlockWatch:
                 self._opened.clear()
                 self._judge()
 
-    def _read_all(self) -> None:
+    def _read_all(self, when_due: bool = False) -> None:
         self._reading = True  # A link's time-out lets bench time pass, and this is called again.
         try:
-            self._read_at_s = now_s = self._clock.now()
+            now_s = self._clock.now()
             for role in self._by_role:
+                age_s = now_s - self._read_at_s.get(role, float("-inf"))
+                if when_due and age_s < self._every_s[role]:
+                    continue
+                self._read_at_s[role] = now_s
                 if self._worth_reading(role, now_s):
                     self._try_to_read(role)
         finally:

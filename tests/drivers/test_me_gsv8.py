@@ -522,3 +522,19 @@ def test_a_reader_thread_and_requests_from_another_do_not_disturb_each_other() -
         reader.join()
         assert count == 1000
         amplifier.close()
+
+
+def test_digital_lines_are_made_inputs_by_group_and_read_one_by_one() -> None:
+    asked = (
+        ("AA 91 59 02 85", "AA 51 00 00 85"),  # group 2 is outputs
+        ("AA 92 5A 02 01 85", OK),
+        ("AA 91 59 02 85", "AA 51 00 01 85"),
+        ("AA 91 5D 07 85", "AA 52 00 00 01 85"),  # line 2.3 is the seventh
+        ("AA 91 5D 08 85", "AA 52 00 00 00 85"),
+        ("AA 91 5D 07 85", "AA 52 00 00 00 85"),
+    )
+    with playing(*OLD, *asked) as port:
+        amplifier = connected(port)
+        assert amplifier.inputs_high(("2.3", "2.4")) == {"2.3": True, "2.4": False}
+        assert amplifier.inputs_high(("2.3",)) == {"2.3": False}
+        amplifier.close()

@@ -440,3 +440,18 @@ def test_make_safe_of_the_module_leaves_the_stop_standing() -> None:
             passing.join()
         assert bench.speed(bench.z) == 0
         assert bench.z._values[0x7C] == 0x20
+
+
+def test_direct_inputs_are_the_last_word_of_readings_in_two_lengths() -> None:
+    with service() as bench:
+        axis = bench.homed()
+        bench.line.said.clear()
+        bench.bench.high = {("stage_z", "DIN0"), ("stage_z", "DIN9")}
+        names = ("DIN0", "DIN5", "DIN9")
+        assert axis.inputs_high(names) == {"DIN0": True, "DIN5": False, "DIN9": True}
+        bench.bench.high = set()
+        assert not any(axis.inputs_high(names).values())
+        asked = [
+            said for said in bench.line.said if said in ("01 03 00 ca 00 0c", "01 03 00 c8 00 0e")
+        ]
+        assert len(set(asked)) == 2

@@ -78,6 +78,24 @@ def test_whatever_reads_as_open_ends_the_run(rig, how):
     assert rig.outputs() == [True, False], "off, and not on again"
 
 
+INPUTS = {
+    "an amplifier's input": ("force_sensor.2.3", ()),
+    "a drive's input": ("stage_z.DIN9", ("--stages", "az")),
+}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("which", INPUTS)
+def test_a_contact_is_read_by_whichever_instrument_has_inputs(rig, which):
+    place, options = INPUTS[which]
+    plan = contact("opened", MEASURING)
+    world = rig.world(f'{DOOR}input = "{place}"\nclosed_is = "low"\n')
+    ended = rig.sweep(*SHORT, "--world", world, "--fault", rig.fault(plan), *options)
+    assert ended.code == 4, ended.stderr
+    assert "interlock door (person) opened at" in ended.errors[0]
+    assert rig.outputs() == [True, False]
+
+
 def test_a_contact_of_the_process_holds_the_run_and_lets_it_go_on_by_itself(rig):
     plan = contact("opened", MEASURING, "air pressure") + contact(
         "closed", MEASURING, "air pressure", "after_s = 2.0\n"

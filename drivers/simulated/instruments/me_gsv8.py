@@ -20,7 +20,7 @@ import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ import numpy.typing as npt
 from drivers.simulated.faults.wire import WireDialect
 from drivers.simulated.instruments.disturbed_converter import KINDS, DisturbedConverter
 from drivers.simulated.instruments.force_sensor import ForceSensorCore
-from drivers.simulated.ports import Exchange, ForcePort, LogPort
+from drivers.simulated.ports import DigitalInputPort, Exchange, ForcePort, LogPort
 
 CHANNELS = 8
 CONVERSIONS_PER_S = 48_000
@@ -53,6 +53,8 @@ KNOWN_MODE = MULTI_AXIS | AUTO_FILTER | MIN_MAX | WRITE_LOCK
 
 TX_OFF_NOW, TX_OFF_ALWAYS, TX_CRC16 = 0x0001, 0x0002, 0x0020
 WRITABLE_TX_FLAGS = 0x002E
+
+DIGITAL_GROUPS, LINES_PER_GROUP = 4, 4
 
 UNSERVED = frozenset(
     {0x00, *range(0x08, 0x0B), *range(0x0F, 0x13), *range(0x17, 0x1F), *range(0x20, 0x23), 0x25}
@@ -159,6 +161,10 @@ class SimulatedCommand:
     writes: bool = False
 
 
+class ForceAndInputs(ForcePort, DigitalInputPort, Protocol):
+    """What the sensor and the digital inputs stand in."""
+
+
 class Gsv8(ForceSensorCore):
     """The amplifier's protocol core; ``name`` is its name in the World's log.
 
@@ -174,7 +180,7 @@ class Gsv8(ForceSensorCore):
 
     def __init__(
         self,
-        port: ForcePort,
+        port: ForceAndInputs,
         log: LogPort,
         name: str = "force_sensor",
         sensor: Sensor | None = None,
@@ -190,6 +196,8 @@ class Gsv8(ForceSensorCore):
         self._port = port
         self._log = log
         self._name = name
+        self._directions = [1] * DIGITAL_GROUPS
+        """That the lines are inputs when it is switched on is UNCONFIRMED."""
         self._input = bytearray()
         self._origin_us, self._sent = 0, 0
         self._divisor, self._period_s = 1, 0.0
@@ -342,6 +350,9 @@ class Gsv8(ForceSensorCore):
             0x43: SimulatedCommand(lambda _: (DONE, bytes(4)), (0, 1)),
             0x49: SimulatedCommand(self._get_mapping, (1,)),
             0x4A: SimulatedCommand(self._set_mapping, (3,), writes=True),
+            0x59: SimulatedCommand(self._get_direction, (1,)),
+            0x5A: SimulatedCommand(self._set_direction, (2,), writes=True),
+            0x5D: SimulatedCommand(self._get_level, (1,)),
             0x63: SimulatedCommand(self._rate_range, (1,)),
             0x78: SimulatedCommand(self._reset),
             0x80: SimulatedCommand(self._get_tx_mode, (1,)),
@@ -394,6 +405,33 @@ class Gsv8(ForceSensorCore):
             self._crc16 = bool(flags & 8)
         state = self.memory.values - 1 << 4 | self._streaming << 3 | self.memory.data_type
         return DONE, bytes((self.model_number, state, 0, 0))
+
+    def _get_direction(self, request: GsvRequest) -> Answer:
+        """Of a group of digital lines: 1 input, 0 output."""
+        return DONE, bytes((self._directions[self._group(request)],))
+
+    def _set_direction(self, request: GsvRequest) -> Answer:
+        group, direction = self._group(request), request.parameters[1]
+        if direction > 1:
+            raise RefusedError(BAD_DATA)
+        self._directions[group] = direction
+        self._tell(f"direction.{group + 1}", direction, request.by)
+        return DONE, b""
+
+    def _group(self, request: GsvRequest) -> int:
+        number = request.parameters[0]
+        if not 1 <= number <= DIGITAL_GROUPS:
+            raise RefusedError(BAD_ADDRESS)
+        return number - 1
+
+    def _get_level(self, request: GsvRequest) -> Answer:
+        """Of a digital line, 1 to 16; the level of an output is not simulated."""
+        number = request.parameters[0] - 1
+        if not 0 <= number < DIGITAL_GROUPS * LINES_PER_GROUP:
+            raise RefusedError(BAD_ADDRESS)
+        group, line = divmod(number, LINES_PER_GROUP)
+        high = self._port.input_high(self._name, f"{group + 1}.{line + 1}")
+        return DONE, struct.pack(">H", int(high and self._directions[group]))
 
     def _set_zero(self, request: GsvRequest) -> Answer:
         """The mean since the last frame becomes zero; channel 0 means all."""

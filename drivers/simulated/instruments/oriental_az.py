@@ -20,9 +20,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from drivers.simulated.faults.plan import DriveFault, MoveFault
-from drivers.simulated.ports import AxisPort
+from drivers.simulated.ports import AxisPort, DigitalInputPort
 from drivers.simulated.transports.modbus_tcp import ILLEGAL_ADDRESS, ModbusError
 from drivers.simulated.world.axis import AxisCommand, AxisEvent, Mechanics
 from drivers.simulated.world.drive import Due, SimulatedDrive
@@ -39,6 +40,9 @@ STARTING_RATE, STOPPING_RATE, CURRENT, TRIGGER, DESTINATION = 0x60, 0x62, 0x64, 
 INPUT_COMMAND, OUTPUT_STATUS, PRESENT_ALARM = 0x7C, 0x7E, 0x80
 COMMAND_POSITION, FEEDBACK_POSITION = 0xC6, 0xCC
 FEEDBACK_RPM, FEEDBACK_Hz = 0xCE, 0xD0
+REMAINING_DWELL, DIRECT_IO = 0xD2, 0xD4
+"""What 00D2h holds is UNCONFIRMED; it reads 0."""
+DIRECT_INPUTS = 10
 DRIVER_TEMPERATURE, MOTOR_TEMPERATURE = 0xF8, 0xFA
 ALARM_RESET, INTERNAL_OUTPUTS = 0x180, 0x178
 OVERTRAVEL, HIGH_LIMIT, LOW_LIMIT = 0x386, 0x388, 0x38A
@@ -97,10 +101,14 @@ class SimulatedAzSettings:
     faults: tuple[MoveFault, ...] = ()
 
 
+class AxisAndInputs(AxisPort, DigitalInputPort, Protocol):
+    """What a drive with direct inputs stands in."""
+
+
 class AzDrive(SimulatedDrive[MoveFault]):
     """One drive and its actuator; a `LineDevice` for `RtuLine`."""
 
-    def __init__(self, settings: SimulatedAzSettings, port: AxisPort):
+    def __init__(self, settings: SimulatedAzSettings, port: AxisAndInputs):
         super().__init__(
             settings.name,
             settings.mechanics,
@@ -109,6 +117,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
             port,
         )
         self.settings = settings
+        self._inputs: DigitalInputPort = port
         self.alarm = 0
         self.homed = False
         """ABSPEN: the drive knows where it is."""
@@ -343,6 +352,14 @@ class AzDrive(SimulatedDrive[MoveFault]):
             raise ModbusError(ILLEGAL_ADDRESS)
         return value & 0xFFFF if address & 1 else value >> 16 & 0xFFFF
 
+    def direct_inputs(self) -> int:
+        """The levels of DIN0 to DIN9 in the lower register; the outputs are not simulated."""
+        levels = {
+            bit: self._inputs.input_high(self.settings.name, f"DIN{bit}")
+            for bit in range(DIRECT_INPUTS)
+        }
+        return _word(levels)
+
     def _steps(self, position_mm: float) -> int:
         return round((position_mm - self._zero_mm) * self.settings.steps_per_mm)
 
@@ -392,6 +409,8 @@ _SHOWN: dict[int, Callable[[AzDrive, int], int]] = {
     FEEDBACK_POSITION: lambda drive, now: drive._steps(drive.axis.position(now)),
     FEEDBACK_RPM: lambda drive, now: round(drive.axis.velocity(now) * 60 / drive.settings.lead_mm),
     FEEDBACK_Hz: lambda drive, now: round(drive.axis.velocity(now) * drive.settings.steps_per_mm),
+    REMAINING_DWELL: lambda drive, now: 0,
+    DIRECT_IO: lambda drive, now: drive.direct_inputs(),
     DRIVER_TEMPERATURE: lambda drive, now: ROOM_TEMPERATURE,
     MOTOR_TEMPERATURE: lambda drive, now: ROOM_TEMPERATURE,
     INTERNAL_OUTPUTS: AzDrive._internal_outputs,

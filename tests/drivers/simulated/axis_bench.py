@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,11 @@ class AxisBench(IdealBench):
 
     wall_mm: float = 1e9
     stiffness_N_mm: float = 100.0
+    high: Set[tuple[str, str]] = frozenset()
+    """Digital inputs that are high, by instrument and name."""
+
+    def input_high(self, device: str, line: str) -> bool:
+        return (device, line) in self.high
 
     def load_N(self, axis: str, position_mm: float, t_us: int) -> float:  # noqa: N802
         return -self.stiffness_N_mm * max(0.0, position_mm - self.wall_mm)
