@@ -547,7 +547,8 @@ class ForceAmplifier:
 
     def inputs_high(self, names: Sequence[str]) -> Mapping[str, bool]:
         """Return the levels of digital lines, such as "1.1": True for high. Each is one request;
-        their groups are made inputs first. The numbers of the commands are those of the maker's gsv86lib."""
+        their groups are made inputs first. The commands' numbers are those of the maker's library
+        gsv86lib."""
         return {name: self._is_high(*map(int, name.split("."))) for name in names}
 
     def _is_high(self, group: int, line: int) -> bool:
