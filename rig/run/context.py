@@ -135,6 +135,12 @@ class Run:
         self._force = monitor
         return monitor
 
+    @property
+    def force_zero(self) -> tuple[float, float, float] | None:
+        """The force sensor's raw reading without force; None if it is not read or was not
+        zeroed."""
+        return None if self._force is None else self._force.zero
+
     def force_from_now_N(  # noqa: N802 - the unit keeps its capital
         self, seconds: float
     ) -> float | None:

@@ -199,6 +199,8 @@ class _Execution:
         if due:
             self._last_beat = now
             self.guard.beat()
+            if (zero := self.run.force_zero) is not None:
+                self.guard.zero(zero)
         if self.phases.now is RunPhase.MAKING_SAFE:
             return
         if due:

@@ -50,8 +50,9 @@ class ForceMonitor:
         self._sensor, self._clock, self._holds, self._act = sensor, clock, holds, act
         self._limit_N = self.limit_N = float("inf")
         """Limit that trips now, and limit that `watch` was last called with."""
-        self.tared = False
-        """True if the sensor has been zeroed since this stream was begun."""
+        self.zero: tuple[float, float, float] | None = None
+        """Raw reading without force; None if the sensor has not been zeroed since this stream was
+        begun."""
         self.noise_N = np.zeros(3)
         """Standard deviation of a frame's force along x, y, z, in N, at the latest `tare`."""
         self._trip: RigError | None = None
@@ -90,6 +91,11 @@ class ForceMonitor:
         self._rate = self._sensor.start(rate_S_s)
         self._last_frame_s = self._clock.now()
         return self._rate
+
+    @property
+    def tared(self) -> bool:
+        """True if the sensor has been zeroed since this stream was begun."""
+        return self.zero is not None
 
     @property
     def rate_S_s(self) -> float:  # noqa: N802 - the unit keeps its capital
@@ -174,12 +180,13 @@ class ForceMonitor:
         latest = self._latest(seconds)
         zero = np.concatenate([f.raw[-n:] for f, n in latest]).mean(axis=0)
         self.noise_N = np.concatenate([f.force_N[-n:] for f, n in latest]).std(axis=0)
-        zero_N = self._sensor.tare((float(zero[0]), float(zero[1]), float(zero[2])))
+        raw = (float(zero[0]), float(zero[1]), float(zero[2]))
+        zero_N = self._sensor.tare(raw)
         with self._lock:
             if self._recent:
                 self._frames_before = self._recent[-1].first_index + len(self._recent[-1])
             self._recent.clear()
-        self.tared = True
+        self.zero = raw
         return zero_N
 
     def largest_from_now_N(  # noqa: N802 - the unit keeps its capital

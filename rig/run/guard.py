@@ -4,9 +4,9 @@ It runs in a session of its own and listens on a pipe. The run sends it the benc
 and a message when the bench is safe and when the run is done. If the pipe closes before that, the
 run has died: the guard acts. If a heartbeat is late, the run hangs (or was suspended): the guard
 kills it, then acts. To act, it connects to every instrument of the bench and calls its driver's
-`make_safe`, each isolated from the others' failures, then compiles the journal, and writes a report
-of what was done. It leaves a mark on a bench that others use (`rig.run.bench_mark`), which the next
-command reports; the mark of an unsafe bench refuses it.
+`make_safe`, each isolated from the others' failures, measures what is still pressed, compiles the
+journal, and writes a report of what was done. On a bench that others use it leaves a mark
+(`rig.run.bench_mark`), which the next command reports; that of an unsafe bench refuses it.
 
 This module is the program as well (``python -m rig.run.guard``); it imports the rest of the project
 only when it has to act, so a guard costs a few milliseconds.
@@ -24,6 +24,7 @@ import struct
 import subprocess
 import sys
 import termios
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,6 +37,7 @@ from rig.core.errors import RigError
 
 if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan
+    from rig.run.still_pressed import PressedState
 
 
 GUARD_SUFFIX = ".guard.json"
@@ -45,6 +47,9 @@ TAKE_OVER_S = 30.0
 SILENT_S = 5.0
 """Longest time in s for which a guard may leave heartbeats unread. After it the run reports that
 the guard is stopped or gets no processor time, since it normally reads each at once."""
+PRESSED_S = 10.0
+"""Longest time in s that it may take to measure what is still pressed."""
+FAILED_TO_MEASURE = "the instruments gave no answer"
 MOST_UNREAD_BYTES = 4096
 """Number of unread bytes from which no further heartbeats are sent. A pipe holds 65536 bytes, and a
 write to a full one would wait for ever; so there is always room for the messages that the bench is
@@ -79,8 +84,10 @@ def _in_words(report: dict[str, Any]) -> str:
     """Return what the guard has done, as a sentence."""
     words = (
         f"the guard of an earlier run had to act at {report['time']}: {report['cause']}; "
-        "the bench was made safe"
+        "everything was stopped and switched off"
     )
+    if report.get("pressed"):
+        words += f", {report['pressed']}"
     if report["journal"] is not None and "file" in report:
         words += f"; data: {report['file']}; continue with: rig resume {report['journal']}"
     return words
@@ -144,6 +151,7 @@ class GuardLink:
                 "reached",
                 "end other programs, or raise the limit (ulimit -u, ulimit -n), and start again",
             ) from error
+        self._zero: Sequence[float] | None = None
         self._heard_s = time.monotonic()
         """Time at which the guard had last read everything that was sent to it."""
         self._tell(json.dumps(order))
@@ -174,6 +182,13 @@ class GuardLink:
             self._heard_s = time.monotonic()
         if unread < MOST_UNREAD_BYTES:
             self._tell("beat")
+
+    def zero(self, raw: Sequence[float]) -> None:
+        """Send the force sensor's raw reading without force, if it is another than before. The
+        guard needs it to say what is still pressed."""
+        if raw != self._zero:
+            self._zero = raw
+            self._tell(f"zero {json.dumps(list(raw))}")
 
     def safe(self) -> None:
         """Report that everything is off, so that a slow compilation does not make the guard act."""
@@ -209,7 +224,8 @@ class GuardLink:
             return TakenOver(False, f"the guard did not report: it ended with code {code}")
         if report["safe"]:
             _mark_reported(self._report, report)
-            return TakenOver(True, "the guard then made the bench safe")
+            pressed = f", {report['pressed']}" if report["pressed"] else ""
+            return TakenOver(True, f"the guard then made the bench safe{pressed}")
         failures = report["failures"]
         return TakenOver(False, f"the guard could not make the bench safe either: {failures}")
 
@@ -267,15 +283,46 @@ def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[s
         "run_pid": order["run_pid"],
         "cause": cause,
         "safe": not failures,
+        "stopped": not failures,
+        "pressed": "",
         "failures": failures,
         "journal": order["journal"],
     }
-    # Published before the compilation: the next run must see the state of the bench at once.
+    # Published after each step: the next run must see the state of the bench at once.
     _publish(order, report)
+    if not already_safe and not failures:
+        _add_what_is_pressed(order, report)
+        _publish(order, report)
     journal = order["journal"]
     report["file"] = None if journal is None else _compile(Path(journal))
     _publish(order, report)
     return report
+
+
+def _add_what_is_pressed(order: dict[str, Any], report: dict[str, Any]) -> None:
+    """Measure what is still pressed. A force over its limit makes the bench unsafe, since only a
+    person can release it."""
+    found: list[PressedState] = []
+
+    def measure() -> None:
+        from rig.run.still_pressed import pressed_state
+
+        zero = order.get("zero")
+        found.append(
+            pressed_state(order["bench_toml"], order["bench_source"], zero and tuple(zero))
+        )
+
+    # An instrument that hangs must not prevent the compilation of the data.
+    thread = threading.Thread(target=measure, name="still pressed", daemon=True)
+    thread.start()
+    thread.join(PRESSED_S)
+    if not found:
+        report["pressed"] = f"not known whether something is still pressed: {FAILED_TO_MEASURE}"
+        return
+    report["pressed"] = found[0].text
+    if found[0].over_limit is not None:
+        report["safe"] = False
+        report["failures"] = {"stage_z": found[0].over_limit}
 
 
 def _publish(order: dict[str, Any], report: dict[str, Any]) -> None:
@@ -335,6 +382,8 @@ def _compile(journal: Path) -> str:
 def _understand(line: bytes, watch: _Watch | None) -> _Watch:
     if watch is None:
         return _Watch(json.loads(line))
+    if line.startswith(b"zero "):
+        watch.order["zero"] = json.loads(line.removeprefix(b"zero "))
     watch.safe = watch.safe or line == b"safe"
     watch.done = watch.done or line == b"done"
     return watch
@@ -351,3 +400,4 @@ def _write(path: Path, report: dict[str, Any]) -> None:
 
 if __name__ == "__main__":
     main()
+    os._exit(0)  # a thread that waits for an instrument would keep the guard, and with it the locks

@@ -87,6 +87,9 @@ class Guard:
     def beat(self) -> None:
         pass
 
+    def zero(self, raw: object) -> None:
+        pass
+
     def trouble(self) -> None:
         pass
 

@@ -208,6 +208,9 @@ class Guard:
     def beat(self) -> None:
         pass
 
+    def zero(self, raw: object) -> None:
+        pass
+
     def trouble(self) -> None:
         pass
 

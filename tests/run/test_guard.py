@@ -153,14 +153,18 @@ def test_a_guard_that_is_stopped_is_continued_when_it_is_needed(bench: Bench) ->
     link = GuardLink(bench.plan, bench.journal, bench.report)
     link.beat()
     os.kill(link._process.pid, signal.SIGSTOP)
-    assert link.take_over() == (True, "the guard then made the bench safe")
+    taken_over = link.take_over()
+    assert taken_over.safe, taken_over.summary
+    assert taken_over.summary.startswith("the guard then made the bench safe, ")
     assert [on for on, _ in bench.outputs()] == [True, False]
 
 
 def test_a_closed_pipe_makes_the_guard_act_on_a_connection_of_its_own(bench: Bench) -> None:
     link = GuardLink(bench.plan, bench.journal, bench.report)
     link.beat()
-    assert link.take_over() == (True, "the guard then made the bench safe")
+    taken_over = link.take_over()
+    assert taken_over.safe, taken_over.summary
+    assert taken_over.summary.startswith("the guard then made the bench safe, ")
     (_, run), (off, by) = bench.outputs()
     assert off is False
     assert by != run

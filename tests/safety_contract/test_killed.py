@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -35,6 +36,7 @@ def test_a_killed_run_is_made_safe_compiled_and_can_be_resumed(rig):
     assert report is not None, "the guard never reported"
 
     assert report["safe"] is True
+    assert report["stopped"] is True
     rig.await_world("ch1.on", False)
     off = next(e for e in rig.log() if e["what"] == "ch1.on" and e["value"] is False)
     on = next(e for e in rig.log() if e["what"] == "ch1.on" and e["value"] is True)
@@ -49,6 +51,25 @@ def test_a_killed_run_is_made_safe_compiled_and_can_be_resumed(rig):
     assert resumed.code == 0, resumed.stderr
     assert resumed.object["points_done"] == 60
     assert verify(file) == []
+
+
+def test_what_a_killed_run_leaves_pressed_is_measured_and_said_first_by_the_next_command(rig):
+    """The film is under a preload of 25 N; the guard stops everything and does not lift."""
+    running = rig.start_sweep(*SIXTY_POINTS)
+    running.wait_for(r"^5/60 ")
+    running.send(signal.SIGKILL)
+    running.process.wait()
+    report = rig.guard_report()
+    assert report is not None, "the guard never reported"
+    pressed = re.fullmatch(r"still pressed at (\d+\.\d\d) mm, (\d+\.\d) N", report["pressed"])
+    assert pressed, report
+    rest_mm = [e["value"] for e in rig.log() if e["what"] == "at-rest"][-1]
+    assert float(pressed[1]) == pytest.approx(rest_mm, abs=0.05)
+    assert float(pressed[2]) == pytest.approx(25.0, abs=1.0)
+
+    again = rig.run("sweep", "--json", "--no-figures", "--frequencies", "210")
+    first = again.stderr.splitlines()[:3]
+    assert any(report["pressed"] in line for line in first), first
 
 
 def test_a_run_that_hangs_is_ended_and_made_safe_by_the_guard(rig):
