@@ -76,8 +76,9 @@ class BatchFolder:
                         f"see: rig batch status {self.path}",
                     )
                 time.sleep(0.05)
-            os.ftruncate(file, 0)
-            os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+            with contextlib.suppress(OSError):  # a full disk: who holds it is for people only
+                os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+                os.ftruncate(file, len(f"{os.getpid()}\n"))
             yield file
         finally:
             os.close(file)

@@ -17,13 +17,14 @@ One process writes runs (the worker, who holds the bench); any may read, and ask
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Self, TypeVar
 
 from rig.batch.plan.conditions import BatchCondition, BatchPlan
 from rig.core.atomic import replacing
@@ -68,6 +69,31 @@ CREATE TABLE request (id INTEGER PRIMARY KEY, time TEXT NOT NULL, kind TEXT NOT 
 """
 
 
+class QueueWriteError(RigError):
+    """Raised where the disk does not take a transaction; the queue is as it was before it."""
+
+
+_Given = ParamSpec("_Given")
+_Result = TypeVar("_Result")
+
+
+def _patient(
+    write: Callable[Concatenate[Queue, _Given], _Result],
+) -> Callable[Concatenate[Queue, _Given], _Result]:
+    """Give a method of the queue that is one transaction another try, for as long as the queue's
+    `wait_for_disk` returns."""
+
+    @functools.wraps(write)
+    def patiently(self: Queue, /, *given: _Given.args, **named: _Given.kwargs) -> _Result:
+        while True:
+            try:
+                return write(self, *given, **named)
+            except QueueWriteError as error:
+                self.wait_for_disk(error)
+
+    return patiently
+
+
 class RunEstimate(NamedTuple):
     """Expected duration and size of a run."""
 
@@ -88,6 +114,8 @@ class Claim:
     condition: BatchCondition
     estimate_s: float
     spread_s: float
+    size_B: int = 0
+    """Size of its run file at most, as planned."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +171,9 @@ class Queue:
     def __init__(self, path: Path, connection: sqlite3.Connection):
         self.path = path
         self._sql = connection
+        self.wait_for_disk: Callable[[QueueWriteError], None] = give_up
+        """Is called where a transaction was not written, and returns when it may be tried again;
+        what it raises ends the try. Without another function the error is raised."""
 
     @classmethod
     def create(
@@ -231,6 +262,7 @@ class Queue:
         row = self._sql.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
         return default if row is None else str(row[0])
 
+    @_patient
     def set_meta(self, key: str, value: str) -> None:
         """Record an entry about the batch as a whole."""
         with self._transaction():
@@ -348,6 +380,7 @@ class Queue:
         ).fetchone()
         return None if row is None else self._claim(row)
 
+    @_patient
     def claim(self, number: int) -> Claim:
         """Claim a queued run: from here on it is running, whatever becomes of the caller."""
         with self._transaction():
@@ -369,6 +402,7 @@ class Queue:
             )
         return claim
 
+    @_patient
     def finish(self, claim: Claim, ended: AttemptResult, state: RunState) -> None:
         """The attempt is over, and the run in this state: ``queued`` if it is to be continued."""
         now = _now()
@@ -399,6 +433,7 @@ class Queue:
         ).fetchone()
         return None if row is None else self._claim(row, further=0)
 
+    @_patient
     def set_aside(self, condition: str, reason: str) -> int:
         """Leave out what is queued of a condition; returns how many runs these are."""
         with self._transaction():
@@ -412,6 +447,7 @@ class Queue:
             )
         return changed.rowcount
 
+    @_patient
     def put_back(self) -> int:
         """Queue failed and left-out runs again, and return their number."""
         with self._transaction():
@@ -436,6 +472,7 @@ class Queue:
         )
         return [(row[0], row[1]) for row in rows]
 
+    @_patient
     def set_processed(self, number: int, what: Mapping[str, Any]) -> None:
         """Record which files were made of a run, by what they are."""
         with self._transaction():
@@ -445,6 +482,7 @@ class Queue:
 
     # --- events and requests -------------------------------------------------------------
 
+    @_patient
     def add_event(self, level: str, text: str) -> None:
         """Record an event, which `rig batch status` shows."""
         with self._transaction():
@@ -459,11 +497,13 @@ class Queue:
         ).fetchall()
         return [(row[0], row[1], row[2]) for row in reversed(rows)]
 
+    @_patient
     def add_request(self, kind: str) -> None:
         """Leave a request for the supervisor, from another process."""
         with self._transaction():
             self._sql.execute("INSERT INTO request (time, kind) VALUES (?, ?)", (_now(), kind))
 
+    @_patient
     def take_requests(self) -> list[str]:
         """The requests since the last call, oldest first; they are deleted."""
         if self._sql.execute("SELECT 1 FROM request LIMIT 1").fetchone() is None:
@@ -475,7 +515,7 @@ class Queue:
 
     @contextlib.contextmanager
     def _transaction(self) -> Iterator[None]:
-        """All of it or nothing; RigError where the disk does not take it."""
+        """All of it or nothing; QueueWriteError where the disk does not take it."""
         try:
             self._sql.execute("BEGIN IMMEDIATE")
             try:
@@ -486,7 +526,7 @@ class Queue:
                     self._sql.execute("ROLLBACK")
                 raise
         except sqlite3.OperationalError as error:
-            raise RigError(
+            raise QueueWriteError(
                 f"{self.path}: the queue cannot be written: {error}",
                 "free the disk, then: rig batch resume",
             ) from error
@@ -505,7 +545,13 @@ class Queue:
             _condition_of(condition),
             condition["estimate_s"],
             condition["spread_s"],
+            condition["size_B"],
         )
+
+
+def give_up(error: QueueWriteError) -> None:
+    """Raise the error: for `Queue.wait_for_disk` where nothing waits."""
+    raise error
 
 
 def _condition_row(place: int, condition: BatchCondition, estimate: RunEstimate) -> tuple[Any, ...]:

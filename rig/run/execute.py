@@ -25,6 +25,7 @@ from rig.bench.connected import Bench
 from rig.bench.plan import BenchPlan
 from rig.core.clock import Clock
 from rig.core.errors import ExitCode, RigError
+from rig.files.errors import RecordingError
 from rig.files.journal.reader import read_journal
 from rig.files.journal.recorder import Recorder
 from rig.files.runfile.compile import compile_run
@@ -365,7 +366,8 @@ class _Execution:
             self._failed_late(error)
         except OSError as error:
             hint = f"free the disk, then run: rig recover {self.journal.path}"
-            self._failed_late(RigError(f"cannot write the run file: {error}", hint))
+            text = f"the run file cannot be written: {error}"
+            self._failed_late(RecordingError(self.journal.path, text, hint))
 
     def _failed_late(self, error: RigError) -> None:
         """Add a failure behind the first cause, unless it is the first cause again."""

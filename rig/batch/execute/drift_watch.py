@@ -41,13 +41,17 @@ class DriftWatch:
     def before(self, claim: Claim, now: datetime) -> list[HoldReason]:
         """The reasons not to begin this run now."""
         batch = self._file.batch
-        needed_B = self._queue.remaining().size_B
-        free_B = shutil.disk_usage(self._results).free
-        found = disk_space(free_B, needed_B, batch.hold_when.free_disk_GB)
+        found = self.disk()
         if not batch.allow_expired:
             run_s = claim.condition.rest_s + claim.estimate_s
             found += expiring(records_of(self._plan), now, timedelta(seconds=run_s))
         return found
+
+    def disk(self) -> list[HoldReason]:
+        """The reason not to continue on this disk, if there is one."""
+        needed_B = self._queue.remaining().size_B
+        free_B = shutil.disk_usage(self._results).free
+        return disk_space(free_B, needed_B, self._file.batch.hold_when.free_disk_GB)
 
     def after(self, claim: Claim, ended: AttemptResult, bench: BenchSettings) -> list[HoldReason]:
         """The reasons to hold that a finished run shows: drift of a reference's figures, or of

@@ -11,6 +11,7 @@ worker that the supervisor has died.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import selectors
@@ -22,10 +23,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rig.batch.execute.disk_room import DeferredWrites
 from rig.batch.execute.postprocess import PostprocessJob, PostprocessQueue, PostprocessResult
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.settings import BatchFile, Occasion
-from rig.batch.queue import HOLDS, PRESSES, Queue
+from rig.batch.queue import HOLDS, PRESSES, Queue, QueueWriteError
 from rig.batch.report.heartbeat import Heartbeat, HeartbeatRecord, HeartbeatState
 from rig.batch.report.notify import Notifier
 from rig.core.errors import ExitCode
@@ -100,12 +102,15 @@ class Supervisor:
     """Runs a batch to its end. `say` gets lines for the person who started it."""
 
     def __init__(self, folder: BatchFolder, stop: StopFlag, say: Callable[[str], None]):
-        self._folder, self._stop, self._say = folder, stop, say
+        self._folder, self._stop, self._print = folder, stop, say
+        self._writes = DeferredWrites()
         self._progress = BatchProgress()
         self._end: dict[str, Any] | None = None
         self._begun_a_run = False
         self._give_up: float | None = None
         self._runs = 0
+        self._held_for = ""
+        """Why the batch was held last, until a run has ended."""
         self._numbers: dict[Path, int] = {}
         """The runs whose files are still to be made, by journal."""
 
@@ -116,7 +121,7 @@ class Supervisor:
             self._folder.held_by("supervisor", 0.0),
             self._folder.held_by("postprocess", FILE_PATIENCE_S) as lock,
             Queue.open(self._folder.queue) as self._queue,
-            self._folder.log.open("ab") as self._log,
+            self._folder.log.open("ab", buffering=0) as self._log,
         ):
             self._batch = BatchFile.model_validate_json(self._queue.meta("file")).batch
             self._simulated = self._queue.meta("simulated") == "yes"
@@ -129,18 +134,33 @@ class Supervisor:
             self._postprocess = PostprocessQueue(self._log, (lock,))
             for number, procedure in self._queue.unprocessed():
                 self._add_job(number, procedure)
-            self._queue.set_meta("state", "running")
-            self._queue.add_event("info", f"started (process {os.getpid()})")
+            self._record(self._queue.set_meta, "state", "running")
+            self._record(self._queue.add_event, "info", f"started (process {os.getpid()})")
             self._notify("start", f"{counted(self._queue.remaining().runs, 'run')} to take")
             code = self._workers()
             self._finish_files()
-            self._progress.text = self._queue.meta("state")
             self._write_heartbeat("ended")
             self._notify("end", self._progress.text)
             for warning in self._notifier.close():
                 self._say(f"warning: {warning}")
+            self._writes.flush()
+            if self._writes.why:
+                self._say(f"warning: {self._writes.why}; how the batch ended is not in it")
             self._queue.close_log()
             return code
+
+    def _say(self, text: str) -> None:
+        """A line for the person; a full disk behind it disturbs nothing."""
+        with contextlib.suppress(OSError):
+            self._print(text)
+
+    def _record(self, write: Callable[..., object], *values: object) -> None:
+        """Write to the queue, later where the disk is full."""
+        self._writes.add(lambda: write(*values))
+
+    def _set_end(self, text: str) -> None:
+        self._progress.text = text
+        self._record(self._queue.set_meta, "state", text)
 
     def _workers(self) -> ExitCode:
         """One worker after the other, until one has come to the end."""
@@ -149,21 +169,28 @@ class Supervisor:
             self._begun_a_run = False
             code = self._one_worker()
             if self._end is not None:
-                return ExitCode(int(self._end["code"]))
+                return self._conclude(self._end)
             self._holds.close_attempt()
             self._presses.close_attempt()
             crashes = 0 if self._begun_a_run else crashes + 1
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             text = f"the worker died ({how}); see {self._folder.log}"
-            self._queue.add_event("error", text)
+            self._record(self._queue.add_event, "error", text)
             self._say(f"warning: {text}")
             if self._stop.requested is not None:
-                self._queue.set_meta("state", "stopped: the worker died while it was stopping")
+                self._set_end("stopped: the worker died while it was stopping")
                 return ExitCode.INTERNAL
             if crashes >= CRASHES:
-                self._queue.set_meta("state", f"stopped: {text}")
+                self._set_end(f"stopped: {text}")
                 self._say(f"error: {crashes} workers in a row died before they began a run")
                 return ExitCode.INTERNAL
+
+    def _conclude(self, end: Mapping[str, Any]) -> ExitCode:
+        """Record why a worker has ended the batch, which it may have been unable to record; returns
+        the exit code of the batch."""
+        state, why = end["state"], end["text"]
+        self._set_end(why if why.startswith(state) else f"{state}: {why}" if why else state)
+        return ExitCode(int(end["code"]))
 
     # --- one worker -----------------------------------------------------------------------------
 
@@ -179,7 +206,7 @@ class Supervisor:
         assert worker.stdin is not None
         assert worker.stdout is not None
         os.set_blocking(worker.stdout.fileno(), False)
-        self._queue.set_meta("worker", str(worker.pid))
+        self._record(self._queue.set_meta, "worker", str(worker.pid))
         stop_sent = False
         buffer = b""
         with selectors.DefaultSelector() as selector, worker:
@@ -196,7 +223,7 @@ class Supervisor:
                     stop_sent = True
                     number = self._stop.requested
                     self._send(worker, f"signal {number.value}", f"stop by {number.name}")
-                for command in self._queue.take_requests():
+                for command in self._requests():
                     self._send(worker, command, REQUESTS.get(command, command))
                 self._poll()
                 if self._give_up is not None and time.monotonic() > self._give_up:
@@ -206,10 +233,16 @@ class Supervisor:
             worker.stdin.close()
         return worker.returncode
 
+    def _requests(self) -> list[str]:
+        try:
+            return self._queue.take_requests()
+        except QueueWriteError:  # a full disk; they stay
+            return []
+
     def _send(self, worker: subprocess.Popen[bytes], command: str, request: str) -> None:
         """Pass a command on to the worker; `request` says for people what was requested."""
         assert worker.stdin is not None
-        self._queue.add_event("info", f"{request} requested")
+        self._record(self._queue.add_event, "info", f"{request} requested")
         try:
             worker.stdin.write(command.encode() + b"\n")
             worker.stdin.flush()
@@ -222,13 +255,14 @@ class Supervisor:
             event = json.loads(line)
             handler = getattr(self, f"_on_{event['event']}")
         except (ValueError, TypeError, KeyError, AttributeError):
-            self._log.write(line + b"\n")
-            self._log.flush()
+            with contextlib.suppress(OSError):
+                self._log.write(line + b"\n")
             return
         handler(event)
 
     def _poll(self) -> None:
         """Do what has to be done often, apart from reading the worker's messages."""
+        self._writes.flush()
         self._write_heartbeat(HEARTBEAT.get(self._progress.state, self._progress.state))
         self._make_files(start=self._simulated or self._progress.state in BENCH_WAITS)
         for warning in self._notifier.poll():
@@ -261,20 +295,20 @@ class Supervisor:
     def _add_job(self, number: int, procedure: str) -> None:
         journal = self._folder.journal(number, procedure)
         if not journal.exists() and not self._folder.run_file(number, procedure).exists():
-            self._queue.set_processed(number, {})  # it failed before its first record
+            self._record(self._queue.set_processed, number, {})  # it failed before its first record
             return
         self._numbers[journal] = number
         self._postprocess.add(PostprocessJob(journal, self._batch.figures, self._batch.detect))
 
     def _make_files(self, *, start: bool) -> None:
-        wanted = start and self._stop.requested is None
+        wanted = start and self._stop.requested is None and not self._writes.why
         if (result := self._postprocess.poll(start=wanted)) is not None:
             self._save_result(result)
 
     def _save_result(self, result: PostprocessResult) -> None:
         number = self._numbers.pop(result.journal)
         for text in (*result.warnings, *filter(None, [result.error])):
-            self._queue.add_event("warning", text)
+            self._record(self._queue.add_event, "warning", text)
             self._say(f"warning: {text}")
         if not result.error:
             made = {
@@ -282,11 +316,15 @@ class Supervisor:
                 "processed": None if result.processed is None else result.processed.name,
                 "figures": [figure.name for figure in result.figures],
             }
-            self._queue.set_processed(number, made)
+            self._record(self._queue.set_processed, number, made)
 
     def _finish_files(self) -> None:
         """Make the files of all finished runs. A stop request leaves out those that are not under
         way; `rig batch resume` makes them."""
+        waiting = set(self._numbers.values())
+        for number, procedure in self._queue.unprocessed():
+            if number not in waiting:  # the disk may have been full when they were made
+                self._add_job(number, procedure)
         if self._stop.requested is None and len(self._postprocess):
             self._say(
                 f"finishing: making the files of {counted(len(self._postprocess), 'run')} ..."
@@ -307,7 +345,7 @@ class Supervisor:
 
     def _on_run(self, event: Mapping[str, Any]) -> None:
         self._begun_a_run = True
-        self._queue.set_meta("state", "running")
+        self._record(self._queue.set_meta, "state", "running")
         self._give_up = time.monotonic() + STARTING_S
         number, attempt = event["number"], event["attempt"]
         self._progress = BatchProgress("running", "", number, attempt, event["condition"])
@@ -334,7 +372,7 @@ class Supervisor:
         for count in (self._holds, self._presses):
             if count.now != event[count.name]:
                 count.now = event[count.name]
-                self._queue.set_meta(count.name, str(count.total))
+                self._record(self._queue.set_meta, count.name, str(count.total))
 
     def _on_disturbed(self, event: Mapping[str, Any]) -> None:
         """A run is on hold; people are notified of the first hold of a run only."""
@@ -342,7 +380,7 @@ class Supervisor:
         self._count(event)
         counts = f"{counted(holds, 'hold')}, {counted(event['presses'], 'press', 'presses')}"
         text = f"run {now.run} at {now.points or 'its start'}: {event['reason']} ({counts})"
-        self._queue.add_event("warning", f"hold: {text}")
+        self._record(self._queue.add_event, "warning", f"hold: {text}")
         if holds == 1:
             self._notify(
                 "hold", f"{text}; the bench is safe, and the run continues when that is over"
@@ -354,19 +392,26 @@ class Supervisor:
     def _set_state(self, state: str, text: str = "") -> None:
         self._progress.state, self._progress.text = state, text
         shown = f"{state}: {text}" if text else state
-        self._queue.set_meta("state", shown)
+        self._record(self._queue.set_meta, "state", shown)
         self._say(shown)
 
     def _on_hold(self, event: Mapping[str, Any]) -> None:
+        """The batch is held. The same reason again before another run has ended is not repeated."""
+        self._progress.state, self._progress.text = "held", event["text"]
+        if event["text"] == self._held_for:
+            return
+        self._held_for = event["text"]
         self._set_state("held", event["text"])
         self._notify("hold", event["text"])
+        by_itself = "when there is room on the disk, or " if event.get("by_itself") else ""
         self._say(
-            "the bench is safe and the batch waits; continue with: "
+            f"the bench is safe and the batch waits; it continues {by_itself}with: "
             f"rig batch resume {self._folder.path}"
         )
 
     def _on_finished(self, event: Mapping[str, Any]) -> None:
         self._give_up = None
+        self._held_for = ""
         self._count(event)
         self._holds.close_attempt()
         self._presses.close_attempt()
@@ -377,7 +422,7 @@ class Supervisor:
             text += "; it is tried again"
         self._say(text)
         if event["ending"] != "complete" or event["code"]:
-            self._queue.add_event("warning", text)
+            self._record(self._queue.add_event, "warning", text)
         if event["ending"] != "stopped" and not event["again"]:
             self._add_job(event["number"], event["procedure"])
             if event["ending"] != "complete":

@@ -13,6 +13,7 @@ What it decides is in `rig.batch.plan.policy`; that nothing is lost or doubled, 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -29,13 +30,14 @@ from typing import TYPE_CHECKING, Any
 import rig
 from rig.batch.execute.batch_clock import TIME_OVER, clock_of, window_of
 from rig.batch.execute.crash_recovery import archive_files, journal_to_resume, outcome_from_journal
+from rig.batch.execute.disk_room import LEAST_B, has_room
 from rig.batch.execute.drift_watch import DriftWatch
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.policy import after_failure, kind_of, reason_to_end
 from rig.batch.plan.procedures import installed
 from rig.batch.plan.settings import BatchFile
 from rig.batch.plan.window import does_not_fit
-from rig.batch.queue import AttemptResult, Claim, Queue
+from rig.batch.queue import AttemptResult, Claim, Queue, QueueWriteError, give_up
 from rig.core.errors import ExitCode, RigError
 from rig.core.units import counted
 from rig.run.bench_selector import BenchRequest, BenchSelector, ChosenBench, start_simulated
@@ -53,6 +55,8 @@ if TYPE_CHECKING:
     from rig.run.points import Point, Reading
     from rig.run.procedure import Procedure
 
+LOOK_EVERY_S = 1.0
+"""Interval in s at which a batch that is held by a full disk looks for room on it."""
 CHECK_EVERY_S = 0.05
 """Interval in s at which a worker that waits for a person checks for commands."""
 GUARD_PATIENCE_S = 60.0
@@ -199,6 +203,7 @@ class Worker:
         self._mounted: BenchSettings | None = None
         """The bench of the latest run."""
         self._from, self._until = window_of(queue)
+        queue.wait_for_disk = self._wait_for_the_queue
 
     def work(self) -> ExitCode:
         """Take the runs; the exit code of the batch."""
@@ -254,7 +259,8 @@ class Worker:
             if why := does_not_fit(self._clock.now(), self._until, takes_s, upcoming.spread_s):
                 raise self._time_over(why)
             if found := self._watch.before(upcoming, self._clock.now()):
-                self._hold(_text_of(found))
+                only_disk = all(one.kind == "disk" for one in found)
+                self._hold(_text_of(found), self._disk_has_room if only_disk else None)
                 continue
             if not rest_s:
                 return upcoming
@@ -277,16 +283,41 @@ class Worker:
             self._send("state", state="paused", text="between runs")
             self._wait("paused")
 
-    def _hold(self, why: str) -> None:
-        """A person is needed: wait for one, or end, as `on_hold` says."""
+    def _hold(self, why: str, over: Callable[[], bool] | None = None) -> None:
+        """Wait for a person, or end the batch, as `on_hold` says. With `over` the batch also
+        continues by itself as soon as that is true."""
         self._queue.add_event("hold", why)
         if self._batch.on_hold == "stop":
             raise _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
         self._commands.paused.set()
-        self._send("hold", text=why)
-        self._wait("held")
+        self._send("hold", text=why, by_itself=over is not None)
+        self._wait("held", over)
 
-    def _wait(self, state: str) -> None:
+    def _wait_for_the_queue(self, error: QueueWriteError) -> None:
+        """Return when the disk has room again; between runs, with the bench safe. The queue tries
+        its transaction again then, before anything else happens."""
+        if self._batch.on_hold == "stop":
+            self._queue.wait_for_disk = give_up
+            raise _EndError(error.message, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
+        paused = self._commands.paused.is_set()
+        self._commands.paused.set()
+        self._send("hold", text=error.one_line(), by_itself=True)
+        try:
+            self._wait("held", lambda: has_room(self._folder.path, LEAST_B))
+        except RigError:
+            self._queue.wait_for_disk = give_up  # the batch ends, with or without its record
+            raise
+        if paused:
+            self._commands.paused.set()
+
+    def _disk_has_room(self) -> bool:
+        """Return whether the next run's files, and the rest of the batch, fit on the disk."""
+        upcoming = self._queue.upcoming()
+        size_B = 0 if upcoming is None else upcoming.size_B
+        return has_room(self._folder.path / "runs", size_B) and not self._watch.disk()
+
+    def _wait(self, state: str, over: Callable[[], bool] | None = None) -> None:
+        looked_s = time.monotonic()
         with self._interlocks_watched():
             while self._commands.paused.is_set():
                 self._stop.check()
@@ -295,6 +326,12 @@ class Worker:
                     raise _stopped(f"while {state}")
                 if self._until is not None and self._clock.now() >= self._until:
                     raise self._time_over(f"{self._limit_name()} was reached while it was {state}")
+                if over is not None and time.monotonic() - looked_s >= LOOK_EVERY_S:
+                    looked_s = time.monotonic()
+                    if over():
+                        self._commands.paused.clear()
+                        self._send("state", state="running", text="there is room on the disk again")
+                        return
                 time.sleep(CHECK_EVERY_S)
 
     @contextmanager
@@ -330,7 +367,9 @@ class Worker:
     def _time_over(self, why: str) -> _EndError:
         """Return the decision that ends the batch at its `stop_by`; the next `rig batch resume`
         opens a new window."""
-        self._queue.set_meta(TIME_OVER, "yes")
+        self._queue.wait_for_disk = give_up
+        with contextlib.suppress(QueueWriteError):
+            self._queue.set_meta(TIME_OVER, "yes")
         return _EndError(why, "rig batch resume", ExitCode.STOPPED_BY_CONDITION)
 
     def _wait_for_the_window(self) -> None:
@@ -345,9 +384,12 @@ class Worker:
         self._send("state", state="running")
 
     def _end(self, state: str, why: str, code: ExitCode) -> None:
+        """Record why the batch ends, if the disk takes it, and have the supervisor end it."""
         text = why if why.startswith(state) else f"{state}: {why}" if why else state
-        self._queue.set_meta("state", text)
-        self._queue.add_event("info" if code == ExitCode.DONE else "warning", text)
+        self._queue.wait_for_disk = give_up
+        with contextlib.suppress(QueueWriteError):
+            self._queue.set_meta("state", text)
+            self._queue.add_event("info" if code == ExitCode.DONE else "warning", text)
         self._send("end", state=state, text=why, code=int(code))
 
     # --- one run --------------------------------------------------------------------------------
@@ -421,7 +463,7 @@ class Worker:
         if verdict.batch == "end":
             raise _EndError(verdict.why, None, ExitCode(ended.code or ExitCode.INTERNAL))
         if verdict.batch == "hold":
-            self._hold(verdict.why)
+            self._hold(verdict.why, self._disk_has_room if ended.kind == "storage" else None)
 
     def _set_aside(self, claim: Claim) -> None:
         name = claim.condition.id

@@ -6,12 +6,14 @@ One JSON object, replaced as a whole, so that a reader never sees half of it:
      "point": "trial-003", "simulated": false, "holds": 0, "presses": 14,
      "message": "slip-trial-002, repeat 3"}
 
-A monitor that cannot read JSON goes by the file's own time. A disk that is full or gone
-stops nothing: the file grows old, which the monitor sees.
+A monitor that cannot read JSON goes by the file's own time. On a full disk the file is written over
+in its place, so that it says so. A disk that is gone stops nothing: the file grows old, which the
+monitor sees.
 """
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import os
@@ -30,6 +32,9 @@ EVERY_S = 5.0
 HeartbeatState = Literal["waiting", "running", "resting", "holding", "finishing", "ended"]
 """waiting: for its window or the bench. running, resting: a run, or the rest before one. holding:
 a person is needed. finishing: the bench is no longer needed. ended: nothing follows."""
+
+BLOCK_B = 4096
+"""What one block of a file system holds: so much of a heartbeat is written on a full disk."""
 
 log = logging.getLogger("rig")
 
@@ -78,9 +83,30 @@ class Heartbeat:
         now = datetime.now().astimezone().isoformat(timespec="seconds")
         text = json.dumps({**asdict(beat), "time": now, "pid": os.getpid()}) + "\n"
         try:
-            write_text(self._path, text, durable=False)
+            self._replace(text)
             self._failed = False
         except OSError as error:
             if not self._failed:  # once, not every few seconds
                 log.warning("the heartbeat %s cannot be written: %s", self._path, error)
             self._failed = True
+
+    def _replace(self, text: str) -> None:
+        """Replace the file as a whole, or where the disk is full write over it: a block that it has
+        already is enough. OSError where neither is possible."""
+        try:
+            write_text(self._path, text, durable=False)
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                raise
+            content = text.encode()[:BLOCK_B]
+            with self._path.open("r+b", buffering=0) as file:
+                file.write(content)
+                file.truncate(len(content))
+
+
+def read_heartbeat(path: Path) -> HeartbeatRecord | None:
+    """The latest heartbeat of a batch; None where there is none that can be read."""
+    try:
+        return HeartbeatRecord(**json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None

@@ -8,6 +8,7 @@ from typing import Any
 
 from rig.batch.folder import BatchFolder
 from rig.batch.queue import HOLDS, PRESSES, Queue, RemainingWork, RunRow, RunState
+from rig.batch.report.heartbeat import read_heartbeat
 from rig.core.units import counted, time_span
 
 LATEST = 5
@@ -113,13 +114,18 @@ class BatchStatus:
 
 def status_of(folder: BatchFolder) -> BatchStatus:
     """The status of a batch; ConfigurationError where the folder holds none."""
+    running = folder.is_held("supervisor")
     with Queue.open(folder.queue, read_only=True) as queue:
+        state = queue.meta("state")
+        beat = read_heartbeat(folder.heartbeat) if running else None
+        if beat and beat.state == "holding" and not state.startswith(("held", "paus")):
+            state = f"held: {beat.message}"  # a full disk keeps it from being in the queue
         return BatchStatus(
             folder,
             queue.meta("name"),
             queue.meta("simulated") == "yes",
-            queue.meta("state"),
-            folder.is_held("supervisor"),
+            state,
+            running,
             queue.counts(),
             queue.remaining(),
             len(queue.unprocessed()),
