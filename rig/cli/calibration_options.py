@@ -124,7 +124,7 @@ def weights_of(text: str) -> list[float]:
     weights = [number(word, "N", "--weights") for word in text.split(",") if word.strip()]
     if len(weights) < 2 or weights[0] <= 0:
         raise ConfigurationError(
-            f"--weights {text}: two different weights above 0 N are needed at least",
+            f"--weights {text}: at least two different weights above 0 N are needed",
             "for example --weights 5N,10N,20N",
         )
     if any(after <= before for before, after in pairwise(weights)):

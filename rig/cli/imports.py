@@ -116,7 +116,7 @@ def import_(
         program = Program(name=PROGRAM, version=rig.__version__, configuration=source_state())
         run_file, recording = write_import(foreign, stated, about, results, program)
         for channel, column in recording.columns.items():
-            say(f"  {channel}: {column}, {recording.scale[channel]:g} {SCALED[channel]} a unit")
+            say(f"  {channel}: {column}, {recording.scale[channel]:g} {SCALED[channel]} per unit")
         written = f" ({foreign.source.written_as})" if foreign.source.written_as else ""
         say(
             f"IMPORTED {foreign.name}: {foreign.source.format}{written}, {recording.rows} samples "

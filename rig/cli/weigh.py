@@ -84,7 +84,7 @@ def weigh(
     while True:
         done = len(means)
         if done == len(forces_N):
-            if person.asked("all readings are done: fit and write the record", done > 0):
+            if person.asked("all readings are done; next: fit, and write the record", done > 0):
                 return means
             means.pop()
             continue

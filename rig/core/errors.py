@@ -152,7 +152,7 @@ _WORDS = {
     "string_too_short": "has to have at least {min_length} characters",
     "tuple_type": "has to be a list",
     "list_type": "has to be a list",
-    "too_short": "has to have at least {min_length} values, not {actual_length}",
+    "too_short": "has to have {min_length} or more values, not {actual_length}",
     "too_long": "has to have at most {max_length} values, not {actual_length}",
     "literal_error": "has to be {expected}",
     "extra_forbidden": "unknown key",

@@ -275,3 +275,12 @@ def test_a_file_in_which_something_is_spoilt_is_taken_or_refused(data: st.DataOb
 )
 def test_files_beyond_sense_are_taken_or_refused(text: str) -> None:
     taken_or_refused(text)
+
+
+def test_the_refusal_of_a_file_without_experiments_names_the_key() -> None:
+    assert refused('[batch]\nname = "x"\n') == ["night.toml:1: experiment: missing"]
+
+
+def test_an_experiment_that_is_wrong_is_not_reported_as_missing_too() -> None:
+    lines = refused('[batch]\nname = "x"\n[[experiment]]\nprocedure = "sweep"\nrepeats = 2\n')
+    assert lines == ["night.toml:5: experiment 1: repeats: unknown key"]

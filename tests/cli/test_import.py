@@ -34,7 +34,7 @@ def test_an_import_can_be_verified_and_shown_like_any_run(rig: Any) -> None:
     assert told["summary"]["samples"] == 300
     assert told["summary"]["rate_Hz"] == 1000.0
     assert told["summary"]["scale"] == {"v_1": 1e-3, "v_2": -0.5e-3}
-    assert "v_1: column 2 (left, front [mV]), 0.001 V a unit" in ended.stderr
+    assert "v_1: column 2 (left, front [mV]), 0.001 V per unit" in ended.stderr
     assert "text (semicolon, decimal comma), 300 samples at 1000 Hz" in ended.stderr
     file = rig.only("*.h5")
     assert told["file"] == str(file.relative_to(rig.folder))

@@ -23,16 +23,16 @@ WHAT = "batch file"
 
 
 def read_batch(path: Path) -> tuple[BatchFile, BatchPlan, BatchText]:
-    """A batch file, what it expands to, and its text.
+    """Return a batch file, the plan that it expands to, and its text.
 
-    ConfigurationError where it cannot be read; RefusedBatchError with all that is wrong in it.
+    Raises ConfigurationError if it cannot be read, and RefusedBatchError with all its errors.
     """
     text = read_text(path, WHAT, MAX_TOML_BYTES, "name a batch file (TOML)")
     return parse_batch(text, str(path))
 
 
 def parse_batch(text: str, name: str) -> tuple[BatchFile, BatchPlan, BatchText]:
-    """The same from the text of a file of this `name`."""
+    """Return the same from the text of a file of this `name`."""
     tables = parse_toml(text, name)
     source = BatchText(name, text)
     try:
@@ -50,10 +50,17 @@ def _findings(error: ValidationError, tables: Mapping[str, Any]) -> Iterator[Pla
     """Return pydantic's findings in words. A value that could be of several kinds and is of none of
     them is one finding."""
     by_place: dict[KeyPath, list[str]] = {}
-    for item in error.errors():
+    items = error.errors()
+    for item in items:
         where: KeyPath = item["loc"]
+        # pydantic does not count entries that are wrong in themselves: those are reported.
+        if item["type"] == "too_short" and any(
+            len(other["loc"]) > len(where) and other["loc"][: len(where)] == where
+            for other in items
+        ):
+            continue
         named = where if item["type"] == "missing" else _existing(where, tables)
-        shown = named[2:] if named[0] == "experiment" else named
+        shown = named[2:] if named[0] == "experiment" and len(named) > 1 else named
         keys = tuple(part for part in shown if isinstance(part, str))
         by_place.setdefault(named, []).append(finding({**item, "loc": keys}))
     for where, messages in by_place.items():

@@ -100,7 +100,7 @@ def recording_of(source: ImportSource, stated: ChannelMap, name: str) -> Recordi
     scale = {channel: stated.scale.get(channel, 1.0) for channel in columns}
     table = source.values(list(columns.values()))
     if len(table) < LEAST_ROWS:
-        raise ForeignFileError(name, f"{len(table)} rows, {LEAST_ROWS} are needed at least")
+        raise ForeignFileError(name, f"{len(table)} rows; at least {LEAST_ROWS} are needed")
     raw = dict(zip(columns, np.ascontiguousarray(table.T), strict=True))
     times = raw.pop(TIME, None)
     rate_Hz = _common_rate(source, stated, None if times is None else times * scale.pop(TIME), name)
