@@ -59,7 +59,7 @@ SUMS_ms = (100.0, 400.0)
 SLOW_PEAK_ms = 150.0
 """Time constant of the peak of the average over 16 ms."""
 PIECES = 4
-"""Number of pieces out of which one updates offset and noise, once they are known."""
+"""Once offset and noise are known, one piece out of this many is used to update them."""
 LOOK_ms, IDLE_ms = 12.0, 8.0
 """The network is evaluated at every row for `LOOK_ms` after an impulse, and otherwise once every
 `IDLE_ms`."""
