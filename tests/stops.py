@@ -1,0 +1,131 @@
+"""Stops of a run in each of its states, for each cause, judged by the World's own log.
+
+Every cause is marked in the World's log at the instant at which it happens: an opened door and a
+push on the probe are entries of a fault plan; for a signal a spare contact is disturbed, and the
+run's own process sends itself the signal as soon as the log has that entry. All is in virtual time,
+so the times are those of the program, of braking and of the way up, not those of the computer.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+SWEEP = ("sweep", "--frequencies", "2,300", "--settling", "0.5s")
+SLIP = ("slip-trial", "--distance", "2mm", "--speed", "1mm/s", "--rest", "300ms")
+ROLL = ("roll-trial", "--rest", "100ms", "--stay", "100ms")
+WORLD = (
+    'daq_model = "U2331A"\n'
+    '[[interlock]]\nname = "door"\ninput = "daq.501.0"\n'
+    '[[interlock]]\nname = "spare"\ninput = "daq.501.1"\nclass = "process"\n'
+)
+
+
+@dataclass(frozen=True)
+class State:
+    """A state of a run, and when the undisturbed run with seed 0 is in it."""
+
+    command: tuple[str, ...]
+    at_s: float
+
+
+STATES = {
+    "homing": State(SWEEP, 0.30),
+    "travel": State(SWEEP, 0.90),
+    "approach": State(SWEEP, 4.00),
+    "held": State(SLIP, 5.85),
+    "slide": State(SLIP, 7.00),
+    "roll": State(ROLL, 14.45),
+    "sweep, settling": State(SWEEP, 7.10),
+    "sweep, recording": State(SWEEP, 9.50),
+}
+SIGNALS = {"SIGTERM": 15, "Ctrl-C": 2}
+CAUSES = (*SIGNALS, "interlock", "force limit")
+SIGNAL_AT_MARK = """
+import os, rig.core.clock as clock
+plain, seen = clock.SlavedClock._advance, [0]
+def advance(self, step_us):
+    plain(self, step_us)
+    if seen[0] is None:
+        return
+    with open({log!r}) as log:
+        log.seek(seen[0])
+        new = log.read()
+        seen[0] = None if '"injected"' in new else log.tell()
+    if seen[0] is None:
+        os.kill(os.getpid(), {number})
+clock.SlavedClock._advance = advance
+"""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """What the World's log says of one stop. Times in s from the cause; None for what was not on or
+    not in motion."""
+
+    moving: tuple[str, ...]
+    """Axes in motion at the cause."""
+    generator_off_s: float | None
+    still_s: float | None
+    """Until every axis in motion has come to rest."""
+    clear_s: float | None
+    """Until z has come to rest for the last time, clear of contact."""
+    deepest_mm: float
+    """By how much z stands deeper, at any rest after the first, than at the rest before."""
+
+
+def plan(state: State, cause: str, later_s: float = 0.0) -> str:
+    """Return the fault plan that marks or makes the cause."""
+    at = f"after_s = {state.at_s + later_s:.4f}\n"
+    if cause == "interlock":
+        return f'[[fault]]\ndevice = "interlock"\nname = "door"\nkind = "opened"\n{at}'
+    if cause == "force limit":
+        push = "force_N = 60.0\nfor_s = 0.05\n"
+        return f'[[fault]]\ndevice = "force_sensor"\nkind = "spike"\n{push}{at}'
+    return f'[[fault]]\ndevice = "interlock"\nname = "spare"\nkind = "closed"\n{at}'
+
+
+def stopped(rig: Any, state: State, cause: str, later_s: float = 0.0) -> tuple[Any, Stop]:
+    """Run to the cause and to the end; return how the command ended, and its stop."""
+    rig.world_log.unlink(missing_ok=True)
+    before = ""
+    if cause in SIGNALS:
+        before = SIGNAL_AT_MARK.format(log=str(rig.world_log), number=SIGNALS[cause])
+    running = rig.start(
+        *state.command, "--json", "--no-figures", "--stages", "festo",
+        "--world", rig.world(WORLD), "--world-log", str(rig.world_log),
+        "--fault", rig.fault(plan(state, cause, later_s)), before=before,
+    )  # fmt: skip
+    ended = running.finish()
+    return ended, read_stop(rig.log())
+
+
+def read_stop(log: list[dict[str, Any]]) -> Stop:
+    """Read a stop from the World's log."""
+    cause = next(k for k, x in enumerate(log) if x["what"] == "injected")
+    before, after, cause_us = log[:cause], log[cause:], log[cause]["t_us"]
+
+    def since(entry: dict[str, Any]) -> float:
+        return (entry["t_us"] - cause_us) * 1e-6
+
+    def last(device: str, *whats: str) -> dict[str, Any] | None:
+        found = [x for x in before if x["device"] == device and x["what"] in whats]
+        return found[-1] if found else None
+
+    motions = ("move", "turn", "homing", "at-rest")
+    axes = ("stage_z", "stage_x", "rotary")
+    moving = [a for a in axes if (entry := last(a, *motions)) and entry["what"] != "at-rest"]
+    rests = {a: [x for x in after if x["device"] == a and x["what"] == "at-rest"] for a in axes}
+    generator = last("generator", "ch1.on")
+    off = [since(x) for x in after if x["what"] == "ch1.on" and not x["value"]]
+    still = [since(rests[a][0]) for a in moving if rests[a]]
+    stands = [x["value"] for x in rests["stage_z"]]
+    deeper = [b - a for a, b in itertools.pairwise(stands)]
+    return Stop(
+        tuple(moving),
+        off[0] if generator and generator["value"] and off else None,
+        max(still) if moving and len(still) == len(moving) else None,
+        since(rests["stage_z"][-1]) if rests["stage_z"] else None,
+        max(deeper, default=0.0),
+    )
