@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import tempfile
 import tty
 from collections.abc import Mapping
 from pathlib import Path
@@ -25,6 +24,7 @@ from pathlib import Path
 from drivers.simulated.faults.plan import FaultPlan
 from drivers.simulated.faults.wire import Delivery, WireFaults
 from drivers.simulated.ports import SerialInstrument, TimePort
+from drivers.simulated.transports.port_folder import PortFolder
 
 LONGEST_BACKLOG = 64 * 1024
 TICK_S = 0.001
@@ -68,7 +68,7 @@ class PtyServer:
         self._name = name
         self._queue = bytearray()
         self._master = self._slave = -1
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._folder: PortFolder | None = None
         self._ticking: asyncio.Task[None] | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._retry: asyncio.TimerHandle | None = None
@@ -77,7 +77,7 @@ class PtyServer:
     def path(self) -> str:
         """Path that a client opens as its serial port."""
         assert self._folder is not None, "the server has been started"
-        return str(Path(self._folder.name) / self._name)
+        return str(self._folder.path / self._name)
 
     @property
     def backlog(self) -> int:
@@ -87,7 +87,7 @@ class PtyServer:
     async def start(self) -> None:
         """Open the port."""
         self._loop = asyncio.get_running_loop()
-        self._folder = tempfile.TemporaryDirectory(prefix="tactile-rig-")
+        self._folder = PortFolder()
         self._plug_in()
         if not self._slaved:
             self.set_free()
@@ -99,7 +99,7 @@ class PtyServer:
         if self._master >= 0:
             self._unplug()
         if self._folder is not None:
-            self._folder.cleanup()
+            self._folder.remove()
             self._folder = None
 
     def set_free(self) -> None:

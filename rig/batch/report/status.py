@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 from rig.batch.folder import BatchFolder
 from rig.batch.queue import HOLDS, PRESSES, Queue, RemainingWork, RunRow, RunState
 from rig.batch.report.heartbeat import read_heartbeat
+from rig.bench.plan import read_bench
+from rig.core.errors import RigError
 from rig.core.units import counted, time_span
+from rig.run.bench_mark import read_marks
+from rig.run.lock import address_names
 
 LATEST = 5
 """Number of the latest failures and events that are shown."""
@@ -39,6 +44,8 @@ class BatchStatus:
     failures: list[RunRow]
     events: list[tuple[str, str, str]]
     now: datetime
+    bench_warnings: tuple[str, ...] = ()
+    """What an earlier run has left of the bench of the bench file: not safe, or still pressed."""
 
     @property
     def finish(self) -> datetime:
@@ -50,6 +57,7 @@ class BatchStatus:
         return {
             "folder": str(self.folder.path),
             "name": self.name,
+            "bench_warnings": list(self.bench_warnings),
             "simulated": self.simulated,
             "state": self.state,
             "running": self.running,
@@ -74,7 +82,8 @@ class BatchStatus:
         """The lines that a person reads."""
         total = sum(self.counts.values())
         marker = "SIMULATED " if self.simulated else ""
-        shown = [f"{marker}batch {self.name}: {self._state()} ({self.folder.path})"]
+        shown = [f"warning: {text}" for text in self.bench_warnings]
+        shown.append(f"{marker}batch {self.name}: {self._state()} ({self.folder.path})")
         parts = [f"{self.counts['done']} of {counted(total, 'run')} done"]
         parts += [f"{n} {state}" for state, n in self.counts.items() if n and state != "done"]
         shown.append(", ".join(parts))
@@ -136,4 +145,17 @@ def status_of(folder: BatchFolder) -> BatchStatus:
             queue.latest(("failed",), LATEST),
             queue.events(LATEST),
             datetime.now().astimezone(),
+            _bench_warnings(queue.meta("bench", "")),
         )
+
+
+def _bench_warnings(bench_file: str) -> tuple[str, ...]:
+    """Return what the marks of a bench say, unless their run is at work; of a bench file that
+    cannot be read, the reason."""
+    if not bench_file:
+        return ()
+    try:
+        marks = read_marks(address_names(read_bench(Path(bench_file))))
+    except RigError as error:
+        return (f"the state of the bench is not known: {error.one_line()}",)
+    return tuple(mark.in_words() for mark in marks if not mark.lives)

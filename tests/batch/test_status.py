@@ -1,0 +1,48 @@
+"""The status of a batch says first what is wrong with its bench."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rig.batch.folder import BatchFolder
+from rig.batch.plan.conditions import BatchPlan
+from rig.batch.queue import Queue
+from rig.batch.report.status import status_of
+from rig.bench.plan import read_bench
+from rig.run.bench_mark import BenchMarks
+from rig.run.lock import address_names
+
+BENCH = """
+name = "bench-3"
+[fixture]
+mounted = "film-clamp"
+[generator]
+driver = "keysight-33500b"
+resource = "TCPIP::127.0.0.1::5025::SOCKET"
+max_amplitude_V = 5.0
+"""
+
+
+def test_a_bench_that_was_left_pressed_or_unsafe_is_said_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RIG_SHARED_FOLDER", str(tmp_path / "shared"))
+    bench = tmp_path / "bench.toml"
+    bench.write_text(BENCH)
+    meta = {"name": "night", "bench": str(bench), "state": "stopped"}
+    Queue.create(tmp_path / "queue.sqlite", BatchPlan({}, ()), {}, meta).close()
+    marks = BenchMarks(address_names(read_bench(bench)), "bench-3", None)
+
+    marks.stopped("still pressed at 12.44 mm, 3.9 N")
+    pressed = status_of(BatchFolder(tmp_path))
+    assert pressed.lines()[0].endswith("still pressed at 12.44 mm, 3.9 N")
+    marks.unsafe({"stage_z": "no answer"})
+    unsafe = status_of(BatchFolder(tmp_path))
+    assert "the bench bench-3 was left unsafe" in unsafe.lines()[0]
+    assert unsafe.as_object()["bench_warnings"]
+    marks.clear()
+    assert status_of(BatchFolder(tmp_path)).lines()[0].startswith("batch night")
+    bench.unlink()
+    assert "the state of the bench is not known" in status_of(BatchFolder(tmp_path)).lines()[0]
