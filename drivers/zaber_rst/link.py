@@ -1,8 +1,7 @@
 """A conversation with one device on a Zaber chain that takes nothing for an answer but its answer.
 
 What is sent and received, nothing about motion. The port is a serial one, or ``socket://host:port``
-for a chain on the network; that one does not use pyserial, whose sockets take 0.3 s to close and 5
-s to find that nothing listens. Every command is sent once: whether a repetition is harmless, only
+for a chain on the network. Every command is sent once: whether a repetition is harmless, only
 the caller knows. An answer has the command's id, its device and axis, and a check that fits; a late
 or doubled one has another id and is passed over. After a time-out, or a line that cannot be read,
 the port is closed and the next command opens it anew, with what had been left in it thrown away.
@@ -11,13 +10,12 @@ the port is closed and the next command opens it anew, with what had been left i
 from __future__ import annotations
 
 import contextlib
-import socket
 import threading
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
-from urllib.parse import urlsplit
+from typing import TYPE_CHECKING
 
+from drivers.shared.ports import Port, open_port
 from drivers.zaber_rst import frames as zaber_frames
 from drivers.zaber_rst.frames import Reply, ZaberFrameError
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
@@ -25,78 +23,10 @@ from rig.core.errors import InstrumentError, InstrumentTimeoutError
 if TYPE_CHECKING:
     from rig.core.clock import Clock
 
-READ_WAIT_S = 0.005
-"""Longest wait for bytes in one read: by so much a time-out may be late."""
 LONGEST_LINE = 1024
 """Longest message: more bytes without a line's end are an error."""
-SOCKET = "socket://"
 WAITS = 2
 """Times the time-out: a command may open the port before it waits for its reply."""
-READ_BYTES = 4096
-
-
-class _Port(Protocol):
-    """Serial port or TCP connection that the bytes go through."""
-
-    def write(self, data: bytes) -> None:
-        """Send it; OSError where that fails."""
-        ...
-
-    def read(self) -> bytes:
-        """Return the bytes that have come; wait for `READ_WAIT_S` if there are none."""
-        ...
-
-    def close(self) -> None:
-        """Close the port."""
-        ...
-
-
-class _SerialPort:
-    """A serial port, opened exclusively; what waits in it is dropped."""
-
-    def __init__(self, path: str, baudrate: int, timeout_s: float):
-        import serial
-
-        self._port = serial.Serial(
-            path, baudrate, timeout=READ_WAIT_S, write_timeout=timeout_s, exclusive=True
-        )
-        self._port.reset_input_buffer()
-
-    def write(self, data: bytes) -> None:
-        self._port.write(data)
-
-    def read(self) -> bytes:
-        return bytes(self._port.read(self._port.in_waiting or 1))
-
-    def close(self) -> None:
-        self._port.close()
-
-
-class _TcpPort:
-    """A chain's TCP port."""
-
-    def __init__(self, url: str, timeout_s: float):
-        where = urlsplit(url)
-        self._socket = socket.create_connection((where.hostname or "", where.port or 0), timeout_s)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._timeout_s = timeout_s
-
-    def write(self, data: bytes) -> None:
-        self._socket.settimeout(self._timeout_s)
-        self._socket.sendall(data)
-        self._socket.settimeout(READ_WAIT_S)
-
-    def read(self) -> bytes:
-        try:
-            data = self._socket.recv(READ_BYTES)
-        except TimeoutError:
-            return b""
-        if not data:
-            raise ConnectionResetError("it was closed at the other end")
-        return data
-
-    def close(self) -> None:
-        self._socket.close()
 
 
 class ZaberLink:
@@ -117,7 +47,7 @@ class ZaberLink:
         self._timeout_s = timeout_s
         self._clock = clock
         self._lock = threading.RLock()
-        self._port: _Port | None = None
+        self._port: Port | None = None
         self._input = bytearray()
         self._last_id = 0
 
@@ -133,8 +63,6 @@ class ZaberLink:
         `charge` off: a time-out does not move the bench's clock. `permit` is called when it is this
         command's turn and nothing has been sent; what it raises keeps it from being sent.
         """
-        import serial
-
         what = words or "status"
         try:
             with self._clock.answer_within(WAITS * self._timeout_s), self._lock:
@@ -148,7 +76,7 @@ class ZaberLink:
             raise self._timed_out(what, charge) from error
         except ZaberFrameError as error:
             raise self._error(what, f"the answer cannot be read ({error})") from error
-        except (serial.SerialException, OSError, ValueError) as error:
+        except (OSError, ValueError) as error:
             raise self._error(what, f"the connection failed ({error})") from error
 
     def close(self) -> None:
@@ -165,12 +93,7 @@ class ZaberLink:
     def _transact(self, axis: int, words: str) -> Reply:
         deadline = time.monotonic() + self._timeout_s
         if self._port is None:
-            tcp = self._path.startswith(SOCKET)
-            self._port = (
-                _TcpPort(self._path, self._timeout_s)
-                if tcp
-                else _SerialPort(self._path, self._baudrate, self._timeout_s)
-            )
+            self._port = open_port(self._path, self._baudrate, self._timeout_s)
         self._last_id = (self._last_id + 1) % zaber_frames.IDS
         self._port.write(zaber_frames.command(self._device, axis, self._last_id, words))
         wanted = (self._device, axis, self._last_id)
@@ -179,7 +102,7 @@ class ZaberLink:
             if reply is not None and (reply.device, reply.axis, reply.message_id) == wanted:
                 return reply
 
-    def _line(self, port: _Port, deadline: float) -> bytes:
+    def _line(self, port: Port, deadline: float) -> bytes:
         """The next line; TimeoutError where none has come by the deadline."""
         while (end := self._input.find(b"\n")) < 0:
             if len(self._input) > LONGEST_LINE:

@@ -89,7 +89,7 @@ class PressedProcedure(TrialProcedure):
         TypeError for a method with the wrong arguments, ValueError for columns that cannot be.
         """
         super().__init_subclass__(**keywords)
-        for hook in ("motion_s", "moves", "start_mm", "under_force", "reading"):
+        for hook in ("motion_s", "moves", "start_mm", "offsets_mm", "under_force", "reading"):
             arguments = tuple(inspect.signature(getattr(PressedProcedure, hook)).parameters)
             try:
                 inspect.signature(getattr(cls, hook)).bind(*arguments)
@@ -145,6 +145,14 @@ class PressedProcedure(TrialProcedure):
         """
         return START_mm if fixture.centre_mm is None else fixture.centre_mm
 
+    def offsets_mm(self) -> tuple[float, ...]:
+        """Return how far along x from `start_mm` the trials begin, in mm, one after the other.
+
+        Each of them gets ``--trials`` trials, which are numbered through. The default is one place,
+        `start_mm` itself. `record.x_mm` tells `reading` where x was.
+        """
+        return (0.0,)
+
     # --- what the base class does with them -----------------------------------------------------
 
     def import_ahead(self) -> None:
@@ -162,19 +170,21 @@ class PressedProcedure(TrialProcedure):
                 f"needs at least {LEAST_MOTION_S:g} s",
                 "ask for a longer one",
             )
-        return trial_points(self.settings, self.moves(), motion_s, 0.0)
+        return trial_points(self.settings, self.moves(), motion_s, 0.0, len(self._offsets()))
 
     def overhead_s(self, fixture: FixtureSettings, homed: bool) -> float:
         """Return the bench time in s that the ways in z, homing and parking are expected to
         take."""
-        trials, x_mm = self.settings.trials, self.start_mm(fixture)
-        return pressed_overhead_s(self.settings, fixture, homed, trials, x_mm)
+        offsets, x_mm = self._offsets(), self.start_mm(fixture)
+        presses = self.settings.trials * len(offsets)
+        apart_mm = (max(offsets) - min(offsets)) / max(len(offsets) - 1, 1)
+        return pressed_overhead_s(self.settings, fixture, homed, presses, x_mm, apart_mm)
 
     def check(self, bench: Bench) -> None:
         """Refuse a fixture that does not state where contact is, or a begin that x cannot reach."""
         super().check(bench)
-        begin_mm = self.start_mm(bench.settings.fixture)
-        require("stage_x position", begin_mm, bench.reach()["stage_x.position"])
+        for begin_mm in self._starts_mm(bench.settings.fixture):
+            require("stage_x position", begin_mm, bench.reach()["stage_x.position"])
 
     def arm(self, run: Run) -> None:
         """Watch the force; register the end of everything before it begins; park."""
@@ -192,9 +202,11 @@ class PressedProcedure(TrialProcedure):
 
         series = self._series
         assert series is not None, "arm() comes first"
-        record = TrialRecord(int(point.condition), series.rates.tick_Hz, run.force.rate_S_s)
+        number = int(point.condition)
+        starts_mm = self._starts_mm(run.bench.settings.fixture)
+        record = TrialRecord(number, series.rates.tick_Hz, run.force.rate_S_s)
         trial = PressedTrial(run, series, record)
-        trial.make_ready(self.start_mm(run.bench.settings.fixture))
+        trial.make_ready(starts_mm[(number - 1) % len(starts_mm)])
         trial.start_recording()
         trial.press()
         trial.begin_motion()
@@ -207,6 +219,21 @@ class PressedProcedure(TrialProcedure):
         own = self.reading(motion_record(record))
         run.check_stop()  # computing takes a while: still alive
         return reading | plain(own, {column.key for column in self.columns}, self.name)
+
+    def _offsets(self) -> tuple[float, ...]:
+        """Return `offsets_mm`, of which there has to be one at least."""
+        offsets = tuple(float(offset) for offset in self.offsets_mm())
+        if not offsets or not all(map(math.isfinite, offsets)):
+            raise ConfigurationError(
+                f"{self.name}: offsets_mm() returned {offsets}, in which no trial can be made",
+                "return at least one place",
+            )
+        return offsets
+
+    def _starts_mm(self, fixture: FixtureSettings) -> tuple[float, ...]:
+        """Return the positions of x at which trials begin, one after the other."""
+        start_mm = self.start_mm(fixture)
+        return tuple(start_mm + offset for offset in self._offsets())
 
 
 def layout_of(procedure: type[PressedProcedure]) -> Layout:

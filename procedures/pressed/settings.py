@@ -149,11 +149,15 @@ class PressedSettings(BaseSettings):
 
 
 def trial_points(
-    settings: PressedSettings, moves: tuple[Move, ...], motion_s: float, first_s: float
+    settings: PressedSettings,
+    moves: tuple[Move, ...],
+    motion_s: float,
+    first_s: float,
+    places: int = 1,
 ) -> tuple[Point, ...]:
     """Return one point for each trial. `motion_s` is the expected time of the motion under the held
-    force with its preparation, `first_s` an additional time of the first trial. The ways in z
-    depend on the fixture: `pressed_overhead_s`."""
+    force with its preparation, `first_s` an additional time of the first trial. There are
+    `settings.trials` for each of `places` along x. The ways in z depend on the fixture: `pressed_overhead_s`."""
     held = (
         Move("force_sensor.force", settings.largest_force_N, ("largest_force_N",)),
         Move("stage_z.update_rate", settings.updates_Hz, ("tick_Hz",)),
@@ -167,7 +171,7 @@ def trial_points(
             acquisitions=(settings.acquisition,),
             duration_s=trial_s + (first_s if number == 1 else 0.0),
         )
-        for number in range(1, settings.trials + 1)
+        for number in range(1, settings.trials * places + 1)
     )
 
 

@@ -24,6 +24,7 @@ from rig.core.errors import ConfigurationError, RigError
 COMMANDS: dict[str, tuple[str, str]] = {
     "resume": ("rig.cli.files", "resume"),
     "show": ("rig.cli.files", "show"),
+    "analyse": ("rig.cli.files", "analyse"),
     "verify": ("rig.cli.files", "verify"),
     "recover": ("rig.cli.files", "recover"),
     "import": ("rig.cli.imports", "import_"),

@@ -16,6 +16,8 @@ from rig.core.errors import ConfigurationError, ExitCode, FoundWrongError
 
 if TYPE_CHECKING:
     from rig.files.journal.values import RunHeader
+    from rig.files.runfile.reader import RunFile
+    from rig.processing.analyses import Analyses
     from rig.run.points import Reading
 
 LONGEST_LIST = 8
@@ -107,6 +109,7 @@ def show(
                 _tell(describe(path, run.header, run.outcome))
                 readings = run.readings()
                 _tell(_results(run.header, readings))
+                _tell_analyses(run)
             if figures:
                 _draw(path, figures_to)
 
@@ -187,6 +190,49 @@ def _show_processed(
         _tell(describe_processed(processed))
     if figures:
         _draw(path, figures_to)
+
+
+def analyse(
+    files: Annotated[list[Path], typer.Argument(help="Run files (.h5).")],
+    to: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the results [processed/ next to each file].", metavar="DIR"),
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Compute and keep the values of the installed analyses of run files.
+
+    `rig show` computes and shows the same values without keeping them.
+    """
+    with reported(debug):
+        from rig.files.runfile.reader import RunFile
+        from rig.processing.analyses import keep
+
+        missing = []
+        for path in files:
+            with RunFile.open(path) as run:
+                analyses = _tell_analyses(run)
+                if analyses.found:
+                    print(printable(f"saved {keep(run, analyses, to)}"))  # noqa: T201 - data
+                else:
+                    missing.append(f"{path} (a {run.header.procedure})")
+        if missing:
+            raise ConfigurationError(
+                f"nothing was computed for {', '.join(missing)}",
+                "install a package that has an analysis for it: see docs/add-an-analysis.md",
+            )
+
+
+def _tell_analyses(run: RunFile) -> Analyses:
+    """Show the values of a run file's analyses; one that fails costs a line, not the command."""
+    from rig.processing.analyses import analyse as compute
+
+    analyses = compute(run)
+    for one in analyses.found:
+        _tell({f"{one.name} ({one.package} {one.package_version})": one.values})
+    for warning in analyses.warnings:
+        say(f"warning: {warning}")
+    return analyses
 
 
 def _draw(file: Path, folder: Path | None) -> None:

@@ -38,13 +38,13 @@ KINDS = {
 """Name of an entry point of each group in a message."""
 DATA: dict[str, tuple[str, ...]] = {
     DRIVERS: ("ROLES", "Settings"),
-    SIMULATORS: ("link", "axes", "rates"),
+    SIMULATORS: ("roles", "link"),
 }
 """Members, not functions, that a module of each group must have."""
 FUNCTIONS: dict[str, tuple[str, ...]] = {
     DRIVERS: ("connect", "make_safe"),
     BENCHES: ("start", "serve", "variants", "variant_for", "options_for"),
-    SIMULATORS: ("bench_settings", "exchanges", "frames_until"),
+    SIMULATORS: ("bench_settings", "exchanges"),
 }
 """Functions that a module of each group must have. The class of a procedure is checked by
 `rig.run.load_procedure`."""

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from rig.core.errors import RigError
-from rig.figures.registry import PROCESSED, RegisteredFigure, figures_of
+from rig.core.file_entry_points import FIGURES, PROCESSED, in_words, strays
+from rig.figures.registry import RegisteredFigure, figures_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,6 +47,7 @@ def draw(file: Path, folder: Path | None = None) -> Drawn:
         if not kind:
             return Drawn()
         drawing = _Drawing(file if folder is None else folder / file.name, simulated)
+        drawing.warnings += strays(FIGURES, (kind,))
         try:
             for registered in figures_of(kind):
                 drawing.add(registered, opened)
@@ -137,7 +139,7 @@ class _Drawing:
             raise
         # A package may raise anything, and call sys.exit() where it was meant as a program.
         except (Exception, SystemExit) as error:  # noqa: BLE001
-            self._warn(f"{registered} could not be drawn: {_in_words(error)}")
+            self._warn(f"{registered} could not be drawn: {in_words(error)}")
 
     def _save(self, figure: Figure, suffix: str) -> None:
         from rig.figures.style import save
@@ -184,10 +186,3 @@ def _figures(registered: RegisteredFigure, opened: Any) -> dict[str, Figure]:
             raise ValueError(f"{suffix!r} cannot be a part of a file name")
         figures[registered.suffix + suffix] = figure
     return figures
-
-
-def _in_words(error: BaseException) -> str:
-    if isinstance(error, RigError):
-        return error.one_line()
-    words = " ".join(str(error).split())
-    return f"{type(error).__name__}: {words}" if words else type(error).__name__

@@ -87,14 +87,18 @@ def _faults(procedure: Any, entry_point: str) -> Iterator[str]:
 
 
 def _misspelt(procedure: type[Procedure]) -> Iterator[str]:
-    """Yield a fault for each public name that differs by one letter from a hook or attribute of the
-    base class."""
-    known = (*HOOKS, *ATTRIBUTES, "settings")
-    own = (cls for cls in procedure.__mro__ if issubclass(cls, Procedure) and cls is not Procedure)
+    """Yield a fault for each public name that differs by one letter from a hook or attribute of a
+    base class: `Procedure`, or one of another package in between."""
+    top = procedure.__module__.split(".")[0]
+    bases = [cls for cls in procedure.__mro__ if issubclass(cls, Procedure)]
+    own = [cls for cls in bases if cls is not Procedure and cls.__module__.split(".")[0] == top]
+    inherited = (name for cls in bases if cls not in own for name in vars(cls))
+    known = dict.fromkeys((*HOOKS, *ATTRIBUTES, "settings", *inherited))
     for name in dict.fromkeys(name for cls in own for name in vars(cls)):
         if name.startswith("_") or name in known:
             continue
-        meant = next((one for one in known if _one_edit_apart(name, one)), None)
+        public = (one for one in known if not one.startswith("_"))
+        meant = next((one for one in public if _one_edit_apart(name, one)), None)
         if meant is not None:
             yield (
                 f"has {name!r}, which is not a hook; did you mean {meant!r}? (A name of your own "

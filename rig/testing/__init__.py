@@ -7,8 +7,8 @@ A test module of a driver's package needs two lines beside its imports::
     test_acme_f10 = driver_contract("acme-f10", core=F10Core, settings={"max_force_N": 40.0})
 
 pytest then runs every check of the contract against the driver, which talks over its real link to
-its own simulator. `driver_contract` serves simulators of force sensors. A driver of another role,
-or one with a simulator that needs more, has a subclass of `Case` and `contract_of`.
+its own simulator, in whatever role. Only a driver with a simulator that needs more than its core
+has a subclass of `Case` and `contract_of`.
 
 The kit is used inside a pytest run and nowhere else: it knows no driver and no simulator of its
 own, and nothing of the program imports it.
@@ -42,19 +42,20 @@ def driver_contract(
     settings: Mapping[str, Any] | None = None,
     silent_first_request: str = "",
     force_scale: float = 1.0,
+    travel: tuple[float, float] | None = None,
 ) -> ContractTest:
     """Return a pytest test that puts the installed driver `driver` through its role's contract.
 
-    `core` is the class of its simulator, a `ForceSensorCore`; `settings` are the keys of the bench
-    file's table for the driver beyond its address. `silent_first_request` is the reason why a lost
-    answer to the very first request may go unnoticed, where a driver has such a reason. The checks
-    press with 5 N along z and rise to about 10 N; `force_scale` scales that for another range.
+    `core` is the class of its simulator, which derives from the core of a role; `settings` are the
+    keys of the bench file's table for the driver beyond those of its `bench_settings`.
+    `silent_first_request` is the reason why a lost answer to the very first request may go
+    unnoticed, where a driver has such a reason. A force sensor is pressed with 5 N along z, rising
+    to about 10 N; `force_scale` scales that for another range. `travel` is how far a stage may
+    move, in mm or deg, for its `bench_settings`; the usual one of the simulated bench unless given.
     """
     from rig.testing.core_case import CoreCase
 
-    return contract_of(
-        CoreCase(driver, core, dict(settings or {}), silent_first_request, force_scale)
-    )
+    return contract_of(CoreCase(driver, core, settings, silent_first_request, force_scale, travel))
 
 
 def contract_of(*cases: Case, further_faults: bool = False) -> ContractTest:
@@ -66,8 +67,6 @@ def contract_of(*cases: Case, further_faults: bool = False) -> ContractTest:
     """
     import pytest
 
-    # Before they are imported: their plain assertions then show the values in question.
-    pytest.register_assert_rewrite("rig.testing.checks", "rig.testing.roles")
     from rig.testing.checks import checks_of, further_walks_of
 
     chosen = further_walks_of if further_faults else checks_of

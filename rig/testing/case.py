@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from functools import cached_property
 from typing import Any, Protocol
 
 from rig.core.clock import Clock
@@ -59,6 +60,11 @@ class Service(ABC):
     """A bench file's table for the driver."""
     place: str
     """Name of the instrument's place in messages."""
+
+    @cached_property
+    def attending(self) -> dict[int, Callable[[], None] | None]:
+        """Return what ends the runner's attention to each connected instrument, by its `id`."""
+        return {}
 
     def now_s(self) -> float:
         """Return the bench time in seconds."""

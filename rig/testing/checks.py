@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import time
 import zlib
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
@@ -16,20 +15,17 @@ from pydantic import ValidationError
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
 from rig.testing.case import STRANGER, TIMEOUT_S, Case, Service
 from rig.testing.raising import raising
-from rig.testing.roles import ROLES, Role
+from rig.testing.roles import ROLES
+from rig.testing.script import Role, at_rest, same, soon
 
 Check = Callable[[Case], None]
 KINDS = ("silence", "garbage", "close", "truncate", "stale")
-PATIENCE_S = 20.0
 UNDISTURBED_S = 10.0
 """Time-out of an instrument that no fault keeps from answering; a busy computer never meets it."""
-PATIENT_S = 4 * TIMEOUT_S
+PATIENT_S = 1.0
 """The time-out with which a place of the walk is tried again where an answer did not come that no
 fault has taken: a computer that is busy with other things lets client or server stand for longer
-than TIMEOUT_S now and then. Measured with three busy processes beside the walk on two cores: when
-this happened, a process that only sleeps, and has nothing to do with the drivers, had been standing
-for 0.08 to 0.14 s at that very time; a walk over all 790 places with PATIENT_S met as many stalls
-and no such time-out. A driver that goes wrong at a place does so with any time-out."""
+than TIMEOUT_S now and then. A driver that goes wrong at a place does so with any time-out."""
 
 
 def checks_of(case: Case) -> dict[str, Check]:
@@ -62,8 +58,15 @@ def role_of(case: Case) -> Role:
 def connect(case: Case, service: Service) -> Any:
     module = case.module()
     instrument = module.connect(module.Settings.model_validate(service.settings), service.clock)
-    role_of(case).attend(instrument, service)
+    service.attending[id(instrument)] = role_of(case).attend(instrument, service)
     return instrument
+
+
+def close(service: Service, instrument: Any) -> None:
+    """Close an instrument as the runner does: nobody attends to it any more."""
+    if (leave := service.attending.pop(id(instrument), None)) is not None:
+        leave()
+    instrument.close()
 
 
 def members(protocol: type) -> dict[str, Any]:
@@ -101,14 +104,11 @@ class Remembering:
 
 def check_the_module_has_what_an_entry_point_names(case: Case) -> None:
     module = case.module()
-    assert set(module.ROLES) <= set(ROLES), "write the role's script into rig/testing/roles.py"
-    assert {name for name in ("Settings", "connect", "make_safe") if hasattr(module, name)} == {
-        "Settings",
-        "connect",
-        "make_safe",
-    }
-    assert list(inspect.signature(module.connect).parameters) == ["settings", "clock"]
-    assert list(inspect.signature(module.make_safe).parameters) == ["settings"]
+    unknown = set(module.ROLES) - set(ROLES)
+    assert not unknown, f"ROLES has {', '.join(unknown)}; known are {', '.join(ROLES)}"
+    for function, wanted in (("connect", ["settings", "clock"]), ("make_safe", ["settings"])):
+        named = list(inspect.signature(getattr(module, function)).parameters)
+        same(f"the list of arguments of {function}()", named, wanted)
 
 
 def check_settings_refuse_an_unknown_key_and_name_it(case: Case) -> None:
@@ -120,52 +120,64 @@ def check_settings_refuse_an_unknown_key_and_name_it(case: Case) -> None:
             settings.model_validate({**service.settings, "colour": "red"})
         except ValidationError as error:
             message = str(error)
-        assert "colour" in message
+        assert "colour" in message, f"the unknown key 'colour' is not named: {message}"
 
 
 def check_the_instrument_has_every_member_of_its_role(case: Case) -> None:
     with undisturbed(case) as service:
         instrument = connect(case, service)
         for name, member in members(role_of(case).protocol).items():
+            assert hasattr(instrument, name), f"the instrument lacks {name}"
             own = getattr(instrument, name)
             if callable(member):
                 wanted = list(inspect.signature(member).parameters)[1:]
-                assert list(inspect.signature(own).parameters) == wanted, name
-        instrument.close()
+                named = list(inspect.signature(own).parameters)
+                same(f"the list of arguments of {name}()", named, wanted)
+        close(service, instrument)
 
 
 def check_a_whole_experiment_works_and_calls_every_method(case: Case) -> None:
     role = role_of(case)
     with undisturbed(case) as service:
         instrument = Remembering(connect(case, service))
-        assert instrument.identity.simulated is not bool(case.anonymous)
+        number = instrument.identity.serial_number
+        assert instrument.identity.simulated is not bool(case.anonymous), (
+            f"the identity has the serial number {number!r}; that of a simulated instrument begins "
+            f"with SIM{', but ' + case.anonymous if case.anonymous else ''}"
+        )
         reach = instrument.reach()
-        assert set(reach) == role.quantities
+        same("the set of quantities of reach()", set(reach), set(role.quantities))
         for quantity, limits in reach.items():
             fixed = quantity == "rate"  # one that cannot be set has no width
-            assert limits.low < limits.high or (fixed and limits.low == limits.high), quantity
-            assert instrument.identity.model in limits.owner
+            assert limits.low < limits.high or (fixed and limits.low == limits.high), (
+                f"reach()[{quantity!r}] is {limits.low:g} to {limits.high:g}"
+            )
+            assert instrument.identity.model in limits.owner, (
+                f"reach()[{quantity!r}] has the owner {limits.owner!r}, which does not name the "
+                f"model {instrument.identity.model!r}"
+            )
         for step in role.script:
             step.act(instrument, service)
-        instrument.close()
-        assert instrument.used >= set(members(role.protocol))
+        close(service, instrument)
+        unused = set(members(role.protocol)) - instrument.used
+        assert not unused, f"the script of the role does not use {', '.join(sorted(unused))}"
 
 
 def check_connecting_leaves_the_instrument_at_rest(case: Case) -> None:
     with undisturbed(case) as service:
         first = connect(case, service)
         role_of(case).excite(first, service)
-        assert not service.at_rest()
+        assert not service.at_rest(), NOT_EXCITED
         if case.exclusive_link:
-            with raising(InstrumentError) as caught:
+            with raising(InstrumentError, "connecting to a port in use") as caught:
                 connect(case, service)
-            assert service.place in caught.error.one_line()
-            assert not service.at_rest(), "the first is none the worse"
-            first.close()
+            _names_the_place(caught.error.one_line(), service)
+            assert not service.at_rest(), "an attempt to connect has disturbed the first connection"
+            close(service, first)
         second = connect(case, service)
-        assert service.at_rest()
-        first.close()
-        second.close()
+        at_rest(service, "after connecting")
+        close(service, first)
+        close(service, second)
 
 
 def check_what_can_only_be_tried_without_faults_works(case: Case) -> None:
@@ -173,7 +185,7 @@ def check_what_can_only_be_tried_without_faults_works(case: Case) -> None:
         with undisturbed(case) as service:
             instrument = connect(case, service)
             step.act(instrument, service)
-            instrument.close()
+            close(service, instrument)
 
 
 # --- what goes wrong -------------------------------------------------------------------------
@@ -191,6 +203,7 @@ def check_one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over(case:
     walk(case, list(places.items()))
 
 
+NOT_EXCITED = "the simulator is at rest although the driver has set it going"
 WALK = "one_fault_anywhere_gives_an_error_or_the_right_value_and_is_over"
 
 
@@ -221,12 +234,13 @@ def walk(case: Case, faults: list[tuple[int, str]]) -> None:
         where = f"{kind} at request {at} ({heard})"
         assert len(failures) <= 1, f"{where}: {[str(f) for f in failures]}"
         for failure in failures:
-            assert failure.device, where
-            assert failure.command, where
-            assert failure.hint, where
+            for part in ("device", "command", "hint"):
+                assert getattr(failure, part), f"{where}: an error without {part}: {failure}"
         if kind == "silence" and not (at == 1 and case.deaf_greeting):
             assert failures, f"{where}: the fault was not reported"
-            assert isinstance(failures[0], InstrumentTimeoutError), where
+            assert isinstance(failures[0], InstrumentTimeoutError), (
+                f"{where}: {failures[0].one_line()} is no InstrumentTimeoutError"
+            )
 
 
 def faulty_experiment(
@@ -259,7 +273,7 @@ def places_of_faults(case: Case, kind: str) -> list[int]:
         steps: list[int] = []
         failures: list[InstrumentError] = []
         experiment_with_retries(case, service, failures, steps)
-        assert failures == []
+        assert not failures, f"without a fault: {[one.one_line() for one in failures]}"
         heard, answered = service.faults.heard, service.faults.answered
     seen: set[tuple[int, bytes]] = set()
     places = []
@@ -302,20 +316,19 @@ def experiment_with_retries(
             step.act(instrument, service)
         if fault_at is not None and fault_at <= before < service.faults.requests:
             break
-    instrument.close()
+    close(service, instrument)
 
 
 def check_silence_is_told_with_device_command_time_and_remedy_and_charged(case: Case) -> None:
     with case.serve({"kind": "silence", "count": 0}) as service:
         before = service.now_s()
-        with raising(InstrumentTimeoutError) as caught:
+        with raising(InstrumentTimeoutError, "connecting to a silent instrument") as caught:
             connect(case, service)
         error = caught.error
-        assert error.device == case.module().ROLES[0]
-        assert error.command in error.message
-        assert f"no answer within {TIMEOUT_S:g} s" in error.message
-        assert error.hint is not None
-        assert service.place in error.hint
+        same("the device of the error", error.device, case.module().ROLES[0])
+        for words in (error.command, f"no answer within {TIMEOUT_S:g} s"):
+            assert words in error.message, f"{words!r} is missing in {error.message!r}"
+        _names_the_place(error.hint, service)
         charged_s = service.now_s() - before
         assert abs(charged_s - TIMEOUT_S) <= 1e-3, (
             f"a time-out of {TIMEOUT_S:g} s let {charged_s:g} s of bench time pass: the driver has "
@@ -326,34 +339,33 @@ def check_silence_is_told_with_device_command_time_and_remedy_and_charged(case: 
 def check_an_instrument_that_is_not_there_is_told(case: Case) -> None:
     with undisturbed(case) as service:
         pass  # its port is closed again
-    with raising(InstrumentError) as caught:
+    with raising(InstrumentError, "connecting to an instrument that is not there") as caught:
         connect(case, service)
-    assert caught.error.device == case.module().ROLES[0]
-    assert service.place in str(caught.error.hint)
+    same("the device of the error", caught.error.device, case.module().ROLES[0])
+    _names_the_place(caught.error.hint, service)
 
 
 def check_an_instrument_that_goes_away_and_comes_back_works_again(case: Case) -> None:
     step = role_of(case).script[-1]
     with case.serve({"kind": "close", "at": 1, "command": ""}) as service:
-        with raising(InstrumentError):
+        service.settings["timeout_s"] = UNDISTURBED_S
+        with raising(InstrumentError, "connecting to an instrument that hangs up"):
             connect(case, service)
         instrument = connect(case, service)
         step.act(instrument, service)
-        instrument.close()
+        close(service, instrument)
 
 
 def check_another_instrument_is_refused_with_both_names_and_let_go(case: Case) -> None:
     with case.serve(identity=STRANGER) as service:
-        with raising(InstrumentError) as caught:
+        service.settings["timeout_s"] = UNDISTURBED_S
+        with raising(InstrumentError, "connecting to another instrument") as caught:
             connect(case, service)
         told = caught.error.one_line()
-        assert case.stranger_told in told
-        assert service.place in told
-        assert "expected" in told
-        deadline = time.monotonic() + PATIENCE_S
-        while service.connections() and time.monotonic() < deadline:
-            time.sleep(0.01)
-        assert service.connections() == 0
+        _names_the_place(told, service)
+        for words in (case.stranger_told, "expected"):
+            assert words in told, f"{words!r} is missing in {told!r}"
+        _let_go(service)
 
 
 # --- making safe and letting go --------------------------------------------------------------
@@ -367,23 +379,23 @@ def check_make_safe_of_the_module_gets_in_beside_a_live_connection(case: Case) -
         settings = module.Settings.model_validate(service.settings)
         instrument = connect(case, service)
         role_of(case).excite(instrument, service)
-        assert not service.at_rest()
+        assert not service.at_rest(), NOT_EXCITED
         if dies:
-            instrument.close()
+            close(service, instrument)
         for _ in range(2):
             said = service.faults.requests
             with service.in_real_time():
                 module.make_safe(settings)
             if case.drives_nothing:
-                assert not service.at_rest(), case.drives_nothing
-                assert service.faults.requests == said
+                assert not service.at_rest(), f"make_safe() stops it, but {case.drives_nothing}"
+                same("the number of requests", service.faults.requests, said)
             else:
-                assert service.at_rest()
+                at_rest(service, "after make_safe() of the module")
         if dies:
             instrument = connect(case, service)
         for step in role_of(case).script:  # the live connection is none the worse
             step.act(instrument, service)
-        instrument.close()
+        close(service, instrument)
 
 
 def check_make_safe_of_a_silent_instrument_is_an_error_not_a_hope(case: Case) -> None:
@@ -392,19 +404,27 @@ def check_make_safe_of_a_silent_instrument_is_an_error_not_a_hope(case: Case) ->
         settings = module.Settings.model_validate(service.settings)
         if case.drives_nothing:
             module.make_safe(settings)
-            assert service.faults.requests == 0, case.drives_nothing
+            same("the number of requests of make_safe()", service.faults.requests, 0)
             return
-        with raising(InstrumentTimeoutError):
+        with raising(InstrumentTimeoutError, "make_safe() of a silent instrument"):
             module.make_safe(settings)
 
 
 def check_close_lets_go_however_often(case: Case) -> None:
     with undisturbed(case) as service:
         instrument = connect(case, service)
-        assert service.connections() > 0
-        instrument.close()
-        instrument.close()
-        deadline = time.monotonic() + PATIENCE_S
-        while service.connections() and time.monotonic() < deadline:
-            time.sleep(0.01)
-        assert service.connections() == 0
+        assert service.connections() > 0, "no connection is open after connect()"
+        close(service, instrument)
+        close(service, instrument)
+        _let_go(service)
+
+
+def _names_the_place(said: object, service: Service) -> None:
+    assert service.place in str(said), f"{said!r} does not name {service.place}"
+
+
+def _let_go(service: Service) -> None:
+    """Fail unless every connection is closed, now or shortly."""
+    assert soon(lambda: not service.connections()), (
+        f"{service.connections()} connections are still open"
+    )

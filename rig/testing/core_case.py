@@ -1,21 +1,22 @@
 """The contract for a driver whose simulator is one core, such as a laboratory brings for its own
-force sensor.
+instrument.
 
 The servers, faults and bench come from the installed simulated bench, found by its entry point.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 from rig.core.entry_points import BENCHES, load
 from rig.core.errors import ConfigurationError
 from rig.testing.case import TIMEOUT_S, BenchClock, Case, Service
-from rig.testing.signals import ForceLaw, USUAL_RATE_S_s
+from rig.testing.signals import ForceLaw, USUAL_RATE_S_s, carried
 
-SERVED_ROLES = ("force_sensor",)
+TERMINALS = {"load_cell": 101, "film": 102}
+"""What is wired to which terminal of a simulated bench."""
 
 
 class _LineClock(BenchClock):
@@ -30,25 +31,55 @@ class _LineClock(BenchClock):
 
 
 class CoreService(Service):
-    """A core behind the server of its link, on a bench that presses by a known law."""
+    """A core behind the server of its link, on a bench of its own."""
 
     def __init__(self, lone: Any, settings: dict[str, Any], force_law: ForceLaw):
         self.core = lone.core
         self.faults = lone.faults
         self.clock = _LineClock(lone)
-        self.place = lone.place
+        # A driver may name its TCP port in whatever notation; the number is in all of them.
+        self.place = lone.place.rpartition(":")[2]
         self.settings = settings
         self._lone, self._force_law = lone, force_law
 
+    def in_real_time(self) -> AbstractContextManager[None]:
+        """Let time pass by itself meanwhile."""
+        free: AbstractContextManager[None] = self._lone.bench.free()
+        return free
+
     def truth(self, what: str) -> Any:
-        """Return the stream's state, or a property of the sensor."""
-        if what == "bytes":
-            return self._lone.server.bytes_sent
-        return self._force_law if what == "force law" else getattr(self.core, what)
+        """Return what the instrument does, by the role's quantity, or a property of its core."""
+        own: dict[str, Callable[[], Any]] = {
+            "bytes": lambda: self._lone.server.bytes_sent,
+            "force law": lambda: self._force_law,
+            "terminals": lambda: TERMINALS,
+            "angle": lambda: self.core.position,
+        }
+        if what in own:
+            return own[what]()
+        if what in ("frequency", "amplitude", "on"):
+            return self._generated(what)
+        return getattr(self.core, what)
+
+    def _generated(self, what: str) -> Any:
+        """Return what the terminals of the generator's channel 1 carry."""
+        excitation = self._lone.bench.excitations.get(1)
+        assert excitation is not None or what == "on", (
+            "the simulator has not said what its output carries: port.excite(1, ...) is missing"
+        )
+        if what == "on":
+            return excitation is not None and excitation.on
+        return excitation.frequency_Hz if what == "frequency" else excitation.amplitude_V
 
     def at_rest(self) -> bool:
-        """Return whether the sensor is silent."""
-        return not self.core.streaming
+        """Return whether the instrument does nothing that has to be stopped: no stream, no output,
+        no acquisition, no motion."""
+        role = self.core.roles[0]
+        if role == "generator":
+            return not self._generated("on")
+        if role in ("daq", "force_sensor"):
+            return not (self.core.acquiring if role == "daq" else self.core.streaming)
+        return not self.core.moving and self.core.speed == 0
 
     def connections(self) -> int:
         """Return how many clients have the link open."""
@@ -57,18 +88,18 @@ class CoreService(Service):
 
 
 class CoreCase(Case):
-    """A driver of a force sensor with its simulator core, on the link that the core names."""
+    """A driver with its simulator core, on the link that the core names."""
 
-    drives_nothing = "a sensor drives nothing, and its stream guards the rest of the bench"
     stranger_told = "T-1000"
 
     def __init__(
         self,
         driver: str,
         core: Any,
-        settings: Mapping[str, Any],
+        settings: Mapping[str, Any] | None = None,
         silent_first_request: str = "",
         force_scale: float = 1.0,
+        travel: tuple[float, float] | None = None,
     ):
         self.name = f"{driver}-{core.link}"
         self.driver = driver
@@ -76,20 +107,24 @@ class CoreCase(Case):
         self.alike = tuple(core.alike)
         if core.link == "serial":
             self.exclusive_link = "a serial port belongs to the one who has opened it"
+        if "force_sensor" in core.roles:
+            self.drives_nothing = (
+                "a sensor drives nothing, and its stream guards the rest of the bench"
+            )
         if not core.serial_number.startswith("SIM"):
             self.anonymous = "its serial number does not begin with SIM, or it has none"
-        slow = [rate for rate in core.rates if rate <= USUAL_RATE_S_s]
+        slow = [rate for rate in getattr(core, "rates", ()) if rate <= USUAL_RATE_S_s]
         self._force_law = ForceLaw(max(slow, default=USUAL_RATE_S_s), force_scale)
-        self._core, self._settings = core, settings
+        self._core, self._settings, self._travel = core, settings or {}, travel
 
     def module(self) -> Any:
-        """Return the driver's module; ConfigurationError where its role is not served here."""
+        """Return the driver's module; ConfigurationError where its simulator has another role."""
         module = super().module()
-        if module.ROLES[0] not in SERVED_ROLES:
+        if module.ROLES[0] not in self._core.roles:
             raise ConfigurationError(
-                f"driver_contract serves {', '.join(SERVED_ROLES)}; driver {self.driver!r} is for "
-                f"the role {module.ROLES[0]}",
-                "write a subclass of rig.testing.Case for it and use rig.testing.contract_of",
+                f"driver {self.driver!r} is for the role {module.ROLES[0]}, its simulator "
+                f"{self._core.__name__} for {' and '.join(self._core.roles) or 'none'}",
+                "derive the simulator from the core of that role",
             )
         return module
 
@@ -101,13 +136,22 @@ class CoreCase(Case):
     def _serve(
         self, faults: Sequence[Mapping[str, Any]], identity: tuple[str, str, str, str] | None
     ) -> Iterator[CoreService]:
-        with load(BENCHES, "simulated").alone(self._core, self._force_law, list(faults)) as lone:
+        with load(BENCHES, "simulated").alone(
+            self._core,
+            self.module().ROLES[0],
+            faults=list(faults),
+            force_law=self._force_law,
+            wave=carried,
+            limits=self._travel,
+        ) as lone:
             if identity is not None:
                 self.disguise(lone.core, identity)
             table = {
                 "driver": self.driver,
                 **lone.core.bench_settings(lone.place),
                 "timeout_s": TIMEOUT_S,
-                **self._settings,
             }
-            yield CoreService(lone, table, self._force_law)
+            if "daq" in self._core.roles:
+                wired = {name: lone.core.channel(one) for name, one in TERMINALS.items()}
+                table["channels"] = wired
+            yield CoreService(lone, {**table, **self._settings}, self._force_law)

@@ -16,12 +16,13 @@ class Caught(Generic[E]):
 
 
 @contextmanager
-def raising(kind: type[E]) -> Iterator[Caught[E]]:
-    """Fail unless the block raises `kind`, which the value that it gives then holds as `error`."""
+def raising(kind: type[E], what: str) -> Iterator[Caught[E]]:
+    """Fail unless the block raises `kind`, which the value that it gives then holds as `error`;
+    `what` says in the message what was done."""
     caught: Caught[E] = Caught()
     try:
         yield caught
     except kind as error:
         caught.error = error
         return
-    raise AssertionError(f"no {kind.__name__} was raised")
+    raise AssertionError(f"{what}: no {kind.__name__} was raised")

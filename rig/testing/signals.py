@@ -40,7 +40,12 @@ class ForceLaw:
         return np.asarray(self.level_N + np.asarray(time_s)[:, None] * self.slope_N_s)
 
 
+WAVE_SLOPE_V_s = 0.2
+WAVE_LARGEST_V = 4.0
+"""Beyond what a terminal carries during the checks."""
+
+
 def carried(terminal: int, time_s: Any) -> Any:
     """Return the volts of a terminal: each has its own level, rising with time, so that every
     record of every instant differs from every other."""
-    return 0.5 * (terminal - 101) + 0.2 * time_s
+    return 0.5 * (terminal - 101) + WAVE_SLOPE_V_s * time_s

@@ -30,6 +30,8 @@ AZ_STEPS_PER_MM = 3000.0
 SKIN_UNIT_MM = 0.0001
 """A count of the stages that carry the skin: 1 um would be 0.15 N of normal force (assumed)."""
 
+Z_REACH_MM, X_REACH_MM = 14.0, 40.0
+"""How far the stages may go from their references."""
 ROTARY_REACH_deg = 30.0
 """Largest angle of the rotary stage to either side."""
 
@@ -39,10 +41,10 @@ class Endpoints:
     """Addresses at which the bench listens."""
 
     daq: str
-    stages: tuple[int | str, ...]
-    """Ports of the drives of z and x on TCP, or the serial line that both are on."""
-    force_sensor: dict[str, Any]
-    """The force sensor's table of the bench file."""
+    stages: dict[str, int | str]
+    """Ports of the drives on TCP by role, or the serial line that both are on."""
+    own: dict[str, dict[str, Any]]
+    """The whole tables of the instruments that have a core of their own, by role."""
     generator: str = ""
     rotary: str = ""
 
@@ -57,8 +59,7 @@ def bench_toml(
     stages = {} if options.stages == "festo" else {"stages": options.stages}
     simulation = {"seed": options.seed, **stages, **world}
     lines = "".join(f"{key} = {toml_value(value)}\n" for key, value in simulation.items())
-    sensor = "".join(f"{k} = {toml_value(v)}\n" for k, v in endpoints.force_sensor.items())
-    own = _film_tables if options.fixture == "film-clamp" else _skin_tables
+    tables = _film_tables if options.fixture == "film-clamp" else _skin_tables
     return f"""# A simulated bench: whatever is measured on it is computed, not measured.
 name = "simulated"
 
@@ -69,9 +70,14 @@ mounted = "{options.fixture}"
 contact_from_mm = 12.0
 contact_to_mm = {13.6 if options.fixture == HEAD else 13.0}
 {_head_lines(options)}
-{own(options, endpoints)}
-[force_sensor]
-{sensor}{_interlock_tables(interlocks)}"""
+{tables(options, endpoints)}
+{_own_table(endpoints, "force_sensor")}{_interlock_tables(interlocks)}"""
+
+
+def _own_table(endpoints: Endpoints, role: str) -> str:
+    """Return the table of an instrument that has a core of its own."""
+    lines = (f"{key} = {toml_value(value)}\n" for key, value in endpoints.own[role].items())
+    return f"[{role}]\n{''.join(lines)}"
 
 
 def _interlock_tables(interlocks: Sequence[dict[str, Any]]) -> str:
@@ -102,15 +108,21 @@ name = "simulated cell {options.seed}"
 sensitivity_V_N = 0.1
 max_load_N = 20.0
 
-[generator]
+{_generator_table(endpoints)}
+{_daq_table(endpoints, "load_cell = 101, film = 102")}
+
+{_stage_table(options, endpoints, "z", Z_REACH_MM, 45.0)}"""
+
+
+def _generator_table(endpoints: Endpoints) -> str:
+    if "generator" in endpoints.own:
+        return _own_table(endpoints, "generator")
+    return f"""[generator]
 driver = "{GENERATOR_DRIVER}"
 resource = "{endpoints.generator}"
 timeout_s = {LINK_TIMEOUT_S}
 max_amplitude_V = 10.0
-
-{_daq_table(endpoints, "load_cell = 101, film = 102")}
-
-{_stage_table(options, endpoints, "z", 14.0, 45.0)}"""
+"""
 
 
 def _skin_tables(options: Options, endpoints: Endpoints) -> str:
@@ -121,11 +133,13 @@ ridge = 3
 
 {_daq_table(endpoints, "strip_1 = 101, strip_2 = 102")}
 
-{_stage_table(options, endpoints, "z", 14.0, 25.0)}
-{_stage_table(options, endpoints, "x", 40.0, 30.0)}{_rotary_table(options, endpoints)}"""
+{_stage_table(options, endpoints, "z", Z_REACH_MM, 25.0)}
+{_stage_table(options, endpoints, "x", X_REACH_MM, 30.0)}{_rotary_table(options, endpoints)}"""
 
 
 def _daq_table(endpoints: Endpoints, channels: str) -> str:
+    if "daq" in endpoints.own:
+        return _own_table(endpoints, "daq")
     return f"""[daq]
 driver = "{DAQ_DRIVER}"
 resource = "{endpoints.daq}"
@@ -136,6 +150,8 @@ channels = {{ {channels} }}"""
 def _rotary_table(options: Options, endpoints: Endpoints) -> str:
     if options.fixture != HEAD:
         return ""
+    if "rotary" in endpoints.own:
+        return f"\n{_own_table(endpoints, 'rotary')}"
     from drivers.simulated.instruments.zaber_rst import SimulatedRotarySettings
 
     return f"""
@@ -154,8 +170,9 @@ max_acceleration_deg_s2 = 500.0
 def _stage_table(
     options: Options, endpoints: Endpoints, axis: str, high_limit_mm: float, torque_percent: float
 ) -> str:
-    number = "zx".index(axis)
-    where = endpoints.stages[number]
+    if (role := f"stage_{axis}") in endpoints.own:
+        return _own_table(endpoints, role)
+    number, where = "zx".index(axis), endpoints.stages[role]
     if drive_kind(options.stages, f"stage_{axis}") == "az":
         link = f"""driver = "oriental-az"
 axis = "{axis}"

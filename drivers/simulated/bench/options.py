@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from rig.core.entry_points import SIMULATORS, find
+from rig.core.entry_points import SIMULATORS, find, load
 from rig.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from drivers.simulated.faults.plan import FaultPlan
+    from drivers.simulated.instruments.core import InstrumentCore
     from drivers.simulated.world.world import WorldSettings
 
 LINGER_S = 10.0
@@ -23,7 +24,7 @@ HEAD: Fixture = "semi-spherical-object"
 Stages = Literal["festo", "az", "festo-az", "az-festo"]
 """Drives on Modbus TCP, on one Modbus RTU line, or z of the first kind and x of the second."""
 
-REPLACEABLE = ("force_sensor",)
+REPLACEABLE = ("generator", "daq", "stage_z", "stage_x", "rotary", "force_sensor")
 """Roles whose simulated instrument may be another one of the entry-point group
 ``rig.simulators``."""
 USUAL_FORCE_SENSOR = "me-gsv8"
@@ -31,6 +32,7 @@ GENERATOR_DRIVER = "keysight-33500b"
 DAQ_DRIVER = "keysight-u2300a"
 ROTARY_DRIVER = "zaber-rst"
 
+STAGE_ROLES = ("stage_z", "stage_x")
 DRIVES = {"festo-cmmt": "festo", "oriental-az": "az"}
 """The kind of drive that a driver controls, by the driver's name."""
 
@@ -59,13 +61,35 @@ class Options:
 
 
 def check_replaced(replace: Mapping[str, str]) -> None:
-    """ConfigurationError for a role whose instrument cannot be replaced."""
-    for role in replace:
+    """ConfigurationError for a role whose instrument cannot be replaced, and for a simulator that
+    is not installed, is broken or has another role."""
+    for role, driver in replace.items():
         if role not in REPLACEABLE:
             raise ConfigurationError(
-                f"the {role} of the simulated bench cannot be replaced",
+                f"the simulated bench has no {role}",
                 f"what can be replaced: {', '.join(REPLACEABLE)}",
             )
+        simulator_of(role, driver)
+
+
+def simulator_of(role: str, driver: str) -> type[InstrumentCore]:
+    """Return the class of the simulator that is registered for a driver. ConfigurationError where
+    it cannot play the role."""
+    from drivers.simulated.instruments.core import InstrumentCore
+
+    def find_fault(found: Any) -> str | None:
+        if not (isinstance(found, type) and issubclass(found, InstrumentCore)):
+            return "is not derived from a core of drivers.simulated.instruments"
+        if missing := sorted(getattr(found, "__abstractmethods__", ())):
+            return f"lacks {', '.join(missing)}"
+        if found.link not in ("serial", "tcp"):
+            return f"has the link {found.link!r}, which has to be 'serial' or 'tcp'"
+        if role not in found.roles:
+            return f"is for the role {' or '.join(found.roles)}, not for {role}"
+        return None
+
+    found: type[InstrumentCore] = load(SIMULATORS, driver, find_fault)
+    return found
 
 
 def options_for(drivers: Mapping[str, str]) -> dict[str, Any]:
@@ -83,25 +107,31 @@ def options_for(drivers: Mapping[str, str]) -> dict[str, Any]:
 
 
 def variant_for(drivers: Mapping[str, str]) -> Stages | None:
-    """The stages with the limits of these drivers, given by role; None where there are none."""
-    z = DRIVES.get(drivers.get("stage_z", ""))
-    x = DRIVES.get(drivers.get("stage_x", drivers.get("stage_z", "")))
-    if z is None or x is None:
+    """Return the stages with the limits of these drivers, given by role; None where there are none.
+    Beside a stage that has a simulator of its own, any will do."""
+    names = [drivers.get(role, drivers.get("stage_z", "")) for role in STAGE_ROLES]
+    own = [find(SIMULATORS, name) is not None for name in names]
+    kinds = {DRIVES.get(name) for name, simulated in zip(names, own, strict=True) if not simulated}
+    if None in kinds:
         return None
+    beside = next(iter(kinds), next(iter(DRIVES.values())))
+    z, x = (beside if own[k] else DRIVES[name] for k, name in enumerate(names))
     named = z if z == x else f"{z}-{x}"
     return next(stages for stages in get_args(Stages) if stages == named)
 
 
 def driver_names(options: Options) -> tuple[str, ...]:
     """Return the names of the drivers in the bench file of a bench with these options."""
-    stages = ("stage_z",) if options.fixture == "film-clamp" else ("stage_z", "stage_x")
-    kinds = {drive_kind(options.stages, stage) for stage in stages}
-    names = [DAQ_DRIVER, *(name for name, kind in DRIVES.items() if kind in kinds)]
+    stages = STAGE_ROLES[:1] if options.fixture == "film-clamp" else STAGE_ROLES
+    by_kind = {kind: name for name, kind in DRIVES.items()}
+    usual = {"daq": DAQ_DRIVER, "force_sensor": USUAL_FORCE_SENSOR}
+    usual |= {stage: by_kind[drive_kind(options.stages, stage)] for stage in stages}
     if options.fixture == "film-clamp":
-        names.append(GENERATOR_DRIVER)
+        usual["generator"] = GENERATOR_DRIVER
     if options.fixture == HEAD:
-        names.append(ROTARY_DRIVER)
-    return (*names, options.replace.get("force_sensor", USUAL_FORCE_SENSOR))
+        usual["rotary"] = ROTARY_DRIVER
+    names = (options.replace.get(role, name) for role, name in usual.items())
+    return tuple(dict.fromkeys(names))
 
 
 def drive_kind(stages: Stages, name: str) -> str:
@@ -126,6 +156,7 @@ def fault_plan(options: Options) -> FaultPlan:
         DEVICES,
         DISK,
         GENERATOR,
+        ON_TCP,
         ROTARY,
         STAGE_X,
         STAGES,
@@ -139,7 +170,16 @@ def fault_plan(options: Options) -> FaultPlan:
     missing |= {"film-clamp": {STAGE_X}, "plate": {GENERATOR}}.get(options.fixture, set())
     if not options.slaved:
         missing.add(DISK)  # whoever records is another process
-    on_a_line = [name for name in STAGES if drive_kind(options.stages, name) == "az"]
+    on_a_line = [
+        name
+        for name in ON_TCP
+        if name in options.replace and simulator_of(name, options.replace[name]).link == "serial"
+    ]
+    on_a_line += [
+        name
+        for name in STAGES
+        if name not in options.replace and drive_kind(options.stages, name) == "az"
+    ]
     devices_by_kind = devices_by_fault(on_a_line)
     there = [name for name in DEVICES if name not in missing]
     return FaultPlan.read(Path(options.fault), there, devices_by_kind)

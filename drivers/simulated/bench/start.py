@@ -120,12 +120,12 @@ def serve(options: dict[str, Any], ready: Callable[[str], None]) -> None:
     asyncio.run(process.serve(Options(**options), lambda said: ready(said["bench_toml"])))
 
 
-def alone(core: Any, force_law: Any, faults: list[dict[str, Any]]) -> AbstractContextManager[Any]:
+def alone(core: Any, role: str, **options: Any) -> AbstractContextManager[Any]:
     """Serve one simulated instrument without a bench, for the contract of its driver: see
     `drivers.simulated.bench.alone`."""
     from drivers.simulated.bench import alone as lone
 
-    return lone.alone(core, force_law, faults)
+    return lone.alone(core, role, **options)
 
 
 def _faulty_disk(options: Options) -> FaultyDisk | None:

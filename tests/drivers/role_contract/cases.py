@@ -98,7 +98,7 @@ class DaqService(ScpiService):
 
     def truth(self, what: str) -> Any:
         """Its records are checked by what the terminals carried."""
-        raise KeyError(what)
+        return {"terminals": self.settings["channels"]}[what]
 
     def at_rest(self) -> bool:
         """Nothing is sampled."""

@@ -1,0 +1,158 @@
+"""A conversation in lines: a command is sent, and its answer is one line.
+
+For instruments that answer every command. What is sent and received, nothing about any instrument.
+After a time-out, or a line that cannot be read, the connection is closed, and the next command
+opens it anew. On TCP a late answer dies with its connection. On a serial line it may still come:
+`resync` is a query with an answer of its own form, which is asked again after a failure, and
+everything before its answer is thrown away.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from drivers.shared.ports import SOCKET, Port, open_port
+from rig.core.errors import InstrumentError, InstrumentTimeoutError
+
+if TYPE_CHECKING:
+    from rig.core.clock import Clock
+
+LONGEST_LINE = 1024
+"""More bytes without a line's end are an error."""
+WAITS = 2
+"""Times the time-out: a command may open the port before it waits for its answer."""
+QUIET_S = 0.02
+"""How long a serial line has to be silent after a failure before it is trusted again."""
+
+
+class LineLink:
+    """One instrument's commands and answers; any thread may call any method.
+
+    `device` is the instrument's role, for errors. `place` is a serial port or
+    ``socket://host:port``. The time-out is wall time. A lock is held for one exchange.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        place: str,
+        timeout_s: float,
+        clock: Clock,
+        *,
+        terminator: bytes = b"\n",
+        baudrate: int = 9600,
+        resync: tuple[str, str] | None = None,
+    ):
+        self._device, self._place, self._timeout_s = device, place, timeout_s
+        self._clock, self._terminator, self._baudrate = clock, terminator, baudrate
+        self._resync = None if resync is None else (resync[0], re.compile(resync[1]))
+        self._lock = threading.RLock()
+        self._port: Port | None = None
+        self._input = bytearray()
+        self._charging = False
+        self._failed = False
+
+    def ask(
+        self,
+        command: str,
+        answer: str = ".*",
+        *,
+        charge: bool = True,
+        permit: Callable[[], None] = lambda: None,
+    ) -> re.Match[str]:
+        """Send a command and return its answer, which has to match the regular expression `answer`.
+
+        `charge` off: a time-out does not let bench time pass, for `make_safe`. `permit` is called
+        when it is this command's turn and nothing has been sent; what it raises keeps it from being
+        sent. Raises InstrumentTimeoutError where no answer comes in time, InstrumentError where it
+        does not match or the connection fails.
+        """
+        try:
+            with self._clock.answer_within(WAITS * self._timeout_s), self._lock:
+                permit()
+                try:
+                    return self._exchange(command, re.compile(answer))
+                except BaseException:
+                    self._failed = True
+                    self.close()
+                    raise
+        except TimeoutError:
+            raise self._timed_out(command, charge) from None
+        except (OSError, ValueError) as error:
+            raise self.error(command, f"the connection failed ({error})") from error
+
+    def close(self) -> None:
+        """Close the port; the next command opens it again."""
+        with self._lock:
+            port, self._port = self._port, None
+            self._input.clear()
+        if port is not None:
+            with contextlib.suppress(OSError):
+                port.close()
+
+    def error(self, command: str, cause: str, hint: str = "") -> InstrumentError:
+        """Return an error of this instrument; its hint names the port unless another is given."""
+        usual = f"check that {self._place} is switched on and that nothing else talks to it"
+        return InstrumentError(self._device, command, cause, hint or usual)
+
+    # --- one exchange -------------------------------------------------------------------------
+
+    def _exchange(self, command: str, answer: re.Pattern[str]) -> re.Match[str]:
+        deadline = time.monotonic() + self._timeout_s
+        if self._port is None:
+            self._port = open_port(self._place, self._baudrate, self._timeout_s)
+            if self._failed and self._resync is not None and not self._place.startswith(SOCKET):
+                self._find_again(self._port, deadline)
+        self._failed = False
+        self._port.write(command.encode("ascii") + self._terminator)
+        line = self._line(self._port, deadline)
+        found = answer.fullmatch(line)
+        if found is None:
+            raise self.error(command, f"the answer {line[:80]!r} is not what was expected")
+        return found
+
+    def _find_again(self, port: Port, deadline: float) -> None:
+        """Throw away what is left of earlier commands."""
+        assert self._resync is not None
+        query, answer = self._resync
+        port.write(query.encode("ascii") + self._terminator)
+        while answer.fullmatch(self._line(port, deadline)) is None:
+            pass
+        quiet_from_s = time.monotonic()
+        while time.monotonic() - quiet_from_s < QUIET_S:
+            if port.read():
+                quiet_from_s = time.monotonic()
+        self._input.clear()
+
+    def _line(self, port: Port, deadline: float) -> str:
+        """Return the next line; TimeoutError where none has come by the deadline."""
+        while (end := self._input.find(self._terminator)) < 0:
+            if len(self._input) > LONGEST_LINE:
+                raise ValueError(f"{len(self._input)} bytes without the end of a line")
+            if time.monotonic() > deadline:
+                raise TimeoutError
+            self._input += port.read()
+        line = bytes(self._input[:end])
+        del self._input[: end + len(self._terminator)]
+        return line.decode("latin-1")
+
+    def _timed_out(self, command: str, charge: bool) -> InstrumentTimeoutError:
+        """Return the error of a time-out, of which the bench's clock has to hear, once."""
+        if charge and not self._charging:
+            self._charging = True
+            try:
+                with contextlib.suppress(InstrumentError):  # the time-out itself is the news
+                    self._clock.charge(self._timeout_s)
+            finally:
+                self._charging = False
+        return InstrumentTimeoutError(
+            self._device,
+            command,
+            f"no answer within {self._timeout_s:g} s",
+            f"check that {self._place} is switched on and connected",
+        )

@@ -1,0 +1,97 @@
+"""Analyses of other packages: what is shown and kept, and what a broken one costs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from packages import install, on_path
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
+
+import recorded_trials as trials
+
+MODULE = """
+import numpy as np
+
+def values(run):
+    return {"points": len(run.point_ids()), "largest_N": np.float32(2.5), "unknown_mm": np.nan,
+            "each_V": np.arange(2.0), "judged": "good"}
+
+def fails(run):
+    raise RuntimeError("no such column")
+
+def number(run):
+    return 3
+
+def strange(run):
+    return {"run": run}
+"""
+
+
+@pytest.fixture
+def file(rig: Any, tmp_path: Path) -> Path:
+    """A run file of the procedure lab-trial, and a package with analyses for it."""
+    entries = "[rig.analyses]\n" + "\n".join(
+        (
+            "lab-trial = lab_values:values",
+            "lab-trial.broken = lab_values:fails",
+            "lab-trial.number = lab_values:number",
+            "lab-trial.strange = lab_values:strange",
+            "lab-trial.missing = lab_values:missing",
+            "lab-trial.folder = no_such_folder:values",
+            "slip-trail = lab_values:values",
+            "sweep = lab_values:fails",
+        )
+    )
+    on_path(rig, install(tmp_path / "site", "lab-values", entries, {"lab_values.py": MODULE}))
+    (rig.folder / "results").mkdir()
+    recorded = {"trial-1": trials.slipping()}
+    journal = rig.folder / "results" / "one.rigj"
+    return trials.write_trials(journal, recorded, complete=True, procedure="lab-trial")
+
+
+def test_the_values_of_an_analysis_are_shown_and_kept_and_broken_ones_cost_a_line(
+    rig: Any, file: Path
+) -> None:
+    done = rig.run("analyse", str(file))
+    assert done.code == 0, done.stderr
+    assert "lab-trial (lab-values 1.0):" in done.stdout
+    assert "  largest_N: 2.5" in done.stdout
+    kept = json.loads((file.parent / "processed" / "one.analyses.json").read_text())
+    assert list(kept["analyses"]) == ["lab-trial"]
+    found = kept["analyses"]["lab-trial"]
+    assert found["values"] == {
+        "points": 1,
+        "largest_N": 2.5,
+        "unknown_mm": None,
+        "each_V": [0.0, 1.0],
+        "judged": "good",
+    }
+    assert found["units"] == {"largest_N": "N", "unknown_mm": "mm", "each_V": "V"}
+    (recorded,) = (line.split()[0] for line in Path(f"{file}.sha256").read_text().splitlines())
+    assert kept["source"]["sha256"] == recorded
+    for words in (
+        "the analysis lab-trial.broken (lab_values:fails) of lab-values failed: RuntimeError: no",
+        "lab-trial.number (lab_values:number) of lab-values failed: TypeError: it returned int",
+        "of lab-values failed: TypeError: run is a RunFile, neither a number nor a text",
+        "lab-trial.missing (lab_values:missing) of lab-values failed: AttributeError",
+        "lab-trial.folder (no_such_folder:values) of lab-values failed: ModuleNotFoundError",
+        "the analysis slip-trail (lab_values:values) of lab-values belongs to no installed "
+        "procedure; did you mean slip-trial?",
+    ):
+        assert words in done.stderr
+    shown = rig.run("show", "--no-figures", str(file))
+    assert shown.code == 0, shown.stderr
+    assert "  judged: good" in shown.stdout
+
+
+def test_a_file_without_an_analysis_is_told(rig: Any, tmp_path: Path) -> None:
+    journal = rig.folder / "one.rigj"
+    file = trials.write_trials(journal, {"trial-1": trials.slipping()}, complete=True)
+    refused = rig.run("analyse", str(file))
+    assert refused.code == 2
+    assert "nothing was computed for" in refused.errors[0]
