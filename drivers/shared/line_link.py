@@ -22,7 +22,7 @@ from rig.core.errors import InstrumentError, InstrumentTimeoutError
 if TYPE_CHECKING:
     from rig.core.clock import Clock
 
-LONGEST_LINE = 1024
+LONGEST_LINE = 1 << 16
 """More bytes without a line's end are an error."""
 WAITS = 2
 """Times the time-out: a command may open the port before it waits for its answer."""

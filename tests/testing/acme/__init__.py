@@ -1,0 +1,1 @@
+"""Instruments that do not exist, with drivers and simulators as another package brings them."""
