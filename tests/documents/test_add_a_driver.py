@@ -175,7 +175,8 @@ def test_a_bench_in_real_time_has_the_simulator_of_the_page_on_tcp(rig: Any, sit
 
 def test_what_cannot_be_replaced_is_refused(rig: Any) -> None:
     for given, named in (
-        ("daq=keysight-u2300a", "daq"),
+        ("laser=me-gsv8", "the simulated bench has no laser"),
+        ("generator=me-gsv8", "is for the role force_sensor, not for generator"),
         ("force_sensor", "'force_sensor'"),
         ("force_sensor=acme-f11", "'acme-f11' is unknown"),
     ):
