@@ -157,7 +157,8 @@ def trial_points(
 ) -> tuple[Point, ...]:
     """Return one point for each trial. `motion_s` is the expected time of the motion under the held
     force with its preparation, `first_s` an additional time of the first trial. There are
-    `settings.trials` for each of `places` along x. The ways in z depend on the fixture: `pressed_overhead_s`."""
+    `settings.trials` for each of `places` along x. The ways in z depend on the fixture:
+    `pressed_overhead_s`."""
     held = (
         Move("force_sensor.force", settings.largest_force_N, ("largest_force_N",)),
         Move("stage_z.update_rate", settings.updates_Hz, ("tick_Hz",)),

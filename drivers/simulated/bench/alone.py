@@ -139,6 +139,10 @@ class LoneBench:
         pairs = zip(terminals, skew_s, strict=True)
         return np.stack([self._wave(one, times_s + skew) for one, skew in pairs], axis=1)
 
+    def input_high(self, device: str, line: str) -> bool:
+        """Return the level of a digital input: low."""
+        return False
+
     def log(self, device: str, what: str, value: object, by: str) -> None:
         """Write down who commanded what."""
         self.entries.append((device, what, value, by))
