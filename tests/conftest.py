@@ -21,6 +21,7 @@ from typing import Any
 import pytest
 from benches import Bench
 from compiled_kernels import ensure_compiled
+from forked_rig import ForkedProcess, environment, server
 from hypothesis import settings
 
 from rig.bench.plan import read_bench
@@ -75,20 +76,11 @@ class Finished:
 
 
 class Running:
-    """A command that is running; its stderr can be waited for line by line. `before` is Python that
-    its process runs first, to have something go wrong in it."""
+    """A command that is running; its stderr can be waited for line by line."""
 
-    def __init__(self, arguments: list[str], cwd: Path, env: dict[str, str], before: str = ""):
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", f"{before}\n{RIG_MAIN}", *arguments],
-            cwd=cwd,
-            env=env,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            process_group=0,  # as a shell starts it; what a terminal sends can be sent to it alone
-        )
-        self.name = arguments[0]
+    def __init__(self, process: subprocess.Popen[str] | ForkedProcess, name: str):
+        self.process = process
+        self.name = name
         self._lines: list[str] = []
         self._news = threading.Condition()
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -147,7 +139,7 @@ class Rig:
         self.bench = bench
         self.results = folder / "results"
         self.world_log = folder / "world.jsonl"
-        self.env = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "TERM")}
+        self.env = environment()
         self.env["XDG_STATE_HOME"] = str(folder / "state")
         self.shared = folder / "shared"
         self.env[SHARED_FOLDER] = str(self.shared)
@@ -172,9 +164,28 @@ class Rig:
         """The whole command line, for whoever starts it by other means."""
         return [*RIG, *self.on_bench(*arguments)]
 
-    def start(self, *arguments: str, before: str = "") -> Running:
-        """Start a command; for `before` see `Running`."""
-        running = Running(self.on_bench(*arguments), self.folder, self.env, before)
+    def start(self, *arguments: str, before: str = "", fresh: bool = False) -> Running:
+        """Start a command in a process of its own.
+
+        The process is forked from one that has imported already. Where the test is about the start,
+        with `fresh`, and where the environment was changed for Python itself, it is a new one.
+        `before` is Python that a new process runs first, to have something go wrong in it.
+        """
+        given = self.on_bench(*arguments)
+        process: subprocess.Popen[str] | ForkedProcess
+        if fresh or before or server().imported_otherwise(self.env):
+            process = subprocess.Popen(
+                [sys.executable, "-c", f"{before}\n{RIG_MAIN}", *given],
+                cwd=self.folder,
+                env=self.env,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                process_group=0,  # as a shell starts it; a terminal's signals reach it alone
+            )
+        else:
+            process = server().start(given, self.folder, self.env)
+        running = Running(process, given[0])
         self._started.append(running)
         return running
 

@@ -16,9 +16,10 @@ from pathlib import Path
 from queue import SimpleQueue
 
 import pytest
+from forked_rig import Server
 from measured import heading, repeats
 from soak.invariants import Ran, breaches
-from soak.running import Rigs
+from soak.running import run
 from soak.trials import KINDS, ROTARY_KINDS, Trial, draw
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(36_000)]
@@ -32,13 +33,13 @@ LEAST_OF_EACH = len(SEEDS) // 50
 ROLLS = max(1, len(SEEDS) // 5)
 
 
-def soaked(free: SimpleQueue[Rigs], trial: Trial, folder: Path) -> tuple[Ran, list[str]]:
+def soaked(free: SimpleQueue[Server], trial: Trial, folder: Path) -> tuple[Ran, list[str]]:
     """A trial and what it broke; its files are removed where that is nothing."""
-    rigs = free.get()
+    server = free.get()
     try:
-        ran = rigs.run(trial, folder / str(trial.seed))
+        ran = run(server, trial, folder / str(trial.seed))
     finally:
-        free.put(rigs)
+        free.put(server)
     found = breaches(ran)
     if not found:
         shutil.rmtree(ran.folder)
@@ -63,11 +64,11 @@ def soak(trials: Sequence[Trial], tmp_path: Path) -> Counter[str]:
     became: dict[str, Counter[int]] = defaultdict(Counter)
     codes: Counter[tuple[str, int]] = Counter()
     broken: dict[int, list[str]] = {}
-    free: SimpleQueue[Rigs] = SimpleQueue()
-    all_rigs = [Rigs() for _ in os.sched_getaffinity(0)]
-    for rigs in all_rigs:
-        free.put(rigs)
-    with ThreadPoolExecutor(len(all_rigs)) as pool:
+    free: SimpleQueue[Server] = SimpleQueue()
+    servers = [Server() for _ in os.sched_getaffinity(0)]
+    for server in servers:
+        free.put(server)
+    with ThreadPoolExecutor(len(servers)) as pool:
         for ran, found in pool.map(lambda trial: soaked(free, trial, tmp_path), trials):
             codes[ran.trial.procedure, ran.code] += 1
             for kind in {kind for _, kind in ran.befallen}:
@@ -76,8 +77,8 @@ def soak(trials: Sequence[Trial], tmp_path: Path) -> Counter[str]:
             if found:
                 broken[ran.trial.seed] = found
                 print(f"seed {ran.trial.seed}: {'; '.join(found)}", flush=True)
-    for rigs in all_rigs:
-        rigs.close()
+    for server in servers:
+        server.close()
     shown = sorted({code for _, code in codes})
     print(f"\n{'kind':16s} {'trials':>6s}  " + " ".join(f"exit {code:<4d}" for code in shown))
     for kind in KINDS:

@@ -192,7 +192,7 @@ def test_the_bench_ends_by_itself_after_its_run_was_killed(rig):
 
 @pytest.mark.thorough
 def test_a_run_killed_while_it_starts_leaves_no_bench_behind(rig):
-    running = rig.start_sweep()
+    running = rig.start(*rig.sweep_arguments(), fresh=True)
     while not rig.world_log.exists():
         time.sleep(0.005)
     running.send(signal.SIGKILL)

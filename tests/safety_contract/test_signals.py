@@ -158,7 +158,7 @@ def test_a_signal_while_a_pause_makes_the_bench_safe_waits_for_that_and_ends_the
 @pytest.mark.thorough
 @pytest.mark.parametrize("number", STOPS, ids=lambda number: number.name)
 def test_a_signal_while_the_program_starts_has_the_same_exit_code(rig, number):
-    running = rig.start_sweep()
+    running = rig.start(*rig.sweep_arguments(), fresh=True)
     while not rig.world_log.exists():
         time.sleep(0.005)
     running.send(number)

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import itertools
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from forked_rig import server
 from tiers import mostly_thorough
 
 from .invariants import breaches
-from .running import Rigs
+from .running import run
 from .trials import Trial, draw, shrunk
 
 TRIALS = 50
@@ -26,26 +27,18 @@ SLIP_SHARE, ROLL_SHARE = 0.06, 0.04
 """They take three times as long as a short sweep; the benchmark makes more of them."""
 
 
-@pytest.fixture(scope="session")
-def rigs() -> Iterator[Rigs]:
-    """What runs the trials."""
-    made = Rigs()
-    yield made
-    made.close()
-
-
-def failing(rigs: Rigs, folder: Path) -> Callable[[Trial], bool]:
+def failing(folder: Path) -> Callable[[Trial], bool]:
     """Whether a trial breaks an invariant, each try in a folder of its own."""
     numbers = itertools.count(1)
-    return lambda trial: bool(breaches(rigs.run(trial, folder / f"shrunk-{next(numbers)}")))
+    return lambda trial: bool(breaches(run(server(), trial, folder / f"shrunk-{next(numbers)}")))
 
 
 @pytest.mark.parametrize("seed", mostly_thorough(range(TRIALS), SEEDS_BY_DEFAULT))
-def test_whatever_goes_wrong_the_invariants_hold(rigs: Rigs, seed: int, tmp_path: Path) -> None:
+def test_whatever_goes_wrong_the_invariants_hold(seed: int, tmp_path: Path) -> None:
     trial = draw(seed, SLIP_SHARE, ROLL_SHARE)
-    ran = rigs.run(trial, tmp_path / "trial")
+    ran = run(server(), trial, tmp_path / "trial")
     if found := breaches(ran):
-        smallest = shrunk(trial, failing(rigs, tmp_path))
+        smallest = shrunk(trial, failing(tmp_path))
         raise AssertionError(
             f"{len(found)} invariants broken by seed {seed}:\n"
             + "\n".join(found)
@@ -54,10 +47,10 @@ def test_whatever_goes_wrong_the_invariants_hold(rigs: Rigs, seed: int, tmp_path
         )
 
 
-def test_a_seed_is_replayed_exactly(rigs: Rigs, tmp_path: Path) -> None:
+def test_a_seed_is_replayed_exactly(tmp_path: Path) -> None:
     """The World's own account of two runs is the same, line by line."""
     trial = draw(3)
-    first, again = (rigs.run(trial, tmp_path / name) for name in ("first", "again"))
+    first, again = (run(server(), trial, tmp_path / name) for name in ("first", "again"))
     assert first.befallen
     assert (first.code, first.log) == (again.code, again.log)
 
