@@ -84,7 +84,7 @@ def test_a_reading_of_a_few_samples_is_refused():
 # --- fits ------------------------------------------------------------------------------------
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(
     st.lists(st.floats(20, 200), min_size=3, max_size=3),
     st.lists(st.floats(-0.1, 0.1), min_size=6, max_size=6),

@@ -170,7 +170,7 @@ def _pages(queue: Queue) -> int:
     return int(pages)
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     kills=st.lists(st.integers(0, 60), max_size=8),
     failing=st.sets(st.integers(1, 6)),

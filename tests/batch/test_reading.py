@@ -235,7 +235,7 @@ def taken_or_refused(text: str) -> None:
         assert len(error.one_line()) < 20_000
 
 
-@settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(LINES, max_size=12).map("\n".join))
 @example("experiment = 5")
 @example("defaults = []\nexperiment = [1, {}]")
@@ -244,7 +244,7 @@ def test_lines_of_any_kind_are_taken_or_refused(text: str) -> None:
     taken_or_refused(text)
 
 
-@settings(max_examples=200, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_a_file_in_which_something_is_spoilt_is_taken_or_refused(data: st.DataObject) -> None:
     lines = GOOD.splitlines()

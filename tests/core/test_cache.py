@@ -38,7 +38,7 @@ def test_the_last_put_counts(cache: DiskCache) -> None:
     assert len(list(cache.folder.iterdir())) == 1
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_damaged_file_is_a_miss(cache: DiskCache, data: st.DataObject) -> None:
     cache.put(KEY, CONTENT)

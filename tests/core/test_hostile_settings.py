@@ -224,7 +224,7 @@ def spoiled(draw: st.DrawFn, text: str) -> str:
 
 @pytest.mark.parametrize("reader", TOML)
 @settings(
-    max_examples=100,
+    max_examples=25,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow],

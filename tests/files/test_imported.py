@@ -669,7 +669,7 @@ def test_every_import_is_a_file_of_its_own(tmp_path: Path) -> None:
 
 
 FEW = settings(
-    max_examples=60,
+    max_examples=20,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
@@ -715,7 +715,7 @@ SPOILT = st.sampled_from(
 )
 
 
-@settings(FEW, max_examples=400)
+@settings(FEW, max_examples=80)
 @given(TABLES, DIALECTS, st.data())
 def test_a_spoilt_text_is_refused_or_read_as_it_stands(
     rows: list[tuple[float, ...]], dialect: tuple[str, str], data: st.DataObject
@@ -749,7 +749,7 @@ def test_a_spoilt_text_is_refused_or_read_as_it_stands(
             assert recording.raw[channel][row] == float(text)
 
 
-@settings(FEW, max_examples=300)
+@settings(FEW, max_examples=60)
 @given(st.one_of(st.binary(max_size=300), st.text(max_size=300)))
 def test_anything_else_is_refused_in_a_sentence(content: bytes | str) -> None:
     found = accepted(content, {"v_1": "1", "v_2": "2"})
@@ -757,7 +757,7 @@ def test_anything_else_is_refused_in_a_sentence(content: bytes | str) -> None:
         assert np.isfinite(found[1].raw["v_1"]).all()
 
 
-@settings(FEW, max_examples=150)
+@settings(FEW, max_examples=40)
 @given(st.data())
 def test_a_spoilt_lvm_is_refused_or_read_in_full(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

@@ -72,7 +72,7 @@ blocks = st.lists(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(blocks=blocks, readings=st.lists(st.dictionaries(st.text(), JSON_VALUES), max_size=5))
 def test_a_journal_gives_back_what_was_written(
     tmp_path_factory: pytest.TempPathFactory, blocks: list, readings: list
@@ -272,7 +272,7 @@ def test_a_journal_without_a_header_says_so(tmp_path: Path) -> None:
         assert str(cut) in caught.value.message
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(place=st.floats(0, 1), mask=st.integers(1, 255))
 def test_a_flipped_byte_is_noticed_and_nothing_false_is_read(
     tmp_path_factory: pytest.TempPathFactory, place: float, mask: int

@@ -78,7 +78,7 @@ def test_opposite_slides_are_mirror_images(skin6: CondensedSkin):
 
 
 @settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
     static=st.floats(0.0, 1.3),
@@ -118,7 +118,7 @@ def test_any_motion_obeys_the_laws_of_contact(
 
 
 @settings(
-    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
     force_N=st.floats(0.2, 6.0),
@@ -209,7 +209,7 @@ def test_the_contact_area_is_that_of_the_nodes_that_touch(skin6: CondensedSkin):
     assert 0.3 * whole_tops < block.contact_area_mm2[-1] < whole_tops
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(data=st.data())
 def test_the_truth_does_not_depend_on_the_blocks_it_came_in(data):
     steps = data.draw(st.integers(1, 40))
@@ -363,7 +363,7 @@ def test_blocks_and_restored_states_give_the_same_bytes(skin6: CondensedSkin):
 
 
 @settings(
-    max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=5, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(seed=st.integers(0, 2**32 - 1), kinetic=st.floats(0.5, 1.0), rolls=st.booleans())
 def test_what_is_not_looked_at_does_not_matter(

@@ -688,14 +688,14 @@ class Ending(RuleBasedStateMachine):
 class TestEveryEnding(Ending.TestCase):
     """A few random stories."""
 
-    settings = settings(max_examples=8, stateful_step_count=12, deadline=None)
+    settings = settings(max_examples=5, stateful_step_count=12, deadline=None)
 
 
 @pytest.mark.thorough
 class TestManyMoreEndings(Ending.TestCase):
     """Many random stories."""
 
-    settings = settings(max_examples=60, stateful_step_count=12, deadline=None)
+    settings = settings(max_examples=40, stateful_step_count=12, deadline=None)
 
 
 def test_a_hold_between_two_trips_buys_no_further_retake() -> None:

@@ -57,7 +57,6 @@ REFUSED = {
 REFUSED_BY_DEFAULT = (
     "load and preload beyond the force sensor",
     "drive beyond the generator",
-    "wrong unit",
 )
 
 

@@ -30,9 +30,7 @@ CALLED = {
 
 
 @pytest.mark.parametrize(
-    "number",
-    mostly_thorough(STOPS, [signal.SIGINT, signal.SIGTERM]),
-    ids=lambda number: number.name,
+    "number", mostly_thorough(STOPS, [signal.SIGTERM]), ids=lambda number: number.name
 )
 def test_a_signal_in_the_middle_ends_the_run_in_order(rig, number):
     running = rig.start_sweep(*SIXTY_POINTS)

@@ -20,9 +20,9 @@ from .invariants import breaches
 from .running import run
 from .trials import Trial, draw, shrunk
 
-TRIALS = 50
-SEEDS_BY_DEFAULT = (6, 31, 32)
-"""A sweep with three faults, a slip trial and a roll trial."""
+TRIALS = 33
+SEEDS_BY_DEFAULT = (6, 31)
+"""A sweep with three faults and a slip trial."""
 SLIP_SHARE, ROLL_SHARE = 0.06, 0.04
 """They take three times as long as a short sweep; the benchmark makes more of them."""
 
@@ -47,6 +47,7 @@ def test_whatever_goes_wrong_the_invariants_hold(seed: int, tmp_path: Path) -> N
         )
 
 
+@pytest.mark.thorough
 def test_a_seed_is_replayed_exactly(tmp_path: Path) -> None:
     """The World's own account of two runs is the same, line by line."""
     trial = draw(3)

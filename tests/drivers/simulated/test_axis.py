@@ -43,7 +43,7 @@ def wall(at_mm: float, stiffness_N_mm: float = 100.0) -> object:
     return lambda position_mm, t_us: -stiffness_N_mm * max(0.0, position_mm - at_mm)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(SCRIPTS)
 def test_no_speed_or_acceleration_is_ever_exceeded_and_nothing_jumps(
     script: list[tuple[AxisCommand, int]],
@@ -71,7 +71,7 @@ def test_no_speed_or_acceleration_is_ever_exceeded_and_nothing_jumps(
         now += for_us
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(SCRIPTS)
 def test_the_last_target_is_reached_exactly_whatever_came_before(
     script: list[tuple[AxisCommand, int]],
@@ -87,7 +87,7 @@ def test_the_last_target_is_reached_exactly_whatever_came_before(
     assert moved.velocity(end) == 0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(COMMANDS, st.integers(0, 3_000_000), RATES)
 def test_a_stop_takes_v_squared_over_2a_and_not_more(
     command: AxisCommand, after_us: int, deceleration: float
@@ -102,7 +102,7 @@ def test_a_stop_takes_v_squared_over_2a_and_not_more(
     assert moved.position(end) == pytest.approx(expected, abs=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(SCRIPTS, st.lists(st.integers(0, 2_000_000), min_size=1, max_size=20))
 def test_the_past_does_not_depend_on_when_it_was_asked_for(
     script: list[tuple[AxisCommand, int]], asked: list[int]
