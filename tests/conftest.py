@@ -35,8 +35,8 @@ from rig.run.shared_folder import VARIABLE as SHARED_FOLDER
 
 settings.register_profile("any computer", deadline=None, derandomize=True, max_examples=25)
 settings.load_profile("any computer")
-"""A loaded machine is no failure: wall-clock bounds live in benchmarks. The examples are the same in
-every run, so that many of them find no more the second time."""
+"""A loaded machine is no failure: wall-clock bounds live in benchmarks. The examples are the same
+in every run, so that many of them find no more the second time."""
 
 RIG_MAIN = "from rig.cli import main; main()"
 RIG = [sys.executable, "-c", RIG_MAIN]

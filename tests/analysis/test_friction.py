@@ -48,8 +48,10 @@ def sampled(trial: SkinTrial, seed: int) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 @pytest.mark.parametrize("static", [0.3, 0.7, 1.2])
-@pytest.mark.parametrize(("ratio", "force_N"), [(0.7, 2.0), (0.95, 2.0), (0.7, 8.0), (0.95, 4.0)])
-@pytest.mark.parametrize("speed_mm_s", [1.0, 6.0])
+@pytest.mark.parametrize(
+    ("ratio", "force_N", "speed_mm_s"),
+    [(0.7, 2.0, 1.0), (0.95, 2.0, 6.0), (0.7, 8.0, 6.0), (0.95, 4.0, 1.0)],
+)
 def test_the_contacts_coefficients_are_found(skin6, static, ratio, force_N, speed_mm_s) -> None:
     trial = slid(skin6, static, ratio, force_N, speed_mm_s)
     found = friction(*sampled(trial, 1))

@@ -472,29 +472,6 @@ def test_frames_lost_without_a_trace_are_missed_by_the_clock() -> None:
         amplifier.close()
 
 
-@pytest.mark.parametrize("kind", ["silence", "garbage", "truncate", "stale", "close"])
-@pytest.mark.parametrize("command", ["23", "1F", "01", "14 02", "8A", "8B", "24"])
-def test_one_fault_anywhere_is_an_error_or_nothing_and_then_over(kind: str, command: str) -> None:
-    bench = Bench({"kind": kind, "command": command})
-    with serving(bench.server):
-        amplifier, errors = None, list[InstrumentError]()
-        for _ in range(2):
-            try:
-                amplifier = amplifier or bench.connect()
-                assert amplifier.start(500) == 500
-            except InstrumentError as error:
-                errors.append(error)
-        assert len(errors) <= 1
-        assert all(error.device == "force_sensor" and error.hint for error in errors)
-        assert amplifier is not None
-        assert amplifier.start(500) == 500
-        amplifier.tare(Sensor().zero_mV_V)
-        bench.clock.sleep(0.1)
-        frames = read_frames(amplifier, 50)
-        assert frames.force_N.mean(axis=0) == pytest.approx([2, -3, 25], abs=3e-3)
-        amplifier.close()
-
-
 def test_a_reader_thread_and_requests_from_another_do_not_disturb_each_other() -> None:
     bench = Bench()
     with serving(bench.server):
