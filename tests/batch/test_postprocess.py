@@ -252,7 +252,7 @@ def test_close_kills_what_takes_too_long(queue: PostprocessQueue, tmp_path: Path
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("seen", ["a.h5", "processed", "a.png"])
+@pytest.mark.parametrize("seen", ["a.h5", "a.png"])
 def test_a_process_that_is_killed_leaves_whole_files_only(
     queue: PostprocessQueue, tmp_path: Path, seen: str
 ) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from packages import install, on_path
+from tiers import mostly_thorough
 
 REGISTERED = "[rig.procedures]\ncreep = lab.creep:Creep\n"
 COMPLETE = '''"""The creep of the skin."""
@@ -95,7 +96,12 @@ SEEN_IN_SOURCE = (
 """What is found without importing anything."""
 
 
-@pytest.fixture(params=BROKEN)
+BROKEN_BY_DEFAULT = (
+    *("syntax error", "import error", "missing module", "missing members", "another name"),
+)
+
+
+@pytest.fixture(params=mostly_thorough(BROKEN, BROKEN_BY_DEFAULT))
 def broken(request: pytest.FixtureRequest, rig: Any, tmp_path: Path) -> str:
     """A package whose procedure `creep` is broken, on the command line's path; in which way."""
     entry_points, modules, _ = BROKEN[request.param]
@@ -281,7 +287,7 @@ def switch_on(rig: Any) -> None:
     assert rig.outputs() == [True]
 
 
-@pytest.mark.parametrize("way", SAID)
+@pytest.mark.parametrize("way", mostly_thorough(SAID, ["syntax error", "no make_safe"]))
 def test_a_broken_driver_keeps_no_other_instrument_from_being_made_safe(
     rig: Any, acme: Path, way: str
 ) -> None:
