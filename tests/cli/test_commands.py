@@ -233,8 +233,8 @@ def test_make_safe_clears_the_mark_that_kept_runs_from_starting(rig: Any) -> Non
     assert safe.code == 0
     assert "daq: silent" in safe.stderr.splitlines()[0], "it says first what is known"
     assert rig.marks() == []
-    again = rig.run("sweep", *SHORT, "--bench", "sim.toml")
-    assert again.code == 0, again.stderr
+    again = rig.run("sweep", *SHORT, "--bench", "sim.toml", "--load", "1000N")
+    assert again.code == 4, "it starts, and meets the next thing that is wrong"
     simulator.send(signal.SIGTERM)
     assert simulator.finish().code == 0
 
