@@ -115,8 +115,10 @@ class Server:
     def start(
         self, arguments: Sequence[str], folder: Path, env: Mapping[str, str] | None = None
     ) -> ForkedProcess:
-        """Start ``rig`` with `arguments` in `folder`, in a process group of its own. Its environment
-        is `env`, or that in which the server was started."""
+        """Start ``rig`` with `arguments` in `folder`, in a process group of its own.
+
+        Its environment is `env`, or that in which the server was started.
+        """
         (stdout, its_stdout), (stderr, its_stderr) = os.pipe(), os.pipe()
         asked = {"folder": str(folder), "arguments": list(arguments)}
         job = json.dumps({**asked, "env": dict(env or self._environment)}).encode()
