@@ -35,6 +35,11 @@ class BatchFolder:
         return self.path / "batch.toml"
 
     @property
+    def terms(self) -> Path:
+        """What the batch was begun with, beside the queue, which may be damaged."""
+        return self.path / "terms.json"
+
+    @property
     def heartbeat(self) -> Path:
         """See `rig.batch.report.heartbeat`."""
         return self.path / "heartbeat.json"

@@ -113,6 +113,31 @@ def resume(
 
 
 @app.command()
+def rebuild(
+    folder: Folder = None,
+    file: Annotated[
+        Path | None,
+        typer.Option(help="The batch file, if it is no longer where it was.", metavar="FILE"),
+    ] = None,
+    bench: BenchPath = None,
+    results: Results = RESULTS,
+    debug: Debug = False,
+) -> None:
+    """Make a damaged queue anew from the batch file and the runs' files."""
+    with reported(debug):
+        from datetime import datetime
+
+        from rig.batch.execute.rebuild import rebuild as make_anew
+        from rig.batch.folder import find_folder
+
+        found = find_folder(folder, results)
+        counts = make_anew(found, file, bench, datetime.now().astimezone(), say)
+        states = ", ".join(f"{n} {state}" for state, n in counts.items() if n)
+        say(f"the queue of {found.path} was made anew: {states}")
+        say(f"continue with: rig batch resume {found.path}")
+
+
+@app.command()
 def pause(folder: Folder = None, results: Results = RESULTS, debug: Debug = False) -> None:
     """Make the bench safe and wait; `resume` retakes the point under way."""
     _request("pause", "pausing", folder, results, debug)

@@ -151,6 +151,26 @@ def test_what_is_no_queue_is_refused_by_name(tmp_path: Path, content: bytes) -> 
         Queue.open(path)
 
 
+def test_a_queue_that_is_damaged_is_refused_with_how_to_rebuild_it(tmp_path: Path) -> None:
+    with created(tmp_path, plan(20, 20)) as queue:
+        queue.close_log()
+    content = bytearray(queue.path.read_bytes())
+    content[2 * len(content) // 3 :: 7] = b"\xa5" * len(content[2 * len(content) // 3 :: 7])
+    queue.path.write_bytes(content)
+    for read_only in (False, True):
+        with pytest.raises(ConfigurationError, match=r"queue\.sqlite cannot be read") as raised:
+            Queue.open(queue.path, read_only=read_only)
+        assert f"rig batch rebuild {tmp_path}" in str(raised.value.hint)
+
+
+def test_damage_that_is_met_later_is_named_as_well(tmp_path: Path) -> None:
+    with created(tmp_path, plan(20, 20)) as queue:
+        content = queue.path.read_bytes()
+        queue.path.write_bytes(content[:100] + b"\xa5" * (len(content) - 100))
+        with pytest.raises(ConfigurationError, match=r"queue\.sqlite cannot be read"):
+            list(queue.rows())
+
+
 def test_a_disk_that_takes_no_more_is_told_with_the_remedy(tmp_path: Path) -> None:
     with created(tmp_path, plan()) as queue:
         queue._sql.execute(f"PRAGMA max_page_count = {_pages(queue)}")

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from rig.batch.queue import QueueWriteError
+from rig.batch.queue import QueueDamagedError, QueueWriteError
 
 LEAST_B = 1_000_000
 """Room, in bytes, that is asked for in any case: for the queue, the logs and the heartbeat."""
@@ -57,8 +57,8 @@ class DeferredWrites:
         while self._waiting:
             try:
                 self._waiting[0]()
-            except QueueWriteError as error:
-                self.why = error.message
+            except (QueueWriteError, QueueDamagedError) as error:
+                self.why = error.one_line()
                 return
             self._waiting.popleft()
         self.why = ""

@@ -3,6 +3,7 @@ was made from; they are compared before a batch is resumed."""
 
 from __future__ import annotations
 
+import json
 import uuid
 from collections.abc import Iterator
 from datetime import datetime
@@ -13,6 +14,7 @@ from rig.batch.execute.prepare import PreparedBatch
 from rig.batch.folder import BatchFolder, new_folder
 from rig.batch.plan.settings import BatchFile, Simulation
 from rig.batch.queue import Queue
+from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
 from rig.core.settings import fingerprint
 from rig.run.source_state import source_state
@@ -20,29 +22,43 @@ from rig.run.source_state import source_state
 
 def begin(batch_file: Path, prepared: PreparedBatch, now: datetime) -> BatchFolder:
     """Make the folder of a batch that may begin, with its queue."""
-    batch, bench = prepared.batch, prepared.bench
-    folder = new_folder(Path(batch.batch.results), batch.batch.name, now)
+    own = prepared.batch.batch
+    folder = new_folder(Path(own.results), own.name, now)
     text = batch_file.read_text(encoding="utf-8")
     folder.batch_file.write_text(text, encoding="utf-8")
-    files_from = batch_file.absolute().parent
-    Queue.create(
-        folder.queue,
-        prepared.plan,
-        prepared.estimates,
-        {
-            "id": str(uuid.uuid4()),
-            "name": batch.batch.name,
-            "file": batch.model_dump_json(),
-            "files_from": str(files_from),
-            "batch_file": str(batch_file.absolute()),
-            "bench": "" if bench is None else str(bench.absolute()),
-            "begun": now.isoformat(),
-            "state": "begun",
-            "simulated": "yes" if bench is None else "",
-            **fingerprints(batch_file, batch, files_from, bench),
-        },
-    ).close()
+    terms = terms_of(batch_file, prepared, now)
+    write_text(folder.terms, json.dumps(terms, indent=1) + "\n")
+    Queue.create(folder.queue, prepared.plan, prepared.estimates, terms).close()
     return folder
+
+
+def terms_of(batch_file: Path, prepared: PreparedBatch, now: datetime) -> dict[str, str]:
+    """Return what a batch is begun with, as entries of its queue."""
+    batch, bench = prepared.batch, prepared.bench
+    files_from = batch_file.absolute().parent
+    return {
+        "id": str(uuid.uuid4()),
+        "name": batch.batch.name,
+        "file": batch.model_dump_json(),
+        "files_from": str(files_from),
+        "batch_file": str(batch_file.absolute()),
+        "bench": "" if bench is None else str(bench.absolute()),
+        "begun": now.isoformat(),
+        "state": "begun",
+        "simulated": "yes" if bench is None else "",
+        **fingerprints(batch_file, batch, files_from, bench),
+    }
+
+
+def read_terms(folder: BatchFolder) -> dict[str, str]:
+    """Return what a batch was begun with; empty for one that an earlier version has begun."""
+    try:
+        found = json.loads(folder.terms.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(f"{folder.terms} cannot be read: {error}") from error
+    return {str(key): str(value) for key, value in found.items()}
 
 
 def fingerprints(

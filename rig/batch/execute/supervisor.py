@@ -27,7 +27,7 @@ from rig.batch.execute.disk_room import DeferredWrites
 from rig.batch.execute.postprocess import PostprocessJob, PostprocessQueue, PostprocessResult
 from rig.batch.folder import BatchFolder
 from rig.batch.plan.settings import BatchFile, Occasion
-from rig.batch.queue import HOLDS, PRESSES, Queue, QueueWriteError
+from rig.batch.queue import HOLDS, PRESSES, Queue, QueueDamagedError, QueueWriteError
 from rig.batch.report.heartbeat import Heartbeat, HeartbeatRecord, HeartbeatState
 from rig.batch.report.notify import Notifier
 from rig.core.errors import ExitCode
@@ -111,6 +111,8 @@ class Supervisor:
         self._runs = 0
         self._held_for = ""
         """Why the batch was held last, until a run has ended."""
+        self._disk_was_full = False
+        """True if files of runs may not have been made for that reason."""
         self._numbers: dict[Path, int] = {}
         """The runs whose files are still to be made, by journal."""
 
@@ -138,7 +140,8 @@ class Supervisor:
             self._record(self._queue.add_event, "info", f"started (process {os.getpid()})")
             self._notify("start", f"{counted(self._queue.remaining().runs, 'run')} to take")
             code = self._workers()
-            self._finish_files()
+            with contextlib.suppress(QueueDamagedError):
+                self._finish_files()
             self._write_heartbeat("ended")
             self._notify("end", self._progress.text)
             for warning in self._notifier.close():
@@ -236,7 +239,7 @@ class Supervisor:
     def _requests(self) -> list[str]:
         try:
             return self._queue.take_requests()
-        except QueueWriteError:  # a full disk; they stay
+        except (QueueWriteError, QueueDamagedError):  # on a full disk they stay
             return []
 
     def _send(self, worker: subprocess.Popen[bytes], command: str, request: str) -> None:
@@ -287,7 +290,9 @@ class Supervisor:
     def _notify(self, occasion: Occasion, text: str) -> None:
         marker = "SIMULATED " if self._simulated else ""
         title = f"{marker}batch {self._batch.name}: {occasion}"
-        details = {"folder": str(self._folder.path), "runs": self._queue.counts()}
+        details: dict[str, Any] = {"folder": str(self._folder.path)}
+        with contextlib.suppress(QueueDamagedError):
+            details["runs"] = self._queue.counts()
         self._notifier.notify(occasion, title, text, details)
 
     # --- files of finished runs -------------------------------------------------------------------
@@ -321,10 +326,11 @@ class Supervisor:
     def _finish_files(self) -> None:
         """Make the files of all finished runs. A stop request leaves out those that are not under
         way; `rig batch resume` makes them."""
-        waiting = set(self._numbers.values())
-        for number, procedure in self._queue.unprocessed():
-            if number not in waiting:  # the disk may have been full when they were made
-                self._add_job(number, procedure)
+        if self._disk_was_full:
+            waiting = set(self._numbers.values())
+            for number, procedure in self._queue.unprocessed():
+                if number not in waiting:
+                    self._add_job(number, procedure)
         if self._stop.requested is None and len(self._postprocess):
             self._say(
                 f"finishing: making the files of {counted(len(self._postprocess), 'run')} ..."
@@ -398,6 +404,7 @@ class Supervisor:
     def _on_hold(self, event: Mapping[str, Any]) -> None:
         """The batch is held. The same reason again before another run has ended is not repeated."""
         self._progress.state, self._progress.text = "held", event["text"]
+        self._disk_was_full |= bool(event.get("by_itself"))
         if event["text"] == self._held_for:
             return
         self._held_for = event["text"]

@@ -1,0 +1,147 @@
+"""Rebuilds the queue of a batch whose file is damaged: the plan from the batch file, and what
+became of each run from the run's own files. The damaged file is kept under another name."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+from rig.batch.execute.batch_clock import PASSED_S
+from rig.batch.execute.crash_recovery import outcome_from_journal
+from rig.batch.execute.prepare import prepare
+from rig.batch.execute.start import read_terms, terms_of
+from rig.batch.folder import BatchFolder
+from rig.batch.plan.conditions import BatchCondition, BatchPlan
+from rig.batch.plan.policy import kind_of
+from rig.batch.plan.procedures import installed
+from rig.batch.queue import AttemptResult, Queue, RunState
+from rig.core.errors import ConfigurationError, RigError
+from rig.files.journal.reader import read_journal
+from rig.files.journal.values import RunHeader
+from rig.files.naming import RUN_SUFFIX
+from rig.files.runfile.reader import RunFile
+
+HINT = "name a copy of it, in the folder that its other files are relative to: --file FILE"
+
+
+def rebuild(
+    folder: BatchFolder,
+    batch_file: Path | None,
+    bench: Path | None,
+    now: datetime,
+    say: Callable[[str], None],
+) -> dict[RunState, int]:
+    """Make the queue of a batch anew, and return the number of runs in each state.
+
+    `batch_file` and `bench` are needed where they are not where they were when the batch began, or
+    where the folder does not say where that was. A run that is complete is done; one whose files
+    say that it failed has failed (`rig batch resume --retry-failed` queues it again); any other is
+    queued, and continues from its journal. Numbers of attempts, holds and events are lost.
+
+    ConfigurationError if the batch is running, or if the batch file is not that of the runs.
+    """
+    for who in ("supervisor", "worker"):
+        if folder.is_held(who):
+            raise ConfigurationError(
+                f"{folder.path}: the batch is running", "stop it first: rig batch stop"
+            )
+    terms = read_terms(folder)
+    path = batch_file or Path(terms.get("batch_file", folder.batch_file))
+    _require_same(path, folder.batch_file)
+    if bench is None and terms.get("bench"):
+        bench = Path(terms["bench"])
+    prepared = prepare(path, bench, now, say)
+    meta = terms or terms_of(path, prepared, now)
+    new = folder.path / "queue.rebuilt.sqlite"
+    new.unlink(missing_ok=True)
+    with Queue.create(new, prepared.plan, prepared.estimates, meta) as queue:
+        _restore(queue, folder, prepared.plan)
+        counts = queue.counts()
+        queue.set_meta("state", "rebuilt from the runs' files")
+        queue.add_event("warning", "the queue was damaged and has been rebuilt")
+        queue.close_log()
+    _put_away(folder.queue)
+    new.rename(folder.queue)
+    return counts
+
+
+def _require_same(path: Path, copy: Path) -> None:
+    """Refuse a batch file that is not the one that the batch began with."""
+    try:
+        same = path.read_text(encoding="utf-8") == copy.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError(f"{path}: {error.strerror}", HINT) from error
+    if not same:
+        raise ConfigurationError(f"{path} differs from {copy}, the file of this batch", HINT)
+
+
+def _restore(queue: Queue, folder: BatchFolder, plan: BatchPlan) -> None:
+    """Give each run that has files the state that they show."""
+    passed_s = 0.0
+    for run in plan.runs:
+        condition = plan.conditions[run.condition]
+        journal = folder.journal(run.number, condition.procedure)
+        if (header := _header_of(journal)) is None:
+            continue
+        _require_settings(run.number, header, condition)
+        ended = outcome_from_journal(journal)
+        state: RunState = "done" if ended.ending == "complete" else "queued"
+        if state == "queued" and (failed := _failure_of(journal)) is not None:
+            ended, state = replace(failed, bench_s=ended.bench_s), "failed"
+        queue.finish(queue.claim(run.number), ended, state)
+        passed_s += ended.bench_s + condition.rest_s
+    queue.set_meta(PASSED_S, f"{passed_s:.6f}")
+
+
+def _header_of(journal: Path) -> RunHeader | None:
+    """Return the header of a run's journal or run file; None if neither can be read."""
+    with contextlib.suppress(RigError, OSError):
+        return read_journal(journal).header
+    with contextlib.suppress(RigError, OSError), RunFile.open(_run_file(journal)) as run:
+        return run.header
+    return None
+
+
+def _failure_of(journal: Path) -> AttemptResult | None:
+    """Return how a run failed, if that is what its files end with."""
+    status, code, reason = "", 0, ""
+    with contextlib.suppress(RigError, OSError):
+        if journal.exists():
+            ends = read_journal(journal).ends
+            if ends:
+                status, code, reason = ends[-1].status, ends[-1].exit, ends[-1].reason
+        else:
+            with RunFile.open(_run_file(journal)) as run:
+                outcome = run.outcome
+                status, code, reason = outcome.status, outcome.exit, outcome.reason
+    return AttemptResult("failed", kind_of(code, ()), code, reason) if status == "failed" else None
+
+
+def _require_settings(number: int, header: RunHeader, condition: BatchCondition) -> None:
+    """Refuse a run that the batch file, as it is expanded now, does not have at this number."""
+    own = installed(condition.procedure)
+    asked = own.Settings.model_validate_json(json.dumps(dict(condition.settings)))
+    if header.settings != asked.model_dump(mode="json"):
+        raise ConfigurationError(
+            f"run {number}: its file has other settings than the batch file gives now",
+            "rebuild the queue with the version of the program that the batch began with",
+        )
+
+
+def _run_file(journal: Path) -> Path:
+    return journal.with_suffix(RUN_SUFFIX)
+
+
+def _put_away(queue: Path) -> None:
+    """Rename a queue and the files that belong to it; nothing is deleted."""
+    number = 1
+    while (kept := queue.with_name(f"queue.damaged-{number}.sqlite")).exists():
+        number += 1
+    for end in ("", "-wal", "-shm", "-journal"):
+        old = queue.with_name(queue.name + end)
+        if old.exists():
+            old.rename(kept.with_name(kept.name + end))
