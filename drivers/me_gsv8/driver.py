@@ -435,6 +435,9 @@ class ForceAmplifier:
     One thread reads; other threads may call the other methods meanwhile.
     """
 
+    axes = "xyz"
+    """The axes that the sensor has: each is watched by itself."""
+
     def __init__(self, settings: MeGsv8Settings, clock: Clock):
         self._settings = settings
         self._clock = clock

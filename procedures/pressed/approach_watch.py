@@ -18,7 +18,7 @@ from collections import deque
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from procedures.pressed.contact import contact_range_mm, felt_N
+from procedures.pressed.contact import SIGMAS, contact_range_mm, felt_N
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
@@ -38,8 +38,6 @@ CONFIRMED_mm = 0.08
 is pressed so far pushes back with several times the force that means contact."""
 CONFIRMED_S = 0.05
 """Stretch of force whose mean confirms a contact."""
-SIGMAS = 5.0
-"""Ratio of a mean force to the standard error of a mean of noise, from which it is a force."""
 SUSPECT = (
     "suspect the force sensor: check its cable, its supply and that the object stands on it; press "
     "on it by hand and look at its value (rig jog shows it) before anything is pressed again"

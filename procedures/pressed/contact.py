@@ -12,6 +12,7 @@ import contextlib
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rig.analysis.slope import slopes
 from rig.core.errors import ConfigurationError, InstrumentError, LimitError, UnsafeError
 from rig.files.journal.layout import Column
 from rig.run.trip import TripError
@@ -37,6 +38,9 @@ SETTLED_S = 0.1
 record that is judged."""
 TARE_S = 0.2
 """Stretch of force that the zero is the mean of; the rest before it is twice as long."""
+DRIFT_N_s, DRIFT_S, SIGMAS = 0.2, 1.0, 5.0
+"""Largest drift of the zero in free air, far above what a warm amplifier shows; the stretch of
+force that confirms one; and the ratio to its standard error from which it is no noise."""
 UNLOAD_DEADLINE_S = 20.0
 HOMING_S = 0.68
 """Expected of a stage without a reference, wherever it stands (measured on simulated drives)."""
@@ -153,9 +157,30 @@ def stream_force(run: Run, least_S_s: float, what: str) -> None:
 
 
 def tare_in_free_air(run: Run) -> ForceZero:
-    """Zero the force sensor once what has moved is at rest; where its zero was found."""
+    """Zero the force sensor once what has moved is at rest; where its zero was found. Raises
+    InstrumentError for a zero that drifts."""
     run.clock.sleep(2 * TARE_S)
+    if drift_of(run, TARE_S) is not None:
+        run.clock.sleep(DRIFT_S)
+        if (drift := drift_of(run, DRIFT_S)) is not None:
+            raise InstrumentError(
+                "force_sensor",
+                "tare",
+                f"its zero drifts {drift} in free air, more than {DRIFT_N_s:g} N/s",
+                "let the amplifier warm up; check cable and supply, and that nothing touches the "
+                "sensor",
+            )
     return ForceZero(*run.force.tare(TARE_S))
+
+
+def drift_of(run: Run, seconds: float) -> str | None:
+    """Return by how much and along which axis the force has drifted over the latest `seconds`, in
+    words; None where no axis drifts beyond its noise and `DRIFT_N_s`."""
+    slopes_N_s, errors_N_s = slopes(run.force.latest_N(seconds), run.force.rate_S_s)
+    for axis, slope, error in zip("xyz", slopes_N_s, errors_N_s, strict=True):
+        if abs(slope) > max(DRIFT_N_s, SIGMAS * error):
+            return f"by {slope:.2g} N/s along {axis}"
+    return None
 
 
 def come_close(run: Run, contact_N: float, window_s: float, every_s: float) -> None:
@@ -324,7 +349,10 @@ def _judge_what_remains(run: Run, pressed: str, stands_mm: float) -> None:
     if force_N <= (min(PRESSED_N, limit_N) if run.force.tared else limit_N):
         return
     told = f"the {pressed} is still pressed with {force_N:.3g} N at {stands_mm:.3f} mm"
-    hint = "check what presses; move the stage away by hand"
+    hint = (
+        "check what presses; move the stage away by hand. Where nothing presses, the force "
+        "sensor's zero has moved"
+    )
     if force_N > limit_N:
         raise UnsafeError(f"stage_z: unload: {told}, over the limit of {limit_N:g} N", hint)
     run.fail(InstrumentError("stage_z", "unload", told, hint))

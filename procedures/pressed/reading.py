@@ -33,6 +33,9 @@ MISSING_S = 0.05
 """Length in s of samples or frames that may still be under way when a record ends."""
 SERVO_ERROR_S = 0.005
 """Stretch over which the error of the force is averaged, in an odd number of frames."""
+ZERO_SHIFT_N, ZERO_SHIFT = 0.1, 0.03
+"""Largest change of the force sensor's zero within a valid trial, and as a share of the normal
+force; the larger of both is the bound."""
 HELD_BACK = 0.5
 """Share of the ticks without a new target for z beyond which there is a warning."""
 AT_REST_S = 0.2
@@ -56,6 +59,8 @@ class TrialRecord:
     filter_delay_s: float = 0.0
     zero: ForceZero = field(default_factory=ForceZero)
     """Zero of the force sensor, before the skin touched anything."""
+    zero_shift_N: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Force along x, y, z that the sensor reads after the lift, relative to `zero`."""
     contact_mm: float = 0.0
     stiffness_N_mm: float = 0.0
     tapped_s: float = 0.0
@@ -200,6 +205,13 @@ def _doubts(
         if value > limit:
             words = name.removesuffix("_percent").replace("_", " ")
             doubts.append(f"{words} {value:.2g} % is above {limit:g} %")
+    bound_N = max(ZERO_SHIFT_N, ZERO_SHIFT * settings.normal_force_N)
+    for axis, shift_N in zip("xyz", record.zero_shift_N, strict=True):
+        if abs(shift_N) > bound_N:
+            doubts.append(
+                f"the force sensor's zero has moved by {shift_N:.2g} N along {axis} since it was "
+                f"zeroed, more than {bound_N:.2g} N"
+            )
     if 100 * late > settings.late_ticks_percent:
         doubts.append(f"{100 * late:.2g} % of the ticks were late")
     span_s = record.motion_to_s + AFTER_S

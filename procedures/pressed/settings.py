@@ -211,7 +211,7 @@ def pressed_overhead_s(
     ready_s = 0.0 if homed else 2 * HOMING_S + travel_s(parked_mm) + travel_s(x_mm)
     back_s = (presses - 1 + homed) * travel_s(slid_mm)
     searches_s = searched_mm / slow + (presses - 1) * again_s
-    return ready_s + presses * ways_s + back_s + searches_s + 2 * SETTLED_S
+    return ready_s + presses * (ways_s + 2 * SETTLED_S) + back_s + searches_s + 2 * SETTLED_S
 
 
 def summary_of(readings: Sequence[Reading], names: Sequence[str]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from procedures.pressed.axes import ArrivalWatch, PolledStage, PressingStage
-from procedures.pressed.contact import TRAVEL_mm_s, come_close, tare_in_free_air
+from procedures.pressed.contact import SETTLED_S, TRAVEL_mm_s, come_close, tare_in_free_air
 from procedures.pressed.hold import ForceHold
 from procedures.pressed.links import TrialLinks
 from procedures.pressed.press import Press
@@ -178,9 +178,12 @@ class PressedTrial:
         self.recorder.stop()
 
     def lift(self) -> None:
-        """Move z up, off the object."""
+        """Move z up, off the object; then see where the force sensor's zero is."""
         self.z.stage.stop()
         self.z.stage.move_to(self.run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
+        self.run.clock.sleep(2 * SETTLED_S)
+        shift_N = self.run.force.mean_N(SETTLED_S)
+        self.record.zero_shift_N = (float(shift_N[0]), float(shift_N[1]), float(shift_N[2]))
 
     def record_load_rates(self) -> Reading:
         """Record the load rates of the strips that are calibrated; return their scales."""

@@ -18,11 +18,11 @@ import numpy.typing as npt
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, RigError
 from rig.instruments.roles import ForceFrames, ForceSensor
+from rig.run.force_axes import AXES, AxisWatch
 from rig.run.holds import Holds
 from rig.run.stream_reader import StreamReader
 from rig.run.trip import TripError
 
-AXES = "xyz"
 STALE_S = 0.25
 """Time without a frame that starts a hold: the force is not known."""
 LOST_S = 5.0
@@ -69,6 +69,9 @@ class ForceMonitor:
         """Time at which the newest buffered frame would have come without its delay."""
         self._missing_since_s: float | None = None
         self._looked_s = 0.0
+        self._axes = AxisWatch(getattr(sensor, "axes", ""))
+        self._at_rest: npt.NDArray[np.float32] | None = None
+        """Raw frames of the latest `tare` that the reader's thread has not learned from."""
         self._last_raw: list[float] = []
         self._still = 0
         """Number of successive frames up to the latest that repeat the one before them."""
@@ -180,6 +183,7 @@ class ForceMonitor:
         latest = self._latest(seconds)
         zero = np.concatenate([f.raw[-n:] for f, n in latest]).mean(axis=0)
         self.noise_N = np.concatenate([f.force_N[-n:] for f, n in latest]).std(axis=0)
+        self._at_rest = np.concatenate([f.raw[-n:] for f, n in latest])
         raw = (float(zero[0]), float(zero[1]), float(zero[2]))
         zero_N = self._sensor.tare(raw)
         with self._lock:
@@ -268,6 +272,7 @@ class ForceMonitor:
             self._newest_s = now - (late / self._rate if self._rate else 0.0)
         self._watch_force(frames)
         self._watch_standstill(frames)
+        self._watch_axes(frames)
         return [frames]
 
     def _watch_force(self, frames: ForceFrames) -> None:
@@ -307,6 +312,21 @@ class ForceMonitor:
                     "switch the amplifier off and on; check that its converter runs",
                 )
                 raise self._trip
+
+    def _watch_axes(self, frames: ForceFrames) -> None:
+        """Make the bench safe if one axis of the sensor does not measure any more."""
+        if (rest := self._at_rest) is not None:
+            self._at_rest = None
+            self._axes.learn(rest)
+        if (fault := self._axes.fault(frames.raw)) is not None:
+            failed = self._make_safe()
+            self._trip = InstrumentError(
+                "force_sensor",
+                "stream",
+                f"{fault}{failed}",
+                "check the cable and the bridge of this axis; switch the amplifier off and on",
+            )
+            raise self._trip
 
     def _make_safe(self) -> str:
         """Run the emergency actions; return their failures as an addition to the reason."""

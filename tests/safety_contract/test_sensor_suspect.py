@@ -96,3 +96,41 @@ def test_an_axis_that_presses_without_a_torque_limit_is_refused_before_anything_
     assert "add torque_limit_percent = " in refused.errors[0]
     assert made_safe.code == 0, made_safe.stderr
     assert [e for e in rig.log() if e["what"] == "move"] == []
+
+
+HELD = 'move = 4\nof = "stage_z"\nafter_s = 2.5\n'
+"""While the force is held, on every model of stage."""
+
+
+def test_one_axis_that_is_stuck_ends_the_run_and_is_named(rig):
+    ended = run(rig, "slip-trial", f'kind = "one-axis-stuck"\naxis = "y"\n{HELD}', "--rest", "3s")
+    assert ended.code == 3, ended.stderr
+    assert "axis y has had the same value" in ended.errors[0]
+    log = rig.log()
+    stuck_us = next(e["t_us"] for e in log if e["what"] == "injected")
+    lifted_us = next(e["t_us"] for e in log if e["what"] == "lift-off" and e["t_us"] > stuck_us)
+    assert lifted_us - stuck_us < 500_000
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("procedure", ["sweep", "roll-trial"])
+@pytest.mark.parametrize("axis", ["x", "z"])
+def test_every_procedure_that_records_force_watches_every_axis(rig, procedure, axis):
+    ended = run(rig, procedure, f'kind = "one-axis-stuck"\naxis = "{axis}"')
+    assert ended.code == 3, ended.stderr
+    assert f"axis {axis} has had the same value" in ended.errors[0]
+    assert largest_N(rig) == 0.0
+
+
+def test_a_zero_that_drifts_in_free_air_ends_the_run_before_anything_is_pressed(rig):
+    ended = run(rig, "sweep", 'kind = "drift"\nrate_N_s = -2.0')
+    assert ended.code == 3, ended.stderr
+    assert "its zero drifts by -2 N/s along z" in ended.errors[0]
+    assert largest_N(rig) == 0.0
+
+
+def test_a_zero_that_has_moved_while_the_force_was_held_makes_the_trial_invalid(rig):
+    ended = run(rig, "slip-trial", f'kind = "drift"\naxis = "x"\nrate_N_s = 0.2\n{HELD}')
+    assert ended.code == 5, ended.stderr
+    assert "the force sensor's zero has moved by" in ended.stderr
+    assert "along x" in ended.stderr

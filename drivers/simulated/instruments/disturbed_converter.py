@@ -32,8 +32,8 @@ class DisturbedConverter:
         """`end` is the value at which the converter stands when it is saturated."""
         self._end = end
         self._disturbances: list[_Disturbance] = []
-        self._sent = np.zeros(channels)
-        """The values of the latest frame, as they were sent."""
+        self._sent: Reals | None = None
+        """The values of the latest frame, as they were sent; None before the first."""
         self._measured = np.zeros((BACK, channels))
         """The values of the latest frames, as they were measured."""
 
@@ -68,7 +68,8 @@ class DisturbedConverter:
                 self._disturbances = [other for other in self._disturbances if other is not one]
             else:
                 before = values[ends_s < one.begin_s]
-                last = before[-1] if len(before) else self._sent
+                earlier = values[0].copy() if self._sent is None else self._sent
+                last = before[-1] if len(before) else earlier
                 stuck = slice(None) if one.kind == "frozen" else [one.channel]
                 values[np.ix_(during, np.arange(values.shape[1])[stuck])] = last[stuck]
         self._sent = values[-1].copy()
