@@ -207,7 +207,11 @@ def rehearsal(
 
 
 def _stand_ins(real: BenchPlan, simulated: BenchPlan, models: Mapping[str, str]) -> Iterator[str]:
-    """A line for each role that another model plays on the simulated bench than on the real one."""
+    """Yield a line for each role that another model plays on the simulated bench than on the real
+    one, and one for the interlocks."""
+    if real.settings.interlock:
+        names = ", ".join(one.name for one in real.settings.interlock)
+        yield f"interlocks are not read in a dry run: {names}"
     wanted = {part.role: part.driver_name for part in real.instruments}
     for part in simulated.instruments:
         driver = wanted.get(part.role, part.driver_name)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 BENCH_FILE = Path("bench.toml")
 BenchToml = Annotated[Path, typer.Option(help="Bench file.")]
+SameBench = Annotated[Path | None, typer.Option(help="Bench file [bench.toml].")]
 Contact = Annotated[str | None, typer.Argument(help="Name of the contact; all that are latched.")]
 REMOTE = ("SSH_CONNECTION", "SSH_TTY")
 """Variables of a shell that somebody has opened from another computer."""
@@ -44,6 +45,7 @@ def show(context: typer.Context, bench: BenchToml = BENCH_FILE, debug: Debug = F
 
     Without a subcommand it shows each contact: level, latch, last proof test.
     """
+    context.obj = bench
     if context.invoked_subcommand is not None:
         return
     with reported(debug):
@@ -62,7 +64,9 @@ def show(context: typer.Context, bench: BenchToml = BENCH_FILE, debug: Debug = F
 
 
 @app.command()
-def reset(name: Contact = None, bench: BenchToml = BENCH_FILE, debug: Debug = False) -> None:
+def reset(
+    context: typer.Context, name: Contact = None, bench: SameBench = None, debug: Debug = False
+) -> None:
     """Reset contacts of a person that have opened and are closed again.
 
     At the bench only, from a terminal of its computer: first look at the bench, since nobody else
@@ -70,7 +74,7 @@ def reset(name: Contact = None, bench: BenchToml = BENCH_FILE, debug: Debug = Fa
     """
     with reported(debug):
         _require_terminal()
-        plan, records = _declared(bench, name)
+        plan, records = _declared(bench or context.obj, name)
         latched = [
             contact.name
             for contact in plan.settings.interlock
@@ -91,15 +95,16 @@ def reset(name: Contact = None, bench: BenchToml = BENCH_FILE, debug: Debug = Fa
 
 @app.command()
 def proof(
+    context: typer.Context,
     name: Annotated[str, typer.Argument(help="Name of the contact.")],
-    bench: BenchToml = BENCH_FILE,
+    bench: SameBench = None,
     debug: Debug = False,
 ) -> None:
     """Have a contact opened and closed by hand, and record with date that both were seen."""
     from rig.run.stopping import StopFlag
 
     with reported(debug), StopFlag() as stop:
-        plan, records = _declared(bench, name)
+        plan, records = _declared(bench or context.obj, name)
         with _looking(plan, records, stop.check) as watch:
             watch.prove(name, say)
 

@@ -464,3 +464,8 @@ def test_a_link_that_leaves_no_time_for_a_second_request_is_refused(driver: str)
     assert "set timeout_s to 0.4 s or less for [stage_z]" in line
     assert "communication_timeout_ms to 2500 ms or more" in line
     assert parse_bench(f"{stage}timeout_s = 0.9\n", "bench.toml")
+
+
+def test_a_dry_run_says_that_it_reads_no_interlock() -> None:
+    real, simulated = parse_bench(GOOD + DOOR, "bench.toml"), parse_bench(GOOD, "simulated")
+    assert "interlocks are not read in a dry run: door" in rehearsal(real, simulated).stand_ins
