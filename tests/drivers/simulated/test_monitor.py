@@ -80,6 +80,7 @@ def test_what_moves_at_the_end_is_told() -> None:
     assert told == [
         ("violation", "stage_x moves at 3 mm/s although no run is active"),
         ("largest-force", 0.0),
+        ("last-force", 0.0),
     ]
 
 
