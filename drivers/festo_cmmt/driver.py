@@ -158,7 +158,8 @@ class FestoAxis:
         return self._identity
 
     def reach(self) -> Mapping[str, Reach]:
-        """Position and speed that the bench file allows; how often there may be a new target."""
+        """Return the position and speed that the bench file allows; how often there may be a new
+        target."""
         own, owner = self._settings, f"{self._device} {self.identity.model}"
         return {
             "position": Reach(own.low_limit_mm, own.high_limit_mm, "mm", owner),
@@ -199,7 +200,7 @@ class FestoAxis:
         self._end_motion(ticket, "home")
 
     def position_mm(self) -> float:
-        """The measured position."""
+        """Return the measured position."""
         return self._poll().position * self._settings.position_unit_mm
 
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
@@ -213,7 +214,7 @@ class FestoAxis:
         self._start(position_mm, speed_mm_s)
 
     def _start(self, position_mm: float, speed_mm_s: float) -> Ticket:
-        """`start_move`; returns the ticket of the motion."""
+        """Do what `start_move` does, and return the ticket of the motion."""
         own, ticket = self._settings, self._interlock.ticket()
         reach = self.reach()
         reach["position"].require(self._device, "position", position_mm)
@@ -390,7 +391,8 @@ class FestoAxis:
             )
 
     def _check_unit(self, parameter: int, wanted_mm: float, per: int) -> None:
-        """The drive's unit as CiA 402 codes it: power of ten, metre (01h), per what."""
+        """Check the drive's unit as CiA 402 codes it: power of ten, metre (01h), and the
+        divisor."""
         try:
             code = int.from_bytes(self._link.parameter(parameter), "little")
         except ParameterRefusedError as refused:
@@ -455,7 +457,7 @@ class FestoAxis:
         )
 
     def _acknowledge(self, off: Outputs, ticket: Ticket) -> None:
-        """Pulse the acknowledge bit; a fault that remains raises."""
+        """Pulse the acknowledge bit; raise InstrumentError if the fault remains."""
         pulse = replace(off, stw1=off.stw1 | Stw1.ACKNOWLEDGE_FAULT)
         self._send(pulse, ticket, "switch on")
         give_up = self._clock.now() + FAULT_TIMEOUT_S
@@ -593,7 +595,7 @@ class FestoAxis:
         return Zsw1.TARGET_REACHED in seen.zsw1 and within
 
     def _end_at_fixed_stop(self, seen: Inputs, motion: MotionWatch) -> None:
-        """The torque limit has held the axis back: stop pushing, then raise."""
+        """Stop pushing and raise, because the torque limit has held the axis back."""
         with contextlib.suppress(InstrumentError):  # the torque limit is what has to be reported
             self._send_stop()
         self._motion = None
@@ -605,7 +607,7 @@ class FestoAxis:
         )
 
     def _end_past_target(self, seen: Inputs, motion: MotionWatch) -> None:
-        """The axis has not stopped at its target: stop it, then raise."""
+        """Stop the axis and raise, because it has not stopped at its target."""
         with contextlib.suppress(InstrumentError):  # the overtravel is what has to be reported
             self._send_stop()
         self._motion = None
@@ -648,7 +650,7 @@ def make_safe(settings: FestoCmmtSettings) -> None:
 
 
 def _at_rest(settings: FestoCmmtSettings) -> Outputs:
-    """The image of an axis under power that has nothing to do: its task is rejected."""
+    """Return the image of an axis under power that has nothing to do: its task is rejected."""
     full = settings.full_acceleration_mm_s2
     fixed_stop = Stw2.NONE if settings.torque_limit_percent is None else Stw2.TRAVEL_TO_FIXED_STOP
     return Outputs(
@@ -662,11 +664,11 @@ def _at_rest(settings: FestoCmmtSettings) -> Outputs:
 
 
 def _taken(seen: Inputs) -> bool:
-    """The drive has acknowledged the task."""
+    """Return whether the drive has acknowledged the task."""
     return Zsw1.TASK_ACKNOWLEDGED in seen.zsw1 and PosZsw1.MDI in seen.pos_zsw1
 
 
 def _gives_way(seen: Inputs) -> bool:
-    """No task and no homing is in force any more, or nothing is powered."""
+    """Return whether no task and no homing is in force any more, or the axis has no power."""
     idle = Zsw1.TASK_ACKNOWLEDGED not in seen.zsw1 and PosZsw1.HOMING not in seen.pos_zsw1
     return idle or Zsw1.OPERATION_ENABLED not in seen.zsw1

@@ -145,7 +145,7 @@ class Outputs:
     deceleration: int = 0
 
     def registers(self) -> tuple[int, ...]:
-        """The 28 registers to write; struct.error where a number does not fit its field."""
+        """Return the 28 registers to write; struct.error where a number does not fit its field."""
         packed = _OUTPUTS.pack(
             self.stw1,
             self.pos_stw1,
@@ -161,7 +161,7 @@ class Outputs:
 
     @classmethod
     def from_registers(cls, registers: Sequence[int]) -> Outputs:
-        """The image in at least 11 registers; ValueError for fewer."""
+        """Return the image in at least 11 registers; ValueError for fewer."""
         stw1, pos_stw1, pos_stw2, stw2, *numbers = _OUTPUTS.unpack(
             _to_bytes(registers, _OUTPUTS.size)
         )
@@ -185,7 +185,7 @@ class Inputs:
     warning: int = 0
 
     def registers(self) -> tuple[int, ...]:
-        """The 28 registers as the drive would send them."""
+        """Return the 28 registers as the drive would send them."""
         packed = _INPUTS.pack(
             self.zsw1,
             self.pos_zsw1,
@@ -201,7 +201,7 @@ class Inputs:
 
     @classmethod
     def from_registers(cls, registers: Sequence[int]) -> Inputs:
-        """The image in at least 11 registers; ValueError for fewer."""
+        """Return the image in at least 11 registers; ValueError for fewer."""
         zsw1, pos_zsw1, pos_zsw2, *numbers = _INPUTS.unpack(_to_bytes(registers, _INPUTS.size))
         return cls(Zsw1(zsw1), PosZsw1(pos_zsw1), PosZsw2(pos_zsw2), *numbers)
 

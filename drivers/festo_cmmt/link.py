@@ -84,7 +84,8 @@ class CmmtLink:
         return found
 
     def read(self, address: int, count: int, charge: bool = True) -> list[int]:
-        """`count` holding registers. `charge` off: a time-out does not move the bench's clock."""
+        """Return `count` holding registers. `charge` off: a time-out does not move the bench's
+        clock."""
         what = f"read register {address}"
         reply = self._ask(
             what,
@@ -139,7 +140,8 @@ class CmmtLink:
         self._ask("set the communication time-out", self._watch)
 
     def parameter(self, number: int, elements: int = 1) -> bytes:
-        """The raw little-endian bytes of a drive parameter (PNU); InstrumentError if refused."""
+        """Return the raw little-endian bytes of a drive parameter (PNU); InstrumentError if
+        refused."""
         self._mailbox(number, elements)
         self._execute(_READ, f"read parameter {number}")
         (length,) = self.read(MAILBOX_LENGTH, 1)
@@ -216,7 +218,8 @@ class CmmtLink:
         charge: bool = True,
         permit: Callable[[], None] = lambda: None,
     ) -> Any:
-        """One transaction, sent once; every failure closes the link and names its cause."""
+        """Make one transaction, which is sent once; every failure closes the link and names its
+        cause."""
         failed: Exception | None = None
         with self._clock.answer_within(WAITS * self._timeout_s), self._lock:
             permit()
@@ -255,8 +258,8 @@ class CmmtLink:
         return self._client
 
     def _watch(self, client: Any) -> Any:
-        """The drive's last reply, which may be a refusal; InstrumentError where it reads back
-        another time-out."""
+        """Return the drive's last reply, which may be a refusal; InstrumentError where it reads
+        back another time-out."""
         wanted = self._watchdog_ms
         reply = client.write_registers(COMMUNICATION_TIMEOUT, [wanted, 0], device_id=self._unit_id)
         if reply.isError():
@@ -275,7 +278,8 @@ class CmmtLink:
         return reply
 
     def _timed_out(self, what: str, charge: bool) -> InstrumentTimeoutError:
-        """A time-out is wall time; the bench's clock has to hear of it, once."""
+        """Return the error for a time-out, and let the bench's clock pass for it once: a time-out
+        takes wall time."""
         if charge and not self.charging:
             self.charging = True
             try:

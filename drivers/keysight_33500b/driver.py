@@ -89,7 +89,7 @@ class Generator33500B:
         self._set(f"{self._source}:VOLT:LIM:STAT", "1", 1)
 
     def reach(self) -> Mapping[str, Reach]:
-        """Frequency and peak amplitude that instrument and bench file allow."""
+        """Return the frequency and peak amplitude that instrument and bench file allow."""
         owner = f"generator {self.identity.model}"
         return {
             "frequency": Reach(LOWEST_FREQUENCY_HZ, HIGHEST_FREQUENCY_HZ, "Hz", owner),
@@ -114,7 +114,7 @@ class Generator33500B:
         self._verify(self._output, state, float(on))
 
     def output_is_on(self) -> bool:
-        """The output's state as the instrument reports it."""
+        """Return the output's state as the instrument reports it."""
         reply = self._link.query(f"{self._output}?")
         if reply not in ("0", "1"):
             self._link.close()

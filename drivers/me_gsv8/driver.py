@@ -490,7 +490,8 @@ class ForceAmplifier:
         self._rates = self._read_rate_range()
 
     def reach(self) -> Mapping[str, Reach]:
-        """Frame rates of the amplifier, and the force that the bench file allows on an axis."""
+        """Return the frame rates of the amplifier, and the force that the bench file allows on an
+        axis."""
         owner = f"{DEVICE} {self.identity.model}"
         limit = self._settings.force_limit
         return {
@@ -640,7 +641,7 @@ class ForceAmplifier:
             )
 
     def _set_rate(self, rate_S_s: float) -> None:
-        """The nearest rate that the amplifier has, read back."""
+        """Set the nearest rate that the amplifier has, and read it back."""
         if self._read_rate() != rate_S_s:
             self._link.request(WRITE_DATA_RATE, struct.pack(">f", rate_S_s))
             got = self._read_rate()
@@ -657,7 +658,7 @@ class ForceAmplifier:
         return self._rate
 
     def _read_rate_range(self) -> tuple[float, float]:
-        """Slowest and fastest rate as the amplifier is set."""
+        """Return the slowest and fastest rate as the amplifier is set."""
         (fastest,) = struct.unpack(">f", self._link.request(READ_DATA_RATE_RANGE, b"\0"))
         (slowest,) = struct.unpack(">f", self._link.request(READ_DATA_RATE_RANGE, b"\x01"))
         return float(slowest), float(fastest)

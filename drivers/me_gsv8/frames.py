@@ -169,7 +169,8 @@ class Decoder:
         self._rejected += data[: REJECTED_KEPT - len(self._rejected)]
 
     def _size(self, buffer: bytes, at: int) -> int:
-        """Bytes of the frame that begins here, `_MORE` if they are too few, or `_NO_FRAME`."""
+        """Return bytes of the frame that begins here, `_MORE` if they are too few, or
+        `_NO_FRAME`."""
         if len(buffer) < at + 2:
             return _MORE
         header = buffer[at + 1]
@@ -279,7 +280,7 @@ def _checks_by_place(
 
 
 def _values(data: npt.NDArray[np.uint8], data_type: int) -> npt.NDArray[np.float32]:
-    """Values of big-endian bytes (n, width); integers are offset binary."""
+    """Return values of big-endian bytes (n, width); integers are offset binary."""
     if data_type == FLOAT32:
         return np.ascontiguousarray(data).view(">f4").astype(np.float32)
     bits = 8 * VALUE_BYTES[data_type]
@@ -322,7 +323,7 @@ def crc8(data: bytes) -> int:
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/Modbus, of which a frame carries the low byte first."""
+    """Return CRC-16/Modbus, of which a frame carries the low byte first."""
     crc = 0xFFFF
     for byte in data:
         crc = _CRC16_LIST[(crc ^ byte) & 0xFF] ^ crc >> 8

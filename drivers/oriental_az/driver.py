@@ -200,7 +200,7 @@ class AzAxis:
         return self._identity
 
     def reach(self) -> Mapping[str, Reach]:
-        """Position and speed that the bench file allows; what the line has time for."""
+        """Return the position and speed that the bench file allows; what the line has time for."""
         own, owner = self._settings, f"{self._device} {self.identity.model}"
         line = f"{owner}: its line carries a poll and a new target in {self._update_s():.3g} s"
         return {
@@ -246,7 +246,7 @@ class AzAxis:
         self._end_motion(ticket, "home")
 
     def position_mm(self) -> float:
-        """The measured position."""
+        """Return the measured position."""
         return self._mm(self._read_position().feedback)
 
     def start_move(self, position_mm: float, speed_mm_s: float) -> None:
@@ -260,7 +260,7 @@ class AzAxis:
         self._start(position_mm, speed_mm_s)
 
     def _start(self, position_mm: float, speed_mm_s: float) -> Ticket:
-        """`start_move`; returns the ticket of the motion."""
+        """Do what `start_move` does, and return the ticket of the motion."""
         ticket = self._interlock.ticket()
         reach = self.reach()
         reach["position"].require(self._device, "position", position_mm)
@@ -421,7 +421,7 @@ class AzAxis:
         self._await_rest()
 
     def _identify(self) -> None:
-        """An AZ reports no name: it is known by its registers."""
+        """Check by its registers that the drive is an AZ, which reports no name."""
         try:
             words = self._link.read(TEMPERATURES, 4)
         except AzRefusalError as refused:
@@ -449,7 +449,7 @@ class AzAxis:
         self._in_charge = True
 
     def _reset_alarm(self) -> None:
-        """Pulse the reset, which starts no motion; an alarm that remains raises."""
+        """Pulse the reset, which starts no motion; raise InstrumentError if the alarm remains."""
         for value in (1, 0):
             self._line.wait_until_free()
             self._link.write(
@@ -521,7 +521,7 @@ class AzAxis:
         self._link.write(INPUT_COMMAND, halves(AzInput.STOP), charge, urgent=True)
 
     def _command_stop(self) -> None:
-        """STOP stands, read back, within the drive's time-out."""
+        """Switch STOP on and read it back, within the drive's time-out."""
         give_up = time.monotonic() + self._settings.timeout_s
         self._send_stop(charge=False)
         while not self._link.read(INPUT_COMMAND, 2, waits=False)[1] & AzInput.STOP:
@@ -574,7 +574,7 @@ class AzAxis:
         return AzState(words[1], words[3], alarm)
 
     def _poll(self) -> AzState:
-        """The drive's state; an alarm raises."""
+        """Return the drive's state; an alarm raises."""
         state = self._read_state()
         self._require_sound(state)
         return state
@@ -649,7 +649,7 @@ class AzAxis:
         raise self._error("move", cause, hint)
 
     def _why_refused(self, refused: AzRefusalError) -> InstrumentError:
-        """The error for a motion that the drive refused to start."""
+        """Return the error for a motion that the drive refused to start."""
         state = self._poll()
         if state.inputs & AzInput.STOP:
             return self._error("move", _HELD_BY_OTHERS, "stop the axis first, which lifts it")
@@ -708,7 +708,8 @@ class AzAxis:
         return self._settings.communication_timeout_ms * 1e-3 / KEEP_ALIVES_PER_TIMEOUT
 
     def _update_s(self) -> float:
-        """Duration of a poll and a new target, with the keep-alives of two drives on the line."""
+        """Return the duration of a poll and a new target, with the keep-alives of two drives on the
+        line."""
         line, unit = self._line, self._settings.unit_id
         look = reading(unit, COMMAND_POSITION, max(POSITION_REGISTERS))
         target = writing(unit, DIRECT_DATA, (0,) * 16)

@@ -61,7 +61,7 @@ EXCEPTIONS = {
 
 
 def crc16(data: bytes) -> int:
-    """The checksum of a frame; over a whole frame it is 0."""
+    """Return the checksum of a frame; over a whole frame it is 0."""
     crc = 0xFFFF
     for byte in data:
         crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
@@ -105,20 +105,20 @@ class AzRequest:
 
 
 def reading(unit: int, address: int, count: int) -> AzRequest:
-    """`count` registers from `address` on."""
+    """Return the request to read `count` registers from `address` on."""
     pdu = struct.pack(">BHH", READ, address, count)
     return AzRequest(unit, pdu, bytes((READ, 2 * count)), 5 + 2 * count)
 
 
 def writing(unit: int, address: int, words: Sequence[int]) -> AzRequest:
-    """Consecutive registers; the answer repeats address and count."""
+    """Return the request to write consecutive registers; the answer repeats address and count."""
     head = struct.pack(">BHH", WRITE, address, len(words))
     body = struct.pack(f">B{len(words)}H", 2 * len(words), *words)
     return AzRequest(unit, head + body, head, 8)
 
 
 def echoing(unit: int, number: int) -> AzRequest:
-    """A number that comes back; nothing else happens."""
+    """Return the request for an echo of a number; nothing else happens."""
     pdu = struct.pack(">BHH", ECHO, 0, number)
     return AzRequest(unit, pdu, pdu, 8)
 
@@ -185,7 +185,7 @@ class AzLine:
             return line
 
     def release(self) -> None:
-        """One user less; the last one closes the port."""
+        """Remove one user of the line; the last one closes the port."""
         with AzLine._opening:
             self._users -= 1
             if self._users <= 0:
@@ -210,9 +210,9 @@ class AzLine:
         self._heard_s[unit] = self._clock.now()
 
     def silent_peer(self) -> tuple[str, float] | None:
-        """A watched drive that has not answered for longer than its communication time-out while
-        another one has, which feeds both, and for how many s; None where all answer. Each silence
-        is reported once."""
+        """Return a watched drive that has not answered for longer than its communication time-out
+        while another one has, which feeds both, and for how many s; None where all answer. Each
+        silence is reported once."""
         now_s = self._clock.now()
         last_s = max(self._heard_s.values(), default=now_s)
         for unit, (device, patience_s) in self._watched.items():
@@ -366,8 +366,8 @@ class AzLine:
 
 
 def _first_frame(got: bytes) -> tuple[bytes | None, bytes]:
-    """The frame at the front and the rest; None while it is not whole. BrokenAnswerError for bytes
-    that begin none."""
+    """Return the frame at the front and the rest; None while it is not whole. BrokenAnswerError for
+    bytes that begin none."""
     if len(got) < 2:
         return None, got
     code = got[1]
@@ -401,7 +401,7 @@ class AzLink:
         self._closed = False
 
     def read(self, address: int, count: int, waits: bool = True) -> list[int]:
-        """`count` holding registers. `waits` off: the bench's clock is not waited on."""
+        """Return `count` holding registers. `waits` off: the bench's clock is not waited on."""
         if waits:
             self.line.wait_until_free()
         pdu = self._ask(f"read register {address:04X}h", reading(self._unit, address, count), waits)
@@ -426,7 +426,7 @@ class AzLink:
         self._ask(f"write register {address:04X}h", request, charge, urgent, permit)
 
     def read_value(self, address: int) -> int:
-        """A signed 32-bit value, upper register first."""
+        """Return a signed 32-bit value, upper register first."""
         upper, lower = self.read(address, 2)
         return signed(upper << 16 | lower)
 
@@ -500,7 +500,7 @@ class AzLink:
         return pdu
 
     def _charge(self) -> None:
-        """A time-out is wall time; the bench's clock has to hear of it, once."""
+        """Let the bench's clock pass for a time-out, once: a time-out takes wall time."""
         if self.charging:
             return
         self.charging = True
@@ -527,5 +527,5 @@ def signed(value: int) -> int:
 
 
 def halves(value: int) -> tuple[int, int]:
-    """A 32-bit value, upper register first."""
+    """Return a 32-bit value, upper register first."""
     return value >> 16 & 0xFFFF, value & 0xFFFF

@@ -65,7 +65,8 @@ class Ticket:
     stops: int
 
     def after_own_stop(self) -> Ticket:
-        """The ticket of the same motion after one stop that was a step of its own preparation.
+        """Return the ticket of the same motion after one stop that was a step of its own
+        preparation.
 
         A second stop, by another thread, still makes it invalid.
         """
@@ -226,7 +227,7 @@ class MotionWatch:
     def towards(
         cls, target: float, position: float, overtravel: float, longest_s: float, begun_at_s: float
     ) -> Self:
-        """The watch over a motion from `position` to `target`."""
+        """Return the watch over a motion from `position` to `target`."""
         direction = (target > position) - (target < position)
         return cls(target, direction, overtravel, longest_s, begun_at_s)
 

@@ -95,7 +95,7 @@ class VisaLink:
         return answers[:-1]
 
     def number(self, query: str, reply: str) -> float:
-        """The number in a reply, or InstrumentError that shows what came instead."""
+        """Return the number in a reply, or InstrumentError that shows what came instead."""
         try:
             return float(reply)
         except ValueError:
@@ -110,7 +110,7 @@ class VisaLink:
 
     @contextlib.contextmanager
     def _conversation(self, message: str) -> Iterator[Any]:
-        """A session to talk on; any failure closes it and becomes an InstrumentError."""
+        """Give the block an open session; any failure closes it and becomes an InstrumentError."""
         with self._talking:
             try:
                 with self._clock.answer_within(WAITS * self._timeout_s):
@@ -138,7 +138,7 @@ class VisaLink:
                 raise
 
     def _open(self, message: str) -> Any:
-        """A new session; `message` is what it is wanted for."""
+        """Return a new session; `message` is what it is wanted for."""
         wait_ms = round(self._timeout_s * 1000)
         try:
             session: Any = pyvisa.ResourceManager("@py").open_resource(
@@ -157,7 +157,7 @@ class VisaLink:
         return session
 
     def _charge_timeout(self) -> None:
-        """A time-out is wall time; the bench's clock has to hear of it."""
+        """Let the bench's clock pass for a time-out, which takes wall time."""
         with contextlib.suppress(InstrumentError):  # the time-out itself is the news
             self._clock.charge(self._timeout_s)
 
@@ -230,7 +230,7 @@ class VisaLink:
 
 
 def _each_once(errors: Sequence[str]) -> Iterator[str]:
-    """Each entry, with how often it was there."""
+    """Yield each entry, with how often it was there."""
     for entry, count in Counter(errors).items():
         yield entry if count == 1 else f"{entry} ({count} times)"
 

@@ -68,7 +68,7 @@ class AnalogueInputPort(TimePort, Protocol):
         count: int,
         skew_s: tuple[float, ...],
     ) -> npt.NDArray[np.float64]:
-        """Volts at the terminals, shape ``(count, len(terminals))``.
+        """Return volts at the terminals, shape ``(count, len(terminals))``.
 
         Sample ``i`` of terminal ``k`` is taken at
         ``start_us * 1e-6 + (first + i) / rate_S_s + skew_s[k]`` seconds of World time. Random

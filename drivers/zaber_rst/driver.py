@@ -125,7 +125,7 @@ class ZaberAxis:
         return self._identity
 
     def reach(self) -> Mapping[str, Reach]:
-        """Angle, speed and acceleration that the bench file allows."""
+        """Return the angle, speed and acceleration that the bench file allows."""
         own, owner = self._settings, f"{DEVICE} {self.identity.model}"
         return {
             "angle": Reach(own.low_limit_deg, own.high_limit_deg, "deg", owner),
@@ -166,7 +166,7 @@ class ZaberAxis:
         self._referenced = True
 
     def angle_deg(self) -> float:
-        """The angle by the encoder; without one, the angle that the stage has counted."""
+        """Return the angle by the encoder; without one, the angle that the stage has counted."""
         self._poll()
         return self._seen_deg
 
@@ -182,7 +182,7 @@ class ZaberAxis:
         self._start(angle_deg, speed_deg_s, acceleration_deg_s2)
 
     def _start(self, angle_deg: float, speed_deg_s: float, acceleration_deg_s2: float) -> Ticket:
-        """`start_turn`; returns the ticket of the turn."""
+        """Do what `start_turn` does, and return the ticket of the turn."""
         ticket = self._interlock.ticket()
         self._require_reach(angle_deg, speed_deg_s, acceleration_deg_s2)
         self._require_undisturbed("turn")
@@ -326,7 +326,8 @@ class ZaberAxis:
         self._identity = Identity("Zaber", f"X-RST (device id {number})", serial, firmware)
 
     def _turn(self) -> float | None:
-        """Microsteps in one turn; 0 for a linear axis, None where the stage does not report it."""
+        """Return microsteps in one turn; 0 for a linear axis, None where the stage does not report
+        it."""
         reply = self._link.ask(self._settings.axis, "get limit.cycle.dist")
         if not reply.accepted:
             return None
@@ -434,7 +435,7 @@ class ZaberAxis:
         return busy
 
     def _read(self) -> bool:
-        """Angle, status and flag in one exchange; whether the stage is busy."""
+        """Return the angle, status and flag in one exchange; whether the stage is busy."""
         reply = self._command(f"get {self._position}")
         microsteps = self._as_number(f"get {self._position}", reply.data)
         self._seen_deg = microsteps * self._settings.microstep_deg
@@ -450,7 +451,7 @@ class ZaberAxis:
     # --- flags --------------------------------------------------------------------------------
 
     def _flags(self) -> list[str]:
-        """All warning flags that stand, the gravest first."""
+        """Return all warning flags that stand, the gravest first."""
         reply = self._command("warnings")
         count, *flags = reply.data.split()
         if not count.isdigit() or int(count) != len(flags):
@@ -505,12 +506,12 @@ class ZaberAxis:
         )
 
     def _device_setting(self, name: str) -> str:
-        """A setting of the whole device."""
+        """Return a setting of the whole device."""
         words = f"get {name}"
         return self._accepted(words, self._link.ask(THE_DEVICE, words)).data
 
     def _number(self, name: str, axis: int | None = None) -> float:
-        """A setting of the axis, or of the device."""
+        """Return a setting of the axis, or of the device."""
         words = f"get {name}"
         reply = self._link.ask(self._settings.axis if axis is None else axis, words)
         return self._as_number(words, self._accepted(words, reply).data)

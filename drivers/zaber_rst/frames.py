@@ -46,18 +46,18 @@ class Reply:
 
 
 def command(device: int, axis: int, message_id: int, words: str) -> bytes:
-    """A command on the wire; `words` may be empty, which only asks for status and flag."""
+    """Return a command on the wire; `words` may be empty, which only asks for status and flag."""
     body = f"{device} {axis} {message_id:02d}{' ' if words else ''}{words}".encode("ascii")
     return b"/" + body + b":%02X\n" % check(body)
 
 
 def check(body: bytes) -> int:
-    """The check of a message without its first character: with it, the sum of bytes is 0."""
+    """Return the check of a message without its first character: with it, the sum of bytes is 0."""
     return -sum(body) & 0xFF
 
 
 def reply(line: bytes) -> Reply | None:
-    """The reply in a line; None where the line is sound and answers nothing.
+    """Return the reply in a line; None where the line is sound and answers nothing.
 
     What stands before the last ``@`` is the rest of a message that was cut short. Raises
     ZaberFrameError where the check is missing or wrong, or where the line is neither reply,

@@ -160,15 +160,16 @@ class ZaberRstSettings(Settings):
         return self
 
     def microsteps(self, angle_deg: float) -> int:
-        """An angle in the stage's numbers."""
+        """Return an angle in the stage's numbers."""
         return round(angle_deg / self.microstep_deg)
 
     def speed_data(self, speed_deg_s: float) -> int:
-        """A speed in the stage's numbers, the nearest that is not above the limit."""
+        """Return a speed in the stage's numbers, the nearest that is not above the limit."""
         return _nearest(speed_deg_s, self.max_speed_deg_s, self.lowest_speed_deg_s)
 
     def acceleration_data(self, acceleration_deg_s2: float) -> int:
-        """An acceleration in the stage's numbers, the nearest that is not above the limit."""
+        """Return an acceleration in the stage's numbers, the nearest that is not above the
+        limit."""
         return _nearest(
             acceleration_deg_s2, self.max_acceleration_deg_s2, self.lowest_acceleration_deg_s2
         )
@@ -186,6 +187,6 @@ class ZaberRstSettings(Settings):
 
 
 def _nearest(value: float, highest: float, step: float) -> int:
-    """The whole number of steps nearest to a value, and at most as many as fit the highest one,
-    from which rounding shall not take a step."""
+    """Return the whole number of steps nearest to a value, and at most as many as fit the highest
+    one, from which rounding shall not take a step."""
     return min(round(value / step), math.floor(highest / step * (1 + 1e-9)))

@@ -101,9 +101,9 @@ def contact_range_mm(bench: Bench) -> tuple[float, float]:
 
 
 def expected_contact_mm(fixture: FixtureSettings) -> tuple[float, float, float]:
-    """Positions of z where the slow search begins, where contact is expected, in the middle of
-    where it may be felt, and of the last parking place, in mm; all the same where the fixture does
-    not say: it will be refused."""
+    """Return positions of z where the slow search begins, where contact is expected, in the middle
+    of where it may be felt, and of the last parking place, in mm; all the same where the fixture
+    does not say: it will be refused."""
     first_mm, last_mm, parked_mm = (
         fixture.contact_from_mm,
         fixture.contact_to_mm,
@@ -115,7 +115,7 @@ def expected_contact_mm(fixture: FixtureSettings) -> tuple[float, float, float]:
 
 
 def travel_s(way_mm: float) -> float:
-    """Bench time that a quick way is expected to take."""
+    """Return the bench time that a quick way is expected to take."""
     return abs(way_mm) / TRAVEL_mm_s + ARRIVED_S if way_mm else 0.0
 
 
@@ -198,7 +198,7 @@ def come_close(run: Run, contact_N: float, window_s: float, every_s: float) -> N
 
 
 def felt_N(run: Run, window_s: float) -> float:  # noqa: N802 - the unit keeps its capital
-    """Mean force along z over the latest `window_s`, in N; what presses is positive."""
+    """Return the mean force along z over the latest `window_s`, in N; what presses is positive."""
     return float(run.force.mean_N(window_s)[2])
 
 

@@ -53,7 +53,7 @@ class ForceTiming:
         return FORCE_AGE_S + self.older_s
 
     def delay_s(self, rates: ServoRates) -> float:
-        """Time in s from a command to the first force that shows it."""
+        """Return the time in s from a command to the first force that shows it."""
         return rates.delay_s + self.older_s
 
 

@@ -46,7 +46,8 @@ class ForceHold:
         return self._servo.shift
 
     def begin_motion(self, expected: ContactShift | None) -> None:
-        """The next step is the first of a motion; `expected` is the `shift` of one like it."""
+        """Declare that the next step is the first of a motion; `expected` is the `shift` of one
+        like it."""
         self._servo.slide_begins(expected)
 
     def step(self, force_N: float) -> None:

@@ -45,7 +45,8 @@ class PositionRecorder:
         self._further.append(rows)
 
     def add_row(self) -> None:
-        """A row of where the axes are, unless none has been polled since the row before."""
+        """Add a row with the positions of the axes, unless none has been polled since the row
+        before."""
         polled_s = max(axis.polled_s for axis in (self._z, self._x, *self._axes()))
         if polled_s <= self._latest_row_s:
             return

@@ -82,15 +82,16 @@ class TrialRecord:
     loops: list[LoopStatistics] = field(default_factory=list)
 
     def forces_N(self) -> npt.NDArray[np.float64]:  # noqa: N802 - the unit keeps its capital
-        """F_n, F_t, F_y of every frame, (n, 3)."""
+        """Return the F_n, F_t, F_y of every frame, (n, 3)."""
         return np.concatenate(self.force)
 
     def frame_times_s(self) -> npt.NDArray[np.float64]:
-        """Times at which the frames came, (n,)."""
+        """Return times at which the frames came, (n,)."""
         return np.arange(sum(len(block) for block in self.force)) / self.force_rate_S_s
 
     def load_rates(self, scales: Mapping[str, LoadScale]) -> npt.NDArray[np.float64]:
-        """Rate of load on each strip in N/s at 1 kHz, (n, 2); NaN where a strip has no scale."""
+        """Return the rate of load on each strip in N/s at 1 kHz, (n, 2); NaN where a strip has no
+        scale."""
         volts = np.concatenate(self.volts)
         rates = np.full_like(volts, np.nan)
         for column, strip in enumerate(STRIPS):
@@ -101,7 +102,7 @@ class TrialRecord:
 
     @staticmethod
     def load_scales(scales: Mapping[str, LoadScale]) -> Reading:
-        """The scales for the table of trials."""
+        """Return the scales for the table of trials."""
         reading: Reading = {}
         for number, strip in enumerate(STRIPS, 1):
             factor = scales[strip].N_s_per_V if strip in scales else None
@@ -225,7 +226,7 @@ def _doubts(
 def _stretch(
     values: npt.NDArray[np.float64], rate_Hz: float, begin_s: float, end_s: float
 ) -> tuple[npt.NDArray[np.float64], float, float]:
-    """Values from one instant to another; their rate; when they begin."""
+    """Return values from one instant to another; their rate; when they begin."""
     first = max(0, round(begin_s * rate_Hz))
     return values[first : round(end_s * rate_Hz)], rate_Hz, first / rate_Hz
 

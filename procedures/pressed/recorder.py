@@ -140,7 +140,8 @@ class TickRecorder:
                     axis.ask_poll()
 
     def _collect_in_turn(self, due: bool, last: bool) -> None:
-        """Strips and frames of a poll interval, one of them a tick; both by the next poll."""
+        """Collect strips and frames of a poll interval, one of them per tick, both before the next
+        poll."""
         if due:
             self._collect_left()
             block_frames = self.force.timing.block_frames

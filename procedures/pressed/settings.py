@@ -67,6 +67,7 @@ TOUCH_DRIFT = {
 }
 """Five times the largest difference that was seen on the simulated bench (decision 0051)."""
 SUMMARY_LABELS = {
+    "tick_Hz": "servo tick rate; Hz",
     "mean_touch_gain_1_dB": "strip 1, touch-down gain; dB re 1 V s/N",
     "mean_touch_gain_2_dB": "strip 2, touch-down gain; dB re 1 V s/N",
     "force_zero_N": ZERO_LABEL,
@@ -231,8 +232,7 @@ def summary_of(readings: Sequence[Reading], names: Sequence[str]) -> dict[str, A
 
 
 def _touch_gains_of(readings: Sequence[Reading]) -> dict[str, float]:
-    """Each strip's mean gain in dB re 1 V s/N. An invalid trial was pressed all the
-    same."""
+    """Return each strip's mean gain in dB re 1 V s/N. An invalid trial was pressed all the same."""
     found = {}
     for number in (1, 2):
         name = f"touch_gain_{number}_V_s_N"

@@ -58,7 +58,7 @@ class StripRecorder:
         self._record_blocks()
 
     def collect_rest(self) -> None:
-        """Every block of what has been sampled until now, each a sign of life."""
+        """Collect every block that has been sampled until now; each is a sign of life."""
         sampled = self._rows_by_now()
         self._record_blocks()
         while self._rows_read < sampled and self._read_block():

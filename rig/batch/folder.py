@@ -54,11 +54,11 @@ class BatchFolder:
         return self.path / "runs" / f"r{number:05d}_{procedure}{JOURNAL_SUFFIX}"
 
     def run_file(self, number: int, procedure: str) -> Path:
-        """The run file that this journal is compiled to."""
+        """Return the run file that this journal is compiled to."""
         return self.journal(number, procedure).with_suffix(RUN_SUFFIX)
 
     def world_log(self, number: int) -> Path:
-        """A simulated bench's own log of a run, of all its attempts."""
+        """Return a simulated bench's own log of a run, of all its attempts."""
         return self.path / "runs" / f"r{number:05d}.world.jsonl"
 
     @contextlib.contextmanager
@@ -124,7 +124,7 @@ def new_folder(results: Path, name: str, today: datetime) -> BatchFolder:
 
 
 def find_folder(given: Path | None, results: Path) -> BatchFolder:
-    """The batch that a command means: the folder it names, or the latest in the results."""
+    """Return the batch that a command means: the folder it names, or the latest in the results."""
     if given is not None:
         return BatchFolder(given.parent if given.name == QUEUE else given)
     found = sorted(results.glob(f"*/{QUEUE}"), key=lambda queue: queue.stat().st_ctime)

@@ -242,7 +242,7 @@ class Queue:
         estimates: Mapping[str, RunEstimate],
         meta: Mapping[str, str],
     ) -> Self:
-        """A new queue of all runs of a plan, with what is expected of a run by condition. It
+        """Return a new queue of all runs of a plan, with what is expected of a run by condition. It
         appears under its name when it is whole."""
         with (
             replacing(path) as beside,
@@ -320,7 +320,7 @@ class Queue:
     # --- what is known of the batch -------------------------------------------------------------
 
     def meta(self, key: str, default: str = "") -> str:
-        """An entry about the batch as a whole."""
+        """Return an entry about the batch as a whole."""
         row = self._sql.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
         return default if row is None else str(row[0])
 
@@ -337,7 +337,7 @@ class Queue:
         return found  # type: ignore[return-value]
 
     def remaining(self) -> RemainingWork:
-        """The work that is queued or running, with the rests between runs."""
+        """Return the work that is queued or running, with the rests between runs."""
         rows = self._sql.execute(
             "SELECT n, n * (c.estimate_s + c.rest_s), n * c.spread_s, n * c.size_B"
             " FROM condition c JOIN"
@@ -352,13 +352,13 @@ class Queue:
         )
 
     def bench_s(self, number: int | None = None) -> float:
-        """Bench time of all attempts, or of those at one run, in s."""
+        """Return the bench time of all attempts, or of those at one run, in s."""
         query = "SELECT coalesce(sum(bench_s), 0) FROM run"
         where = ((), "") if number is None else ((number,), " WHERE number = ?")
         return float(self._sql.execute(query + where[1], where[0]).fetchone()[0])
 
     def condition(self, name: str) -> BatchCondition:
-        """A condition by its id."""
+        """Return a condition by its id."""
         row = self._sql.execute("SELECT * FROM condition WHERE id = ?", (name,)).fetchone()
         return _condition_of(row)
 
@@ -376,7 +376,7 @@ class Queue:
                 yield RunRow(**dict(row))
 
     def latest(self, states: Sequence[RunState], most: int) -> list[RunRow]:
-        """The runs that ended last, latest first."""
+        """Return the runs that ended last, latest first."""
         cursor = self._sql.execute(
             "SELECT number, condition, repeat, state, code, reason, bench_s, points_done,"
             " points_planned, (SELECT count(*) FROM attempt a WHERE a.run = run.number) AS attempts"
@@ -396,7 +396,8 @@ class Queue:
         return [(row[0], json.loads(row[1])) for row in rows]
 
     def first_summary_with(self, figure: str, since: int) -> tuple[int, dict[str, Any]] | None:
-        """The first run from number `since` on that is done and whose summary has a figure."""
+        """Return the first run from number `since` on that is done and whose summary has a
+        figure."""
         row = self._sql.execute(
             "SELECT number, summary FROM run WHERE state = 'done' AND number >= ?"
             " AND json_extract(summary, ?) IS NOT NULL ORDER BY number LIMIT 1",
@@ -435,7 +436,7 @@ class Queue:
     # --- the worker -----------------------------------------------------------------------------
 
     def upcoming(self) -> Claim | None:
-        """The run that would be claimed next; None where none is left."""
+        """Return the run that would be claimed next; None where none is left."""
         row = self._sql.execute(
             "SELECT number, repeat, condition FROM run WHERE state = 'queued'"
             " ORDER BY number LIMIT 1"
@@ -553,7 +554,7 @@ class Queue:
             )
 
     def events(self, most: int) -> list[tuple[str, str, str]]:
-        """The latest events (time, level, text), oldest first."""
+        """Return the latest events (time, level, text), oldest first."""
         rows = self._sql.execute(
             "SELECT time, level, text FROM event ORDER BY id DESC LIMIT ?", (most,)
         ).fetchall()
@@ -567,7 +568,7 @@ class Queue:
 
     @_patient
     def take_requests(self) -> list[str]:
-        """The requests since the last call, oldest first; they are deleted."""
+        """Return the requests since the last call, oldest first; they are deleted."""
         if self._sql.execute("SELECT 1 FROM request LIMIT 1").fetchone() is None:
             return []
         with self._transaction():

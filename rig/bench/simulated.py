@@ -20,8 +20,8 @@ class BenchFactory(Protocol):
         ...
 
     def options_for(self, drivers: Mapping[str, str]) -> dict[str, Any]:
-        """Options for `start` that give the bench the simulators of these drivers (names by role),
-        as far as they are installed."""
+        """Return options for `start` that give the bench the simulators of these drivers (names by
+        role), as far as they are installed."""
         ...
 
     def start(self, options: dict[str, Any]) -> RunningBench:

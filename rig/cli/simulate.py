@@ -62,7 +62,7 @@ def simulate(
 
 
 def _replaced(given: list[str]) -> dict[str, str]:
-    """The drivers of ``--replace`` by role."""
+    """Return the drivers of ``--replace`` by role."""
     replaced: dict[str, str] = {}
     for text in given:
         role, equals, driver = text.partition("=")

@@ -78,7 +78,7 @@ class Clock(ABC):
 
     @abstractmethod
     def now(self) -> float:
-        """Bench time in seconds."""
+        """Return the bench time in seconds."""
 
     @abstractmethod
     def _pass(self, seconds: float) -> None:
@@ -181,7 +181,7 @@ class WallClock(Clock):
         self._start = time.monotonic()
 
     def now(self) -> float:
-        """Seconds since the clock was made."""
+        """Return seconds since the clock was made."""
         return time.monotonic() - self._start
 
     def charge(self, seconds: float) -> None:
@@ -210,7 +210,7 @@ class SlavedClock(Clock):
         """Readers by stream, and the number of bytes that the bench had sent before each began."""
 
     def now(self) -> float:
-        """Seconds of bench time since the bench started."""
+        """Return seconds of bench time since the bench started."""
         return self._now_us * 1e-6
 
     def sleep(self, seconds: float) -> None:

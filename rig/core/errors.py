@@ -59,7 +59,7 @@ class RigError(Exception):
             self.code = code
 
     def one_line(self) -> str:
-        """Message and hint on one line, as a person reads it."""
+        """Return the message and hint on one line, as a person reads it."""
         text = f"{self.message}; {self.hint}" if self.hint else self.message
         return " ".join(text.split())
 

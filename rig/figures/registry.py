@@ -16,7 +16,7 @@ RegisteredFigure = FileEntry
 
 
 def figures_of(kind: str) -> list[RegisteredFigure]:
-    """The figures of files of one kind: a procedure's name, `import` or `processed`.
+    """Return the figures of files of one kind: a procedure's name, `import` or `processed`.
 
     The procedure's own figure comes first, then further ones by their names. Of several packages
     that declare the same name this project comes first, then the others by their names."""

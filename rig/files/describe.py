@@ -93,19 +93,19 @@ def describe_processed(file: ProcessedFile) -> dict[str, Any]:
 
 
 def _event(event: SlipEvent) -> str:
-    """``incipient slip at 6.384 s, confidence 0.6``"""
+    """Return an event as text, such as ``incipient slip at 6.384 s, confidence 0.6``."""
     reason = f" ({event.reason})" if event.reason else ""
     return f"{event.kind} at {event.time_s:.3f} s, confidence {event.confidence:.2f}{reason}"
 
 
 def _named(who: PersonOrSample) -> str:
-    """A person's or sample's name with whatever else is known."""
+    """Return a person's or sample's name with whatever else is known."""
     details = ", ".join(f"{name} {value}" for name, value in who.details().items())
     return f"{who.name} ({details})" if details else who.name
 
 
 def _bench(header: RunHeader) -> str:
-    """The bench's name and the file that described it."""
+    """Return the bench's name and the file that described it."""
     name = ""
     with contextlib.suppress(tomllib.TOMLDecodeError):
         name = str(tomllib.loads(header.bench_toml).get("name", ""))

@@ -184,7 +184,7 @@ class DataAcquisition(Instrument, Protocol):
         ...
 
     def ranges_V(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital
-        """Bipolar full scales of an input in ascending order."""
+        """Return the bipolar full scales of an input in ascending order."""
         ...
 
     def acquire(self, acquisition: Acquisition) -> Record:

@@ -154,7 +154,8 @@ def _detect(job: DetectionJob) -> DetectionResult:
 
 
 def _refuse_damaged(run_file: Path) -> list[str]:
-    """RunFileError if the file is not the one that was written; a warning if that is not known."""
+    """Raise RunFileError if the file is not the one that was written; return a warning if that is
+    not known."""
     if not run_file.is_file():
         return []  # RunFile.open says what it is instead
     doubts = list(checksum_findings(run_file))
@@ -168,8 +169,8 @@ def _refuse_damaged(run_file: Path) -> list[str]:
 def _already_there(
     target: Path, source: ProcessedSource, warnings: list[str]
 ) -> DetectionResult | None:
-    """The result that exists, where it is sound and of just this file; of a run that has gone on
-    since, or damaged, it is written again. RunFileError where it is another run's."""
+    """Return the result that exists, where it is sound and of just this file; of a run that has
+    gone on since, or damaged, it is written again. RunFileError where it is another run's."""
     if not target.exists():
         return None
     if doubts := list(checksum_findings(target)):
@@ -235,7 +236,8 @@ def _stream_of_strips(run: RunFile) -> str:
 
 
 def _detect_trial(point: str, pieces: list[Waveform], settings: DetectorSettings) -> DetectedTrial:
-    """ValueError where the detector cannot take the trial, or not all of it is of one kind."""
+    """Return the result for one trial. Raises ValueError if the detector cannot process it, or if
+    its pieces are of different kinds."""
     import numpy as np
 
     rate_Hz = pieces[0].rate_Hz
@@ -263,7 +265,7 @@ def _detect_trial(point: str, pieces: list[Waveform], settings: DetectorSettings
 
 
 def _rows_of(pieces: list[Waveform]) -> Iterator[tuple[Waveform, NDArray[np.float64]]]:
-    """Each piece with its volts, (n, 2)."""
+    """Yield each piece with its volts, (n, 2)."""
     import numpy as np
 
     for piece in pieces:

@@ -68,8 +68,8 @@ class Run:
         self._start_s = bench.clock.now() - elapsed_s
 
     def elapsed_s(self) -> float:
-        """Bench time since the run's start in seconds; a resumed run continues from its earlier
-        attempts."""
+        """Return the bench time since the run's start in seconds; a resumed run continues from its
+        earlier attempts."""
         return self.clock.now() - self._start_s
 
     @property

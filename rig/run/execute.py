@@ -194,7 +194,8 @@ class _Execution:
     # --- during every wait ------------------------------------------------------------------------
 
     def _each_slice(self) -> None:
-        """Called before every slice of at most 20 ms of a wait: raises what ends the wait."""
+        """Raise what ends a wait. It is called before every slice of the wait, which is at most 20
+        ms long."""
         now = time.monotonic()
         due = now - self._last_beat >= BEAT_EVERY_S
         if due:
@@ -359,7 +360,8 @@ class _Execution:
 
     @contextlib.contextmanager
     def _saving(self) -> Iterator[None]:
-        """One step of saving the data; its failure is reported and does not stop the next step."""
+        """Carry out one step of saving the data within the block. Its failure is reported and does
+        not stop the next step."""
         try:
             yield
         except RigError as error:

@@ -151,7 +151,7 @@ class PointLoop:
                 self._observers.event("warning", f"{point.id}: {invalid.message}; retaking it")
 
     def _take(self, point: Point, discard_invalid: bool) -> Reading:
-        """One attempt at a point, from its first record in the journal to its last."""
+        """Make one attempt at a point, from its first record in the journal to its last."""
         self._run.clock.announce(self._job.run_number, zlib.crc32(point.id.encode()))
         self._recorder.put_point_begin(point.id, {"time": self._run.elapsed_s()})
         try:

@@ -85,7 +85,7 @@ def refusals(
     taken: Iterable[str] = (),
     settings: Settings | None = None,
 ) -> Iterator[RigError]:
-    """Every error that `check_points` would raise, one after the other."""
+    """Yield every error that `check_points` would raise, one after the other."""
     if not points:
         yield ConfigurationError("there is no point to measure", "ask for at least one")
     yield from out_of_reach(bench)

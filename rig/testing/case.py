@@ -31,7 +31,7 @@ class BenchClock(Clock):
         self._bench = bench
 
     def now(self) -> float:
-        """Bench time in seconds."""
+        """Return the bench time in seconds."""
         return self._bench.now_us * 1e-6
 
     def _pass(self, seconds: float) -> None:

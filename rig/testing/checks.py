@@ -70,7 +70,7 @@ def close(service: Service, instrument: Any) -> None:
 
 
 def members(protocol: type) -> dict[str, Any]:
-    """Public members of a protocol, inherited ones included."""
+    """Return the public members of a protocol, inherited ones included."""
     return {
         name: member
         for base in reversed(protocol.__mro__[:-1])

@@ -55,7 +55,8 @@ def bench_toml(
     endpoints: Endpoints,
     interlocks: Sequence[dict[str, Any]] = (),
 ) -> str:
-    """The bench file that drives this bench; `interlocks` are its ``[[interlock]]`` tables."""
+    """Return the bench file that drives this bench; `interlocks` are its ``[[interlock]]``
+    tables."""
     stages = {} if options.stages == "festo" else {"stages": options.stages}
     simulation = {"seed": options.seed, **stages, **world}
     lines = "".join(f"{key} = {toml_value(value)}\n" for key, value in simulation.items())

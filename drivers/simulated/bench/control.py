@@ -58,7 +58,7 @@ class ControlServer:
             self._server.close()
 
     def answer(self, line: bytes) -> dict[str, Any]:
-        """The answer to one request line; an error is an answer too."""
+        """Return the answer to one request line; an error is an answer too."""
         try:
             request = json.loads(line)
             do = request["do"]
@@ -102,7 +102,7 @@ class ControlServer:
         return first
 
     def lost(self) -> None:
-        """The connection of the time's owner has closed."""
+        """Set the time free, because the connection of its owner has closed."""
         if not self._stopped:
             self._orphaned()
 

@@ -143,7 +143,8 @@ class _OwnersPipe(asyncio.Protocol):
 
 
 def main() -> None:
-    """The process behind `start`: a line of JSON in, the options, and one out when it listens.
+    """Run the process behind `start`: read the options as a line of JSON, and write one when it
+    listens.
 
     Where the input ends without options, the owner has died: nothing is started.
     """

@@ -95,8 +95,8 @@ class StartedBench:
 
 
 def variants() -> tuple[str, ...]:
-    """The stages that the bench can have, by the names that `Options.stages` takes; the first is
-    the usual one."""
+    """Return the stages that the bench can have, by the names that `Options.stages` takes; the
+    first is the usual one."""
     return get_args(Stages)
 
 
@@ -129,7 +129,7 @@ def alone(core: Any, role: str, **options: Any) -> AbstractContextManager[Any]:
 
 
 def _faulty_disk(options: Options) -> FaultyDisk | None:
-    """The disk of the owner's results, where the fault plan has something for it."""
+    """Return the disk of the owner's results, where the fault plan has something for it."""
     if options.fault is None or options.results is None:
         return None
     from drivers.simulated.faults.disk import FaultyDisk

@@ -83,7 +83,7 @@ class _Image:
     words: tuple[int, ...] = (0,) * IMAGE_WORDS
 
     def bit(self, word: int, bit: int) -> bool:
-        """Bit of STW1 (0), POS_STW1 (1), POS_STW2 (2) or STW2 (3)."""
+        """Return the bit of STW1 (0), POS_STW1 (1), POS_STW2 (2) or STW2 (3)."""
         return bool(self.words[word] >> bit & 1)
 
     def bits(self, *bits: int) -> bool:
@@ -147,7 +147,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
     # --- the World's side ---------------------------------------------------------------------
 
     def trip(self, code: int) -> None:
-        """A fault plan's doing: the drive reports this fault now."""
+        """Report this fault now, for a fault plan."""
         now = self._port.now_us
         self.settle(now)
         self._fail(code, now)
@@ -155,12 +155,12 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
     # --- the registers' side ------------------------------------------------------------------
 
     def identification(self) -> Mapping[int, str]:
-        """Vendor, product code, revision, URL, product name, model."""
+        """Return the vendor, product code, revision, URL, product name, model."""
         self._feed()
         return self.identity
 
     def read(self, address: int, count: int, by: str) -> Sequence[int]:
-        """Images, time-out or mailbox; one block at a time."""
+        """Return images, time-out or mailbox; one block at a time."""
         self._feed()
         if _within(address, count, INPUTS, IMAGE_WORDS):
             return self._inputs()[address - INPUTS :][:count]
@@ -196,15 +196,15 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
             raise ModbusError(ILLEGAL_ADDRESS)
 
     def _feed(self) -> None:
-        """Any request feeds the time-out (UNCONFIRMED: perhaps only process data do), but a late
-        one finds it expired."""
+        """Restart the time-out: any request does (UNCONFIRMED: perhaps only process data do), but a
+        late one finds it expired."""
         self.settle(self._port.now_us)
         self._fed_us = self._port.now_us
 
     # --- what happens by itself ---------------------------------------------------------------
 
     def _own_due(self, now_us: int) -> Due | None:
-        """The communication time-out, where it has expired."""
+        """Return the communication time-out, where it has expired."""
         if not self._controlled or not self._timeout_ms or self.fault:
             return None
         deadline = self._fed_us + 1000 * self._timeout_ms
@@ -257,7 +257,8 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         return self._target_mm is not None and self.axis.seeks_fixed_stop
 
     def _fail(self, code: int, t_us: int, braking: bool = False) -> None:
-        """Fault bit, operation disabled, controlled stop (reaction UNCONFIRMED)."""
+        """Set the fault bit, disable operation and make a controlled stop (reaction
+        UNCONFIRMED)."""
         self.fault = code
         self._log("fault", code, "drive")
         if self.homing:
@@ -333,7 +334,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
             self._begin(by, again=True)
 
     def _limit_force(self, image: _Image) -> None:
-        """Travel to fixed stop: the clamping torque is what the drive pushes with."""
+        """Set the force limit of a travel to fixed stop, from the clamping torque."""
         seeking = image.bit(3, 8)
         self.axis.seeks_fixed_stop = seeking
         (percent,) = struct.unpack("<f", self._parameters[_CLAMPING])
@@ -389,7 +390,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         self._go(by, quiet=again)
 
     def _limits(self) -> tuple[float, float]:
-        """The software limits as World positions."""
+        """Return the software limits as World positions."""
         low, high = (
             self._zero_mm
             + struct.unpack("<q", self._parameters[number])[0] * self.settings.position_unit_mm
@@ -555,12 +556,12 @@ def _positive(raw: bytes) -> bool:
 
 
 def _word(*bits: bool) -> int:
-    """Bits from bit 0 up."""
+    """Return bits from bit 0 up."""
     return sum(bit << index for index, bit in enumerate(bits))
 
 
 def _halves(value: int) -> tuple[int, int]:
-    """A 32-bit value, low word first."""
+    """Return a 32-bit value, low word first."""
     return value & 0xFFFF, value >> 16 & 0xFFFF
 
 

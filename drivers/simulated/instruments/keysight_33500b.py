@@ -193,13 +193,14 @@ class Keysight33500B(ScpiInstrument):
         super().__init__(IDENTITY, self._commands())
 
     def reset(self, by: str) -> None:
-        """``*RST``: outputs off, 1 kHz sine of 100 mVpp into 50 ohm on both channels."""
+        """Reset as ``*RST`` does: outputs off, 1 kHz sine of 100 mVpp into 50 ohm on both
+        channels."""
         for channel in CHANNELS:
             self._become(channel, ChannelState(), by)
         self._forget_settings()
 
     def trigger(self, by: str) -> None:
-        """A bus trigger; ignored with an error unless a burst waits for one."""
+        """Handle a bus trigger, which is ignored with an error unless a burst waits for one."""
         waiting = any(
             self._states[channel].burst and self._stored[_TRIGGER_SOURCE, channel] == "BUS"
             for channel in CHANNELS
@@ -208,7 +209,7 @@ class Keysight33500B(ScpiInstrument):
             super().trigger(by)
 
     def state(self, channel: int) -> ChannelState:
-        """The present settings of a channel, for tests and inspection."""
+        """Return the present settings of a channel, for tests and inspection."""
         return self._states[channel]
 
     # --- state -------------------------------------------------------------------------------
@@ -233,7 +234,8 @@ class Keysight33500B(ScpiInstrument):
             self._port.excite(channel, new.excitation(), by)
 
     def _clip(self, value: float, low: float, high: float) -> float:
-        """The value moved into [low, high]; leaving it there queues -222, rounding does not."""
+        """Return the value moved into [low, high]; leaving it there queues -222, rounding does
+        not."""
         clipped = min(max(value, low), high)
         if abs(value - clipped) > 1e-9 * abs(clipped):
             side = "upper" if value > clipped else "lower"
@@ -543,7 +545,7 @@ def _asked(quantity: ScpiQuantity, bounds: Bounds, shown: float) -> float:
 
 
 def _peak_to_peak(value: float, unit: str, state: ChannelState) -> float:
-    """Displayed volts peak to peak of an amplitude given in ``unit``."""
+    """Return the displayed volts peak to peak of an amplitude given in ``unit``."""
     if unit == "VPP":
         return value
     if state.function == "DC":
@@ -556,7 +558,7 @@ def _peak_to_peak(value: float, unit: str, state: ChannelState) -> float:
 
 
 def _in_unit(peak_to_peak: float, unit: str, state: ChannelState) -> float:
-    """The inverse of `_peak_to_peak`."""
+    """Return the inverse of `_peak_to_peak`."""
     if unit == "VPP" or state.function == "DC":
         return peak_to_peak
     rms = peak_to_peak / PEAK_TO_PEAK_PER_RMS[state.function]
@@ -630,7 +632,7 @@ def _put_limited(state: ChannelState, on: bool) -> ChannelState:
 
 
 def _samples(data: list[bytes], sample: np.dtype[np.generic]) -> npt.NDArray[np.float64]:
-    """The points of an upload: one binary block, or a list of numbers."""
+    """Return the points of an upload: one binary block, or a list of numbers."""
     first = data[0].lstrip()
     try:
         if first[:1] == b"#":

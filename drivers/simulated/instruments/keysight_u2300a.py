@@ -79,7 +79,7 @@ class SimulatedDaqModel:
     """Converts all channels together (UNCONFIRMED for the U254x); selected by ``ROUT:ENAB``."""
 
     def highest_rate(self, channels: int) -> int:
-        """Largest rate per channel, in S/s, with `channels` channels in the scan."""
+        """Return the largest rate per channel, in S/s, with `channels` channels in the scan."""
         if channels == 1 or self.simultaneous:
             return self.single_rate_S_s
         return self.aggregate_rate_S_s // channels
@@ -134,7 +134,7 @@ class SimulatedAcquisition:
     lost: bool = False
 
     def taken(self, now_us: int) -> int:
-        """Points per channel converted by now."""
+        """Return points per channel converted by now."""
         if not self.triggered:
             return 0
         taken = (now_us - self.start_us) * self.rate_S_s // 1_000_000
@@ -144,7 +144,8 @@ class SimulatedAcquisition:
 def codes_of_volts(
     volts: npt.NDArray[np.float64], range_V: float, polarity: str, bits: int
 ) -> npt.NDArray[np.int16]:
-    """Quantised and clipped at the rails, as the words a unit sends; see the module's formulas."""
+    """Return the quantised and clipped at the rails, as the words a unit sends; see the module's
+    formulas."""
     steps = 2**bits - 1 if bits == 12 else 2**bits
     span = 2 * range_V if polarity == "BIP" else range_V
     middle = 0.0 if polarity == "BIP" else range_V / 2
@@ -156,7 +157,7 @@ def codes_of_volts(
 def volts_of_codes(
     words: npt.NDArray[np.int16], range_V: float, polarity: str, bits: int
 ) -> npt.NDArray[np.float64]:
-    """The inverse of `codes_of_volts`: what a client makes of the words."""
+    """Return the inverse of `codes_of_volts`: what a client makes of the words."""
     steps = 2**bits - 1 if bits == 12 else 2**bits
     span = 2 * range_V if polarity == "BIP" else range_V
     middle = 0.0 if polarity == "BIP" else range_V / 2
@@ -193,12 +194,12 @@ class KeysightU2300A(ScpiInstrument):
         )
 
     def reset(self, by: str) -> None:
-        """``*RST``: nothing runs; channel 101, 10 V bipolar, 1 kS/s, 500 points."""
+        """Reset as ``*RST`` does: nothing runs; channel 101, 10 V bipolar, 1 kS/s, 500 points."""
         self._end("stop", by)
         self._defaults()
 
     def overrun(self) -> None:
-        """A fault plan's doing: the buffer of a running acquisition overruns."""
+        """Overrun the buffer of a running acquisition, for a fault plan."""
         acquisition = self._caught_up()
         if acquisition is not None and not acquisition.lost and not self._is_complete():
             self._lose(acquisition)
@@ -333,7 +334,8 @@ class KeysightU2300A(ScpiInstrument):
         return ",".join(self._ways[one] for one in self._known_digital(call.arguments[0]))
 
     def _digital(self, call: Call) -> str:
-        """The bits of each channel as one number; what an output reads back as is UNCONFIRMED."""
+        """Return the bits of each channel as one number; what an output reads back as is
+        UNCONFIRMED."""
         return ",".join(
             str(sum(self._bit(one, bit) << bit for bit in range(DIGITAL_BITS[one])))
             for one in self._known_digital(call.arguments[0])
@@ -368,7 +370,7 @@ class KeysightU2300A(ScpiInstrument):
         }
 
     def _clip(self, value: float, low: int, high: int) -> int:
-        """A whole number within [low, high]; moving it there queues -222.
+        """Return a whole number within [low, high]; moving it there queues -222.
 
         Rates are whole S/s (UNCONFIRMED): a client reads back what it got.
         """
@@ -461,7 +463,7 @@ class KeysightU2300A(ScpiInstrument):
         self._acquisition = None
 
     def _caught_up(self) -> SimulatedAcquisition | None:
-        """The acquisition as it is now; a full buffer has stopped it and lost its data."""
+        """Return the acquisition as it is now; a full buffer has stopped it and lost its data."""
         acquisition = self._acquisition
         if acquisition is None or not acquisition.continuous or acquisition.lost:
             return acquisition
@@ -538,7 +540,7 @@ class KeysightU2300A(ScpiInstrument):
         return words
 
     def _measure(self, call: Call) -> str:
-        """One quantised voltage of each channel, converted now."""
+        """Return one quantised voltage of each channel, converted now."""
         channels = self._known(call.arguments[0])
         self._refuse_while_running()
         skew = self.model.skew_s(len(channels), self.model.highest_rate(len(channels)), True)

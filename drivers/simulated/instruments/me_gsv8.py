@@ -95,7 +95,7 @@ class Sensor:
 def _inverse(
     matrix: tuple[tuple[float, ...], ...], zero: tuple[float, ...]
 ) -> tuple[npt.NDArray[np.float64], ...]:
-    """The inverse and the zero, and the sizes of both."""
+    """Return the inverse and the zero, and the sizes of both."""
     of, at = np.linalg.inv(np.array(matrix)), np.array(zero)
     return of, at, np.abs(of), np.abs(at)
 
@@ -220,7 +220,7 @@ class Gsv8(ForceSensorCore):
         return b"".join(exchange.reply or b"" for exchange in self.exchanges(data, by))
 
     def exchanges(self, data: bytes, by: str) -> Iterable[Exchange]:
-        """The same, request by request."""
+        """Return the same, request by request."""
         self._input += data
         while (taken := self._take_request(by)) is not None:
             if isinstance(taken, GsvRequest):
@@ -230,7 +230,7 @@ class Gsv8(ForceSensorCore):
                 yield Exchange(b"", _response(taken, b"", crc=False))
 
     def frames_until(self, now_us: int) -> bytes:
-        """The measurement frames that fell due since the last call, up to ``now_us``."""
+        """Return the measurement frames that fell due since the last call, up to ``now_us``."""
         if not self.streaming:
             return b""
         due = (now_us - self._origin_us) * CONVERSIONS_PER_S // (self._divisor * 1_000_000)
@@ -289,7 +289,7 @@ class Gsv8(ForceSensorCore):
     # --- frames in ---------------------------------------------------------------------------
 
     def _take_request(self, by: str) -> GsvRequest | int | None:
-        """The next request, the error code of a broken one, or None until more has come."""
+        """Return the next request, the error code of a broken one, or None until more has come."""
         while True:
             start = self._input.find(0xAA)
             del self._input[: len(self._input) if start < 0 else start]
@@ -322,7 +322,7 @@ class Gsv8(ForceSensorCore):
         return _response(*answer, request.crc)
 
     def _command(self, request: GsvRequest) -> SimulatedCommand:
-        """The table's entry for a request that may be carried out."""
+        """Return the table's entry for a request that may be carried out."""
         command = self._commands.get(request.number)
         if command is None:
             raise RefusedError(NOT_IMPLEMENTED if request.number in UNSERVED else UNKNOWN)
@@ -370,7 +370,8 @@ class Gsv8(ForceSensorCore):
     def _by_channel(
         self, read: int, write: int, form: str, name: str
     ) -> dict[int, SimulatedCommand]:
-        """A setting that every channel has: one command reads it, another writes it."""
+        """Return the commands of a setting that every channel has: one reads it, another writes
+        it."""
 
         def get(request: GsvRequest) -> Answer:
             return DONE, struct.pack(form, getattr(self.memory, name)[_channel(request)])
@@ -465,7 +466,7 @@ class Gsv8(ForceSensorCore):
         return DONE, b""
 
     def _get_raw_value(self, request: GsvRequest) -> Answer:
-        """One channel as 24-bit offset binary (UNCONFIRMED form)."""
+        """Return one channel as 24-bit offset binary (UNCONFIRMED form)."""
         channel = _channel(request)
         ranges, _ = self._input_ranges(np.array([self._now_s()]))
         return DONE, _offset_binary(float(ranges[0, channel]), 3)
@@ -535,7 +536,7 @@ class Gsv8(ForceSensorCore):
         return (DONE if self.rate == asked else DONE_CHANGED), b""
 
     def _get_input_type(self, request: GsvRequest) -> Answer:
-        """Type and its input range in hundredths of a mV/V."""
+        """Return the type and its input range in hundredths of a mV/V."""
         kind = self.memory.input_type[_channel(request)]
         return DONE, struct.pack(">BI", kind, round(100 * _input_range(kind)))
 
@@ -556,7 +557,7 @@ class Gsv8(ForceSensorCore):
         self._begin()
 
     def _begin(self) -> None:
-        """Frames are counted from here."""
+        """Begin to count frames from here."""
         self._origin_us, self._sent = self._port.now_us, 0
         self._period_s = self._divisor / CONVERSIONS_PER_S
         count = min(self._divisor, CONVERSIONS_COMPUTED)
@@ -581,7 +582,7 @@ class Gsv8(ForceSensorCore):
     # --- measuring ---------------------------------------------------------------------------
 
     def _frames(self, ends_s: npt.NDArray[np.float64]) -> bytes:
-        """Measurement frames whose conversions end at these instants."""
+        """Return the measurement frames whose conversions end at these instants."""
         ranges, saturated = self._input_ranges(ends_s)
         values = ranges - np.array(self.memory.zero)
         if self.memory.mode & MULTI_AXIS:  # the amplifier applies the sensor's matrix itself
@@ -592,7 +593,7 @@ class Gsv8(ForceSensorCore):
         return self._encoded(kept, np.asarray(saturated[:, : self.memory.values].any(axis=1)))
 
     def _encoded(self, values: npt.NDArray[np.float64], saturated: npt.NDArray[np.bool_]) -> bytes:
-        """Frames of values (n, k): floats in user units, integers in input ranges."""
+        """Return frames of values (n, k): floats in user units, integers in input ranges."""
         (count, width), kind = values.shape, self.memory.data_type
         flat = values.ravel().tolist()
         if kind == FLOAT32:
@@ -612,8 +613,8 @@ class Gsv8(ForceSensorCore):
     def _input_ranges(
         self, ends_s: npt.NDArray[np.float64]
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-        """Each channel's mean over the frame period that ends at each instant, in input ranges,
-        and whether the converter stood at its end within it: both (n, 8)."""
+        """Return each channel's mean over the frame period that ends at each instant, in input
+        ranges, and whether the converter stood at its end within it: both (n, 8)."""
         count, per_frame = len(ends_s), len(self._back_s)
         times = np.maximum(ends_s[:, None] - self._back_s, 0.0)
         force = self._port.force_N(times.ravel()).reshape(count, per_frame, 3)
@@ -642,8 +643,8 @@ class Gsv8(ForceSensorCore):
         )
 
     def _noise_of(self, count: int) -> npt.NDArray[np.float64]:
-        """Noise of the next frames in mV/V, (n, 8): by key and by number of frames since it came,
-        made in whole chunks, so that neither batches nor earlier points matter."""
+        """Return the noise of the next frames in mV/V, (n, 8): by key and by number of frames since
+        it came, made in whole chunks, so that neither batches nor earlier points matter."""
         if self._noise_key != (key := self._port.noise_key):
             self._noise_key, self._noise_at = key, 0
             self._noise.clear()
@@ -680,7 +681,7 @@ def _input_range_of_each(input_types: tuple[int, ...]) -> npt.NDArray[np.float64
 
 
 def _channel(request: GsvRequest) -> int:
-    """The channel that a request names first, from 0."""
+    """Return the channel that a request names first, from 0."""
     channel = request.parameters[0]
     if not 1 <= channel <= CHANNELS:
         raise RefusedError(BAD_ADDRESS)
@@ -688,7 +689,7 @@ def _channel(request: GsvRequest) -> int:
 
 
 def _offset_binary(ranges: float, width: int) -> bytes:
-    """A value in input ranges as an integer of `width` bytes: 1.05 ranges are its end."""
+    """Return a value in input ranges as an integer of `width` bytes: 1.05 ranges are its end."""
     half = 1 << 8 * width - 1
     counts = round(ranges / OVERRANGE * half)
     return (min(max(counts, -half), half - 1) + half).to_bytes(width, "big")
@@ -701,12 +702,12 @@ def _response(code: int, data: bytes, crc: bool) -> bytes:
 
 
 def _refusal(reply: bytes, code: int) -> bytes | None:
-    """A response made into one with an error code; measurements carry none."""
+    """Return a response made into one with an error code; measurements carry none."""
     return _response(code, b"", bool(reply[1] & 0x20)) if reply[1] >> 6 == 1 else None
 
 
 def _wrong_check(reply: bytes) -> bytes | None:
-    """A response, or the last of some measurements, with a wrong CRC where it has one."""
+    """Return a response, or the last of some measurements, with a wrong CRC where it has one."""
     if not reply[1] & 0x20:
         return None
     return reply[:-2] + bytes((reply[-2] ^ 0xFF, reply[-1]))
@@ -726,8 +727,9 @@ def _crc8(data: bytes) -> int:
 
 
 def _crc16(rows: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """CRC-16 of each row as Modbus has it, (n, 2) with the low byte first: x16 + x15 + x2 + 1
-    reflected, start FFFF. It is the exclusive or of what each byte brings in at its place."""
+    """Return the CRC-16 of each row as Modbus has it, (n, 2) with the low byte first: x16 + x15 +
+    x2 + 1 reflected, start FFFF. It is the exclusive or of what each byte brings in at its place.
+    """
     start, places, brought = _crc16_by_place(rows.shape[1])
     remainders = np.bitwise_xor.reduce(brought[places + rows], axis=1) ^ start
     return np.asarray(remainders, "<u2").view(np.uint8).reshape(-1, 2)

@@ -141,7 +141,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         return self.settings.unit_id
 
     def heard(self) -> None:
-        """A frame to anybody feeds the time-out, but a late one finds it expired."""
+        """Restart the time-out, which a frame to any drive does; a late one finds it expired."""
         self.settle(self._port.now_us)
         self._heard_us = self._port.now_us
 
@@ -174,7 +174,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
     # --- what happens by itself ---------------------------------------------------------------
 
     def _own_due(self, now_us: int) -> Due | None:
-        """The communication time-out, where it has expired."""
+        """Return the communication time-out, where it has expired."""
         if not self._values[LINE_TIMEOUT_ms] or self.alarm:
             return None
         deadline = self._heard_us + 1000 * self._values[LINE_TIMEOUT_ms]
@@ -214,7 +214,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
             self._log("homed", True, "drive")
 
     def _fail(self, code: int, t_us: int, braking: bool = False) -> None:
-        """ALM-A on, READY off, the motor stops."""
+        """Switch ALM-A on and READY off, and stop the motor."""
         self.alarm = code
         self._log("fault", code, "drive")
         if self.homing:
@@ -267,7 +267,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         self._rest()
 
     def _require_ready(self) -> None:
-        """UNCONFIRMED: not executable (8Dh) while an alarm or a STOP input stands."""
+        """Refuse as not executable (8Dh) while an alarm or a STOP input is on (UNCONFIRMED)."""
         if self.alarm or self._values[INPUT_COMMAND] & (_STOP | _FREE):
             raise ModbusError(SLAVE_ERROR)
 
@@ -280,7 +280,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         self._start(AxisCommand(own.home_mm, own.homing_speed_mm_s, rate, rate))
 
     def _operate(self, by: str) -> None:
-        """Direct data operation with what stands in its registers."""
+        """Start the direct data operation that its registers describe."""
         values, now_us = self._values, self._port.now_us
         kind, speed = values[OPERATION_TYPE], values[SPEED]
         if kind == _STOP_TYPE:
@@ -364,7 +364,7 @@ class AzDrive(SimulatedDrive[MoveFault]):
         return round((position_mm - self._zero_mm) * self.settings.steps_per_mm)
 
     def _status(self, now: int) -> int:
-        """The outputs as they are assigned at the factory."""
+        """Return the outputs as they are assigned at the factory."""
         here = self.axis.position(now)
         resting = self.axis.finished(now)
         arrived = self._target_mm is not None and abs(here - self._target_mm) <= IN_POSITION_mm
@@ -443,5 +443,5 @@ def _signed(value: int) -> int:
 
 
 def _word(bits: dict[int, bool]) -> int:
-    """A word with these of its bits set."""
+    """Return a word with these of its bits set."""
     return sum(1 << bit for bit, on in bits.items() if on)

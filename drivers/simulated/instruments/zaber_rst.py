@@ -118,7 +118,7 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
     # --- the chain's side ---------------------------------------------------------------------
 
     def line(self) -> ChainLine:
-        """A connection's line to this stage."""
+        """Return a connection's line to this stage."""
         return ChainLine(self)
 
     def answer(self, message: bytes, by: str) -> Exchange | None:
@@ -152,7 +152,7 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
     # --- commands -----------------------------------------------------------------------------
 
     def _obey(self, words: list[str], by: str) -> str:
-        """The data of the reply, or why it is rejected."""
+        """Return the data of the reply, or why it is rejected."""
         now = self._port.now_us
         match words:
             case []:
@@ -287,7 +287,7 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
             self._log("homed", True, "stage")
 
     def _raise(self, flag: str, t_us: int) -> None:
-        """A flag appears; a fault and a limit sensor end the motion."""
+        """Set a flag; a fault and a limit sensor end the motion."""
         self.flags.add(flag)
         self._log("flag", flag, "stage")
         if flag.startswith("F") or flag == "WL":
@@ -303,7 +303,7 @@ class SimulatedRotaryStage(SimulatedDrive[RotaryFault]):
             self._raise("WL" if fault.kind == "limit-switch" else "WR", t_us)
 
     def _turn_by_hand(self, by_deg: float, t_us: int) -> None:
-        """The knob takes the stage over, also out of a turn under way."""
+        """Let the knob take the stage over, also during a turn."""
         if self._moving:
             self.flags.add("NI")
         self.flags.add("NC")
@@ -342,7 +342,7 @@ class ChainLine:
         self._came = b""
 
     def exchanges(self, data: bytes, by: str) -> Iterable[Exchange]:
-        """The commands that these bytes complete, with their replies."""
+        """Return the commands that these bytes complete, with their replies."""
         *lines, self._came = (self._came + data).replace(b"\r", b"\n").split(b"\n")
         self._came = self._came[-LONGEST_COMMAND:]
         for line in lines:
@@ -363,7 +363,7 @@ def _whole(word: str) -> int:
 
 
 def _check(body: bytes) -> int:
-    """Two's complement of the sum of bytes."""
+    """Return two's complement of the sum of bytes."""
     return (256 - sum(body) % 256) % 256
 
 
@@ -373,7 +373,7 @@ def _wrong_check(reply: bytes) -> bytes | None:
 
 
 def _rejection(reply: bytes, reason: str) -> bytes | None:
-    """An accepted command's reply as a rejection; None where it was rejected already."""
+    """Return an accepted command's reply as a rejection; None where it was rejected already."""
     body, colon, _ = reply[1:].rstrip().rpartition(b":")
     if not colon or b" OK " not in body:
         return None

@@ -171,7 +171,7 @@ Event = Send | Close | ProgramMessage | Triggered | StatusQuery
 
 
 def encode(kind: MessageType, control: int = 0, parameter: int = 0, payload: bytes = b"") -> bytes:
-    """One HiSLIP message."""
+    """Return one HiSLIP message."""
     return HEADER.pack(PROLOGUE, kind, control, parameter, len(payload)) + payload
 
 
@@ -328,7 +328,8 @@ class Connection:
     # --- framing -----------------------------------------------------------------------------
 
     def _messages(self, events: list[Event]) -> Iterator[_Message]:
-        """Complete messages; oversized payloads are skipped as they come, never stored."""
+        """Yield the complete messages; oversized payloads are skipped as they come, never
+        stored."""
         while self.role is not ChannelRole.CLOSED:
             skipped = min(self._skip, len(self._buffer))
             del self._buffer[:skipped]

@@ -39,7 +39,7 @@ class LineDevice(Registers, Protocol):
         ...
 
     def heard(self) -> None:
-        """A valid frame went over the line, to whomever."""
+        """Take note of a valid frame on the line, to any device."""
         ...
 
 
@@ -108,7 +108,7 @@ class RtuLine:
         self._last_us = 0
 
     def exchanges(self, data: bytes, by: str) -> Iterator[Exchange]:
-        """Every request that the bytes complete, with its reply and how long both take."""
+        """Yield every request that the bytes complete, with its reply and how long both take."""
         now_us = self._timeline.now_us
         if now_us - self._last_us > self._gap_us:
             self._buffer = b""
@@ -151,7 +151,8 @@ class RtuLine:
 
 
 def _length(begun: bytes) -> int | None:
-    """Length of the request at the front, as far as known; None for what is not a request."""
+    """Return the length of the request at the front, as far as known; None for what is not a
+    request."""
     if len(begun) < 2:
         return SHORTEST_FRAME
     code = begun[1]

@@ -53,7 +53,7 @@ class RegisterDevice(Registers, Protocol):
     """A device with an identification."""
 
     def identification(self) -> Mapping[int, str]:
-        """Device identification objects by number."""
+        """Return the device identification objects by number."""
         ...
 
 

@@ -58,7 +58,7 @@ _BOUNDARY = re.compile(rb"\n|(?<=[ ,\t])#(?=[1-9])")
 
 
 def block(data: bytes) -> bytes:
-    """``data`` as a definite-length block with eight length digits, ``#8dddddddd...``."""
+    """Return ``data`` as a definite-length block with eight length digits, ``#8dddddddd...``."""
     return b"#8%08d" % len(data) + data
 
 
@@ -386,7 +386,7 @@ class ScpiInstrument(ABC):
         """Return to the state that ``*RST`` promises."""
 
     def trigger(self, by: str) -> None:
-        """A bus trigger (``*TRG``, or the transport's own)."""
+        """Handle a bus trigger (``*TRG``, or the transport's own)."""
         self.report(ScpiError(-211))
 
     def process(self, message: bytes, by: str) -> bytes | None:

@@ -112,7 +112,7 @@ class HislipServer(_ScpiServer):
                     self.carry_out(session.status(status))
 
     def forget(self, connection: hislip.Connection) -> None:
-        """A TCP connection is gone."""
+        """Forget a TCP connection that has closed."""
         self.peers.pop(connection, None)
         if connection.session is not None:
             self._links.pop(connection.session, None)

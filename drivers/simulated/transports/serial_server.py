@@ -122,7 +122,8 @@ class PtyServer:
     # --- the port ----------------------------------------------------------------------------
 
     def _plug_in(self) -> None:
-        """A new pseudo-terminal, raw; a descriptor of its own keeps it open without a client."""
+        """Create a new pseudo-terminal, raw; a descriptor of its own keeps it open without a
+        client."""
         assert self._loop is not None
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
@@ -134,7 +135,8 @@ class PtyServer:
         self._loop.add_reader(self._master, self._readable)
 
     def _unplug(self, plug_in: bool = False) -> None:
-        """Clients see the port vanish; `plug_in` has another ready before they do."""
+        """Close the port, so that clients see it vanish; `plug_in` has another ready before they
+        do."""
         assert self._loop is not None
         old = self._master, self._slave
         self._loop.remove_reader(self._master)

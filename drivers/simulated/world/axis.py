@@ -95,14 +95,14 @@ class Stretch:
     acceleration_mm_s2: float
 
     def at(self, t_s: float) -> tuple[float, float]:
-        """Position and velocity."""
+        """Return the position and velocity."""
         dt = t_s - self.start_s
         velocity = self.velocity_mm_s + self.acceleration_mm_s2 * dt
         return self.position_mm + (self.velocity_mm_s + velocity) / 2 * dt, velocity
 
     def positions(self, times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Positions at several times, none of them before `start_s` but where nothing else is
-        known; to the bit those of `at`."""
+        """Return positions at several times, none of them before `start_s` but where nothing else
+        is known; to the bit those of `at`."""
         if self.velocity_mm_s == 0 and self.acceleration_mm_s2 == 0:
             return np.full(times_s.shape, self.position_mm)
         dt = np.maximum(times_s, self.start_s) - self.start_s
@@ -179,13 +179,13 @@ class MotionPath:
         return self._starts[-1]
 
     def at(self, t_s: float) -> tuple[float, float]:
-        """Position and velocity; before the recorded history, its first state."""
+        """Return the position and velocity; before the recorded history, its first state."""
         index = max(bisect_right(self._starts, t_s) - 1, 0)
         stretch = self._stretches[index]
         return stretch.at(max(t_s, stretch.start_s))
 
     def positions(self, times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Positions at ascending times, to the bit those of `at`; shape of `times_s`."""
+        """Return positions at ascending times, to the bit those of `at`; shape of `times_s`."""
         if not times_s.size:
             return np.empty(0)
         first = max(bisect_right(self._starts, float(times_s[0])) - 1, 0)
@@ -212,7 +212,7 @@ class MotionPath:
         return highest
 
     def acceleration(self, t_s: float) -> float:
-        """Acceleration in mm/s^2."""
+        """Return the acceleration in mm/s^2."""
         return self._stretches[max(bisect_right(self._starts, t_s) - 1, 0)].acceleration_mm_s2
 
     def replan(
@@ -322,7 +322,7 @@ class SimulatedAxis:
             self.other_axis.look_ahead()
 
     def stop(self, now_us: int, deceleration_mm_s2: float) -> None:
-        """A controlled stop."""
+        """Make a controlled stop."""
         self.settle(now_us)
         self._brake(now_us, deceleration_mm_s2)
 
@@ -479,7 +479,7 @@ class SimulatedAxis:
         self._brake(t_us, self.mechanics.quick_deceleration_mm_s2)
 
     def _brake(self, t_us: int, deceleration_mm_s2: float) -> None:
-        """A carriage that is held back stands already: its setpoint comes back to it."""
+        """Brake. A carriage that is held back is at rest already: its setpoint comes back to it."""
         path = self._carriage if self._held_direction else self._setpoint
         self._held_direction = 0.0
         position, velocity = path.at(t_us * 1e-6)

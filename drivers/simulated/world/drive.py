@@ -97,7 +97,7 @@ class SimulatedDrive(ABC, Generic[F]):
 
     @abstractmethod
     def _apply_own_fault(self, fault: F, t_us: int, velocity_mm_s: float) -> None:
-        """A fault of the drive itself begins: its number, a limit switch, a lost reference."""
+        """Apply a fault of the drive itself: its number, a limit switch, a lost reference."""
 
     def _own_due(self, now_us: int) -> Due | None:
         """Return further events that are due by now, such as a communication time-out."""
@@ -113,7 +113,7 @@ class SimulatedDrive(ABC, Generic[F]):
         return min(due, key=lambda one: one[0], default=None)
 
     def _apply_fault(self, t_us: int) -> None:
-        """The next fault of the plan begins."""
+        """Apply the next fault of the plan."""
         fault = self._schedule.take()
         self._log("injected", fault.kind, "plan")
         command = None if self.axis.finished(t_us) else self.axis.command

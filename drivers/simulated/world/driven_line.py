@@ -65,7 +65,7 @@ class DrivenLine:
         del self._segments[:-SEGMENTS_KEPT], self._starts_s[:-SEGMENTS_KEPT]
 
     def output(self, column: int, times_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """One output at ascending World times; shape of `times_s`.
+        """Return one output at ascending World times; shape of `times_s`.
 
         Times before the recorded history see its first segment's start.
         """

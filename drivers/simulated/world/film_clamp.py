@@ -40,7 +40,8 @@ class ClampedFilm:
         self._count = 1
 
     def preload_N(self, times_s: Reals) -> Reals:  # noqa: N802
-        """Static force at ascending World times, none in the future; shape of `times_s`."""
+        """Return the static force at ascending World times, none in the future; shape of
+        `times_s`."""
         if not times_s.size:
             return np.zeros_like(times_s)
         earliest, latest = float(times_s[0]), float(times_s[-1])

@@ -89,8 +89,8 @@ class Monitor:
             self._judge(after, after - before)
 
     def over(self) -> None:
-        """The World ends, and with it the run: report what is still active, and the largest
-        and the last force."""
+        """Report, at the end of the World and of the run, what is still active, and the largest and
+        the last force."""
         for what in self._active():
             self._report("violation", f"{what} although no run is active")
         self._report("largest-force", round(self._largest_N, 3))

@@ -25,7 +25,7 @@ class SensedForce:
         """Each with its begin in World seconds."""
 
     def begin(self, fault: SensedFault, t_us: int) -> None:
-        """A fault begins."""
+        """Begin a fault."""
         self._faults.append((t_us * 1e-6, fault))
 
     def of(

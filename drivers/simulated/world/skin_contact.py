@@ -123,7 +123,7 @@ class SkinContact:
         return force
 
     def strip_V(self, strip: int, times_s: Reals) -> Reals:  # noqa: N802
-        """Output of strip 1 or 2's amplifier at such times; shape of `times_s`."""
+        """Return the output of strip 1 or 2's amplifier at such times; shape of `times_s`."""
         if times_s.size:
             self.catch_up(math.floor(float(times_s[-1]) * 1e6))
             self._make_volts()
@@ -169,7 +169,7 @@ class SkinContact:
         return self._stepper is None and self.failure is None
 
     def _stay_apart(self, last: int) -> None:
-        """The steps up to `last`, in which nothing is touched."""
+        """Compute the steps up to `last`, in which nothing is touched."""
         end = self._below.at(np.array([last * self.step_us]))
         idle = last + 1 - self._steps  # stages that move have asked for their load meanwhile
         if idle > 0:
@@ -210,7 +210,7 @@ class SkinContact:
             begin += steps
 
     def _do(self, meeting: ContactGeometry) -> None:
-        """The steps of one block or of a part of it."""
+        """Compute the steps of one block or of a part of it."""
         approach, x_mm, turned = meeting.approach_mm, meeting.x_mm, meeting.turned_rad
         if self._stepper is None:
             self._keep(np.repeat(self._newest(), approach.size, axis=1))
@@ -297,7 +297,7 @@ class SkinContact:
             self._steps += fresh.shape[1]
 
     def _at(self, rows: Sequence[int], times_s: Reals) -> list[Reals]:
-        """Results between the steps."""
+        """Return results between the steps."""
         if not times_s.size:
             return [np.zeros_like(times_s) for _ in rows]
         step_s = self.step_us * 1e-6

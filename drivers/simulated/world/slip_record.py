@@ -67,7 +67,7 @@ class SlipRecord:
         self._waiting: list[tuple[Statuses, Reals]] = []
 
     def begin(self, t_us: int) -> None:
-        """A new point: what happened before it does not count."""
+        """Begin a new point: earlier slips are forgotten."""
         self.judge()
         self._since_us = t_us
         self._touch_downs, self._lift_offs, self._ridge_lifts = [], [], []
@@ -125,7 +125,7 @@ class SlipRecord:
         }
 
     def _turn(self, step: int) -> None:
-        """The skin touches the plate in the step after `step`, or no longer does."""
+        """Take note that the skin touches the plate in the step after `step`, or no longer does."""
         at_us = (step + 1) * self._step_us
         self._touching = not self._touching
         if self._touching:

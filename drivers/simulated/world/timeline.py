@@ -38,7 +38,7 @@ class WorldTimeline:
         self._base_us += step_us
 
     def jump(self, step_us: int) -> None:
-        """Time passes by `step_us` >= 0 without its owner: a fault of a fault plan."""
+        """Advance the time by `step_us` >= 0 without its owner, for a fault plan."""
         self._base_us += step_us
 
     def set_free(self) -> None:

@@ -167,11 +167,11 @@ class World:
         return (self._seed, *self._point_key, FORCE_NOISE)
 
     def mount(self, stage_z_mm: Where) -> None:
-        """The z stage carries the vibrator: where its carriage is or was."""
+        """Mount the vibrator on the z stage, whose carriage has these positions."""
         self._clamp = ClampedFilm(self.settings.clamp, stage_z_mm)
 
     def mount_skin(self, skin: SkinContact, strips: FrontEndSettings) -> None:
-        """The stages carry a skin above the plate; `strips` are its channels' noise and hum."""
+        """Mount a skin above the plate on the stages; `strips` are its channels' noise and hum."""
         self._skin, self._strip_input = skin, strips
 
     @property
@@ -232,7 +232,7 @@ class World:
     def _film_N(  # noqa: N802
         self, times_s: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """Preload and vibration."""
+        """Return the preload and vibration."""
         along_z = self._preload(times_s)
         if self._line.frequency_Hz <= FORCE_SENSOR_FOLLOWS_Hz and along_z.any():
             shaken = self._line.output(vibrator.VibratorOutput.LOAD, times_s)
@@ -240,12 +240,12 @@ class World:
         return along_z
 
     def weigh(self, force_N: tuple[float, float, float]) -> None:
-        """Weights are put on the sensors, along x, y and z."""
+        """Put weights on the sensors, along x, y and z."""
         self._weight_N = np.array(force_N, float)
         self.log("world", "weights", list(force_N), "world")
 
     def announce(self, run: int, point: int) -> None:
-        """The run says which point comes next: it keys the noise."""
+        """Announce the next point of the run, which keys the noise."""
         self._point_key = (run, point)
         self._acquisitions_of_point = 0
         if self._skin is not None:
@@ -262,7 +262,7 @@ class World:
         return self._excitation is not None and self._excitation.on
 
     def excite(self, channel: int, excitation: Excitation, by: str) -> None:
-        """A generator channel's terminals change from now on."""
+        """Change the signal of a generator channel from now on."""
         if channel == VIBRATOR_CHANNEL:
             self._excitation = excitation
             self._drive()
@@ -286,7 +286,7 @@ class World:
             self._apply_fault(self._schedule.take(), t_us)
 
     def _apply_fault(self, fault: TimedFault, t_us: int) -> None:
-        """A fault begins."""
+        """Apply a fault."""
         self.log(fault.device, "injected", fault.kind, "plan")
         if isinstance(fault, Spike):
             begin_s = t_us * 1e-6
@@ -359,7 +359,7 @@ class World:
         return result
 
     def _preload(self, times: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Static force on the film; the nominal one where no stage is mounted."""
+        """Return the static force on the film; the nominal one where no stage is mounted."""
         if self._clamp is None:
             return np.full(times.shape, self.settings.clamp.nominal_preload_N)
         return self._clamp.preload_N(times)
@@ -374,7 +374,8 @@ class World:
     def _noise(
         self, acquisition: int, terminal: int, rate_S_s: float, first: int, count: int
     ) -> npt.NDArray[np.float64]:
-        """White noise by sample index, made in whole chunks so that blocks do not matter."""
+        """Return the white noise by sample index, made in whole chunks so that blocks do not
+        matter."""
         key = (self._seed, *self._acquisition_keys[acquisition], terminal)
         chunks = range(first // NOISE_CHUNK, (first + count - 1) // NOISE_CHUNK + 1)
         drawn = [_noise_chunk((*key, chunk)) for chunk in chunks]
@@ -385,7 +386,8 @@ class World:
 
 @lru_cache(maxsize=2 * TERMINALS_SAMPLED)
 def _noise_chunk(key: tuple[int, ...]) -> npt.NDArray[np.float64]:
-    """Standard normal, (NOISE_CHUNK,): a block often wants the same as the one before."""
+    """Return the standard normal, (NOISE_CHUNK,): a block often wants the same as the one
+    before."""
     drawn = np.random.default_rng(key).standard_normal(NOISE_CHUNK)
     drawn.flags.writeable = False
     return drawn

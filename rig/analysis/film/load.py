@@ -61,7 +61,7 @@ class FilmLoad:
         return Estimate.normal(math.degrees(cmath.phase(self.phasor)), error, "deg")
 
     def _error(self, turn: complex) -> float:
-        """Standard error along the phasor (turn 1) or across it (1j)."""
+        """Returns the standard error along the phasor (turn 1) or across it (1j)."""
         unit = turn * self.phasor / abs(self.phasor)
         direction = np.array([unit.real, unit.imag])
         return math.sqrt(max(float(direction @ self.covariance @ direction), 0.0))

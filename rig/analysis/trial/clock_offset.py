@@ -87,7 +87,7 @@ class ClockOffset:
 
 
 def clock_offset(force_N: TouchRecord, volts: TouchRecord, within_s: float = 0.2) -> ClockOffset:
-    """Offset of the force's clock against the volts', searched for in ±`within_s`.
+    """Returns the offset of the force's clock against the volts', searched for in ±`within_s`.
 
     `force_N` is F_n and `volts` the sum v_1 + v_2, raw or decimated. Both must contain the
     touch-down and some time before and after it, the force at least `within_s` more.

@@ -252,7 +252,7 @@ def _ends(values: Reals, weights: Reals) -> Reals:
 
 
 def _peak(ratio: Reals, rough: int, stretch: int, noise: Reals, block: int) -> tuple[Estimate, int]:
-    """The peak without what noise adds to a maximum, with its error."""
+    """Returns the peak without what noise adds to a maximum, with its error."""
     weights = _end_of_parabola(stretch)
     first = max(0, rough - 4 * stretch)
     part = ratio[first : rough + 4 * stretch + 1]

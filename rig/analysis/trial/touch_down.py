@@ -71,7 +71,8 @@ def _gaussian(values: Reals, rate_Hz: float, order: int) -> Reals:
 
 
 def volts_on_grid(volts: TouchRecord, force_rate_Hz: float) -> tuple[Reals, Reals]:
-    """Times on the volts' clock, corrected, and smoothed volts, as slow as frames at that rate."""
+    """Returns times on the volts' clock, corrected, and smoothed volts, as slow as frames at that
+    rate."""
     values = np.asarray(volts.values, dtype=np.float64)
     if force_rate_Hz < FINE_RATE_Hz:
         values = _averaged(values, round(volts.rate_Hz / force_rate_Hz))
@@ -97,7 +98,7 @@ def _averaged(values: Reals, width: int) -> Reals:
 
 
 def _interpolated(series: TouchRecord) -> TouchRecord:
-    """The series at a whole multiple of its rate, of at least that of the grid."""
+    """Returns the series at a whole multiple of its rate, of at least that of the grid."""
     values = np.asarray(series.values, dtype=np.float64)
     times = math.ceil(GRID_Hz / series.rate_Hz)
     at = np.arange((values.size - 1) * times + 1) / times

@@ -30,7 +30,7 @@ ENOUGH = 10
 
 
 def touch_gain(force_N: TouchRecord, volts: TouchRecord, offset_s: float) -> Estimate:
-    """A strip's gain in V s/N, with its sign; what was at t on the volts' clock was at t +
+    """Returns a strip's gain in V s/N, with its sign; what was at t on the volts' clock was at t +
     `offset_s` on the force's, which is taken as known.
 
     An event at t on the clock of the volts was at t + `offset_s` on that of the force; the offset

@@ -29,7 +29,7 @@ class BatchClock(Protocol):
     """The clock of a batch: gives the time and makes the batch rest."""
 
     def now(self) -> datetime:
-        """Date and time, with the offset from UTC."""
+        """Return the date and time, with the offset from UTC."""
         ...
 
     def used(self, bench_s: float) -> None:
@@ -85,7 +85,7 @@ class VirtualBatchClock:
 
 
 def clock_of(queue: Queue) -> BatchClock:
-    """The clock of a batch, as its queue records it."""
+    """Return the clock of a batch, as its queue records it."""
     if queue.meta("bench"):
         return WallBatchClock()
 

@@ -51,7 +51,7 @@ def outcome_from_journal(journal: Path) -> AttemptResult:
 
 
 def journal_to_resume(journal: Path) -> JournalContents | None:
-    """The contents of the journal that a run continues; None where the run begins anew.
+    """Return the contents of the journal that a run continues; None where the run begins anew.
 
     A journal that cannot be continued is archived first.
     """

@@ -75,7 +75,7 @@ def watched_figures(
 
 
 def part_names(bench: BenchSettings) -> dict[str, str]:
-    """The parts that a figure may speak of, as people know them on this bench."""
+    """Return the parts that a figure may speak of, as people know them on this bench."""
     film = bench.film.name if bench.film is not None else ""
     names = {"film": f"film {film!r} in the clamp" if film else "the film in the clamp"}
     skin = bench.skin
@@ -177,7 +177,7 @@ def expiring(
 
 
 def _number(value: Any) -> float | None:
-    """A finite number of a summary, else None."""
+    """Return a finite number of a summary, else None."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return None
     return float(value)
@@ -186,7 +186,7 @@ def _number(value: Any) -> float | None:
 def _moved(
     name: str, figure: DriftFigure, earlier: Sequence[ReferenceRun], now: ReferenceRun
 ) -> _DriftedFigure | None:
-    """The figure's move beyond its tolerance, if it has made one."""
+    """Return the figure's move beyond its tolerance, if it has made one."""
     known = [
         (run.number, value)
         for run in earlier

@@ -39,7 +39,7 @@ class DriftWatch:
         self._plan: BenchPlan | None = None if bench is None else read_bench(bench)
 
     def before(self, claim: Claim, now: datetime) -> list[HoldReason]:
-        """The reasons not to begin this run now."""
+        """Return the reasons not to begin this run now."""
         batch = self._file.batch
         found = self.disk()
         if not batch.allow_expired:
@@ -54,8 +54,8 @@ class DriftWatch:
         return disk_space(free_B, needed_B, self._file.batch.hold_when.free_disk_GB)
 
     def after(self, claim: Claim, ended: AttemptResult, bench: BenchSettings) -> list[HoldReason]:
-        """The reasons to hold that a finished run shows: drift of a reference's figures, or of
-        the force sensor's zero."""
+        """Return the reasons to hold that a finished run shows: drift of a reference's figures, or
+        of the force sensor's zero."""
         return [*self._zero(claim, ended), *self._drift(claim, ended, bench)]
 
     def accept(self, claim: Claim) -> None:

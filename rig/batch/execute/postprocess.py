@@ -80,7 +80,7 @@ class PostprocessResult:
 
 
 def result_from(fields: Mapping[str, Any]) -> PostprocessResult:
-    """A result from its JSON object."""
+    """Return a result from its JSON object."""
     file, processed = fields["file"], fields["processed"]
     return PostprocessResult(
         journal=Path(fields["journal"]),
@@ -217,7 +217,7 @@ def _reporting(warnings: list[str], what: str) -> Iterator[None]:
 
 
 def _run_file(journal: Path) -> Path:
-    """The run's file, compiled if its journal is still there."""
+    """Return the run's file, compiled if its journal is still there."""
     from rig.files.naming import RUN_SUFFIX
     from rig.files.runfile.compile import compile_run
 

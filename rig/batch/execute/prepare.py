@@ -83,15 +83,16 @@ def prepare(
 
 
 def bench_of(batch: BatchFile, path: Path, given: Path | None) -> Path | None:
-    """The bench file of a batch: that of the command line, of the batch file, or ./bench.toml;
-    None for simulated benches, one a run."""
+    """Return the bench file of a batch: that of the command line, of the batch file, or
+    ./bench.toml; None for simulated benches, one a run."""
     if given is None and batch.batch.bench is not None:
         return path.parent / batch.batch.bench
     return bench_file(given)
 
 
 def rehearsed(request: BenchRequest, say: Callable[[str], None]) -> BenchConnector:
-    """Simulated benches under the limits of the request's bench file, connected one at a time."""
+    """Return the simulated benches under the limits of the request's bench file, connected one at a
+    time."""
 
     @contextlib.contextmanager
     def connected(fixture: Fixture) -> Iterator[Bench]:
@@ -113,7 +114,7 @@ def rehearsed(request: BenchRequest, say: Callable[[str], None]) -> BenchConnect
 def _request(
     batch: BatchFile, path: Path, chosen: Path | None, real: BenchPlan | None, results: Path
 ) -> BenchRequest:
-    """The simulated bench that a batch is checked on."""
+    """Return the simulated bench that a batch is checked on."""
     own = batch.simulation
     if real is not None or own is None:
         stages = None if real is None else simulated_variant_for(real)
@@ -152,7 +153,7 @@ def _simulation(batch: BatchFile, path: Path, bench: Path | None) -> Iterator[Pl
 
 
 def _unusable_notifications(batch: BatchFile) -> Iterator[PlanFinding]:
-    """Notifications that could never be delivered."""
+    """Yield notifications that could never be delivered."""
     try:
         require_usable(batch.batch.notify)
     except ConfigurationError as error:
@@ -160,7 +161,7 @@ def _unusable_notifications(batch: BatchFile) -> Iterator[PlanFinding]:
 
 
 def _bad_records(batch: BatchFile, real: BenchPlan | None, now: datetime) -> Iterator[PlanFinding]:
-    """Calibration records that no run could use."""
+    """Yield the calibration records that no run could use."""
     try:
         for path, record in records_of(real):
             require_valid(

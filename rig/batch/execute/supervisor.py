@@ -166,7 +166,8 @@ class Supervisor:
         self._record(self._queue.set_meta, "state", text)
 
     def _workers(self) -> ExitCode:
-        """One worker after the other, until one has come to the end."""
+        """Run one worker after the other, until one has come to the end, and return its exit
+        code."""
         crashes = 0
         while True:
             self._begun_a_run = False

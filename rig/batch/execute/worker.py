@@ -242,7 +242,7 @@ class Worker:
         self._conclude(claim, ended)
 
     def _next(self) -> Claim | None:
-        """The next run, once nothing speaks against it; None after the last."""
+        """Return the next run, once nothing speaks against it; None after the last."""
         rested: int | None = None
         while True:
             self._between_runs()
@@ -269,7 +269,7 @@ class Worker:
             rested = upcoming.number  # what was asked above may have changed since
 
     def _rest_before(self, upcoming: Claim) -> float:
-        """Rest before a run, in s; longer before another try."""
+        """Return the rest before a run, in s; longer before another try."""
         again = upcoming.attempt > 1 and self._queue.attempts(upcoming.number)
         return upcoming.condition.rest_s + (self._batch.retries.rest_s if again else 0.0)
 
@@ -494,7 +494,7 @@ class Worker:
         )
 
     def _perform(self, claim: Claim, at_the_end: ExitStack) -> RunOutcome:
-        """One attempt at a run, from choosing the bench to a journal that is closed."""
+        """Make one attempt at a run, from choosing the bench to a journal that is closed."""
         from rig.run.execute import execute
         from rig.run.job import RunJob
 
@@ -560,7 +560,8 @@ class Worker:
         return f"stop_by ({self._until.astimezone():%Y-%m-%d %H:%M:%S})"
 
     def _bench_for(self, claim: Claim, procedure: Procedure, at_the_end: ExitStack) -> ChosenBench:
-        """The bench file's bench, locked once for all runs; or a simulated one for this run."""
+        """Return the bench file's bench, locked once for all runs; or a simulated one for this
+        run."""
         fixture = procedure.fixtures[0]
         selector = BenchSelector(
             lambda text: self._send("note", level="info", text=text),
@@ -578,7 +579,7 @@ class Worker:
         return replace(self._bench, clock=WallClock())
 
     def _booted(self, request: BenchRequest, fixture: Fixture) -> RunningBench | None:
-        """The simulated bench that was started ahead, if it is the one that is needed."""
+        """Return the simulated bench that was started ahead, if it is the one that is needed."""
         ahead, self._ahead = self._ahead, None
         if ahead is not None and (ahead.request, ahead.fixture) != (request, fixture):
             ahead.started.abandon()
@@ -600,7 +601,7 @@ class Worker:
             self._ahead.started.abandon()
 
     def _simulated(self, claim: Claim) -> BenchRequest:
-        """The simulated bench of a run: its World and its faults."""
+        """Return the simulated bench of a run: its World and its faults."""
         own = self._terms.file.simulation
         request = BenchRequest(seed=self._seed, results=self._folder.path / "runs")
         if own is None:
@@ -630,7 +631,7 @@ def _text_of(findings: Sequence[HoldReason]) -> str:
 
 
 def _ended(outcome: RunOutcome) -> AttemptResult:
-    """An execution's outcome as the queue keeps it."""
+    """Return an execution's outcome as the queue keeps it."""
     failed = outcome.status == "failed"
     reasons = [failure.one_line() for failure in outcome.failures]
     reasons += [f"{off.name} not switched off: {off.reason}" for off in outcome.off_failures]

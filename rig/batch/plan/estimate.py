@@ -143,7 +143,7 @@ def forecast(
     first_s: float = 0.0,
     bench: BenchPlan | None = None,
 ) -> Forecast:
-    """The batch in time, were it begun `now`; `first_s` as of `homing_s`."""
+    """Return the batch in time, were it begun `now`; `first_s` as of `homing_s`."""
     not_before, stop_by = window(batch, now)
     begins = now if not_before is None else max(now, not_before)
     durations = [
@@ -179,8 +179,8 @@ def forecast(
 
 
 def records_of(bench: BenchPlan | None) -> Iterable[tuple[Path, CalibrationRecord]]:
-    """The calibration records that a bench file names; ConfigurationError for one that cannot be
-    read."""
+    """Return the calibration records that a bench file names; ConfigurationError for one that
+    cannot be read."""
     if bench is None:
         return
     folder = Path(bench.source).parent
@@ -205,13 +205,14 @@ def _overhead_s(condition: BatchCondition, fixture: FixtureSettings, homed: bool
 
 
 def _planned(condition: BatchCondition) -> CheckedProcedure:
-    """The procedure of a condition, with its settings."""
+    """Return the procedure of a condition, with its settings."""
     procedure = installed(condition.procedure)
     return CheckedProcedure(procedure(procedure.Settings.model_validate(condition.settings)))
 
 
 def _ends_of_contact(fixture: FixtureSettings) -> tuple[FixtureSettings, FixtureSettings]:
-    """The fixture as if the middle of where contact may be felt were its begin, and its end."""
+    """Return the fixture as if the middle of where contact may be felt were its begin, and its
+    end."""
     first_mm, last_mm = fixture.contact_from_mm, fixture.contact_to_mm
     if first_mm is None or last_mm is None:
         return fixture, fixture

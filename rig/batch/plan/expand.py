@@ -33,8 +33,8 @@ SHUFFLING, SAMPLING = 0, 1
 
 
 def expand(batch: BatchFile) -> BatchPlan:
-    """The conditions of a batch and the queue of their runs; RefusedBatchError lists all that is
-    wrong with any of them."""
+    """Return the conditions of a batch and the queue of their runs; RefusedBatchError lists all
+    that is wrong with any of them."""
     findings = list(check_defaults(batch.defaults))
     expanded = [
         Expansion(number, experiment, label, batch.defaults, batch.batch.seed)
@@ -183,7 +183,7 @@ class Expansion:
     def _values_of(
         self, converted: _SettingConverter, name: str, values: Sequence[Any]
     ) -> list[Any]:
-        """The values of a setting in the matrix: at least one, each once."""
+        """Return the values of a setting in the matrix: at least one, each once."""
         where, told = (*self.where, "matrix", name), f"matrix.{shortened(name)}"
         if not values:
             self.findings.append(PlanFinding(where, f"{told}: has no value", "give at least one"))
@@ -242,7 +242,7 @@ class Expansion:
         excluded: Sequence[Mapping[str, Any]],
         included: Sequence[Mapping[str, Any]],
     ) -> list[_Combination]:
-        """The combinations, without those to leave out, with what is added to them: as the
+        """Return the combinations, without those to leave out, with what is added to them: as the
         matrices of GitHub Actions."""
         matrix = self._matrix
         sampled = [{}] if sample is None else self._sampled(sample)
@@ -270,7 +270,7 @@ class Expansion:
         return originals + further
 
     def _sampled(self, sample: SpaceSample) -> list[dict[str, Any]]:
-        """The points of a sample, each a value by setting."""
+        """Return the points of a sample, each a value by setting."""
         import numpy as np
         from scipy.stats import qmc
 
@@ -380,7 +380,7 @@ class _SettingConverter:
         return {name: value for name, value in converted.items() if value is not _WRONG}
 
     def one(self, name: str, value: Any, where: KeyPath, told: str) -> Any:
-        """A single one; _WRONG where it is wrong."""
+        """Return a single one; _WRONG where it is wrong."""
         info = self._model.model_fields.get(name)
         if info is None:
             self.findings.append(_unknown(self._model, name, told, where))
@@ -393,7 +393,7 @@ class _SettingConverter:
 
 
 def _in_own_unit(value: Any, annotation: Any, unit: str | None) -> Any:
-    """A value as settings take it: text as on the command line, alone or in a list."""
+    """Return a value as settings take it: text as on the command line, alone or in a list."""
     if isinstance(value, str):
         return parse(value, annotation, unit)
     if isinstance(value, list) and get_origin(annotation) is tuple:
@@ -496,7 +496,7 @@ def _misplaced(batch: BatchFile) -> Iterator[PlanFinding]:
 
 
 def _queue(batch: BatchFile, expanded: Sequence[Expansion]) -> Iterator[PlannedRun]:
-    """The runs in their order, references among them, numbered."""
+    """Yield the runs in their order, references among them, numbered."""
     others = [e for e in expanded if e.experiment.every is None]
     references = [(e.experiment.every, e) for e in expanded if e.experiment.every is not None]
     queue = _ordered(batch, others)
@@ -514,7 +514,7 @@ def _queue(batch: BatchFile, expanded: Sequence[Expansion]) -> Iterator[PlannedR
 
 
 def _ordered(batch: BatchFile, expanded: Sequence[Expansion]) -> list[tuple[str, int]]:
-    """Condition and repeat of every run that is not a reference, in the order asked for.
+    """Return the condition and repeat of every run that is not a reference, in the order asked for.
 
     As written: experiment by experiment, its whole matrix once, then again for each repeat.
     Blocked: the blocks of all experiments in random order, the runs of each shuffled.

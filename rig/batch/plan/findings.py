@@ -44,8 +44,8 @@ class BatchText:
     text: str
 
     def line(self, where: KeyPath) -> int:
-        """The line of a key or table, counted from 1; that of the nearest table around it where the
-        part itself does not begin a line (an entry of a list, say), or 1."""
+        """Return the line of a key or table, counted from 1; that of the nearest table around it
+        where the part itself does not begin a line (an entry of a list, say), or 1."""
         while where and where not in self._lines:
             where = where[:-1]
         return self._lines.get(where, 1)
@@ -91,7 +91,7 @@ class RefusedBatchError(ConfigurationError):
         )
 
     def parts(self) -> tuple[RigError, ...]:
-        """One error for each finding."""
+        """Return one error for each finding."""
         return self._parts
 
 

@@ -46,8 +46,8 @@ class FailureDecision:
 
 
 def kind_of(code: int, failures: Sequence[RigError], made_safe: bool = False) -> FailureKind:
-    """The kind of failure that ended a run: exit code and failures, first cause first; `made_safe`
-    where the run could not make its bench safe, and its guard then could."""
+    """Return the kind of failure that ended a run: exit code and failures, first cause first;
+    `made_safe` where the run could not make its bench safe, and its guard then could."""
     if code == ExitCode.UNSAFE:
         return "instrument" if made_safe else "unsafe"
     first = failures[0] if failures else None

@@ -14,8 +14,9 @@ TEXT_WITH_UNIT = {"type": "string", "description": "text as on the command line,
 
 
 def batch_schema(warn: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
-    """JSON Schema 2020-12 of `BatchFile`; what an experiment may set and vary follows from its
-    procedure. A procedure that is broken is left out, and `warn` gets a line that says why."""
+    """Return the JSON Schema 2020-12 of `BatchFile`; what an experiment may set and vary follows
+    from its procedure. A procedure that is broken is left out, and `warn` gets a line that says
+    why."""
     schema = BatchFile.model_json_schema()
     definitions: dict[str, Any] = schema["$defs"]
     procedures: list[str] = []

@@ -58,13 +58,14 @@ def validate(
 
 
 def procedures_of(plan: BatchPlan) -> tuple[str, ...]:
-    """The procedures of a plan, each once, as the file names them first."""
+    """Return the procedures of a plan, each once, as the file names them first."""
     return tuple(dict.fromkeys(condition.procedure for condition in plan.conditions.values()))
 
 
 def fixture_for(procedure: str, real: BenchPlan | None) -> Fixture | None:
-    """The fixture a procedure works on: the first of those mounted that it accepts, None where
-    none is. A bench that is simulated for a run has the one that the procedure names first."""
+    """Return the fixture a procedure works on: the first of those mounted that it accepts, None
+    where none is. A bench that is simulated for a run has the one that the procedure names first.
+    """
     accepted = installed(procedure).fixtures
     if real is None:
         return accepted[0]
@@ -120,7 +121,8 @@ def _refusals(
 
 
 def _together(refused: Iterable[tuple[BatchCondition, RigError]]) -> Iterator[PlanFinding]:
-    """One finding for each reason, which names the first condition and point that it concerns."""
+    """Yield one finding for each reason, which names the first condition and point that it
+    concerns."""
     conditions: dict[tuple[int, str], dict[str, None]] = {}
     errors: dict[tuple[int, str], RigError] = {}
     for condition, error in refused:

@@ -51,7 +51,7 @@ class Notification:
     details: Mapping[str, Any]
 
     def as_json(self, **more: Any) -> str:
-        """The message as one JSON object; a detail that JSON does not know becomes text."""
+        """Return the message as one JSON object; a detail that JSON does not know becomes text."""
         return json.dumps({**vars(self), **more}, default=str)
 
 
@@ -188,13 +188,13 @@ class Notifier:
 
 
 def _plain(text: str) -> str:
-    """A text that can be a program's argument."""
+    """Return a text that can be a program's argument."""
     text = text.replace("\0", " ")
     return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
 
 
 def _scheme(url: str) -> str:
-    """The part of an address that may be shown."""
+    """Return the part of an address that may be shown."""
     scheme, found, _ = url.partition("://")
     return f"{scheme[:20]}://..." if found else "without a scheme"
 

@@ -160,7 +160,7 @@ def write_values(
 
 
 def _field_value(value: Any) -> Any:
-    """A number, text or list of numbers as it is, anything else as its JSON text."""
+    """Return a number, text or list of numbers as it is, anything else as its JSON text."""
     if isinstance(value, (bool, float)):
         return value
     if isinstance(value, int) and abs(value) < 2**63:

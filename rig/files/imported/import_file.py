@@ -242,7 +242,7 @@ def layout_of(recording: Recording) -> Layout:
 def _record(
     writer: JournalWriter, foreign: ForeignFile, recording: Recording, about: RecordingNotes
 ) -> None:
-    """The journal of an import: one point, all samples, the end."""
+    """Write the journal of an import: one point, all samples, the end."""
     import numpy as np
 
     length_s = recording.rows / recording.rate_Hz

@@ -64,7 +64,7 @@ class LvmTable(TextTable):
         return (UNITS.get(labels[channel]) if is_channel else None) or super().unit(column)
 
     def _own_rate(self) -> float | None:
-        """1/Delta_X of all channels, which have to begin together and be in seconds."""
+        """Return the 1/Delta_X of all channels, which have to begin together and be in seconds."""
         for dimension in self._segment.get("X_Dimension", ()):
             if dimension not in ("", "Time"):
                 raise ForeignFileError(
@@ -79,7 +79,7 @@ class LvmTable(TextTable):
         return 1 / step
 
     def _equal(self, field: str) -> float | None:
-        """The number that all channels have in a line of the header."""
+        """Return the number that all channels have in a line of the header."""
         numbers = []
         for cell in filter(None, self._segment.get(field, ())):
             if not self._dialect.is_number(cell):

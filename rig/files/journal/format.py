@@ -114,7 +114,7 @@ def from_json(text: str | bytes) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """NumPy scalars and arrays, settings and mappings as what json.dumps knows."""
+    """Return the NumPy scalars and arrays, settings and mappings as what json.dumps knows."""
     if isinstance(value, BaseModel):
         return value.model_dump(mode="json")
     if isinstance(value, Mapping):

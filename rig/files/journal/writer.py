@@ -124,7 +124,8 @@ class JournalEncoder:
 
 
 def _row_bytes(data: object, header: RunHeader, stream: int) -> memoryview:
-    """The rows' bytes; ValueError for an array of another type or shape than the stream's."""
+    """Return the rows' bytes; ValueError for an array of another type or shape than the
+    stream's."""
     dtype = getattr(data, "dtype", None)
     if dtype is not None and 0 <= stream < len(header.streams):
         expected, shape = header.streams[stream], getattr(data, "shape", ())

@@ -201,7 +201,7 @@ class ProcessedFile(OpenFile):
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Damage to the file as a RunFileError that names it."""
+    """Raise damage to the file within the block as a RunFileError that names it."""
     try:
         yield
     except DAMAGE as error:

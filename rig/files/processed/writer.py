@@ -71,7 +71,7 @@ def _read_back(
     settings: DetectorSettings,
     trials: Sequence[DetectedTrial],
 ) -> None:
-    """RunFileError unless the file holds what it was made of, bit for bit."""
+    """Raise RunFileError unless the file holds what it was made of, bit for bit."""
     with ProcessedFile.open(part) as written:
         found = written.trials()
         equal = written.settings == settings and written.source == source
@@ -159,7 +159,8 @@ def _write_process(entry: h5py.Group, settings: DetectorSettings, version: str) 
 
 
 def _write_events(made: h5py.Group, trials: Sequence[DetectedTrial]) -> None:
-    """The events of all trials as columns, a row an event; NaN for a feature that one lacks."""
+    """Write the events of all trials as columns, one row for each event; NaN for a feature that an
+    event lacks."""
     import numpy as np
 
     rows = [(trial.id, event) for trial in trials for event in trial.events]
@@ -184,7 +185,7 @@ def _write_events(made: h5py.Group, trials: Sequence[DetectedTrial]) -> None:
 def _write_trials(
     entry: h5py.Group, source: ProcessedSource, trials: Sequence[DetectedTrial]
 ) -> None:
-    """An NXdata a trial, and the first one's again as the default plot."""
+    """Write one NXdata for each trial, and that of the first one again as the default plot."""
     made = group(entry, "trials", "NXcollection")
     texts_field(made, "id", [trial.id for trial in trials])
     names = UniqueNames("id")

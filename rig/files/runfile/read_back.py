@@ -100,7 +100,7 @@ def _plot_differences(entry: h5py.Group, plot: Plot, table: PointTable) -> Itera
 
 
 def _sample_differences(entry: h5py.Group, walk: SampleWalk) -> Iterator[str]:
-    """Every sample, every channel's scale and every block's place in time."""
+    """Yield every sample, every channel's scale and every block's place in time."""
     contents = walk.contents
     for number, path in enumerate(segment_paths(contents)):
         data, segment = entry[path], contents.segments[number]

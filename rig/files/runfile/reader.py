@@ -209,7 +209,7 @@ _NUMBERS = ("attempt", "points_planned", "points_done", "seed", "exit")
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Damage to the file as a RunFileError that names it."""
+    """Raise damage to the file within the block as a RunFileError that names it."""
     try:
         yield
     except DAMAGE as error:

@@ -183,13 +183,13 @@ def _class_of(instrument: InstrumentRecord) -> str:
 
 
 def _write_attempts(made: h5py.Group, contents: JournalContents) -> None:
-    """Every attempt at a point, with the journal's own words."""
+    """Write every attempt at a point, with the journal's own words."""
     for name in ("id", "status", "reason", "begin", "result"):
         texts_field(made, name, [getattr(attempt, name) for attempt in contents.attempts])
 
 
 def _write_points(made: h5py.Group, contents: JournalContents, table: PointTable) -> None:
-    """The readings of the kept points, in the order of the default plot."""
+    """Write the readings of the recorded points, in the order of the default plot."""
     import numpy as np
 
     texts_field(made, "id", table.ids)
