@@ -146,17 +146,18 @@ class U2300ADaq:
         self._link.command("*CLS", "STOP")
 
     def reach(self) -> Mapping[str, Reach]:
-        """The rate of one channel; `check` knows what the others cost."""
+        """Return the rate of one channel; `check` knows what the others cost."""
         owner = f"daq {self.identity.model}"
         return {"rate": Reach(LOWEST_RATE_S_S, self.model.total_rate_S_s, "S/s", owner)}
 
     def highest_rate(self, channels: int) -> float:
-        """The highest rate per channel, in S/s, at which `channels` channels can be sampled."""
+        """Return the highest rate per channel, in S/s, at which `channels` channels can be
+        sampled."""
         sharing = 1 if self.model.simultaneous else channels
         return float(self.model.total_rate_S_s // sharing)  # units take whole S/s
 
     def ranges_V(self) -> tuple[float, ...]:  # noqa: N802 - the unit keeps its capital
-        """Bipolar full scales of this model, ascending."""
+        """Return the bipolar full scales of this model, ascending."""
         return tuple(sorted(self.model.ranges_V))
 
     def check(self, acquisition: Acquisition) -> None:
@@ -228,7 +229,8 @@ class U2300ADaq:
         return self._scaling_now()
 
     def read(self) -> Record | None:
-        """The next block, None where none is complete, InstrumentError where data were lost."""
+        """Return the next block, None where none is complete, InstrumentError where data were
+        lost."""
         with self._talking:
             return self._read()
 

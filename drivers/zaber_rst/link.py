@@ -103,7 +103,7 @@ class ZaberLink:
                 return reply
 
     def _line(self, port: Port, deadline: float) -> bytes:
-        """The next line; TimeoutError where none has come by the deadline."""
+        """Return the next line; TimeoutError where none has come by the deadline."""
         while (end := self._input.find(b"\n")) < 0:
             if len(self._input) > LONGEST_LINE:
                 raise ZaberFrameError(f"{len(self._input)} bytes without an end")

@@ -148,7 +148,7 @@ def test_files_that_are_missing_are_shown_and_made_by_resume(
     with closing(sqlite3.connect(folder / "queue.sqlite")) as queue, queue:
         queue.execute("UPDATE run SET processed = NULL WHERE number = 2")
     shown = rig.run("batch", "status", str(folder))
-    assert "files of 1 run still to be made" in shown.stdout
+    assert "not compiled yet: 1 run file" in shown.stdout
     assert f"continue with: rig batch resume {folder}" in shown.stdout
     ended = rig.run("batch", "resume", str(folder))
     assert ended.code == 0, ended.stderr

@@ -242,7 +242,7 @@ class Instruments:
         )
 
     def monitor(self, settings: WatchSettings | None) -> Monitor | None:
-        """The World's monitor of the bench, if it is asked for."""
+        """Return the World's monitor of the bench, if it is asked for."""
         from drivers.simulated.world.monitor import Monitor
 
         if settings is None:
@@ -295,7 +295,7 @@ class Instruments:
         return self._endpoints(generator, daq, stages, place_of(self.force), rotary, places)
 
     def anywhere(self) -> Endpoints:
-        """The same without this process's port numbers, for a text that is only recorded."""
+        """Return the same without this process's port numbers, for a text that is only recorded."""
         stages = {n: ANY_PORT if hasattr(s, "port") else AZ_LINE for n, s in self.stages.items()}
         tcp = {role: hasattr(server, "port") for role, (_, server) in self._own.items()}
         places = {role: "socket://127.0.0.1:0" if tcp[role] else role for role in tcp}
@@ -371,7 +371,7 @@ def place_of(server: PtyServer | InstrumentTcpServer) -> str:
 
 
 def _force_sensor(world: World, driver: str) -> ForceSensorCore:
-    """The simulator that is registered for a driver, in the World."""
+    """Return the simulator that is registered for a driver, in the World."""
     from drivers.simulated.instruments.me_gsv8 import Gsv8, Sensor
 
     make: Any = simulator_of(FORCE_SENSOR, driver)
@@ -383,7 +383,7 @@ def _force_sensor(world: World, driver: str) -> ForceSensorCore:
 
 
 def _keys_of(fault: ConverterFault) -> dict[str, Any]:
-    """The keys of a fault beyond its kind and moment, as `disturb` of a core takes them."""
+    """Return the keys of a fault beyond its kind and moment, as `disturb` of a core takes them."""
     own = type(fault).model_fields.keys() - Placed.model_fields.keys() - {"kind"}
     return {key: getattr(fault, key) for key in sorted(own)}
 
@@ -428,7 +428,7 @@ def _az_drive(world: World, faults: FaultPlan, fine: bool, name: str) -> AzDrive
 
 
 def _clamp_drives(world: World, make_drive: Callable[[str], Drive]) -> list[Drive]:
-    """The z stage, with the vibrator on it above the film."""
+    """Return the z stage, with the vibrator on it above the film."""
     from drivers.simulated.faults.plan import STAGE_Z
 
     clamp = world.settings.clamp
@@ -439,7 +439,7 @@ def _clamp_drives(world: World, make_drive: Callable[[str], Drive]) -> list[Driv
 
 
 def _rotary(world: World, faults: FaultPlan) -> SimulatedRotaryStage:
-    """The rotary stage, which carries the head."""
+    """Return the rotary stage, which carries the head."""
     from drivers.simulated.faults.plan import ROTARY, RotaryFault
     from drivers.simulated.instruments.zaber_rst import (
         SimulatedRotarySettings,
@@ -455,7 +455,8 @@ def _rotary(world: World, faults: FaultPlan) -> SimulatedRotaryStage:
 def _skin_drives(
     turned_deg: Where | None, world: World, make_drive: Callable[[str], Drive]
 ) -> list[Drive]:
-    """The z and the x stage, with the skin on them above the plate or the head that is turned."""
+    """Return the z and the x stage, with the skin on them above the plate or the head that is
+    turned."""
     from drivers.simulated.faults.plan import STAGES
     from drivers.simulated.world.plate_world import PlateWorldSettings, mount_skin
 

@@ -344,8 +344,8 @@ class Supervisor:
             self._save_result(result)
         if missing := len(self._queue.unprocessed()):
             self._say(
-                f"the files of {counted(missing, 'run')} are still to be made; "
-                f"rig batch resume {self._folder.path} makes them"
+                f"not compiled yet: {counted(missing, 'run file')}; compile with: "
+                f"rig batch resume {self._folder.path}"
             )
 
     # --- events from the worker -------------------------------------------------------------------

@@ -53,7 +53,7 @@ class BatchStatus:
         return (self.now + timedelta(seconds=self.remaining.bench_s)).astimezone()
 
     def as_object(self) -> dict[str, Any]:
-        """The object that ``--json`` prints."""
+        """Return the object that ``--json`` prints."""
         return {
             "folder": str(self.folder.path),
             "name": self.name,
@@ -79,7 +79,7 @@ class BatchStatus:
         }
 
     def lines(self) -> list[str]:
-        """The lines that a person reads."""
+        """Return the lines that a person reads."""
         total = sum(self.counts.values())
         marker = "SIMULATED " if self.simulated else ""
         shown = [f"warning: {text}" for text in self.bench_warnings]
@@ -103,7 +103,8 @@ class BatchStatus:
             )
             shown.append(f"so far: {holds}, {presses}")
         if self.unprocessed:
-            shown.append(f"files of {counted(self.unprocessed, 'run')} still to be made")
+            files = counted(self.unprocessed, "run file")
+            shown.append(f"compiling {files}" if self.running else f"not compiled yet: {files}")
         shown += [f"failed: run {r.number} {r.condition}: {r.reason}" for r in self.failures]
         shown += [f"{time[:19]} {level}: {text}" for time, level, text in self.events]
         if not self.running and (self.remaining.runs or self.unprocessed):
@@ -122,7 +123,7 @@ class BatchStatus:
 
 
 def status_of(folder: BatchFolder) -> BatchStatus:
-    """The status of a batch; ConfigurationError where the folder holds none."""
+    """Return the status of a batch; ConfigurationError where the folder holds none."""
     running = folder.is_held("supervisor")
     with Queue.open(folder.queue, read_only=True) as queue:
         state = queue.meta("state")
