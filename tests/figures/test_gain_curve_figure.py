@@ -49,7 +49,7 @@ def test_the_gain_figure_names_level_corner_slope_and_every_drop(film):
         "corner 20",
         "2 notches",
         "slope 2 to 2000 Hz 19.5",
-        "20 dB/decade line fitted without corner (paper, eq. 2)",
+        "20 dB/decade line fitted without corner\n(paper, eq. 2)",
     ):
         assert expected in written
     for drop in film[1].drops:
@@ -71,14 +71,14 @@ def test_the_labels_of_drops_lie_inside_the_axes():
 def test_the_readings_figure_shows_all_three_their_offsets_and_both_corners(film):
     written = texts(draw_readings(*film))
     for expected in (
-        "printed, +89.3 dB",
-        "ohmic, +6.0 dB",
-        "circuit, +17.3 dB",
+        "eq. (4) as printed, +89.3 dB",
+        "eq. (4) with units corrected, +6.0 dB",
+        "circuit analysis, +17.3 dB",
         "6631 Hz",
         "corner, measured",
-        "printed: eq. (4) as it stands",
-        "ohmic: eq. (4) with 1/A4",
-        "circuit: Kirchhoff",
+        "eq. (4) as printed (adds",
+        "eq. (4) with units corrected (1/A4",
+        "circuit analysis of the circuit",
     ):
         assert expected in written
 
