@@ -120,7 +120,7 @@ def test_the_load_cells_error_widens_b_and_the_load(record):
         (100.0, math.nan, "it contains no load"),
     ],
 )
-def test_what_cannot_be_told_is_refused(record, frequency, voltage, told):
+def test_what_cannot_be_determined_is_refused(record, frequency, voltage, told):
     with pytest.raises(FilmLoadError, match=told):
         load_from_voltage(record, frequency, complex(voltage), np.eye(2))
 

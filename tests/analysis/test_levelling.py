@@ -25,7 +25,7 @@ def resonance(f, f0=95.0, Q=1.3):
     return 1 / math.hypot(1 - x**2, x / Q)
 
 
-def test_a_resonance_is_foretold_from_three_points_beside_it():
+def test_a_resonance_is_predicted_from_three_points_next_to_it():
     learned = LearnedGain()
     for f in (20.0, 25.0, 31.7):
         learned.learn(f, resonance(f))
@@ -34,7 +34,7 @@ def test_a_resonance_is_foretold_from_three_points_beside_it():
     assert learned.at(39.9) == pytest.approx(resonance(39.9), rel=0.02)
 
 
-def test_nothing_is_foretold_from_nothing_and_the_far_is_the_nearest():
+def test_nothing_is_predicted_without_points_and_beyond_them_the_nearest_holds():
     learned = LearnedGain()
     assert learned.at(100.0) is None
     assert not learned.near(100.0)
@@ -68,7 +68,7 @@ def test_a_record_is_as_long_as_its_noise_asks_for_in_whole_cycles():
     assert record_samples(1000.0, rate, needs(None), ()) / rate == pytest.approx(0.007, abs=1e-3)
 
 
-def test_a_line_close_by_lengthens_the_record_until_it_can_be_told():
+def test_a_line_close_by_lengthens_the_record_until_it_can_be_separated():
     rate, wanted = 64e3, needs(error=0.002)
     n = record_samples(51.0, rate, wanted, mains_lines())
     alone = record_samples(51.0, rate, wanted, ())

@@ -54,7 +54,7 @@ def test_a_designed_filter_has_what_was_asked_for(name):
     assert at_lobes == pytest.approx(summary.largest_lobe_dB, abs=0.05)
 
 
-def test_an_attenuation_that_is_never_reached_is_told():
+def test_an_attenuation_that_is_never_reached_is_reported():
     assert low_pass_summary(mean_of(2)).stop_Hz is not None
     deep = LowPass(LowPassSettings(stop_dB=150), RATE, np.full(201, 1 / 201))
     assert low_pass_summary(deep).stop_Hz is None

@@ -242,7 +242,7 @@ def test_a_reference_is_run_first_after_every_so_many_others_and_last(
 # --- what is refused --------------------------------------------------------------------------
 
 
-def test_all_that_is_wrong_is_told_at_once_with_its_experiment() -> None:
+def test_all_that_is_wrong_is_reported_at_once_with_its_experiment() -> None:
     lines = told(
         {"matrix": {"speed_mm_s": [-1, "3 kg", 0.5]}, "settings": {"rest": 1}},
         {"procedure": "slide"},

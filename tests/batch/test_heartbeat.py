@@ -64,7 +64,7 @@ def test_a_new_point_waits_for_its_time_and_a_new_run_or_message_does_not(path: 
     assert said(HeartbeatRecord("holding", 13, 240)).state == "holding"
 
 
-def test_a_disk_that_does_not_take_it_disturbs_nobody_and_is_told_once(
+def test_a_disk_that_does_not_take_it_disturbs_nobody_and_is_reported_once(
     path: Path, tmp_path: Path, caplog
 ) -> None:
     hours = Hours()

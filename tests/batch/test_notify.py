@@ -42,7 +42,7 @@ def test_a_command_gets_title_and_text_as_arguments_and_all_of_it_as_json(tmp_pa
     assert datetime.fromisoformat(told["time"]).tzinfo is not None
 
 
-def test_several_are_told_in_their_order_and_only_of_what_was_asked_for(tmp_path: Path) -> None:
+def test_several_are_reported_in_their_order_and_only_of_what_was_asked_for(tmp_path: Path) -> None:
     kept = tmp_path / "kept"
     settings = command(KEEPS, str(kept)).model_copy(update={"on": ("failure", "end")})
     notifier = Notifier(settings)
@@ -166,7 +166,7 @@ def listener() -> Iterator[ThreadingHTTPServer]:
     server.server_close()
 
 
-def test_an_address_of_apprise_is_told_and_one_that_refuses_is_a_warning(listener) -> None:
+def test_an_address_of_apprise_is_reported_and_one_that_refuses_is_a_warning(listener) -> None:
     here = f"json://user:secret@127.0.0.1:{listener.server_address[1]}"
     notifier = Notifier(
         NotifySettings(urls=(f"{here}/refuses", f"{here}/takes")), longest_s=CLOSING_S

@@ -49,7 +49,7 @@ def test_the_first_cause_says_the_kind_but_an_unsafe_bench_comes_before(
     assert kind_of(code, [failure, LimitError("what came of it")]) == kind
 
 
-def test_a_bench_that_the_guard_made_safe_is_one_that_can_be_gone_on_with() -> None:
+def test_a_bench_that_the_guard_made_safe_is_one_that_can_be_continued_with() -> None:
     failure = InstrumentTimeoutError("stage_x", "stop", "silent")
     assert kind_of(ExitCode.UNSAFE, [failure], made_safe=True) == "instrument"
 

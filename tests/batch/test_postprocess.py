@@ -95,7 +95,7 @@ def test_what_is_not_asked_for_is_not_done(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_figure_that_fails_is_told_and_the_rest_is_done(tmp_path: Path) -> None:
+def test_a_figure_that_fails_is_reported_and_the_rest_is_done(tmp_path: Path) -> None:
     result = make_files(PostprocessJob(recorded(tmp_path, "a", procedure="slip-trial")))
     assert result.processed is not None
     assert result.figures == ()
@@ -103,7 +103,7 @@ def test_a_figure_that_fails_is_told_and_the_rest_is_done(tmp_path: Path) -> Non
     assert warning.startswith("a.h5: the figure slip-trial (")
 
 
-def test_a_journal_that_is_none_is_told(tmp_path: Path) -> None:
+def test_a_journal_that_is_none_is_reported(tmp_path: Path) -> None:
     (tmp_path / "n.rigj").write_text("nonsense")
     result = make_files(PostprocessJob(tmp_path / "n.rigj"))
     assert result.file is None

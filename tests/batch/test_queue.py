@@ -56,7 +56,7 @@ def test_a_run_that_is_taken_is_nobody_elses(tmp_path: Path) -> None:
             other.claim(1)
 
 
-def test_what_a_dead_worker_had_claimed_is_found_and_goes_on_in_its_place(tmp_path: Path) -> None:
+def test_what_a_dead_worker_had_claimed_is_found_and_continues_in_its_place(tmp_path: Path) -> None:
     with created(tmp_path, plan()) as queue:
         taken(queue)
     with Queue.open(tmp_path / "queue.sqlite") as queue:
@@ -171,7 +171,7 @@ def test_damage_that_is_met_later_is_named_as_well(tmp_path: Path) -> None:
             list(queue.rows())
 
 
-def test_a_disk_that_takes_no_more_is_told_with_the_remedy(tmp_path: Path) -> None:
+def test_a_disk_that_takes_no_more_is_reported_with_the_remedy(tmp_path: Path) -> None:
     with created(tmp_path, plan()) as queue:
         queue._sql.execute(f"PRAGMA max_page_count = {_pages(queue)}")
         with pytest.raises(RigError, match=r"cannot be written: .*full") as raised:

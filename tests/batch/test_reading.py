@@ -83,7 +83,7 @@ def test_a_whole_file_is_read_and_expanded(tmp_path: Path) -> None:
         ("[batch]", "[bitch]", 1, "batch: missing"),
     ],
 )
-def test_an_error_is_told_with_its_line(old: str, new: str, line: int, words: str) -> None:
+def test_an_error_is_reported_with_its_line(old: str, new: str, line: int, words: str) -> None:
     assert old in GOOD
     lines = refused(GOOD.replace(old, new))
     place = f"night.toml:{line}: {words}"
@@ -113,7 +113,7 @@ def test_stages_that_no_simulated_bench_has_are_refused_with_the_choices() -> No
     assert batch.simulation.stages == "az-festo"
 
 
-def test_errors_of_file_and_settings_are_told_together_in_the_order_of_the_file() -> None:
+def test_errors_of_file_and_settings_are_reported_together_in_the_order_of_the_file() -> None:
     broken = (
         GOOD.replace('"night"', '""').replace('"1 min"', '"1 m"').replace("every = 3", "every=0")
     )
@@ -121,7 +121,7 @@ def test_errors_of_file_and_settings_are_told_together_in_the_order_of_the_file(
     assert [int(re.match(r"night\.toml:(\d+): ", line)[1]) for line in lines] == [2, 13, 17, 24]  # type: ignore[index]
 
 
-def test_what_is_no_toml_is_told_with_its_line() -> None:
+def test_what_is_no_toml_is_reported_with_its_line() -> None:
     (line,) = refused("[batch]\nname = \n")
     assert "night.toml" in line
     assert "line 2" in line
@@ -246,7 +246,7 @@ def test_lines_of_any_kind_are_taken_or_refused(text: str) -> None:
 
 @settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
-def test_a_file_in_which_something_is_spoilt_is_taken_or_refused(data: st.DataObject) -> None:
+def test_a_file_in_which_something_is_corrupt_is_taken_or_refused(data: st.DataObject) -> None:
     lines = GOOD.splitlines()
     for _ in range(data.draw(st.integers(1, 3))):
         place = data.draw(st.integers(0, len(lines) - 1))

@@ -40,7 +40,7 @@ def tried(first: tuple[float, float], now: dict[str, float]) -> list[HoldReason]
     return judge([before], ReferenceRun(11, now), SlipTrial.drift, SKIN)
 
 
-def test_a_gain_that_fell_is_told_with_its_film_values_tolerance_and_first_run() -> None:
+def test_a_gain_that_fell_is_reported_with_its_film_values_tolerance_and_first_run() -> None:
     (found,) = swept(12.1, 5.8)
     assert found.kind == "drift"
     assert found.text == (
@@ -55,7 +55,7 @@ def test_what_stays_within_the_tolerance_of_the_first_is_no_finding(gains: tuple
     assert swept(*gains) == []
 
 
-def test_a_change_that_has_crept_is_told_as_wear() -> None:
+def test_a_change_that_has_crept_is_reported_as_wear() -> None:
     (found,) = swept(12.1, 11.8, 11.5)
     assert found.text.endswith("since run 1: worn, little by little")
 
@@ -66,7 +66,9 @@ def test_a_gain_that_is_all_but_gone_is_torn_or_unplugged() -> None:
 
 
 @pytest.mark.parametrize("missing", [None, float("nan"), float("-inf")])
-def test_a_gain_that_is_not_found_any_more_is_told_with_what_it_was(missing: float | None) -> None:
+def test_a_gain_that_is_not_found_any_more_is_reported_with_what_it_was(
+    missing: float | None,
+) -> None:
     (found,) = swept(12.1, missing)
     assert "gain near 200 Hz could not be found any more (in run 1: 12.10 dB)" in found.text
     assert found.text.endswith(": torn or unplugged")
@@ -78,7 +80,7 @@ def test_a_gain_that_rose_is_no_wear() -> None:
     assert "not wear" in found.text
 
 
-def test_a_reference_that_does_not_have_its_figure_is_told_at_once_and_only_then() -> None:
+def test_a_reference_that_does_not_have_its_figure_is_reported_at_once_and_only_then() -> None:
     (found,) = swept(None)
     assert found.kind == "no-figure"
     assert GAIN in found.text
@@ -92,7 +94,7 @@ def test_one_strip_of_two_is_named() -> None:
     assert found.text.endswith("worn or torn")
 
 
-def test_both_strips_that_move_differently_are_told_each_for_itself() -> None:
+def test_both_strips_that_move_differently_are_reported_each_for_itself() -> None:
     assert len(tried((-74.0, -72.0), {S1: -77.0, S2: -78.0})) == 2
 
 
@@ -145,7 +147,7 @@ def test_parts_have_the_labels_of_the_bench_file() -> None:
     }
 
 
-def test_the_axis_whose_zero_moved_most_is_told() -> None:
+def test_the_axis_whose_zero_moved_most_is_reported() -> None:
     assert zero_drift([0.1, 0.2, 1.77], [0.2, 0.1, 2.77], 1.0) == []
     (found,) = zero_drift([0.1, 0.2, 1.77], [0.3, -1.1, 2.97], 1.0, since_run=4)
     assert found.kind == "force-zero"
@@ -178,7 +180,7 @@ def record(days: float) -> tuple[Path, CalibrationRecord]:
     return Path("film-7.json"), CalibrationRecord(**fields)
 
 
-def test_a_record_that_expires_during_the_night_is_told_and_one_that_lasts_is_not() -> None:
+def test_a_record_that_expires_during_the_night_is_reported_and_one_that_lasts_is_not() -> None:
     assert expiring([record(0.5)], NOW, timedelta(hours=11)) == []
     (found,) = expiring([record(0.25), record(2.0)], NOW, timedelta(hours=11))
     assert found.text == (

@@ -27,7 +27,7 @@ def taken(rig: Any, procedure: str, number: int, world: str, *settings: str) -> 
     return ReferenceRun(number, done.object["summary"])
 
 
-def test_a_film_that_gives_half_is_named_and_a_zero_that_moved_is_told(rig: Any) -> None:
+def test_a_film_that_gives_half_is_named_and_a_zero_that_moved_is_reported(rig: Any) -> None:
     frequencies = ("--frequencies", "180Hz,200Hz")
     first = taken(rig, "sweep", 1, "", *frequencies)
     again = taken(rig, "sweep", 11, "", *frequencies)

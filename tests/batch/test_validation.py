@@ -151,7 +151,7 @@ def test_simulated_benches_of_the_runs_own_have_what_each_needs() -> None:
 # --- limits -----------------------------------------------------------------------------------
 
 
-def test_every_limit_of_every_condition_is_told_once_with_its_experiment() -> None:
+def test_every_limit_of_every_condition_is_reported_once_with_its_experiment() -> None:
     plan = plan_of(
         {"matrix": {"speed_mm_s": [0.5, 21.0], "start_mm": [39.5, 41.0, 10.0]}},
         {"settings": {"largest_force_N": 50.0}},
@@ -170,7 +170,7 @@ def test_every_limit_of_every_condition_is_told_once_with_its_experiment() -> No
     assert {part.code for part in error.parts()} == {ExitCode.LIMIT}
 
 
-def test_a_limit_that_only_the_points_know_is_told_too() -> None:
+def test_a_limit_that_only_the_points_know_is_reported_too() -> None:
     plan = plan_of(
         {"procedure": "sweep", "settings": {"preload_N": 5}, "matrix": {"load_N": [3, 4]}}
     )

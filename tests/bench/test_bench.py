@@ -148,7 +148,7 @@ def test_a_wrong_file_is_refused_with_place_and_reason(case: str) -> None:
     assert told in message, message
 
 
-def test_all_errors_are_told_at_once() -> None:
+def test_all_errors_are_reported_at_once() -> None:
     text = changed("film-clamp", "vice").replace("= 2.0", "= 200.0").replace("= 101", "= 1")
     message = refused(text)
     for told in ("fixture.mounted", "max_amplitude_V", "load_cell = 1 is not a terminal"):
@@ -171,7 +171,7 @@ def test_a_daq_that_is_wrong_itself_is_not_blamed_for_its_wiring() -> None:
     ],
     ids=["missing", "a folder", "not text", "not TOML"],
 )
-def test_a_file_that_cannot_be_read_is_told_by_name(tmp_path: Path, make: Any) -> None:
+def test_a_file_that_cannot_be_read_is_reported_by_name(tmp_path: Path, make: Any) -> None:
     path = tmp_path / "bench.toml"
     make(path)
     with pytest.raises(ConfigurationError, match=r"bench\.toml"):
@@ -231,7 +231,7 @@ def test_connecting_gives_a_guarded_generator_and_the_limits_of_all() -> None:
     assert ("close",) in daq.calls
 
 
-def test_all_instruments_are_tried_before_failures_are_told() -> None:
+def test_all_instruments_are_tried_before_failures_are_reported() -> None:
     first = InstrumentError("generator", "*IDN?", "no answer", "switch it on")
     second = LimitError("daq: no such terminal", "correct it")
     with pytest.raises(RigError) as caught:

@@ -200,7 +200,7 @@ def spoiled(record: CalibrationRecord, **changes: Any) -> str:
         (as_text(film())[:-200].encode(), "not a calibration record"),
     ],
 )
-def test_a_file_that_is_no_such_record_is_told_in_one_line(
+def test_a_file_that_is_no_such_record_is_reported_in_one_line(
     tmp_path: Path, content: bytes | None, told: str
 ) -> None:
     path = tmp_path / "record.json"

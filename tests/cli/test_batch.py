@@ -106,7 +106,7 @@ def test_a_worker_that_is_killed_is_followed_by_another(
 
 
 @pytest.mark.thorough
-def test_with_its_supervisor_killed_the_worker_stops_in_order_and_resume_goes_on(
+def test_with_its_supervisor_killed_the_worker_stops_in_order_and_resume_continues(
     rig, uninterrupted: dict[int, Taken]
 ) -> None:
     running = begin(rig, SIX_POINTS)
@@ -122,7 +122,7 @@ def test_with_its_supervisor_killed_the_worker_stops_in_order_and_resume_goes_on
 
 
 @pytest.mark.thorough
-def test_ctrl_c_stops_a_batch_safely_and_resume_goes_on_at_the_point(
+def test_ctrl_c_stops_a_batch_safely_and_resume_continues_at_the_point(
     rig, uninterrupted: dict[int, Taken]
 ) -> None:
     running = begin(rig, SIX_POINTS)
@@ -230,7 +230,7 @@ def test_a_time_out_is_tried_again_and_a_limit_never(rig) -> None:
 
 
 @pytest.mark.thorough
-def test_what_changed_since_the_beginning_is_told_and_refused(rig) -> None:
+def test_what_changed_since_the_beginning_is_reported_and_refused(rig) -> None:
     running = begin(rig, SIX_POINTS)
     running.send(signal.SIGTERM)
     assert running.finish().code == 143

@@ -299,7 +299,7 @@ def test_a_saturated_channel_is_rejected_and_nothing_is_written(rig: Any) -> Non
     assert not list(rig.folder.rglob("*.json"))
 
 
-def test_a_simulated_bench_in_real_time_has_nobody_for_the_weights(rig: Any) -> None:
+def test_a_simulated_bench_in_real_time_cannot_put_the_weights_on(rig: Any) -> None:
     simulator = rig.start("simulate", "--write", "sim.toml")
     simulator.wait_for("drive it")
     ended = rig.run("calibrate", "load-cell", "--bench", "sim.toml")
@@ -386,7 +386,7 @@ def terminal(rig: Any) -> Iterator[Any]:
 CELL = ("load-cell", *QUICK, "--weights", "2,5")
 
 
-def test_a_person_goes_on_with_enter_and_repeats_with_r(rig: Any, terminal: Any) -> None:
+def test_a_person_continues_with_enter_and_repeats_with_r(rig: Any, terminal: Any) -> None:
     at = terminal(*CELL)
     at.wait_for("1/4: take all weights off [Enter, q quits]")
     at.answer("what?")
@@ -488,7 +488,7 @@ def test_options_that_cannot_be_are_refused_before_any_bench_is_started(
     assert ended.stderr.splitlines() == [error]
 
 
-def test_an_error_is_told_to_two_figures_never_as_zero() -> None:
+def test_an_error_is_reported_to_two_figures_never_as_zero() -> None:
     assert with_error(0.0123456789, 0.0000003217) == "+0.01234568 ± 0.00000032"
     assert with_error(-80.123, 0.05) == "-80.123 ± 0.050"
     assert with_error(1.5, 0.0) == "+1.5"

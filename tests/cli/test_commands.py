@@ -31,7 +31,7 @@ CODES = {"show": 8, "verify": 8, "recover": 2, "resume": 2}
 
 @pytest.mark.parametrize("command", CODES)
 @pytest.mark.thorough
-def test_a_file_that_was_cut_off_is_told_in_one_line(
+def test_a_file_that_was_cut_off_is_reported_in_one_line(
     rig: Any, run_file: Path, command: str
 ) -> None:
     content = run_file.read_bytes()
@@ -119,7 +119,9 @@ def test_a_file_without_its_checksum_is_not_called_damaged(rig: Any, run_file: P
     assert "warning: alone.h5: the file cannot be checked for corruption" in shown.stderr
 
 
-def test_show_draws_where_it_is_told_to_and_lives_without_figures(rig: Any, run_file: Path) -> None:
+def test_show_draws_into_the_named_folder_and_works_without_figures(
+    rig: Any, run_file: Path
+) -> None:
     for path in run_file.parent.iterdir():
         shutil.copy(path, rig.folder)
     elsewhere = rig.run("show", run_file.name, "--figures-to", "figures")

@@ -148,7 +148,7 @@ def test_an_unknown_detector_is_refused_with_the_known_ones(rig: Any, runs: list
 
 
 @pytest.mark.thorough
-def test_a_folder_that_cannot_be_written_to_is_told(rig: Any, runs: list[str]) -> None:
+def test_a_folder_that_cannot_be_written_to_is_reported(rig: Any, runs: list[str]) -> None:
     (rig.folder / "taken").write_text("no folder")
     done = rig.run("detect", *HP, "--to", "taken", runs[0])
     assert done.code == 1
@@ -256,7 +256,7 @@ def test_without_the_package_a_cluster_is_refused_with_the_remedy(
 
 
 @pytest.mark.thorough
-def test_the_filter_is_told_drawn_and_written_as_data(rig: Any) -> None:
+def test_the_filter_is_printed_drawn_and_written_as_data(rig: Any) -> None:
     done = rig.run("filter", "--json", "--results", "out")
     assert done.code == 0, done.stderr
     told = done.object["summary"]

@@ -79,7 +79,7 @@ def test_an_import_can_be_verified_and_shown_like_any_run(rig: Any) -> None:
     ],
 )
 @pytest.mark.thorough
-def test_what_is_wrong_is_told_in_a_line_and_nothing_is_left(
+def test_an_error_is_reported_in_one_line_and_nothing_is_left(
     rig: Any, arguments: tuple[str, ...], reason: str
 ) -> None:
     (rig.folder / "a.csv").write_text(EXPORT)
@@ -91,7 +91,7 @@ def test_what_is_wrong_is_told_in_a_line_and_nothing_is_left(
     assert left_behind(rig.folder) == []
 
 
-def test_a_folder_that_cannot_be_written_is_told(rig: Any) -> None:
+def test_a_folder_that_cannot_be_written_is_reported(rig: Any) -> None:
     (rig.folder / "a.csv").write_text(ROWS)
     (rig.folder / "taken").write_text("a file, not a folder")
     ended = rig.run(

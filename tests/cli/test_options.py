@@ -143,7 +143,7 @@ def test_given_texts_become_settings() -> None:
         ({"normal_force_N": "30", "cycles": "0"}, ["--normal-force", "--cycles"]),
     ],
 )
-def test_all_wrong_options_are_told_by_their_own_names(
+def test_all_wrong_options_are_reported_by_their_own_names(
     given: dict[str, str], told: list[str]
 ) -> None:
     with pytest.raises(ConfigurationError) as caught:

@@ -57,7 +57,7 @@ def test_the_force_rises_at_the_rate_until_the_contact_slips(rate_N_s, tick_s, l
     assert forces[-1] > 0.9 * GROSS_N
 
 
-def test_a_slip_is_told_soon_after_the_force_can_rise_no_more() -> None:
+def test_a_slip_is_reported_soon_after_the_force_can_rise_no_more() -> None:
     times, _, _, travel_mm = dragged(2.0, 0.01)
     assert times[-1] < GROSS_N / 2.0 + 4 * CLOSING * (DELAY_s + 0.01)
     assert travel_mm < 1.0

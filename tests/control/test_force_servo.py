@@ -121,7 +121,7 @@ def on_busy_links(told_of_it: bool, seed: int) -> np.ndarray:
     return np.array(forces[1000:]) - TARGET_N
 
 
-def test_a_servo_that_is_told_how_late_its_links_are_holds_the_force() -> None:
+def test_a_servo_that_knows_how_late_its_links_are_holds_the_force() -> None:
     """One that is not rings: a target comes after the force that it answers to has changed."""
     told, untold = (
         np.sqrt(np.mean([on_busy_links(told_of_it, seed) ** 2 for seed in range(8)]))

@@ -325,7 +325,7 @@ def test_a_stuck_reader_is_an_error_that_counts_the_missing_bytes(
             clock.sleep(0.01)
 
 
-def test_a_reader_that_died_is_told_with_its_own_cause() -> None:
+def test_a_reader_that_died_is_reported_with_its_own_cause() -> None:
     """Nobody waits for the patience with a reader whose watcher has tripped."""
 
     def trip(samples: object) -> None:

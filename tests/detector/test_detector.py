@@ -43,7 +43,7 @@ def kinds(events: list[SlipEvent]) -> list[str]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_impulse_while_armed_is_told_once_and_at_once(name: str):
+def test_the_impulse_while_armed_is_reported_once_and_at_once(name: str):
     events = told(bench_like(), name)
     slips = [event for event in events if event.kind == "incipient slip"]
     assert [1095 <= event.sample <= 1110 for event in slips if event.sample > 1090] == [True]
@@ -140,7 +140,7 @@ def test_silence_without_any_noise_says_nothing(name: str):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_saturation_is_told_and_nothing_is_judged_meanwhile(name: str):
+def test_saturation_is_reported_and_nothing_is_judged_meanwhile(name: str):
     volts = bench_like(11)
     volts[1095:1105, 0] = 10.0
     events = told(volts, name)
@@ -151,7 +151,7 @@ def test_saturation_is_told_and_nothing_is_judged_meanwhile(name: str):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("channel", [0, 1])
-def test_a_dead_channel_is_told_by_name_and_nothing_is_judged_after(name: str, channel: int):
+def test_a_dead_channel_is_reported_by_name_and_nothing_is_judged_after(name: str, channel: int):
     volts = bench_like(14)
     volts[:, channel] = 0.01
     events = told(volts, name)
@@ -161,7 +161,7 @@ def test_a_dead_channel_is_told_by_name_and_nothing_is_judged_after(name: str, c
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_channel_that_dies_on_the_way_is_told(name: str):
+def test_a_channel_that_dies_on_the_way_is_reported(name: str):
     volts = bench_like(15)
     volts[250:, 1] = volts[250, 1]
     told_of = [event for event in told(volts, name) if "v_2 is dead" in event.reason]
@@ -170,14 +170,14 @@ def test_a_channel_that_dies_on_the_way_is_told(name: str):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("channel", [0, 1])
-def test_one_inverted_channel_is_told(name: str, channel: int):
+def test_one_inverted_channel_is_reported(name: str, channel: int):
     volts = bench_like(16)
     volts[:, channel] *= -1
     assert "one is inverted" in " ".join(event.reason for event in told(volts, name))
 
 
 @pytest.mark.parametrize("mains_Hz", [50.0, 60.0])
-def test_mains_hum_is_told_and_no_slip(mains_Hz: float):
+def test_mains_hum_is_reported_and_no_slip(mains_Hz: float):
     hum = 4e-3 * np.sin(2 * np.pi * mains_Hz * np.arange(5000) / RATE_Hz)
     noise = 1e-4 * np.random.default_rng(17).standard_normal((5000, 2))
     for name in NAMES:
@@ -191,7 +191,7 @@ def test_a_good_recording_raises_no_doubts():
         assert not [one for one in reasons if one and not one.startswith(("not armed", "roll"))]
 
 
-def test_what_is_never_quiet_is_told_and_not_judged():
+def test_what_is_never_quiet_is_reported_and_not_judged():
     time = np.arange(3000) / RATE_Hz
     swinging = 5e-3 * np.sin(2 * np.pi * 3 * time)
     events = told(np.column_stack([swinging, -swinging]))
@@ -200,7 +200,7 @@ def test_what_is_never_quiet_is_told_and_not_judged():
     assert len(events) == 2  # when it has lasted, and at the end
 
 
-def test_a_gap_is_told_and_begins_anew():
+def test_a_gap_is_reported_and_begins_anew():
     volts = bench_like(12)
     detector = IncipientSlipDetector(named_detectors()["rig"], RATE_Hz)
     detector.add(volts[:400], first_sample=0)

@@ -221,7 +221,7 @@ def test_a_stale_target_reached_bit_is_no_arrival() -> None:
         assert axis.moving()
 
 
-def test_a_motion_that_never_arrives_is_told() -> None:
+def test_a_motion_that_never_arrives_is_reported() -> None:
     with service() as it:
         axis = it.homed()
         axis.start_move(40.0, 50.0)
@@ -232,7 +232,7 @@ def test_a_motion_that_never_arrives_is_told() -> None:
 
 
 @pytest.mark.parametrize("next_act", ["update", "look"])
-def test_a_motion_that_somebody_else_stopped_is_not_set_going_again(next_act: str) -> None:
+def test_a_motion_that_another_client_stopped_is_not_started_again(next_act: str) -> None:
     with service() as it:
         axis = it.homed()
         axis.start_move(60.0, 10.0)
@@ -289,7 +289,7 @@ def test_a_keep_alive_tells_a_fault_once() -> None:
         axis.stop()
 
 
-def test_stopping_works_in_spite_of_a_fault_nobody_has_told_yet() -> None:
+def test_stopping_works_in_spite_of_a_fault_that_is_not_reported_yet() -> None:
     with service() as it:
         axis = it.homed()
         axis.start_move(60.0, 40.0)
@@ -367,7 +367,7 @@ def test_a_new_motion_is_not_ended_by_the_last_ones_fixed_stop() -> None:
     ],
 )
 @pytest.mark.parametrize("way", ["move", "servo", "wait"])
-def test_what_befalls_a_motion_is_one_error_however_it_is_watched(
+def test_a_disturbed_motion_is_one_error_however_it_is_watched(
     kind: Any, own: dict[str, Any], told: str, way: str
 ) -> None:
     fault = AxisFault(device="stage_z", kind=kind, move=2, after_s=0.5)
@@ -392,7 +392,7 @@ def go_and_sleep(axis: FestoAxis, clock: Clock) -> None:
 
 
 @pytest.mark.parametrize("go", [lambda axis, clock: axis.move_to(15.0, 10.0), go_and_sleep])
-def test_an_axis_that_runs_past_its_target_is_stopped_and_told(
+def test_an_axis_that_runs_past_its_target_is_stopped_and_reported(
     go: Callable[[FestoAxis, Clock], None],
 ) -> None:
     runaway = AxisFault(device="stage_z", kind="runaway", move=2, after_s=0.1)
@@ -450,7 +450,7 @@ def test_keep_alives_only_read() -> None:
         assert it.wire.heard() == ["read 100 x28"]
 
 
-def test_power_lost_in_motion_is_told() -> None:
+def test_power_lost_in_motion_is_reported() -> None:
     with service() as it:
         axis = it.homed()
         axis.start_move(60.0, 10.0)
@@ -596,7 +596,7 @@ def test_a_drive_that_does_not_tell_its_unit_needs_a_persons_word() -> None:
         it.connect()
 
 
-def test_a_communication_time_out_that_is_not_kept_is_told() -> None:
+def test_a_communication_time_out_that_is_not_kept_is_reported() -> None:
     with service() as it:
         it.wire.forged[400] = [1000]
         with pytest.raises(InstrumentError, match="set to 500 ms but reads back 1000 ms"):
@@ -686,7 +686,7 @@ def test_a_new_connection_whose_time_out_cannot_be_set_is_none() -> None:
         assert axis.position_mm() == 0.0
 
 
-def test_silence_is_told_and_charged_to_the_clock() -> None:
+def test_silence_is_reported_and_charged_to_the_clock() -> None:
     with service({"kind": "silence", "count": 0}) as it:
         told = f"no answer within {TIMEOUT_S:g} s"
         with pytest.raises(InstrumentTimeoutError, match=told) as caught:
@@ -726,7 +726,7 @@ def test_a_broken_exchange_of_a_servo_is_an_error_and_the_next_one_works(
         assert it.truth_mm == 14.0, "a late answer is nobody's answer"
 
 
-def test_a_modbus_exception_is_told() -> None:
+def test_a_modbus_exception_is_reported() -> None:
     with service() as it:
         axis = it.homed()
 
@@ -738,7 +738,7 @@ def test_a_modbus_exception_is_told() -> None:
             axis.position_mm()
 
 
-def test_a_drive_that_is_not_there_is_told() -> None:
+def test_a_drive_that_is_not_there_is_reported() -> None:
     with service() as it:
         pass
     with pytest.raises(InstrumentError, match="cannot be opened") as caught:

@@ -94,7 +94,7 @@ def test_many_digits_reach_the_instrument() -> None:
         generator.close()
 
 
-def test_a_clipped_value_is_told_as_clipped() -> None:
+def test_a_clipped_value_is_reported_as_clipped() -> None:
     clipped = '+2.0E+02;+1.4E+00;-222,"Data out of range; value clipped to upper limit"'
     exchanges = (*CONNECT, (SINE, clipped), ("SYST:ERR?", NO_ERROR))
     with playing("socket", *exchanges) as resource:
@@ -106,7 +106,7 @@ def test_a_clipped_value_is_told_as_clipped() -> None:
     assert "clipped the value and applied the clipped one" in caught.value.message
 
 
-def test_several_errors_are_told_together_and_do_not_blame_the_next_command() -> None:
+def test_several_errors_are_reported_together_and_do_not_blame_the_next_command() -> None:
     exchanges = (
         *CONNECT,
         (SINE, '+2.0E+02;+1.4E+00;-222,"Data out of range"'),

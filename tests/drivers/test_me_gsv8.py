@@ -288,7 +288,7 @@ def test_a_port_that_is_not_there_is_one_error_with_its_name() -> None:
     assert "/dev/no-such-port" in caught.value.one_line()
 
 
-def test_a_port_that_somebody_else_has_is_refused() -> None:
+def test_a_port_that_another_program_has_is_refused() -> None:
     with playing(*OLD) as port:
         amplifier = connected(port)
         with pytest.raises(InstrumentError, match="exclusive"):

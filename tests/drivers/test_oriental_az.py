@@ -89,7 +89,7 @@ def test_a_line_with_two_baudrates_is_refused() -> None:
         assert "same baudrate" in str(caught.value.hint)
 
 
-def test_a_port_that_cannot_do_the_parity_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_that_cannot_do_the_parity_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """As some pseudo-terminals cannot; it is no OSError."""
 
     def refuse(*arguments: object, **named: object) -> None:
@@ -178,7 +178,7 @@ def test_the_stop_stands_until_it_is_answered_and_the_drive_itself_refuses_to_st
         axis.move_to(20.0, 40.0)
 
 
-def test_a_stop_by_somebody_else_is_not_set_aside() -> None:
+def test_a_stop_by_another_client_is_not_overridden() -> None:
     """Another program makes the axis safe while the servo tells new targets."""
     with service() as bench:
         axis = bench.homed()
@@ -192,7 +192,7 @@ def test_a_stop_by_somebody_else_is_not_set_aside() -> None:
         assert bench.speed(bench.z) == 0
 
 
-def test_a_keep_alive_tells_a_stop_by_somebody_else() -> None:
+def test_a_keep_alive_reports_a_stop_by_another_client() -> None:
     with service() as bench:
         axis = bench.homed()
         axis.start_move(60.0, 10.0)
@@ -269,7 +269,7 @@ ALARMS = {
 
 
 @pytest.mark.parametrize("what", ALARMS)
-def test_an_alarm_is_told_with_its_meaning_and_remedy(what: str) -> None:
+def test_an_alarm_is_reported_with_its_meaning_and_remedy(what: str) -> None:
     fault, words, remedy = ALARMS[what]
     with service({"device": "stage_z", "move": 1, "after_s": 0.5, **fault}) as bench:
         axis = bench.homed()
@@ -315,7 +315,7 @@ def test_an_axis_that_goes_wrong_is_stopped(kind: dict[str, Any], words: str) ->
         assert bench.speed(bench.z) == 0
 
 
-def test_beyond_a_software_limit_of_the_drive_it_stops_there_and_that_is_told() -> None:
+def test_beyond_a_software_limit_of_the_drive_it_stops_there_and_that_is_reported() -> None:
     with service() as bench:
         axis = bench.homed()
         bench.z._values[HIGH_LIMIT] = 40 * STEPS
@@ -341,7 +341,7 @@ def test_frames_to_one_drive_feed_the_other_as_well_and_silence_stops_both() -> 
         assert (bench.z.alarm, bench.x.alarm) == (0x85, 0x85)
 
 
-def test_a_drive_whose_answers_are_lost_while_the_other_answers_is_told() -> None:
+def test_a_drive_whose_answers_are_lost_while_the_other_answers_is_reported() -> None:
     """Its communication time-out is fed, it goes on moving: nobody but the program can notice."""
     with service(silent("stage_x", command="FC3 124", at=60, count=0)) as bench:
         z, x = bench.homed("z"), bench.homed("x")

@@ -62,7 +62,7 @@ def test_information_and_alerts_answer_nothing(line: bytes) -> None:
         signed(b"@01 1 07 YES BUSY NI 0"),
     ],
 )
-def test_what_is_no_sound_message_is_told(line: bytes) -> None:
+def test_a_message_that_is_not_sound_is_reported(line: bytes) -> None:
     with pytest.raises(ZaberFrameError, match=r"checksum|not a reply"):
         reply(line)
 
@@ -216,7 +216,7 @@ def test_the_stage_itself_refuses_what_lies_beyond_its_limits() -> None:
 
 
 @pytest.mark.parametrize("reason", ["DRIVERDISABLED", "PARKED", "NONSENSE"])
-def test_a_rejection_is_told_with_its_reason_and_a_remedy(reason: str) -> None:
+def test_a_rejection_is_reported_with_its_reason_and_a_remedy(reason: str) -> None:
     fault = {"kind": "rejected", "command": "move", "reason": reason}
     with service(fault) as it:
         axis = it.homed()
@@ -280,7 +280,7 @@ def test_after_power_up_it_refuses_to_turn_until_it_is_homed() -> None:
         assert it.angle == 0.0
 
 
-def test_a_knob_that_was_turned_is_told_once_and_has_to_be_acknowledged() -> None:
+def test_a_knob_that_was_turned_is_reported_once_and_has_to_be_acknowledged() -> None:
     with service(stage=suffering(kind="knob", after_s=5.0, by_deg=1.0)) as it:
         axis = it.homed()
         axis.turn_to(10.0, 20.0, 100.0)
@@ -346,7 +346,7 @@ def sleep_beside(it: Service, axis: ZaberAxis) -> None:
     ],
 )
 @pytest.mark.parametrize("watch", [wait_for, sleep_beside], ids=["moving", "keep-alives"])
-def test_what_befalls_a_turn_is_told_with_meaning_and_remedy(
+def test_a_turn_that_is_disturbed_is_reported_with_meaning_and_remedy(
     fault: dict[str, Any], words: str, watch: Callable[[Service, ZaberAxis], None]
 ) -> None:
     with service(stage=suffering(move=1, after_s=0.3, **fault)) as it:
@@ -360,7 +360,7 @@ def test_what_befalls_a_turn_is_told_with_meaning_and_remedy(
         assert it.speed == 0
 
 
-def test_a_stage_that_was_stopped_by_others_is_told() -> None:
+def test_a_stage_that_was_stopped_by_others_is_reported() -> None:
     with service() as it:
         axis = it.homed()
         axis.start_turn(10.0, 5.0, 100.0)
@@ -370,7 +370,7 @@ def test_a_stage_that_was_stopped_by_others_is_told() -> None:
             wait_for(it, axis)
 
 
-def test_a_stage_that_is_too_slow_is_told_when_it_should_have_arrived() -> None:
+def test_a_stage_that_is_too_slow_is_reported_when_it_should_have_arrived() -> None:
     with service(stage=suffering(kind="slow", share=0.05, move=1)) as it:
         axis = it.homed()
         axis.start_turn(40.0, 10.0, 100.0)
@@ -388,7 +388,7 @@ def test_a_disabled_driver_does_not_home() -> None:
             axis.home()
 
 
-def test_homing_that_takes_too_long_is_told() -> None:
+def test_homing_that_takes_too_long_is_reported() -> None:
     with service(homing_timeout_s=0.5) as it:
         axis = it.connect()
         with pytest.raises(InstrumentError, match=r"is still searching after 0\.5 s"):
@@ -411,7 +411,7 @@ def other(place: int, text: bytes) -> Callable[[bytes], bytes]:
 @pytest.mark.parametrize(
     "forge", [other(1, b"07"), other(4, b"2"), other(6, b"99")], ids=["device", "axis", "id"]
 )
-def test_an_answer_of_somebody_else_is_none(forge: Callable[[bytes], bytes]) -> None:
+def test_an_answer_of_another_device_is_not_accepted(forge: Callable[[bytes], bytes]) -> None:
     with service(timeout_s=TIMEOUT_S) as it:
         axis = it.homed()
         it.wire.forged["get encoder.pos"] = forge
@@ -422,7 +422,7 @@ def test_an_answer_of_somebody_else_is_none(forge: Callable[[bytes], bytes]) -> 
 
 
 @pytest.mark.parametrize("kind", ["checksum", "garbage", "truncate", "silence", "stale", "double"])
-def test_a_spoilt_answer_is_told_and_the_next_one_is_right(kind: str) -> None:
+def test_a_corrupt_answer_is_reported_and_the_next_one_is_right(kind: str) -> None:
     fault = {"kind": kind, "command": "get encoder.pos", "at": 20}
     with service(fault, stage={"referenced": True}) as it:
         axis = it.connect()
@@ -438,7 +438,7 @@ def test_a_spoilt_answer_is_told_and_the_next_one_is_right(kind: str) -> None:
         assert failures == (0 if kind == "double" else 1)
 
 
-def test_a_dead_stage_is_told_and_cannot_be_made_safe() -> None:
+def test_a_dead_stage_is_reported_and_cannot_be_made_safe() -> None:
     with service(timeout_s=TIMEOUT_S) as it:
         axis = it.connect()
         it.server.instrument = Dead()

@@ -44,7 +44,7 @@ def test_a_burst_on_a_hump_alarms_within_the_burst(statistic):
 
 
 @pytest.mark.parametrize("statistic", STATISTICS)
-def test_a_second_burst_is_told_again_and_one_that_goes_on_is_not(statistic):
+def test_a_second_burst_is_reported_again_and_one_that_continues_is_not(statistic):
     volts = recorded(20.0)
     second = volts.copy()
     second[1200:1210] += volts[1000:1010] - volts[[1000]]

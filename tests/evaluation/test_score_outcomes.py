@@ -44,7 +44,7 @@ def test_delays_are_those_of_the_first_alarm_that_finds():
     assert math.isnan(judged(SLIP, [0.6]).after_ridge_s)
 
 
-def test_every_alarm_without_a_slip_is_false_and_those_of_pressing_on_are_told_apart():
+def test_every_alarm_without_a_slip_is_false_and_those_of_pressing_on_are_distinguished():
     roll = Truth(label="roll", motion_s=0.5)
     assert not judged(roll, []).alarmed
     told = judged(roll, [0.7])

@@ -120,7 +120,7 @@ def test_nothing_to_draw_is_no_failure(lab: Laboratory) -> None:
     assert draw(lab.run("unheard-of")) == Drawn()
 
 
-def test_a_figure_of_no_procedure_is_told_with_what_was_meant(lab: Laboratory) -> None:
+def test_a_figure_of_no_procedure_is_reported_with_what_was_meant(lab: Laboratory) -> None:
     lab.declare(slip_trail__map=PLAIN)
     (warning,) = draw(lab.run()).warnings
     assert warning == (
@@ -196,7 +196,7 @@ def test_a_name_of_another_form_is_refused(lab: Laboratory) -> None:
     assert "its name must be PROCEDURE or PROCEDURE.WHAT" in warning
 
 
-def test_a_folder_that_takes_no_picture_is_told_once(lab: Laboratory) -> None:
+def test_a_folder_that_takes_no_picture_is_reported_once(lab: Laboratory) -> None:
     lab.declare(lab_trial=PLAIN, lab_trial__map=PLAIN)
     (warning,) = draw(lab.run(), Path("/proc/nowhere")).warnings
     assert warning.startswith("no figure was drawn: /proc/nowhere cannot be written to")

@@ -55,7 +55,7 @@ def test_every_frequency_axis_has_several_numbers(frequencies):
     assert len(numbers(draw_measured(run_of(frequencies)))) >= 3
 
 
-def test_loads_are_told_apart_by_colour_and_legend():
+def test_loads_are_distinguished_by_colour_and_legend():
     figure = draw_measured(run_of((20, 200, 2000), loads=(0.5, 1.0, 2.0)))
     gain, _, load = figure.axes
     assert legend(gain)[-3:] == ["0.5 N peak load", "1 N peak load", "2 N peak load"]

@@ -181,7 +181,7 @@ def test_the_same_journal_gives_the_same_bytes(journal: Path, file: Path, tmp_pa
     assert sha256_of(again) == sha256_of(file)
 
 
-def test_the_journal_goes_only_with_a_complete_run(tmp_path: Path) -> None:
+def test_the_journal_continuesly_with_a_complete_run(tmp_path: Path) -> None:
     complete = run.write_run(tmp_path / "a.rigj")
     assert compile_run(complete, retire=True).exists()
     assert not complete.exists()

@@ -43,7 +43,7 @@ def test_an_interrupted_run_is_shown_and_verified_from_both_of_its_files(rig: An
         assert "stopped, 2 of 5 points" in ended.errors[0]
 
 
-def test_a_damaged_journal_is_told_by_verify_and_refused_before_any_bench(rig: Any) -> None:
+def test_a_damaged_journal_is_reported_by_verify_and_refused_before_any_bench(rig: Any) -> None:
     path = run.write_run(rig.folder / "run.rigj")
     content = bytearray(path.read_bytes())
     content[9000] ^= 1

@@ -91,7 +91,7 @@ def test_a_header_beyond_sense_is_refused_before_anything_is_made_of_it(
     assert len(caught.value.one_line()) < 3000
 
 
-def test_many_names_that_look_alike_are_told_apart(tmp_path: Path) -> None:
+def test_many_names_that_look_alike_are_distinguished(tmp_path: Path) -> None:
     """Names that HDF5 takes are ASCII: of these nothing is left, and each gets a number."""
     odd = {chr(0x4E00 + k): k for k in range(600)}
     path = run.write_run(tmp_path / "a.rigj", order=(0,), settings=odd)
@@ -239,7 +239,7 @@ def findings_or_death(file: Path) -> list[str]:
 
 
 @pytest.mark.thorough
-def test_a_file_on_which_hdf5_hangs_is_told_so(tmp_path: Path, sound: bytes) -> None:
+def test_a_file_on_which_hdf5_hangs_is_reported_as_such(tmp_path: Path, sound: bytes) -> None:
     """As damage at random brings it about: texts whose heap leads in a circle."""
     file = tmp_path / "a.h5"
     harmed = bytearray(sound)

@@ -188,7 +188,7 @@ def test_columns_are_what_the_file_calls_them(
         read(content, tmp_path, columns, rate_Hz=1000.0)
 
 
-def test_a_row_of_units_counts_as_label_and_a_told_scale_settles_it(tmp_path: Path) -> None:
+def test_a_row_of_units_is_a_label_and_a_stated_scale_replaces_it(tmp_path: Path) -> None:
     content = "t\tA\tB\nms\tmV\tV\n" + "".join(f"{k}\t{k + 1}\t{k * k}\n" for k in range(5))
     with refused("labelled mV.*--scale v_1=1mV"):
         read(content, tmp_path, {"v_1": "A", "v_2": "B"}, rate_Hz=1000.0)
@@ -222,7 +222,7 @@ def test_counts_without_a_scale_are_no_volts(tmp_path: Path) -> None:
     read(content, tmp_path, {"v_1": "1", "v_2": "2"}, {"v_2": 1e-3}, rate_Hz=1000.0)
 
 
-def test_a_dead_channel_is_told(tmp_path: Path) -> None:
+def test_a_dead_channel_is_reported(tmp_path: Path) -> None:
     recording = read("1;2\n1;3\n1;4\n", tmp_path, {"v_1": "1", "v_2": "2"}, rate_Hz=1000.0)
     assert recording.warnings == ("v_1 is dead: column 1 is 1 in every row",)
 
@@ -717,7 +717,7 @@ SPOILT = st.sampled_from(
 
 @settings(FEW, max_examples=80)
 @given(TABLES, DIALECTS, st.data())
-def test_a_spoilt_text_is_refused_or_read_as_it_stands(
+def test_a_corrupt_text_is_refused_or_read_as_it_stands(
     rows: list[tuple[float, ...]], dialect: tuple[str, str], data: st.DataObject
 ) -> None:
     """What is accepted is what a second, simpler reader finds in the lines that are named, and no
@@ -759,7 +759,7 @@ def test_anything_else_is_refused_in_a_sentence(content: bytes | str) -> None:
 
 @settings(FEW, max_examples=40)
 @given(st.data())
-def test_a_spoilt_lvm_is_refused_or_read_in_full(
+def test_a_corrupt_lvm_is_refused_or_read_in_full(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     written = files.signals(6)

@@ -122,7 +122,7 @@ def test_a_block_longer_than_a_record_is_split_and_stays_whole(tmp_path: Path) -
         (lambda j: j.point_keep(run.POINTS[0], {"x": 1j}), "complex"),
     ],
 )
-def test_nonsense_is_refused_and_the_journal_goes_on(tmp_path: Path, act, reason: str) -> None:
+def test_nonsense_is_refused_and_the_journal_continues(tmp_path: Path, act, reason: str) -> None:
     path = tmp_path / "a.rigj"
     with JournalWriter.create(path, run.header()) as journal:
         journal.point_begin(run.POINTS[0], {})

@@ -270,7 +270,7 @@ def test_a_run_of_which_nothing_was_kept_is_refused(tmp_path: Path) -> None:
     assert "no trial was recorded (complete, 0 of 0 points)" in refused(run_file).message
 
 
-def test_a_run_file_that_has_changed_is_refused_and_one_without_checksum_told(
+def test_a_run_file_that_has_changed_is_refused_and_one_without_checksum_reported(
     own_run: Path,
 ) -> None:
     beside = own_run.with_name(own_run.name + ".sha256")

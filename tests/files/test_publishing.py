@@ -13,7 +13,7 @@ from rig.files.hdf5.publishing import publishing
 
 
 @pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o444), (0o077, 0o400), (0o027, 0o440)])
-def test_nobody_may_write_and_those_may_read_whom_the_umask_lets(
+def test_no_user_may_write_and_the_umask_decides_who_may_read(
     tmp_path: Path, umask: int, mode: int
 ) -> None:
     before = os.umask(umask)

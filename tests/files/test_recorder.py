@@ -184,7 +184,7 @@ def _replace(path: Path) -> None:
 @pytest.mark.parametrize(
     ("lose", "cause"), [(_delete, "deleted"), (_move, "moved"), (_replace, "replaced")]
 )
-def test_a_journal_that_loses_its_name_goes_on_at_another_path(
+def test_a_journal_that_loses_its_name_continues_at_another_path(
     journal: JournalWriter, lose: Callable[[Path], None], cause: str
 ) -> None:
     recorder = Recorder(journal)

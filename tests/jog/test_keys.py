@@ -91,7 +91,7 @@ def test_a_key_that_is_still_held_after_a_stop_moves_nothing() -> None:
     assert moves(person.press(Key.MORE, times[-1] + SILENCE_S, at(5.0)))
 
 
-def test_a_limit_clips_the_target_and_is_told_once() -> None:
+def test_a_limit_clips_the_target_and_is_reported_once() -> None:
     person = jog()
     move, limit = person.press(Key.MORE, 0.0, at(13.95))
     assert isinstance(move, MoveAxis)

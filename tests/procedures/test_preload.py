@@ -97,7 +97,7 @@ def test_a_program_that_stands_still_on_the_way_to_contact_does_not_press_on() -
     assert max(bench.known) < 90.0 * 0.051
 
 
-def test_a_stage_that_stands_in_free_air_is_told_in_time() -> None:
+def test_a_stage_that_stands_in_free_air_is_reported_in_time() -> None:
     bench = Bench(90.0, 5)
     bench.position = bench.target = CONTACT_mm - 0.2
     bench.known = deque([0.0] * 6, maxlen=6)
@@ -161,7 +161,7 @@ def test_a_film_that_is_stiffer_than_it_seemed_is_not_hunted_for(taken_for_N_mm:
     assert bench.now() < 2.0
 
 
-def test_a_film_that_never_comes_to_rest_is_told_in_time() -> None:
+def test_a_film_that_never_comes_to_rest_is_reported_in_time() -> None:
     bench, pressed, run = held(90.0, 90.0)
     run.bench.settings.fixture.contact_to_mm = 100.0
     bench.sleep = _giving_way(bench)  # type: ignore[method-assign]

@@ -28,7 +28,7 @@ def test_there_and_back_keeps_its_limits_and_its_ends(profile):
     assert (np.abs(angles[stays]) == pytest.approx(3.5)) or not stays.any()
 
 
-def test_the_stage_is_told_to_go_there_and_back():
+def test_the_stage_gets_the_commands_to_go_there_and_back():
     there, back = WAYS[0].turns(0.01)
     assert (there.at_s, there.to_deg, there.speed_deg_s, there.acceleration_deg_s2) == (
         0.0, 3.5, 12.0, 60.0,

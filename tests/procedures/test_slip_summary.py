@@ -40,7 +40,7 @@ def test_why_a_trial_has_no_friction_coefficients_is_said() -> None:
     assert told.startswith("1 of 2 trials give no friction coefficients: the slide is too short")
 
 
-def test_strips_gains_and_the_last_zero_of_the_force_are_told() -> None:
+def test_strips_gains_and_the_last_zero_of_the_force_are_reported() -> None:
     def touched(gain: float, zero_N: float, **changes: object) -> dict[str, object]:
         zero = {"force_zero_x_N": 0.0, "force_zero_y_N": -0.1, "force_zero_z_N": zero_N}
         gains = {"touch_gain_1_V_s_N": gain, "touch_gain_2_V_s_N": None}

@@ -19,7 +19,7 @@ def reading(frequency_Hz: float) -> dict[str, float]:
 
 
 @pytest.mark.parametrize(("frequency_Hz", "near"), [(200.0, True), (170.0, True), (300.0, False)])
-def test_a_gain_near_200_hz_is_told_where_it_was_measured(frequency_Hz: float, near: bool) -> None:
+def test_a_gain_near_200_hz_is_reported_with_its_frequency(frequency_Hz: float, near: bool) -> None:
     found = figures([reading(2000.0), reading(frequency_Hz)])
     assert ("gain_near_200_Hz_dB" in found) is near
     assert found.get("gain_near_200_Hz_at_Hz", frequency_Hz) == frequency_Hz

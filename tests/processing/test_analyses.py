@@ -89,7 +89,7 @@ def test_the_values_of_an_analysis_are_shown_and_kept_and_broken_ones_cost_a_lin
     assert "  judged: good" in shown.stdout
 
 
-def test_a_file_without_an_analysis_is_told(rig: Any, tmp_path: Path) -> None:
+def test_a_file_without_an_analysis_is_reported(rig: Any, tmp_path: Path) -> None:
     journal = rig.folder / "one.rigj"
     file = trials.write_trials(journal, {"trial-1": trials.slipping()}, complete=True)
     refused = rig.run("analyse", str(file))

@@ -50,7 +50,7 @@ def test_what_one_file_raises_is_its_own() -> None:
     assert found == {0: 0, 1: 1, 3: 3}
 
 
-def test_a_process_that_dies_is_told() -> None:
+def test_a_process_that_dies_is_reported() -> None:
     found = dict(completed(die, range(3), 2))
     assert len(found) == 3
     for failure in found.values():

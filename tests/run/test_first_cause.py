@@ -81,7 +81,7 @@ def felt(force_N: float, saturated: bool = False) -> ForceFrames:
     ],
     ids=["over the limit", "saturated"],
 )
-def test_what_the_bench_is_made_safe_over_is_told_and_not_the_move_that_it_refused(
+def test_the_cause_of_making_safe_is_reported_and_not_the_move_that_it_refused(
     run: Run, sensor: Sensor, frames: ForceFrames, kind: type[RigError], told: str
 ) -> None:
     acting, stopped = threading.Event(), threading.Event()

@@ -146,7 +146,7 @@ def test_frames_that_do_not_come_are_a_gap_over_which_the_bench_is_made_safe(
     assert acts == [pytest.approx(6.0, abs=0.05)]
 
 
-def test_a_tare_forgets_what_was_and_goes_on_counting(
+def test_a_tare_forgets_the_earlier_force_and_continues_to_count(
     monitor: ForceMonitor, sensor: Sensor
 ) -> None:
     feed(monitor, sensor, frames(0, 400))

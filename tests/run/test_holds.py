@@ -37,7 +37,7 @@ def test_two_that_came_and_went_are_two_although_they_have_one_reason() -> None:
     assert holds.count == 2
 
 
-def test_a_hold_that_goes_on_is_one_however_often_it_is_told() -> None:
+def test_a_hold_that_lasts_is_one_however_often_it_is_reported() -> None:
     holds = Holds()
     elsewhere(*3 * (lambda: holds.begin(SILENT),))
     assert holds.count == 1

@@ -78,7 +78,7 @@ max_speed_mm_s = 20
 """
 
 
-def test_a_serial_line_is_one_programs_whoever_is_on_it() -> None:
+def test_a_serial_line_belongs_to_one_program_for_all_its_devices() -> None:
     """Two masters on an RS-485 line would talk into each other's answers."""
     head = 'name = "{}"\n[fixture]\nmounted = "film-clamp"\n'
     one, another = (
@@ -99,7 +99,7 @@ def test_a_refused_lock_keeps_nothing() -> None:
         assert in_use(plan(port="/dev/ttyZ")) is not None
 
 
-def test_who_has_it_is_told_and_a_dead_one_has_nothing(tmp_path: Path) -> None:
+def test_its_owner_is_named_and_a_dead_one_has_nothing(tmp_path: Path) -> None:
     file = tmp_path / "bench.toml"
     file.write_text(BENCH.format(name="b", generator=5025, port="/dev/ttyX"))
     holder = subprocess.Popen(
@@ -214,7 +214,7 @@ def test_a_lock_file_removed_while_it_is_waited_for_is_not_the_lock(
         held.check()
 
 
-def test_nobody_else_can_block_or_aim_the_locks(
+def test_no_other_user_can_block_or_aim_the_locks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shared = tmp_path / "shared"

@@ -57,7 +57,7 @@ def test_blocks_come_in_order_and_waiting_for_one_is_no_silence(
     assert seen == ["first", "second", "third"]
 
 
-def test_a_converter_that_stops_is_told_with_how_long_it_has_been_silent(
+def test_a_converter_that_stops_is_reported_with_how_long_it_has_been_silent(
     daq: Daq, stream: SampleStream
 ) -> None:
     daq.now_s += 0.5

@@ -10,7 +10,7 @@ import pytest
 from rig.run.time_of_day import TimeOfDay
 
 
-def test_a_clock_that_is_set_back_is_noticed_once_and_time_goes_on(
+def test_a_clock_that_is_set_back_is_noticed_once_and_time_continues(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     real = time.time

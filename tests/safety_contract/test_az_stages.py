@@ -75,7 +75,7 @@ def test_more_ticks_than_the_line_has_time_for_are_refused_before_anything_moves
 
 
 @pytest.mark.thorough
-def test_an_alarm_in_the_slide_is_told_with_its_remedy_and_the_skin_lifted(rig):
+def test_an_alarm_in_the_slide_is_reported_with_its_remedy_and_the_skin_lifted(rig):
     plan = '[[fault]]\ndevice = "stage_x"\nkind = "drive-fault"\ncode = 48\nmove = 2\nafter_s = 0.3'
     ended = take(rig, plan)
     assert ended.code == 3, ended.stderr
@@ -86,7 +86,7 @@ def test_an_alarm_in_the_slide_is_told_with_its_remedy_and_the_skin_lifted(rig):
 
 
 @pytest.mark.thorough
-def test_a_drive_that_falls_silent_beside_the_other_is_told_and_the_skin_lifted(rig):
+def test_a_drive_that_falls_silent_beside_the_other_is_reported_and_the_skin_lifted(rig):
     """x hears, and its time-out is fed by z's frames: it is told to stop, and obeys unheard."""
     plan = '[[fault]]\ndevice = "stage_x"\nkind = "silence"\ncommand = "FC3 198"\n'
     ended = take(rig, plan + SLIDING, *LONG)

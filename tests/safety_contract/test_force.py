@@ -409,7 +409,7 @@ def test_what_is_wrong_with_the_preload_ends_in_one_line(rig, world, options, co
     ("kind", "told"),
     [("drive-fault", "the axis did not follow"), ("reference-lost", "lost its reference")],
 )
-def test_a_drive_that_fails_on_the_way_to_the_preload_is_told_in_one_line(rig, kind, told):
+def test_a_drive_that_fails_on_the_way_to_the_preload_is_reported_in_one_line(rig, kind, told):
     plan = f'[[fault]]\ndevice = "stage_z"\nkind = "{kind}"\n{SEARCHING}after_s = 1.0\n'
     ended = rig.sweep(*SHORT, "--fault", rig.fault(plan))
     assert ended.code == 3, ended.stderr
@@ -452,7 +452,7 @@ def test_a_sensor_that_freezes_while_the_film_is_pressed_ends_the_run_at_once(ri
 
 
 @pytest.mark.thorough
-def test_what_trips_on_the_way_up_is_told_and_the_way_up_gone_on_with(rig):
+def test_a_trip_on_the_way_up_is_reported_and_the_way_up_continues(rig):
     """The points are taken, the stage is half way up: stopping there would leave the film pressed
     where it cannot be seen why."""
     push = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 60.0\n'

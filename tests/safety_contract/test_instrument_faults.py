@@ -104,7 +104,7 @@ def test_a_stage_that_fails_once_ends_the_run_safely(rig, kind):
 
 
 @pytest.mark.thorough
-def test_a_stage_whose_connection_breaks_on_the_way_back_is_at_rest_when_that_is_told(rig):
+def test_a_stage_whose_connection_breaks_on_the_way_back_is_at_rest_when_that_is_reported(rig):
     ended = rig.sweep(*SLOW, "--fault", rig.fault(plan_of("stage_z", "close", **ON_THE_WAY_BACK)))
     assert "the stage stands and the film may still be pressed: stage_z: " in ended.stderr
     assert ended.code == 3
@@ -152,7 +152,7 @@ def test_a_force_sensor_that_fails_to_start_ends_the_run_before_any_motion(rig, 
 
 
 @pytest.mark.thorough
-def test_a_force_stream_that_cannot_be_ended_is_told_but_leaves_nothing_unsafe(rig):
+def test_a_force_stream_that_cannot_be_ended_is_reported_but_leaves_nothing_unsafe(rig):
     """A sensor drives nothing. The stream is ended when it is connected, and at the end."""
     ended = rig.sweep(
         *FREQUENCIES, "--fault", rig.fault(plan_of("force_sensor", "silence", STOP, at=2))
@@ -165,7 +165,7 @@ def test_a_force_stream_that_cannot_be_ended_is_told_but_leaves_nothing_unsafe(r
     assert verify(rig.only("*.h5")) == []
 
 
-def test_an_off_that_fails_too_is_told_after_the_first_cause(rig):
+def test_an_off_that_fails_too_is_reported_after_the_first_cause(rig):
     plan = (
         f'[[fault]]\ndevice = "daq"\nkind = "silence"\ncommand = "DIG"\n'
         f"at = {IN_THE_MIDDLE}\n"
@@ -202,7 +202,7 @@ DEVICES = ("generator", "daq", "stage_z", "force_sensor")
 
 
 @pytest.mark.thorough
-def test_a_bench_that_does_not_answer_at_all_is_told_with_every_device(rig):
+def test_a_bench_that_does_not_answer_at_all_is_reported_with_every_device(rig):
     plan = "".join(
         f'[[fault]]\ndevice = "{device}"\nkind = "silence"\ncount = 0\n' for device in DEVICES
     )
@@ -216,7 +216,7 @@ def test_a_bench_that_does_not_answer_at_all_is_told_with_every_device(rig):
 
 
 @pytest.mark.thorough
-def test_a_film_that_is_not_connected_is_told(rig):
+def test_a_film_that_is_not_connected_is_reported(rig):
     unconnected = rig.world('film = "open-circuit"\n')
     ended = rig.sweep(*FREQUENCIES, "--longest-point", "2s", "--world", unconnected)
 
@@ -228,7 +228,7 @@ def test_a_film_that_is_not_connected_is_told(rig):
 
 
 @pytest.mark.thorough
-def test_a_load_that_is_never_steady_is_told_when_the_time_of_its_point_is_over(rig):
+def test_a_load_that_is_never_steady_is_reported_when_the_time_of_its_point_is_over(rig):
     """The load cell's channel also carries 0.3 N at 283 Hz: a beat no two short records agree on,
     for as long as hundreds of them take."""
     beat = "[load_cell_input]\nmains_amplitude_mV = 30.0\nmains_frequency_Hz = 283.0\n"
@@ -243,7 +243,7 @@ def test_a_load_that_is_never_steady_is_told_when_the_time_of_its_point_is_over(
 
 
 @pytest.mark.thorough
-def test_a_saturated_input_is_told_and_the_points_before_it_are_kept(rig):
+def test_a_saturated_input_is_reported_and_the_points_before_it_are_kept(rig):
     ended = rig.sweep(*FREQUENCIES, "--world", rig.world("film_gain = 500\n"))
 
     assert ended.code == 3

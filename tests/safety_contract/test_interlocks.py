@@ -297,7 +297,7 @@ repeat = 2
 
 
 @pytest.mark.thorough
-def test_a_batch_ends_at_an_opened_door_and_goes_on_only_after_reset_and_resume(rig):
+def test_a_batch_ends_at_an_opened_door_and_continues_only_after_reset_and_resume(rig):
     (rig.folder / "night.toml").write_text(NIGHT)
     plan = contact("opened", MEASURING) + contact("closed", MEASURING, more="after_s = 2.0\n")
     with served(rig, DOOR, plan):

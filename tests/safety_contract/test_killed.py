@@ -147,7 +147,7 @@ def await_report(path):
 
 
 @pytest.mark.thorough
-def test_a_run_whose_guard_was_killed_says_so_and_goes_on(rig):
+def test_a_run_whose_guard_was_killed_says_so_and_continues(rig):
     running = rig.start_sweep(*SIXTY_POINTS)
     running.wait_for(r"^5/60 ")
     (guard,) = children_named("rig.run.guard", running.process.pid)
@@ -161,7 +161,7 @@ def test_a_run_whose_guard_was_killed_says_so_and_goes_on(rig):
 
 
 @pytest.mark.thorough
-def test_a_run_whose_guard_is_stopped_says_so_once_and_goes_on(rig):
+def test_a_run_whose_guard_is_stopped_says_so_once_and_continues(rig):
     running = rig.start(
         *rig.sweep_arguments(*SIXTY_POINTS),
         before="import rig.run.guard as g; g.SILENT_S = g.ENDING_S = 0.5",

@@ -84,7 +84,7 @@ def test_an_amplitude_that_the_generator_clips_is_a_failure(rig, bench_file):
 
 
 @pytest.mark.thorough
-def test_a_bench_that_disappears_is_told_and_the_next_start_is_refused(rig, bench_file):
+def test_a_bench_that_disappears_is_reported_and_the_next_start_is_refused(rig, bench_file):
     """The output could not be switched off: exit 7, and nobody starts before somebody looked."""
     text = bench_file.read_text()
     generator = tomllib.loads(text)["generator"]["resource"]

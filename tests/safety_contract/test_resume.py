@@ -55,7 +55,7 @@ GRID = ("--lowest", "200", "--fine-per-decade", "20", "--highest", "12000", *SET
 
 
 @pytest.mark.thorough
-def test_a_sweep_interrupted_in_its_second_plan_goes_on_there(rig):
+def test_a_sweep_interrupted_in_its_second_plan_continues_there(rig):
     running = rig.start_sweep(*GRID)
     second = running.wait_for(r"^sweep: \d+ further points \(\d+ done\), about ")
     to_take, grid = map(int, re.findall(r"(\d+) further points \((\d+) done", second)[0])

@@ -134,7 +134,7 @@ TROUBLES = {
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("what", TROUBLES)
-def test_a_rotary_stage_that_fails_in_the_roll_is_told_and_the_skin_lifted(rig, what):
+def test_a_rotary_stage_that_fails_in_the_roll_is_reported_and_the_skin_lifted(rig, what):
     kind, words = TROUBLES[what]
     when = "" if "silence" in kind else "move = 3\nafter_s = 0.2\n"
     plan = f'[[fault]]\ndevice = "rotary"\n{kind}\n{when}'

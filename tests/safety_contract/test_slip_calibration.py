@@ -83,7 +83,7 @@ def take_on_a_slaved_bench(folder, stages, world, records):
 
 
 @pytest.mark.thorough
-def test_calibrated_strips_are_told_as_load_rates_with_their_error(rig, tmp_path):
+def test_calibrated_strips_are_recorded_as_load_rates_with_their_error(rig, tmp_path):
     files = {
         "strip_1": write_calibration(record("film 7", days=5.0), tmp_path),
         "strip_2": write_calibration(record("film 8"), tmp_path),

@@ -72,7 +72,7 @@ X_TROUBLES = {
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("what", X_TROUBLES)
-def test_a_stage_that_fails_in_the_slide_is_told_and_the_skin_lifted(rig, what):
+def test_a_stage_that_fails_in_the_slide_is_reported_and_the_skin_lifted(rig, what):
     kind, words = X_TROUBLES[what]
     ended = take(rig, "", f'[[fault]]\ndevice = "stage_x"\nkind = "{kind}"\n{SLIDING}')
     assert_told(ended, 3, words or rig.bench.x.held_fast)
@@ -82,7 +82,7 @@ def test_a_stage_that_fails_in_the_slide_is_told_and_the_skin_lifted(rig, what):
 
 
 @pytest.mark.thorough
-def test_a_stage_that_is_held_before_contact_is_told_with_where_it_stands(rig):
+def test_a_stage_that_is_held_before_contact_is_reported_with_where_it_stands(rig):
     """Small targets ahead of it never make it lag: that it does not come there must be noticed."""
     ended = take(
         rig, "", '[[fault]]\ndevice = "stage_z"\nkind = "stuck"\nmove = 4\nafter_s = 0.1\n'

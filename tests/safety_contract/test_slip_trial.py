@@ -258,7 +258,7 @@ def test_a_force_over_the_limit_lifts_off_and_ends_the_run_after_one_retake(rig)
 
 
 @pytest.mark.thorough
-def test_trials_that_do_not_count_are_made_again_kept_and_told(rig):
+def test_invalid_trials_are_repeated_recorded_and_reported(rig):
     hard = ("--force-error-rms", "0.001percent", "--overshoot", "0.002percent")
     hard += ("--retry-invalid", "1")
     ended = rig.run(*arguments(rig, *SHORT, *hard))

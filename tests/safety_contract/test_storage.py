@@ -50,7 +50,7 @@ def test_a_disk_that_fills_up_ends_the_run_safely(rig):
 
 
 @pytest.mark.thorough
-def test_a_results_folder_that_cannot_be_written_is_told_before_anything_moves(rig):
+def test_a_results_folder_that_cannot_be_written_is_reported_before_anything_moves(rig):
     (rig.folder / "results").write_text("a file where a folder should be")
     ended = rig.sweep("--frequencies", "20")
 
@@ -61,7 +61,7 @@ def test_a_results_folder_that_cannot_be_written_is_told_before_anything_moves(r
     assert True not in rig.outputs()
 
 
-def test_a_read_only_results_folder_is_told_before_anything_moves(rig):
+def test_a_read_only_results_folder_is_reported_before_anything_moves(rig):
     ended = rig.sweep("--frequencies", "20", "--results", "/proc/results")
 
     assert ended.code == 1, ended.stderr
@@ -98,7 +98,7 @@ def test_a_disk_that_gives_out_in_the_run_ends_it_safely_with_what_it_had_taken(
 
 
 @pytest.mark.thorough
-def test_a_disk_that_is_read_only_from_the_start_is_told_before_anything_moves(rig):
+def test_a_disk_that_is_read_only_from_the_start_is_reported_before_anything_moves(rig):
     ended = rig.sweep("--frequencies", "300", "--fault", rig.fault(disk("read-only")))
     assert ended.code == 1, ended.stderr
     (error,) = ended.errors

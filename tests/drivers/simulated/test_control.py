@@ -122,7 +122,7 @@ def test_a_free_bench_cannot_be_advanced() -> None:
     assert "real time" in bench.ask(do="advance", us=5)["error"]
 
 
-def test_a_stop_ends_the_bench_and_orphans_nobody() -> None:
+def test_a_stop_ends_the_bench_and_all_its_processes() -> None:
     with listening() as bench:
         client = Client(bench.port)
         client.ask(do="advance", us=10)
@@ -133,7 +133,7 @@ def test_a_stop_ends_the_bench_and_orphans_nobody() -> None:
 
 
 @pytest.mark.parametrize("last_word", [b"", b'{"do": "adv'])
-def test_time_goes_on_when_the_owner_is_gone(last_word: bytes) -> None:
+def test_time_continues_when_the_owner_is_gone(last_word: bytes) -> None:
     with listening() as bench:
         owner = Client(bench.port)
         owner.ask(do="advance", us=10_000)
@@ -163,7 +163,7 @@ def test_a_visitor_who_leaves_does_not_take_the_time_from_its_owner() -> None:
         assert bench.orphaned.wait(PATIENCE_S)
 
 
-def test_the_process_goes_on_in_real_time_without_its_owner_then_ends(tmp_path: Path) -> None:
+def test_the_process_continues_in_real_time_without_its_owner_then_ends(tmp_path: Path) -> None:
     log = tmp_path / "world.jsonl"
     started = start({"world_log": str(log), "linger_s": 0.3})
     owner = Client(started.ready()["control_port"])

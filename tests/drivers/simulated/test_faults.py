@@ -33,7 +33,7 @@ def test_without_faults_everything_arrives() -> None:
     assert received(WireFaults(FaultPlan(), "daq"), FOUR[:2]) == [b"A1?\n", b"A2?\n"]
 
 
-def test_silence_befalls_the_nth_request_and_so_many() -> None:
+def test_silence_applies_from_the_nth_request_to_the_stated_number() -> None:
     faults = WireFaults(plan(kind="silence", at=2, count=2), "daq")
     assert received(faults, FOUR) == [b"A1?\n", b"", b"", b"A4?\n"]
 
@@ -63,7 +63,7 @@ def test_only_requests_from_the_faults_moment_on_are_counted() -> None:
     assert received(faults, FOUR) == [b"A1?\n", b"", b"A3?\n", b"A4?\n"]
 
 
-def test_a_fault_that_lasts_befalls_everything_from_its_first_request_on() -> None:
+def test_a_fault_that_lasts_applies_to_everything_from_its_first_request_on() -> None:
     bench = IdealBench()
     faults = WireFaults(plan(kind="silence", at=2, for_s=0.1), "daq", bench=bench)
     assert received(faults, FOUR[:3]) == [b"A1?\n", b"", b""]
@@ -146,7 +146,7 @@ def test_only_replies_that_have_a_check_get_a_wrong_one() -> None:
     ]  # fmt: skip
 
 
-def test_what_is_done_is_told_once_each_time_it_is_done() -> None:
+def test_what_is_done_is_reported_once_each_time_it_is_done() -> None:
     told: list[str] = []
     link = WireFaults(plan(kind="silence", at=2, count=2), "daq", report=told.append).link()
     for _ in range(5):

@@ -295,7 +295,7 @@ def befallen(*faults: MoveFault) -> Controller:
     return at
 
 
-def test_a_fault_comes_at_its_time_though_nobody_looks() -> None:
+def test_a_fault_comes_at_its_time_without_a_poll() -> None:
     at = befallen(
         DriveFault(device="stage_z", kind="drive-fault", move=1, after_s=0.5, code=115),
         AxisFault(device="stage_z", kind="reference-lost", move=1, after_s=0.2),
@@ -447,7 +447,7 @@ def test_a_late_request_does_not_heal(homed: Controller) -> None:
     assert homed.fault == 391
 
 
-def test_without_control_nobody_is_missed(at: Controller) -> None:
+def test_without_control_a_silent_client_is_not_missed(at: Controller) -> None:
     at.drive.write(400, [500, 0], "test")
     at.bench.now_us += 10_000_000
     assert at.fault == 0

@@ -115,7 +115,7 @@ def test_blocks_of_time_do_not_matter():
     np.testing.assert_allclose(one(10_000), one(1000), atol=1e-9)
 
 
-def test_a_ridge_that_the_head_leaves_is_told():
+def test_a_ridge_that_the_head_leaves_is_reported():
     """From the third ridge on to the last but one: it is left on the way."""
     turn = rolled(12.0)
     world = Rolled({**ROLLER, "axis_offset_mm": 0.0}, giving_way(0.03, turn), still(-4.0), turn)

@@ -206,7 +206,7 @@ def test_initializing_twice_or_without_a_session_is_fatal(
     assert refused(events, FatalErrorCode.INVALID_INITIALIZATION, client.synchronous)
 
 
-def test_too_many_clients_are_told_so() -> None:
+def test_too_many_clients_are_refused_with_that_reason() -> None:
     server = HislipServerProtocol(max_sessions=1)
     Client(server)
     second = server.connect()
@@ -224,7 +224,7 @@ def test_too_many_clients_are_told_so() -> None:
         (encode(T.DATA, 0, 0, bytes(MAX_MESSAGE_SIZE + 1)), ErrorCode.MESSAGE_TOO_LARGE),
     ],
 )
-def test_a_message_that_cannot_be_used_is_skipped_and_the_session_goes_on(
+def test_a_message_that_cannot_be_used_is_skipped_and_the_session_continues(
     client: Client, message: bytes, code: ErrorCode
 ) -> None:
     kind, control, _, text = sent(client.synchronous.receive(message))[0]

@@ -28,7 +28,7 @@ def value(reply: str | None) -> float:
     return float(reply)
 
 
-def test_nobody_takes_it_for_a_real_one(say: Talk) -> None:
+def test_it_cannot_be_mistaken_for_a_real_one(say: Talk) -> None:
     fields = (say("*IDN?") or "").split(",")
     assert fields[:2] == ["Agilent Technologies", "33512B"]
     assert len(fields) == 4
@@ -87,7 +87,7 @@ def test_log_names_who_changed_what_and_only_changes(say: Talk, bench: IdealBenc
         ("OUTP:LOAD 0.1", "OUTP:LOAD?", 1.0),
     ],
 )
-def test_out_of_range_is_clipped_applied_and_told(
+def test_out_of_range_is_clipped_applied_and_reported(
     say: Talk, setting: str, query: str, applied: float
 ) -> None:
     say(setting)
@@ -169,7 +169,7 @@ def test_burst_settings_read_back_and_the_terminals_rest(say: Talk, bench: Ideal
     assert value(say("BURS:NCYC INF;NCYC?")) == 9.9e37
 
 
-def test_trigger_that_nobody_waits_for_is_an_error(say: Talk) -> None:
+def test_trigger_that_nothing_waits_for_is_an_error(say: Talk) -> None:
     say("*TRG")
     assert say.errors() == [-211]
 

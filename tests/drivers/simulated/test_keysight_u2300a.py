@@ -41,7 +41,7 @@ def read_words(say: Talk, channels: int, message: bytes = b"WAV:DATA?") -> npt.N
     return np.frombuffer(reply[10:], "<i2").reshape(-1, channels)
 
 
-def test_nobody_takes_it_for_a_real_one(say: Talk) -> None:
+def test_it_cannot_be_mistaken_for_a_real_one(say: Talk) -> None:
     fields = (say("*IDN?") or "").split(",")
     assert fields[:2] == ["Agilent Technologies", "U2331A"]
     assert fields[2].startswith("SIM")

@@ -97,7 +97,7 @@ def test_read_write_writes_first_and_a_refused_one_changes_nothing() -> None:
     assert device.words[5] == 0xFF
 
 
-def test_long_identification_goes_on_in_a_second_reply() -> None:
+def test_long_identification_continues_in_a_second_reply() -> None:
     device = Registers()
     device.objects = dict.fromkeys(range(6), "x" * 100)
     first = reply_to(bytes.fromhex("2b0e0200"), device, "test")

@@ -50,7 +50,7 @@ def test_a_force_that_stops_rising_in_time_is_none() -> None:
     assert violations(np.array(rising(0.5, 0.0, 29))) == [], "10 N after 20 ms, 14 N after 28"
 
 
-def test_a_force_that_goes_on_rising_is_one_and_told_once() -> None:
+def test_a_force_that_keeps_rising_is_one_violation_reported_once() -> None:
     ((what, told),) = violations(np.array(rising(0.5, 0.0, 40)))
     assert what == "violation"
     assert "5.5 N over its limit, which it rose by 5 N at most in 0.01 s" in str(told)
@@ -68,7 +68,7 @@ def test_a_second_time_over_the_limit_is_another_one() -> None:
     assert len(violations(np.array(over + [0.0] * 50 + over))) == 2
 
 
-def test_what_moves_at_the_end_is_told() -> None:
+def test_what_moves_at_the_end_is_reported() -> None:
     told: list[object] = []
     monitor = Monitor(
         LIMIT,

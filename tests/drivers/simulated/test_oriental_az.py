@@ -92,7 +92,7 @@ def test_a_frame_may_come_in_pieces_but_not_with_a_pause_in_it() -> None:
 
 
 @pytest.mark.parametrize("at", range(8))
-def test_a_changed_byte_is_answered_by_nobody_and_feeds_nothing(at: int) -> None:
+def test_a_changed_byte_gets_no_answer_and_feeds_nothing(at: int) -> None:
     master = Master()
     master.write(0x138A, 100)
     master.wait(0.09)
@@ -165,7 +165,7 @@ def test_without_a_reference_an_absolute_position_is_an_alarm_and_resets() -> No
     assert master.value(PRESENT_ALARM) == 0
 
 
-def test_the_time_out_stops_the_axis_when_it_expires_not_when_somebody_looks() -> None:
+def test_the_time_out_stops_the_axis_when_it_expires_not_when_it_is_polled() -> None:
     master = Master()
     master.home()
     master.write(0x138A, 200)

@@ -80,7 +80,7 @@ def test_forms_in_between_are_undefined_headers(say: Talk, header: str) -> None:
     assert say.errors() == [-113]
 
 
-def test_header_without_colon_goes_on_at_the_level_before(lamp: Lamp, say: Talk) -> None:
+def test_header_without_colon_continues_at_the_level_before(lamp: Lamp, say: Talk) -> None:
     assert say("SOUR2:VOLT:OFFS 1;HIGH 2;HIGH?;:SHAP SQU") == "high"
     assert lamp.seen == [(2, ScpiQuantity(1.0)), (2, ScpiQuantity(2.0)), ("SQU",)]
     assert say.errors() == []

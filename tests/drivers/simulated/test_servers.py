@@ -261,7 +261,7 @@ def test_an_error_that_was_not_there_stands_in_the_queue(bench: Bench, transport
 
 
 @BOTH
-def test_a_reset_is_told_to_the_client(bench: Bench, transport: str) -> None:
+def test_a_reset_reaches_the_client(bench: Bench, transport: str) -> None:
     bench.plan(kind="reset", command="FREQ?")
     server = bench.server(transport, bench.generator)
     with serving(server):
@@ -272,7 +272,7 @@ def test_a_reset_is_told_to_the_client(bench: Bench, transport: str) -> None:
 
 
 @BOTH
-def test_behind_a_half_open_connection_nobody_obeys(bench: Bench, transport: str) -> None:
+def test_behind_a_half_open_connection_nothing_is_obeyed(bench: Bench, transport: str) -> None:
     bench.plan(kind="half-open", command="FREQ?")
     server = bench.server(transport, bench.generator)
     with serving(server):
@@ -285,7 +285,7 @@ def test_behind_a_half_open_connection_nobody_obeys(bench: Bench, transport: str
 
 
 @pytest.mark.parametrize(("transport", "at"), [("socket", 2), ("hislip", 3)])
-def test_nobody_listens_for_refused_connections(bench: Bench, transport: str, at: int) -> None:
+def test_refused_connections_have_no_listener(bench: Bench, transport: str, at: int) -> None:
     bench.plan(kind="refused", at=at)
     server = bench.server(transport, bench.generator)
     with serving(server):

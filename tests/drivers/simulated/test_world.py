@@ -264,7 +264,7 @@ def test_a_clipped_amplitude_stays_clipped_whatever_is_asked_for(tmp_path: Path)
     assert np.ptp(sampled(of, at_us=3_900_000)[:, 0]) == pytest.approx(whole / 4, rel=1e-3)
 
 
-def test_a_clock_that_jumps_goes_on_from_there(tmp_path: Path) -> None:
+def test_a_clock_that_jumps_continues_from_there(tmp_path: Path) -> None:
     of, _ = befallen(tmp_path, device="clock", kind="clock-jump", after_s=0.015, by_s=2.0)
     pass_time(of)
     assert of.now_us == 10_000

@@ -102,7 +102,7 @@ def test_a_stall_is_noticed_with_an_encoder_only() -> None:
     assert talk("get encoder.pos") == "RJ IDLE -- BADCOMMAND"
 
 
-def test_a_turned_knob_is_told_until_the_next_command_to_move() -> None:
+def test_a_turned_knob_is_reported_until_the_next_command_to_move() -> None:
     talk = Talk({"kind": "knob", "after_s": 1.0, "by_deg": 2.0})
     talk("", wait_s=1.1)
     assert talk("", wait_s=2.0) == "OK BUSY NC 0"
