@@ -13,6 +13,14 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rig.analysis.slope import slopes
+from procedures.pressed.way_down import (
+    ARRIVED_S,
+    BASELINE_S,
+    TRAVEL_mm_s,
+    expected_speed_mm_s,
+    go_down_watched,
+    speed_bound,
+)
 from rig.core.errors import ConfigurationError, InstrumentError, LimitError, UnsafeError
 from rig.files.journal.layout import Column
 from rig.run.trip import TripError
@@ -25,7 +33,6 @@ if TYPE_CHECKING:
 
 FORCE_RATE_S_S = 1000.0
 """Frames a second that a force sensor is asked for (paper 4.1)."""
-TRAVEL_mm_s = 10.0
 CLEAR_mm = 0.3
 """Distance before the earliest contact at which the quick way ends."""
 BOTTOM_mm = 0.002
@@ -44,9 +51,6 @@ force that confirms one; and the ratio to its standard error from which it is no
 UNLOAD_DEADLINE_S = 20.0
 HOMING_S = 0.68
 """Expected of a stage without a reference, wherever it stands (measured on simulated drives)."""
-ARRIVED_S = 0.08
-"""Expected of a quick way beyond its length: to come up to speed and to be asked whether it is over
-(measured)."""
 
 
 class ForceZero(NamedTuple):
@@ -119,11 +123,25 @@ def travel_s(way_mm: float) -> float:
     return abs(way_mm) / TRAVEL_mm_s + ARRIVED_S if way_mm else 0.0
 
 
+def first_ways_s(fixture: FixtureSettings, limit_N: float, homed: bool) -> float:
+    """Return the bench time in s that the ways down of a run are expected to take longer, since z
+    has not been there before: to the parking place, unless z is `homed` and waits there, and on to
+    where the slow search begins."""
+    slow_from_mm, _, parked_mm = expected_contact_mm(fixture)
+    slow_mm_s = expected_speed_mm_s(fixture, limit_N)
+    way_mm = slow_from_mm - (parked_mm if homed else 0.0)
+    rest_s = 0.0 if homed else BASELINE_S
+    return rest_s + way_mm * (1 / slow_mm_s - 1 / TRAVEL_mm_s)
+
+
 def park(run: Run, name: str, way_back: Callable[[float], None]) -> None:
     """Stop z, find its reference if that is not known, and go where it is clear of everything.
 
     `way_back` is armed as `name` once it has somewhere to go: a stage without a reference can only
     be stopped, and has pressed nothing yet. It is given the position in mm that z leaves here.
+
+    A way down is slow and watched, since z has not been there in this run: InstrumentError where
+    something is felt on it.
     """
     stage = run.bench.stage_z
     run.arm(name, stage.stop, emergency=stage.make_safe, done="z stage stopped")
@@ -138,7 +156,11 @@ def park(run: Run, name: str, way_back: Callable[[float], None]) -> None:
         emergency=stage.make_safe,
         done=f"{name} released",
     )
-    stage.move_to(run.bench.settings.fixture.parked_mm, TRAVEL_mm_s)
+    parked_mm = run.bench.settings.fixture.parked_mm
+    if parked_mm > came_from_mm + BOTTOM_mm:
+        go_down_watched(run, parked_mm, f"parked_mm = {parked_mm:g} mm")
+    else:
+        stage.move_to(parked_mm, TRAVEL_mm_s)
 
 
 def stream_force(run: Run, least_S_s: float, what: str) -> None:
@@ -183,14 +205,20 @@ def drift_of(run: Run, seconds: float) -> str | None:
     return None
 
 
-def come_close(run: Run, contact_N: float, window_s: float, every_s: float) -> None:
+def come_close(
+    run: Run, contact_N: float, window_s: float, every_s: float, known_clear: bool = False
+) -> None:
     """Go to just above the earliest contact; a force of more than `contact_N` ends it.
 
     The force is the mean over `window_s`, taken every `every_s`; its limit is watched all the time.
+    The way is quick only where it is `known_clear`, because z has gone it since the run was armed.
     """
     stage = run.bench.stage_z
     first_mm, _ = contact_range_mm(run.bench)
-    stage.start_move(first_mm - CLEAR_mm, TRAVEL_mm_s)
+    speed_mm_s = TRAVEL_mm_s
+    if not known_clear:
+        speed_mm_s = min(speed_bound(run.bench, run.force.limit_N).speed_mm_s, TRAVEL_mm_s)
+    stage.start_move(first_mm - CLEAR_mm, speed_mm_s)
     while stage.moving():
         run.clock.sleep(every_s)
         refuse_early_contact(run, felt_N(run, window_s), contact_N)

@@ -16,7 +16,8 @@ from procedures.pressed.contact import (
 )
 from procedures.pressed.reading import CONTACT_N
 from procedures.pressed.settings import TAP_S, NEAR_mm
-from rig.control.approach import Approach, search_speed_mm_s
+from rig.control.approach import Approach
+from rig.control.speed_bound import largest_speed_mm_s
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
@@ -58,7 +59,11 @@ class Press:
         """Press the object with the normal force, and return the contact's stiffness in N/mm."""
         settings, rates = self._settings, self._series.rates
         way_down = Approach(
-            settings.normal_force_N, rates.approach_s, self._delay_s, settings.acceleration_mm_s2
+            settings.normal_force_N,
+            rates.approach_s,
+            self._delay_s,
+            settings.acceleration_mm_s2,
+            self._run.bench.settings.fixture.stiffest_N_mm,
         )
         self._run.count_press()
         self._go_near()
@@ -92,8 +97,11 @@ class Press:
             return
         z, settings, rates = self._z, self._settings, self._series.rates
         near_mm = self._series.contact_mm - NEAR_mm
-        speed_mm_s = search_speed_mm_s(
-            settings.normal_force_N, self._delay_s + rates.approach_s, settings.acceleration_mm_s2
+        speed_mm_s = largest_speed_mm_s(
+            settings.normal_force_N,
+            self._run.bench.settings.fixture.stiffest_N_mm,
+            self._delay_s + rates.approach_s,
+            settings.acceleration_mm_s2,
         )
         z.start_move(near_mm, speed_mm_s)
 

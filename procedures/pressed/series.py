@@ -32,6 +32,8 @@ class PressedSeries:
     """Load rate by volt of each calibrated strip."""
     contact_mm: float | None = None
     """Position of z at which the object was felt last."""
+    way_is_clear: bool = False
+    """Whether z has gone down to just above the earliest contact since the run was armed."""
 
 
 def load_scales_for(run: Run) -> dict[str, LoadScale]:

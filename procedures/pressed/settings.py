@@ -19,6 +19,7 @@ from procedures.pressed.contact import (
     TARE_S,
     ZERO_LABEL,
     expected_contact_mm,
+    first_ways_s,
     force_zero_of,
     park,
     stream_force,
@@ -197,11 +198,14 @@ def pressed_overhead_s(
     left it.
     """
     # Here and not at the top: numpy would slow `rig --help`.
-    from rig.control.approach import TOUCH, search_speed_mm_s
+    from rig.control.approach import TOUCH
+    from rig.control.speed_bound import largest_speed_mm_s
 
     late_s, force_N = DELAY_S + max(settings.tick_s, 1 / POLL_RATE_Hz), settings.normal_force_N
     slow, quick = (
-        search_speed_mm_s(share * force_N, late_s, settings.acceleration_mm_s2)
+        largest_speed_mm_s(
+            share * force_N, fixture.stiffest_N_mm, late_s, settings.acceleration_mm_s2
+        )
         for share in (TOUCH, 1.0)
     )
     slow_from_mm, contact_mm, parked_mm = expected_contact_mm(fixture)
@@ -212,6 +216,7 @@ def pressed_overhead_s(
     ready_s = 0.0 if homed else 2 * HOMING_S + travel_s(parked_mm) + travel_s(x_mm)
     back_s = (presses - 1 + homed) * travel_s(slid_mm)
     searches_s = searched_mm / slow + (presses - 1) * again_s
+    ready_s += first_ways_s(fixture, settings.largest_force_N, homed)
     return ready_s + presses * (ways_s + 2 * SETTLED_S) + back_s + searches_s + 2 * SETTLED_S
 
 

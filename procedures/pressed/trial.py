@@ -22,7 +22,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from procedures.pressed.axes import ArrivalWatch, PolledStage, PressingStage
-from procedures.pressed.contact import SETTLED_S, TRAVEL_mm_s, come_close, tare_in_free_air
+from procedures.pressed.contact import SETTLED_S, come_close, tare_in_free_air
 from procedures.pressed.hold import ForceHold
 from procedures.pressed.links import TrialLinks
 from procedures.pressed.press import Press
@@ -30,6 +30,7 @@ from procedures.pressed.reading import CONTACT_N, DECIMATED_Hz
 from procedures.pressed.recorder import TickRecorder
 from procedures.pressed.settings import AFTER_S
 from procedures.pressed.ticks import TrialTicks
+from procedures.pressed.way_down import TRAVEL_mm_s
 from rig.bench.limits import require
 from rig.control.force_servo import ForceServo, settings_from
 from rig.core.errors import InstrumentError
@@ -87,7 +88,9 @@ class PressedTrial:
         self.z.commanded_mm, self.x.commanded_mm = parked_mm, start_mm
         self.x.poll()
         window_s = self.recorder.force.timing.window_s
-        come_close(self.run, CONTACT_N, window_s, self.series.rates.approach_s)
+        series = self.series
+        come_close(self.run, CONTACT_N, window_s, series.rates.approach_s, series.way_is_clear)
+        series.way_is_clear = True
 
     def start_recording(self) -> None:
         """Begin to record strips, forces and positions."""

@@ -19,6 +19,7 @@ from procedures.pressed.settings import (
     summary_of,
 )
 from procedures.pressed.torque_limit import require_torque_limit
+from procedures.pressed.way_down import require_possible
 from rig.run.points import Reading
 from rig.run.procedure import DriftFigure, Procedure, StreamPlan
 
@@ -55,9 +56,11 @@ class TrialProcedure(Procedure):
         import_what_a_trial_needs()
 
     def check(self, bench: Bench) -> None:
-        """Refuse a fixture that does not state where contact has to be felt."""
+        """Refuse a fixture that does not state where contact has to be felt, and a contact so stiff
+        that z cannot go down slowly enough."""
         contact_range_mm(bench)
         require_torque_limit(bench)
+        require_possible(bench, self.settings.largest_force_N)
 
     def why_invalid(self, reading: Reading) -> str:
         """Return why a trial is invalid; "" for a valid one."""
@@ -72,6 +75,7 @@ class TrialProcedure(Procedure):
             rates = rates_for(run.bench, self.settings)
             warn_of_slow_links(run, rates)
             self._series = self.new_series(rates, load_scales_for(run))
+        self._series.way_is_clear = False  # during a hold something may have been put in the way
 
     def new_series(self, rates: ServoRates, scales: dict[str, LoadScale]) -> PressedSeries:
         """Return what the trials of a run share, before the first one."""

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from procedures.pressed import contact
 from procedures.pressed.contact import contact_range_mm
 from procedures.pressed.torque_limit import require_torque_limit
+from procedures.pressed.way_down import speed_bound
 from procedures.sweep import layout as sweep_layout
 from procedures.sweep import preload
 from procedures.sweep.settings import (
@@ -116,9 +117,12 @@ class Sweep(Procedure):
         return preload.duration_s(fixture, self.settings.preload_N, homed) + LISTENED * LISTEN_S
 
     def check(self, bench: Bench) -> None:
-        """Refuse a fixture that does not state the contact range."""
+        """Refuse a fixture that does not state the contact range, and a contact so stiff that the
+        slow search would press too hard."""
         contact_range_mm(bench)
         require_torque_limit(bench)
+        limit_N = bench.force_sensor.reach()["force"].high
+        speed_bound(bench, limit_N).require("stage_z", preload.APPROACH_mm_s)
 
     # --- acting ---------------------------------------------------------------------------------
 

@@ -23,6 +23,7 @@ from procedures.pressed.contact import (
     contact_range_mm,
     expected_contact_mm,
     felt_N,
+    first_ways_s,
     not_there,
     nothing_felt,
     park,
@@ -52,6 +53,9 @@ FORCE_WINDOW_S = 0.005
 CONTACT_N = 0.4
 """Force that means contact: far above the sensor's noise, far below the preload."""
 APPROACH_mm_s = 0.5
+"""Speed of the slow search for contact."""
+USUAL_LIMIT_N = 40.0
+"""Force limit from which the time of the first way down is estimated."""
 LATE_S = 1.0
 """Time beyond that needed for the approach at its speed after which it is ended."""
 RISE_N_s = 25.0
@@ -195,6 +199,7 @@ def duration_s(fixture: FixtureSettings, target_N: float, homed: bool) -> float:
         (0.0 if homed else HOMING_S + travel_s(parked_mm))
         + 2 * TARE_S
         + travel_s(slow_from_mm - parked_mm)
+        + first_ways_s(fixture, USUAL_LIMIT_N, homed)
         + (contact_mm - slow_from_mm) / APPROACH_mm_s
         + KNOWN_AFTER_mm * FIRST_STIFFNESS_N_mm / RISE_N_s
         + target_N / RISE_N_s

@@ -18,6 +18,14 @@ ROLES = ("generator", "daq", "stage_z", "stage_x", "rotary", "force_sensor")
 Fixture = Literal["film-clamp", "plate", "semi-spherical-object"]
 
 
+STIFFEST_CONTACT_N_mm: dict[Fixture, float] = {
+    "film-clamp": 1000.0,
+    "plate": 250.0,
+    "semi-spherical-object": 250.0,
+}
+"""Stiffest contact expected on each kind of fixture. A film in its clamp: stiffer than any film.
+Skin: above the 206 N/mm that a plate on the reference skin has at 12 N."""
+
 Strip = Literal["strip_1", "strip_2"]
 
 
@@ -102,11 +110,19 @@ class FixtureSettings(Settings):
     """Position at which the z stage waits, clear of everything. With one that is not clear of
     contact every run that presses is refused, but the file is accepted, so that the bench can still
     be made safe with it."""
+    stiffest_contact_N_mm: float | None = Field(default=None, gt=0)
+    """Stiffest contact that z can make here. The largest speed of z towards a contact follows from
+    it. Default: 1000 N/mm for a film in its clamp, 250 N/mm for skin."""
     centre_mm: float | None = None
     """For an object that rolls: position of x at which the middle of the skin is above the
     object."""
     upright_deg: float | None = None
     """For an object that rolls: angle of the rotary stage at which the object stands upright."""
+
+    @property
+    def stiffest_N_mm(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """Stiffest contact in N/mm: the one that is stated, or that of this kind of fixture."""
+        return self.stiffest_contact_N_mm or STIFFEST_CONTACT_N_mm[self.mounted]
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:

@@ -15,12 +15,13 @@ CLOSING.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rig.control.speed_bound import largest_speed_mm_s
 
 STIFFEST_N_mm = 250.0
 """Stiffest contact of skin and object expected below 10 N, in N/mm. A plate on the reference skin
@@ -47,22 +48,6 @@ LEAST_POINTS = 4
 """Fewest points from which a stiffness is computed."""
 KEPT = 4000
 """Number of the latest points that are used."""
-
-
-def search_speed_mm_s(
-    press_N: float,
-    delay_s: float,
-    acceleration_mm_s2: float,
-    stiffness_N_mm: float = STIFFEST_N_mm,
-) -> float:
-    """Returns the largest speed in mm/s that presses at most `press_N` between touch and
-    standstill.
-
-    >>> round(search_speed_mm_s(2.0, delay_s=0.01, acceleration_mm_s2=200.0), 2)
-    0.68
-    """
-    room_mm = press_N / stiffness_N_mm
-    return acceleration_mm_s2 * (math.sqrt(delay_s**2 + 2 * room_mm / acceleration_mm_s2) - delay_s)
 
 
 def closing_speed_mm_s(missing_N: float, stiffness_N_mm: float, delay_s: float) -> float:
@@ -164,12 +149,15 @@ class Approach:
         tick_s: float,
         delay_s: float,
         acceleration_mm_s2: float = 200.0,
+        stiffest_N_mm: float = STIFFEST_N_mm,
     ):
         self.target_N = target_N
         self._ahead_s = max(AHEAD_s, 3 * tick_s)
         self._acceleration = acceleration_mm_s2
         self._delay_s = delay_s + tick_s
-        self.search_mm_s = search_speed_mm_s(TOUCH * target_N, self._delay_s, acceleration_mm_s2)
+        self.search_mm_s = largest_speed_mm_s(
+            TOUCH * target_N, stiffest_N_mm, self._delay_s, acceleration_mm_s2
+        )
         """Speed of the search for contact, in mm/s."""
         self._stiffness = ContactStiffness()
         self._touched = False

@@ -11,10 +11,11 @@ from pressed_skin import press_and_slide
 from rig.control.approach import (
     Approach,
     ContactStiffness,
+    STIFFEST_N_mm,
     closing_speed_mm_s,
-    search_speed_mm_s,
 )
 from rig.control.force_servo import ContactShift, ForceServo, settings_from
+from rig.control.speed_bound import largest_speed_mm_s
 from rig.physics.contact.settings import FrictionSettings
 from rig.physics.skin.condensed import CondensedSkin
 
@@ -170,7 +171,7 @@ def test_a_contact_without_stiffness_is_refused(wrong: float) -> None:
 def test_the_search_presses_what_it_may() -> None:
     """k (v delay + v^2 / 2a) is the force pressed after touch."""
     for delay_s in (0.005, 0.02):
-        v = search_speed_mm_s(0.4, delay_s, 200.0, 166.0)
+        v = largest_speed_mm_s(0.4, 166.0, delay_s, 200.0)
         assert 166.0 * (v * delay_s + v**2 / 400.0) == pytest.approx(0.4)
 
 
@@ -222,7 +223,7 @@ def test_nothing_is_said_of_a_contact_that_was_not_felt() -> None:
     approach = Approach(4.0, 0.01, 0.005)
     step = approach.step(0.0, 0.0, -0.003, 0.01)
     assert not step.touched
-    assert step.speed_mm_s == pytest.approx(search_speed_mm_s(2.0, 0.015, 200.0))
+    assert step.speed_mm_s == pytest.approx(largest_speed_mm_s(2.0, STIFFEST_N_mm, 0.015, 200.0))
 
 
 CORNERS = [(0.3, 2.0), (0.3, 8.0), (1.2, 4.0), (1.2, 8.0)]

@@ -47,18 +47,27 @@ def motion(rig):
     return found
 
 
+def largest_N(rig):  # noqa: N802 - the unit keeps its capital
+    """Largest true force by which the stages have pressed."""
+    return next(entry["value"] for entry in rig.log() if entry["what"] == "largest-force")
+
+
 def violations(rig):
     return [entry["value"] for entry in rig.log() if entry["what"] == "violation"]
 
 
 @pytest.mark.parametrize("what", mostly_thorough(OBJECTS, ["film"]))
-def test_a_trip_on_the_way_to_a_parking_place_inside_the_object_goes_back_not_deeper(rig, what):
-    """Parking itself presses: z is stopped, and goes back to where it came from."""
-    contact_mm = OBJECTS[what][3]
+def test_an_object_on_the_way_to_the_parking_place_is_felt_and_z_goes_back_not_deeper(rig, what):
+    """Parking itself presses: the way is slow and watched, and z goes back to where it came from
+    long before the force limit is reached."""
+    contact_mm, limit_N = OBJECTS[what][3:5]
     ended = rehearse(rig, what, 12.6)
-    assert ended.code == 4, ended.stderr
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert "on the way to parked_mm = 12.6 mm: something is in the way" in error
     assert "NOT SAFE" not in ended.stderr
     assert violations(rig) == []
+    assert largest_N(rig) < limit_N / 2
     story = motion(rig)
     parking = [n for n, step in enumerate(story) if step == ("move", pytest.approx(12.6))]
     assert parking
@@ -131,3 +140,48 @@ def test_a_parking_place_that_is_not_clear_is_refused_and_the_bench_can_be_made_
     assert "set parked_mm to 11.7 mm or less" in error
     assert made_safe.code == 0, made_safe.stderr
     assert [mm for kind, mm in motion(rig) if kind == "move"] == []
+
+
+TALL = """
+name = "real"
+[fixture]
+mounted = "{mounted}"
+contact_from_mm = 12.0
+contact_to_mm = 13.0
+"""
+
+
+@pytest.mark.parametrize("what", mostly_thorough(OBJECTS, ["film"]))
+def test_an_object_that_is_taller_than_stated_is_met_slowly_enough_to_stop(rig, what):
+    """On the first way down of a run z has not been there yet: a stiff film, or skin."""
+    command, mounted, world, _, limit_N, asked = OBJECTS[what]
+    path = rig.folder / "tall.toml"
+    path.write_text(TALL.format(mounted=mounted))
+    stiff = "clamp.stiffness_N_mm = 900.0\n" if what == "film" else ""
+    watched = f"{world}.contact_mm = 10.7\n{stiff}{WATCHED.format(limit_N=limit_N)}"
+    ended = rig.run(
+        command, "--bench", str(path), "--dry-run", "--json", "--stages", rig.bench.stages,
+        "--world-log", str(rig.world_log), "--world", rig.world(watched), *asked,
+    )  # fmt: skip
+    assert ended.code == 3, ended.stderr
+    (error,) = ended.errors
+    assert "before any contact can be (contact_from_mm = 12 mm)" in error
+    assert violations(rig) == []
+    assert largest_N(rig) < limit_N
+    assert motion(rig)[-1] == ("at-rest", pytest.approx(5.0, abs=0.02))
+
+
+def test_a_contact_too_stiff_for_the_slowest_speed_is_refused_before_anything_moves(rig):
+    path = rig.folder / "stiff.toml"
+    text = TALL.format(mounted="film-clamp")
+    path.write_text(text.replace("contact_from", "stiffest_contact_N_mm = 1e9\ncontact_from"))
+    ended = rig.run(
+        "sweep", "--bench", str(path), "--dry-run", "--stages", rig.bench.stages,
+        "--world-log", str(rig.world_log), "--frequencies", "300",
+    )  # fmt: skip
+    assert ended.code == 4, ended.stderr
+    (error,) = ended.errors
+    assert "stage_z: a speed of 0.5 mm/s towards a contact is above" in error
+    assert "stiffest contact 1e+09 N/mm, reaction 0.0" in error
+    assert "deceleration 200 mm/s2" in error
+    assert [kind for kind, _ in motion(rig)] == []
