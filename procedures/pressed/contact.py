@@ -12,7 +12,6 @@ import contextlib
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rig.analysis.slope import slopes
 from procedures.pressed.way_down import (
     ARRIVED_S,
     BASELINE_S,
@@ -21,6 +20,7 @@ from procedures.pressed.way_down import (
     go_down_watched,
     speed_bound,
 )
+from rig.analysis.slope import slopes
 from rig.core.errors import ConfigurationError, InstrumentError, LimitError, UnsafeError
 from rig.files.journal.layout import Column
 from rig.run.trip import TripError
