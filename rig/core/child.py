@@ -28,6 +28,8 @@ TAIL_BYTES = 1 << 16
 than it is polled waits for its pipe, and meets its time limit."""
 CHUNK_BYTES = 1 << 20
 """More than a pipe holds: one read empties it."""
+CLOSED_WAIT_S = 0.01
+"""Interval at which a child is checked that has closed its outputs."""
 CHECK_EVERY_S = 0.1
 """Interval in s at which a child is checked that has closed its outputs or handed them on."""
 KILLED_S = 5.0
@@ -117,8 +119,9 @@ class Child:
 
     def poll(self) -> ChildResult | None:
         """Return how it ended, or None while it is at work; returns at once. At its time limit it
-        is killed. After a result there is nothing more to ask."""
-        code, timed_out = self._process.poll(), False  # First: what it has written is then there.
+        is killed. What it has started and left behind in its session is ended with it. After a
+        result there is nothing more to ask."""
+        code, timed_out = self._exit_code(), False  # First: what it has written is then there.
         self._output.read()
         self._complaint.read()
         if code is not None:
@@ -139,8 +142,17 @@ class Child:
         if pipes:
             select.select(pipes, [], [], at_most_s)
         else:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(at_most_s)
+            time.sleep(min(at_most_s, CLOSED_WAIT_S))
+
+    def _exit_code(self) -> int | None:
+        """Return its exit code once it has ended, with all processes of its session."""
+        if self._process.returncode is None:
+            ended = os.WEXITED | os.WNOHANG | os.WNOWAIT
+            if os.waitid(os.P_PID, self.pid, ended) is None:
+                return None
+            # Nobody has asked for its exit code yet, so its number still is that of its session.
+            os.killpg(self.pid, signal.SIGKILL)
+        return self._process.poll()
 
     def kill(self) -> None:
         """End it and all processes of its session at once."""

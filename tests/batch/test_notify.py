@@ -92,6 +92,36 @@ def running(pid: int) -> bool:
     return state != "Z"
 
 
+def test_what_a_command_leaves_running_neither_delays_later_messages_nor_stays(
+    tmp_path: Path,
+) -> None:
+    """What it leaves holds the command's outputs open."""
+    pids = tmp_path / "pids"
+    program = (
+        "import subprocess, sys;"
+        "left = subprocess.Popen(['sleep', '600']);"
+        "open(sys.argv[1], 'a').write(f'{left.pid}' + chr(10))"
+    )
+    notifier = Notifier(command(program, str(pids)))
+    for number in range(2):
+        notifier.notify("end", f"message {number}", "")
+    assert notifier.close(CLOSING_S) == []
+    left = [int(line) for line in pids.read_text().splitlines()]
+    assert len(left) == 2
+    deadline = time.monotonic() + 10
+    while any(_alive(pid) for pid in left) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(_alive(pid) for pid in left)
+
+
+def _alive(pid: int) -> bool:
+    """Whether a process is there and no zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
 @pytest.mark.thorough
 def test_telling_does_not_wait_and_what_is_not_delivered_in_time_is_given_up() -> None:
     notifier = Notifier(command("import time; time.sleep(20)"), longest_s=20.0)
