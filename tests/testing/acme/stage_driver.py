@@ -1,5 +1,6 @@
 """ACME Z50, a linear stage on TCP."""
 
+import re
 from contextlib import closing
 from typing import Literal
 
@@ -31,6 +32,7 @@ class Settings(BaseSettings):
     low_limit_mm: float = 0.0
     high_limit_mm: float
     max_speed_mm_s: float = Field(default=10.0, gt=0)
+    torque_limit_percent: float = Field(gt=0, le=100)
 
 
 class Z50:
@@ -55,6 +57,9 @@ class Z50:
             )
         self.identity = Identity(vendor, model, number, firmware)
         self.stop_and_wait()
+        limit = f"{self._settings.torque_limit_percent:.1f}"
+        self._link.ask(f"TORQUE {limit}", "OK")
+        self._link.ask("TORQUE?", re.escape(limit))
 
     def reach(self):
         own, owner = self._settings, f"{DEVICE} {self.identity.model}"

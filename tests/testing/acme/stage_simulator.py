@@ -2,6 +2,9 @@
 
 from drivers.simulated.instruments.core import LinearStageCore
 
+LIMITS = {"max_speed_mm_s": 20.0, "torque_limit_percent": 25.0}
+PEAK_N = 100.0
+
 
 class Z50Core(LinearStageCore):
     """A linear stage; answers every command with one line."""
@@ -11,7 +14,7 @@ class Z50Core(LinearStageCore):
 
     def bench_settings(self, where):
         low, high = self.limits
-        return {"port": where, "low_limit_mm": low, "high_limit_mm": high, "max_speed_mm_s": 20.0}
+        return {"port": where, "low_limit_mm": low, "high_limit_mm": high, **LIMITS}
 
     def answer(self, request, by):
         now_us = self.port.now_us
@@ -26,6 +29,10 @@ class Z50Core(LinearStageCore):
                 if not self.homed or self.failure:
                     return b"NO"
                 self.move(float(target), float(speed), 500.0, by)
+            case ["TORQUE", percent]:
+                self.axis.force_limit_N = PEAK_N * float(percent) / 100
+            case ["TORQUE?"]:
+                return f"{100 * self.axis.force_limit_N / PEAK_N:.1f}".encode()
             case ["HOME"]:
                 self.recover()
                 self.home(10.0, 500.0, by)

@@ -1,0 +1,100 @@
+"""Simulators of another package take their places in the World, in every role."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import packages
+import pytest
+from test_driver_contract import installed
+
+SENSOR = """
+[force_sensor]
+driver = "me-gsv8"
+port = "/dev/ttyUSB0"
+nominal_force_N = 50.0
+max_force_N = 40.0
+matrix_N_mV_V = [[83.2, 0.4, -0.6], [0.4, 79.9, 0.8], [1.5, 0.5, 83.7]]
+"""
+CLAMP = """
+name = "real"
+[fixture]
+mounted = "film-clamp"
+contact_from_mm = 12.0
+contact_to_mm = 13.0
+[film]
+[load_cell]
+sensitivity_V_N = 0.1
+[generator]
+driver = "acme-generator"
+resource = "TCPIP::10.0.0.2::1::SOCKET"
+max_amplitude_V = 5.0
+[daq]
+driver = "acme-daq"
+port = "socket://10.0.0.3:4001"
+channels = { load_cell = "AI0", film = "AI1" }
+[stage_z]
+driver = "acme-stage"
+port = "socket://10.0.0.4:4001"
+high_limit_mm = 20.0
+max_speed_mm_s = 20.0
+torque_limit_percent = 25.0
+"""
+
+
+@pytest.fixture
+def site(rig: Any, tmp_path: Path) -> Path:
+    """A folder with the package, on the command line's path."""
+    folder = installed(tmp_path / "site")
+    packages.on_path(rig, folder)
+    return folder
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("site")
+def test_a_dry_run_has_all_of_them_in_its_world_and_in_virtual_time(rig: Any) -> None:
+    (rig.folder / "bench.toml").write_text(CLAMP + SENSOR)
+    done = rig.run("sweep", "--frequencies", "200,1000", "--no-figures", "--json", "--dry-run")
+    assert done.code == 0, done.stderr
+    assert "in its place" not in done.stderr
+    assert done.object["points_done"] == 2
+
+
+@pytest.mark.thorough
+def test_a_dry_run_names_each_model_that_stands_in(rig: Any, site: Path) -> None:
+    info = next(site.glob("*.dist-info")) / "entry_points.txt"
+    info.write_text(info.read_text().split("[rig.simulators]")[0])
+    (rig.folder / "bench.toml").write_text(CLAMP + SENSOR)
+    done = rig.run("sweep", "--frequencies", "200", "--no-figures", "--dry-run")
+    assert done.code == 0, done.stderr
+    for role, driver, model in (
+        ("generator", "acme-generator", "Keysight 33500B"),
+        ("daq", "acme-daq", "Keysight U2331A"),
+        ("stage_z", "acme-stage", "Festo CMMT"),
+    ):
+        assert (
+            f"{role}: no simulator for driver '{driver}' is installed; the dry run uses the "
+            f"simulated {model} in its place"
+        ) in done.stderr
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("site")
+def test_a_bench_in_real_time_has_them_where_its_command_says(rig: Any) -> None:
+    replaced = [
+        word
+        for role, kind in (("daq", "daq"), ("stage_z", "stage"), ("rotary", "rotary"))
+        for word in ("--replace", f"{role}=acme-{kind}")
+    ]
+    fixture = ("--fixture", "semi-spherical-object")
+    simulator = rig.start("simulate", *fixture, *replaced, "--write", "sim.toml")
+    simulator.wait_for(r"drive it with --bench sim\.toml")
+    bench = tomllib.loads((rig.folder / "sim.toml").read_text())
+    assert bench["daq"]["channels"] == {"strip_1": "AI0", "strip_2": "AI1"}
+    assert bench["stage_z"]["driver"] == "acme-stage"
+    assert bench["stage_x"]["driver"] == "festo-cmmt"
+    assert bench["rotary"]["high_limit_deg"] == 30.0
+    safe = rig.run("make-safe", "--bench", "sim.toml")
+    assert safe.code == 0, safe.stderr
