@@ -70,7 +70,8 @@ ROLES = ("stage_z", "stage_x")
 INPUTS = tuple(f"DIN{number}" for number in range(10))
 """Direct inputs of the drive (HM-60262E p. 378, as M2FS-Control has it)."""
 INPUTS_EVERY_S = 0.1
-"""How often they may be read: a reading takes a tenth of that from the line."""
+"""Shortest interval in s at which they may be read: a reading takes a tenth of that from the
+line."""
 
 Settings = OrientalAzSettings
 """The settings of a bench file, under the name by which the bench asks any driver for them."""

@@ -27,7 +27,7 @@ LONGEST_LINE = 1 << 16
 WAITS = 2
 """Times the time-out: a command may open the port before it waits for its answer."""
 QUIET_S = 0.02
-"""How long a serial line has to be silent after a failure before it is trusted again."""
+"""Time in s for which a serial line has to be silent after a failure before it is used again."""
 
 
 class LineLink:

@@ -1,4 +1,4 @@
-"""What ends an approach in which z presses on something that the force sensor does not show.
+"""Ends an approach in which z presses on something that the force sensor does not show.
 
 A sensor that is dead does not always fall silent: its amplifier may send noise about the zero. Then
 nothing but the stage itself shows that it presses. An approach ends
@@ -34,8 +34,9 @@ LEAST_WAY_mm = 0.03
 """Commanded way within `HELD_S` from which z is judged: far above the resolution of a stage and
 what friction holds back."""
 CONFIRMED_mm = 0.08
-"""From the place where contact was felt to where its force has to be there: a skin or a film that
-is pressed so far pushes back with several times the force that means contact."""
+"""Distance from the place where contact was felt to the place where its force has to be there: a
+skin or a film that is pressed so far pushes back with several times the force that means contact.
+"""
 CONFIRMED_S = 0.05
 """Stretch of force whose mean confirms a contact."""
 SUSPECT = (

@@ -36,7 +36,7 @@ class BatchFolder:
 
     @property
     def terms(self) -> Path:
-        """What the batch was begun with, beside the queue, which may be damaged."""
+        """Copy of the batch's terms beside the queue, which may be damaged."""
         return self.path / "terms.json"
 
     @property

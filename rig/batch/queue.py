@@ -193,7 +193,7 @@ class AttemptResult:
     holds: int = 0
     """Holds of this attempt, which are counted for the batch, not for each run."""
     presses: int = 0
-    """How often it has pressed the object; counted likewise."""
+    """Number of presses of the object; counted likewise."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Whether the stages can reach the places that the bench file states of its fixtures."""
+"""Checks whether the stages can reach the places that the bench file states of its fixtures."""
 
 from __future__ import annotations
 

@@ -34,8 +34,8 @@ from rig.instruments.roles import (
 WAITS_PER_CALL = 2
 """Time-outs that one call on an instrument may wait for: one to reconnect, one for the answer."""
 RETRY_S = 0.1
-"""From the end of a link's time-out until the next request has reached the drive: a wait slice, a
-new connection, and a computer that is busy."""
+"""Time in s from the end of a link's time-out until the next request has reached the drive: a wait
+slice, a new connection, and a computer that is busy."""
 
 
 @dataclass(frozen=True)

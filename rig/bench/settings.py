@@ -85,9 +85,9 @@ class MountedSkinSettings(Settings):
 
 
 class HoldLimits(Settings):
-    """How many holds a run may have before it ends: after each hold the object is pressed anew, so
-    a loose contact in the sensor's cable would press it again and again. Pauses by the operator
-    are not included."""
+    """Largest numbers of holds of a run, beyond which it ends: after each hold the object is
+    pressed anew, so a loose contact in the sensor's cable would press it again and again. Pauses by
+    the operator are not included."""
 
     per_point: int = Field(default=5, ge=0)
     """Holds that may disturb one point, or the arming before it."""

@@ -72,7 +72,7 @@ def _only_warning() -> Iterator[None]:
 
 
 def _report_what_is_known(described: Restable) -> None:
-    """Say what an earlier run left, and who uses the bench now."""
+    """Print the reports of earlier runs, and the program that uses the bench now."""
     from rig.run.bench_mark import read_marks
     from rig.run.lock import address_names, in_use
 

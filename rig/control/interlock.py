@@ -34,19 +34,19 @@ class ContactState(Enum):
     CLOSED = "closed"
     """All is well."""
     OPEN = "open"
-    """Of the process: open, or not yet closed for long enough."""
+    """A contact of the process: open, or not yet closed for long enough."""
     OPENED = "opened"
-    """Of a person: latched, and open or not yet closed for long enough."""
+    """A contact of a person: latched, and open or not yet closed for long enough."""
     RELEASED = "closed again, not reset"
-    """Of a person: latched, and closed again."""
+    """A contact of a person: latched, and closed again."""
 
 
 class ContactEvent(Enum):
-    """What happens to a contact."""
+    """Events of a contact."""
 
     OPENS = "opens"
     CLOSES = "closes"
-    """It has been closed for `STEADY_S`."""
+    """The contact has been closed for `STEADY_S`."""
     RESET = "reset"
     """A person at the bench resets it."""
 

@@ -37,7 +37,7 @@ class FileEntry:
 
     @property
     def suffix(self) -> str:
-        """What its name adds to a file's name: "" for the one of the procedure itself."""
+        """Ending that its name adds to a file's name: "" for the one of the procedure itself."""
         _, dot, what = self.entry.name.partition(".")
         return f"-{what}" if dot else ""
 

@@ -36,7 +36,7 @@ Value = float | int | str | bool | None | list[float | int | str | None]
 
 @dataclass(frozen=True)
 class Analysis:
-    """What one analysis found in a run file."""
+    """Results of one analysis of a run file."""
 
     name: str
     """Name of its entry point."""
@@ -53,7 +53,7 @@ class Analysis:
 
 @dataclass(frozen=True)
 class Analyses:
-    """What all analyses of a run file found, and a sentence for each that failed."""
+    """Results of all analyses of a run file, and a sentence for each that failed."""
 
     found: tuple[Analysis, ...] = ()
     warnings: tuple[str, ...] = ()

@@ -38,7 +38,7 @@ class ProcessStamp(BaseModel):
 
     pid: int
     started: str
-    """When it was started, by the kernel's count since the computer's start."""
+    """Start of the process, by the kernel's count since the computer's start."""
     boot: str
     """The computer's start."""
 
@@ -54,7 +54,7 @@ class ProcessStamp(BaseModel):
 
 
 class BenchMark(BaseModel):
-    """What is known of a bench that was not left safe, or is not yet."""
+    """Record of a bench that was not left safe, or is not yet."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -62,16 +62,16 @@ class BenchMark(BaseModel):
     bench: str
     """Name of the bench."""
     time: str
-    """When the mark was written, local time."""
+    """Time at which the mark was written, local time."""
     user: str
     run: ProcessStamp | None = None
     guard: ProcessStamp | None = None
     journal: str | None = None
     """Journal of the run; None if nothing was recorded."""
     failures: Mapping[str, str] = Field(default_factory=dict)
-    """Why the bench could not be made safe, by role."""
+    """Reasons why the bench could not be made safe, by role."""
     report: str = ""
-    """What was done and what is known, as a sentence."""
+    """Report on what was done and what is known, as a sentence."""
 
     @property
     def lives(self) -> bool:

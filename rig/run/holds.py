@@ -31,13 +31,13 @@ class HoldLimitError(RigError):
 
 @dataclass
 class Disturbances:
-    """How often holds have disturbed a run, pauses by the operator not included."""
+    """Number of disturbances of a run by holds, pauses by the operator not included."""
 
     limits: HoldLimits
     holds: int = 0
     """Holds of the run so far."""
     presses: int = 0
-    """How often z has gone down to press the object so far."""
+    """Number of times that z has gone down to press the object so far."""
     at_point: int = 0
     """Holds since the point under way was begun for the first time, with its arming."""
 

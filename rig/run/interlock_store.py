@@ -32,19 +32,19 @@ FOR_ALL_USERS = Path("/var/lib") / FOLDER
 
 @dataclass(frozen=True)
 class ContactRecord:
-    """What is known of one contact. Times are local, ISO 8601 with the offset from UTC."""
+    """The stored state of one contact. Times are local, ISO 8601 with the offset from UTC."""
 
     name: str = ""
     bench: str = ""
     opened: str | None = None
-    """When it opened; None if it is not latched."""
+    """Time at which it opened; None if it is not latched."""
     why: str = ""
-    """How it opened, in words."""
+    """The cause of its opening, in words."""
     reset: str | None = None
-    """When it was reset last."""
+    """Time of the latest reset."""
     reset_by: str = ""
     proof: str | None = None
-    """When it was last seen to open and to close, in a proof test."""
+    """Time at which it was last seen to open and to close, in a proof test."""
     proof_by: str = ""
 
 

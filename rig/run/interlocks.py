@@ -79,9 +79,9 @@ class InterlockWatch:
         self._contacts: dict[str, Contact] = {}
         self._by_role = by_role(bench.settings.interlock)
         self._failed: dict[str, str] = {}
-        """Why an instrument's inputs could not be read the last time, by role."""
+        """Reason why an instrument's inputs could not be read the last time, by role."""
         self._reasons: dict[str, str] = {}
-        """Why each latched contact is so, in words."""
+        """Reason why each latched contact is latched, in words."""
         self._proving: str | None = None
         """Contact whose proof test is under way: it is opened on purpose."""
         self._told: set[str] = set()

@@ -44,7 +44,7 @@ class Journal:
 
     @property
     def path(self) -> Path:
-        """Where the journal is; it changes if the file loses its name during the run."""
+        """Path of the journal; it changes if the file loses its name during the run."""
         return self.writer.path
 
     @property

@@ -30,7 +30,7 @@ class RunOutcome:
     holds: int = 0
     """Holds of this attempt, pauses by the operator not included."""
     presses: int = 0
-    """How often z has gone down to press the object in this attempt."""
+    """Number of times that z has gone down to press the object in this attempt."""
     summary: Mapping[str, Any] = field(default_factory=dict)
     failures: list[RigError] = field(default_factory=list)
     """Failures, the first cause first."""

@@ -1,4 +1,4 @@
-"""What is still pressed on a bench that was stopped: where z stands, what the force sensor reads.
+"""Determines what is still pressed on a bench that was stopped: the position of z, and the force.
 
 A bench that was made safe is stopped and switched off. Whether its object is still under force is
 another question, which the guard answers with a measurement of its own.
@@ -22,7 +22,8 @@ from rig.core.errors import RigError
 ROLES = ("stage_z", "force_sensor")
 RATE_S_S = 500.0
 SECONDS = 0.3
-"""How long the force is averaged: above the sensor's noise, and within a person's patience."""
+"""Time in s over which the force is averaged: above the sensor's noise, and within a person's
+patience."""
 PRESSED_N = 0.4
 """Force above which something is pressed: far above the sensor's noise and its drift in a run."""
 
@@ -31,10 +32,10 @@ Zero = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class PressedState:
-    """Whether something is pressed, in words, and why that is not safe."""
+    """Statement on whether something is pressed, and the reason why that is not safe."""
 
     text: str
-    """As the end of a sentence on the bench: "still pressed at 12.44 mm, 3.9 N"."""
+    """End of a sentence on the bench, such as "still pressed at 12.44 mm, 3.9 N"."""
     over_limit: str | None = None
     """The same, if the force is over the limit of the sensor; else None."""
 

@@ -16,7 +16,7 @@ from rig.testing.case import TIMEOUT_S, BenchClock, Case, Service
 from rig.testing.signals import ForceLaw, USUAL_RATE_S_s, carried
 
 TERMINALS = {"load_cell": 101, "film": 102}
-"""What is wired to which terminal of a simulated bench."""
+"""Wiring of the terminals of a simulated bench."""
 
 
 class _LineClock(BenchClock):

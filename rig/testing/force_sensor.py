@@ -112,7 +112,7 @@ def _force_stream(sensor: Any, service: Any) -> None:
 
 
 def _calibrated(sensor: Any, service: Any) -> None:
-    """Matrix and tare apply from the next read on, and only to the forces."""
+    """Check that matrix and tare apply from the next read on, and only to the forces."""
     _begin(sensor, service)
     _, missing = _columns(service)
     matrix, zero = np.array([[1.0, 2.0, 3.0], [0.0, 4.0, 5.0], [6.0, 0.0, 7.0]]), (0.1, -0.2, 0.3)
@@ -160,7 +160,8 @@ def _other_rate(sensor: Any, service: Any) -> None:
 
 
 def _undisturbed(sensor: Any, service: Any) -> None:
-    """Making a sensor safe leaves its stream, which guards the rest of the bench, alone."""
+    """Check that making a sensor safe does not stop its stream, which guards the rest of the
+    bench."""
     since = _begin(sensor, service)
     service.sleep(_slice_s(service))
     sensor.make_safe()

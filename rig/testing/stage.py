@@ -21,7 +21,7 @@ from rig.testing.script import Role, Step, at_rest, near, refused, same
 ARRIVED_mm = 0.02
 TURNED_deg = 0.02
 READ_BACK = 1e-3
-"""Within which a position or angle is what it truly is, in mm or deg."""
+"""Tolerance of a position or angle that is read back, in mm or deg."""
 FED_s = 0.1
 """Shorter than a drive's communication time-out, and many of them longer."""
 SPEEDING_UP_S = 0.3
@@ -117,7 +117,8 @@ def _move_to(position: float, speed: float) -> Step:
 
 
 def _retarget(stage: Any, service: Any) -> None:
-    """A motion that is changed under way ends at its new target, without a stop between."""
+    """Check that a motion that is changed under way ends at its new target, without a stop
+    between."""
     scale = _Scale.of(stage)
     stage.start_move(scale.at(70.0), scale(100.0))
     service.sleep(0.02)
@@ -157,7 +158,7 @@ def _keep_alive(stage: Any, service: Any) -> None:
 
 
 def _no_timeout(stage: Any, service: Any) -> None:
-    """A drive without a fault has none to acknowledge, and stands."""
+    """Check that a drive without a fault has none to acknowledge, and stays at rest."""
     same("acknowledge_timeout() without a time-out", stage.acknowledge_timeout(), False)
     at_rest(service, "after acknowledge_timeout()")
 
@@ -204,7 +205,8 @@ def _move_unhomed(stage: Any, service: Any) -> None:
 
 
 def _move_after_make_safe(stage: Any, service: Any) -> None:
-    """A procedure behind its watcher cannot set the axis going again."""
+    """Check that a procedure cannot set the axis in motion again after its watcher has stopped
+    it."""
     _excite_stage(stage, service)
     scale = _Scale.of(stage)
     stage.make_safe()
@@ -309,8 +311,8 @@ def _returned(stage: Any, service: Any) -> None:
 
 
 def _streamed(stage: Any, service: Any) -> None:
-    """A profile given as data: every 10 ms a set point two steps ahead, at the profile's speed.
-    The stage follows without standing between, and stands at the last one."""
+    """Send a profile as data: every 10 ms a set point two steps ahead, at the profile's speed.
+    Check that the stage follows without a stop, and ends at the last one."""
     scale = _Scale.of_rotary(stage)
     _turn(stage, scale, 10.0, 50.0, 500.0)
     slowest = stage.reach()["speed"].low
@@ -394,7 +396,8 @@ def _turn_unhomed(stage: Any, service: Any) -> None:
 
 
 def _turn_after_make_safe(stage: Any, service: Any) -> None:
-    """A procedure behind its watcher cannot set the stage going again."""
+    """Check that a procedure cannot set the stage in motion again after its watcher has stopped
+    it."""
     _excite_rotary(stage, service)
     scale = _Scale.of_rotary(stage)
     stage.make_safe()

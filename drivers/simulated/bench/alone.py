@@ -80,7 +80,7 @@ class LoneBench:
         self.entries: list[tuple[str, str, object, str]] = []
         self.tasks = TaskLog()
         self.excitations: dict[int, Excitation] = {}
-        """What each channel of a generator carries, once it has been told."""
+        """Signal of each channel of a generator, once it has been set."""
         self._force_law, self._wave = force_law, wave
         self._acquisitions = 0
         self._at_us = 0

@@ -31,7 +31,7 @@ SKIN_UNIT_MM = 0.0001
 """A count of the stages that carry the skin: 1 um would be 0.15 N of normal force (assumed)."""
 
 Z_REACH_MM, X_REACH_MM = 14.0, 40.0
-"""How far the stages may go from their references."""
+"""Ranges of the stages from their references, in mm."""
 ROTARY_REACH_deg = 30.0
 """Largest angle of the rotary stage to either side."""
 

@@ -52,13 +52,13 @@ if TYPE_CHECKING:
 
 FILM_WIRED = {"load_cell": 101, "film": 102}
 STRIPS_WIRED = {"strip_1": 101, "strip_2": 102}
-"""What is wired to which terminal of the World."""
+"""Wiring of the World's terminals."""
 LIMITS = {
     "stage_z": (0.0, Z_REACH_MM),
     "stage_x": (0.0, X_REACH_MM),
     ROTARY: (0.0, ROTARY_REACH_deg),
 }
-"""How far the stages may go, in mm and deg."""
+"""Ranges of the stages, in mm and deg."""
 
 AZ_LINE = "stages"
 """The serial line of the AZ pair, whose units are z and x in this order."""

@@ -232,7 +232,7 @@ class StuckSensorAxis(Placed):
 
 
 class SensorDrift(Placed):
-    """What the sensor reads without a force changes at a constant rate, from then on."""
+    """A drift of the sensor's zero at a constant rate, from then on."""
 
     kind: Literal["drift"]
     axis: SensorAxis = "z"
@@ -252,7 +252,7 @@ class WrongValue(Placed):
     kind: Literal["wrong-value"]
     axis: SensorAxis = "z"
     force_N: float = Field(default=30.0, ge=-200, le=200)
-    """By how much the frame differs from the force that acts."""
+    """Difference of the frame from the force that acts."""
 
 
 class EarlierFrames(Placed):
@@ -285,7 +285,7 @@ class ContactFault(Placed):
     name: str
     """The contact's name in the bench file."""
     for_s: float = Field(default=0.1, gt=0)
-    """How long it bounces."""
+    """Time in s for which it bounces."""
 
 
 class ClockJump(Placed):
@@ -320,9 +320,9 @@ class SlowSync(Settings):
 MoveFault = AxisFault | DriveFault | SlowAxis
 RotaryFault = AxisFault | SlowAxis | RaisedFlag | TurnedKnob
 ConverterFault = SensorFault | StuckSensorAxis | WrongValue | EarlierFrames
-"""What happens in the force sensor's amplifier, which its simulator does."""
+"""A fault in the force sensor's amplifier, which its simulator carries out."""
 SensedFault = DeadSensor | SensorDrift | WrongScale
-"""What changes the force that reaches the amplifier."""
+"""A fault that changes the force that reaches the amplifier."""
 TimedFault = Spike | ConverterFault | SensedFault | Clipped | Overrun | ContactFault | ClockJump
 FileFault = DiskFault | SlowSync
 WireKind = WireFault | ErrorReply | Rejection | RefusedConnections

@@ -1,4 +1,4 @@
-"""What a simulated instrument of another package is to the simulated bench: a core per role.
+"""The interface of another package's simulated instrument to the simulated bench: a core per role.
 
 A laboratory's own simulator is a subclass of `GeneratorCore`, `DaqCore`, `LinearStageCore`,
 `RotaryStageCore` or `ForceSensorCore` (in `force_sensor`), registered in the entry-point group
@@ -62,16 +62,16 @@ def host_and_port(where: str) -> tuple[str, int]:
 
 
 class InstrumentCore(ABC):
-    """What the cores of all roles have in common."""
+    """The common base of the cores of all roles."""
 
     roles: ClassVar[tuple[str, ...]] = ()
     """The roles of a bench file that it can play."""
     title: ClassVar[str] = ""
     """Maker and model, for messages."""
     link: ClassVar[Literal["serial", "tcp"]] = "serial"
-    """What the instrument is connected to: a serial port, or a TCP port with the same bytes."""
+    """Kind of the instrument's connection: a serial port, or a TCP port with the same bytes."""
     terminator: ClassVar[bytes] = b"\n"
-    """What ends a request, and an answer of `answer`."""
+    """Bytes that end a request, and an answer of `answer`."""
     alike: ClassVar[tuple[bytes, ...]] = ()
     """Beginnings of requests that are like one another, such as polls: of each, the contract's walk
     of faults visits the first in a step."""
@@ -148,7 +148,7 @@ class DaqCore(InstrumentCore):
     @property
     @abstractmethod
     def acquiring(self) -> bool:
-        """Whether it samples now."""
+        """True if it samples now."""
 
     def channel(self, terminal: int) -> Any:
         """Return what the setting `channels` of the driver calls a terminal of the World (101 or
@@ -157,13 +157,13 @@ class DaqCore(InstrumentCore):
 
 
 class _StageCore(SimulatedDrive[Any], InstrumentCore):
-    """What linear and rotary stages have in common; in millimetres, or degrees where it turns.
+    """The common base of linear and rotary stages; in millimetres, or in degrees if it turns.
 
     The World's positions are those of a stage that has been homed: its reference is at 0.
     """
 
     mechanics: ClassVar[Mechanics] = Mechanics()
-    """How the axis is built, and where it stands when it is switched on."""
+    """Mechanics of the axis, and its position when it is switched on."""
     disturbances: ClassVar[tuple[str, ...]] = (
         *("stuck", "runaway", "slow", "drive-fault", "limit-switch", "reference-lost"),
     )
@@ -174,26 +174,26 @@ class _StageCore(SimulatedDrive[Any], InstrumentCore):
         super().__init__(name, self.mechanics, load, faults, port)
         self.port, self.name = port, name
         self.homed = False
-        """Whether it has found its reference."""
+        """True if it has found its reference."""
         self.failure = ""
-        """Why it has stopped by itself; "" for no reason. `recover` forgets it."""
+        """Reason why it has stopped by itself; "" for no reason. `recover` forgets it."""
         self._homing = False
 
     # --- what a protocol asks of it -----------------------------------------------------------
 
     @property
     def position(self) -> float:
-        """Where the carriage stands now."""
+        """Present position of the carriage."""
         return self.position_mm(self._port.now_us)
 
     @property
     def speed(self) -> float:
-        """How fast it moves now, negative towards smaller positions."""
+        """Present speed, negative towards smaller positions."""
         return self.velocity_mm_s(self._port.now_us)
 
     @property
     def moving(self) -> bool:
-        """Whether a motion is under way now."""
+        """True if a motion is under way now."""
         self.settle(self._port.now_us)
         return self._moving
 

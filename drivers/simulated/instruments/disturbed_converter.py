@@ -1,4 +1,4 @@
-"""What the disturbances of a fault plan make of the values of an amplifier's converters."""
+"""Applies the disturbances of a fault plan to the values of an amplifier's converters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class _Disturbance:
     end_s: float
     channel: int
     added: Reals | None
-    """What a wrong value adds, (channels,)."""
+    """Return the sum of the wrong values, (channels,)."""
 
 
 class DisturbedConverter:

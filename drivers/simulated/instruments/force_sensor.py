@@ -1,4 +1,5 @@
-"""What a simulated force sensor is to the simulated bench: see `core` beside it for the others."""
+"""The interface of a simulated force sensor to the simulated bench: see `core` beside it for the
+others."""
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ class ForceSensorCore(InstrumentCore, ABC):
     @property
     @abstractmethod
     def streaming(self) -> bool:
-        """Whether it is sending frames."""
+        """True if it is sending frames."""
 
     @property
     @abstractmethod

@@ -162,7 +162,7 @@ class SimulatedCommand:
 
 
 class ForceAndInputs(ForcePort, DigitalInputPort, Protocol):
-    """What the sensor and the digital inputs stand in."""
+    """The World's side of the sensor and of the digital inputs."""
 
 
 class Gsv8(ForceSensorCore):
@@ -197,7 +197,7 @@ class Gsv8(ForceSensorCore):
         self._log = log
         self._name = name
         self._directions = [1] * DIGITAL_GROUPS
-        """That the lines are inputs when it is switched on is UNCONFIRMED."""
+        """Directions of the lines. UNCONFIRMED: they are inputs when it is switched on."""
         self._input = bytearray()
         self._origin_us, self._sent = 0, 0
         self._divisor, self._period_s = 1, 0.0
@@ -209,7 +209,7 @@ class Gsv8(ForceSensorCore):
         self._noise_at = 0
         self._noise: dict[int, npt.NDArray[np.float64]] = {}
         self._disturbed = DisturbedConverter(CHANNELS, OVERRANGE)
-        """In input ranges."""
+        """Disturbed values of the converters, in input ranges."""
         self._commands = self._command_table()
         self._switch_on()
 
@@ -408,7 +408,7 @@ class Gsv8(ForceSensorCore):
         return DONE, bytes((self.model_number, state, 0, 0))
 
     def _get_direction(self, request: GsvRequest) -> Answer:
-        """Of a group of digital lines: 1 input, 0 output."""
+        """Return the direction of a group of digital lines: 1 input, 0 output."""
         return DONE, bytes((self._directions[self._group(request)],))
 
     def _set_direction(self, request: GsvRequest) -> Answer:
@@ -426,7 +426,7 @@ class Gsv8(ForceSensorCore):
         return number - 1
 
     def _get_level(self, request: GsvRequest) -> Answer:
-        """Of a digital line, 1 to 16; the level of an output is not simulated."""
+        """Return the level of a digital line, 1 to 16; the level of an output is not simulated."""
         number = request.parameters[0] - 1
         if not 0 <= number < DIGITAL_GROUPS * LINES_PER_GROUP:
             raise RefusedError(BAD_ADDRESS)

@@ -41,7 +41,7 @@ INPUT_COMMAND, OUTPUT_STATUS, PRESENT_ALARM = 0x7C, 0x7E, 0x80
 COMMAND_POSITION, FEEDBACK_POSITION = 0xC6, 0xCC
 FEEDBACK_RPM, FEEDBACK_Hz = 0xCE, 0xD0
 REMAINING_DWELL, DIRECT_IO = 0xD2, 0xD4
-"""What 00D2h holds is UNCONFIRMED; it reads 0."""
+"""Registers. UNCONFIRMED: the content of 00D2h, which reads 0."""
 DIRECT_INPUTS = 10
 DRIVER_TEMPERATURE, MOTOR_TEMPERATURE = 0xF8, 0xFA
 ALARM_RESET, INTERNAL_OUTPUTS = 0x180, 0x178
@@ -102,7 +102,7 @@ class SimulatedAzSettings:
 
 
 class AxisAndInputs(AxisPort, DigitalInputPort, Protocol):
-    """What a drive with direct inputs stands in."""
+    """The World's side of a drive with direct inputs."""
 
 
 class AzDrive(SimulatedDrive[MoveFault]):

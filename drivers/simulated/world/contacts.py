@@ -24,17 +24,17 @@ class ContactSettings(Settings):
     """A contact of a simulated bench, with what its bench file says of it."""
 
     name: str = Field(min_length=1)
-    """Its name in the bench file and in fault plans."""
+    """Name of the contact in the bench file and in fault plans."""
     input: str = "daq.501.0"
     """Instrument and input."""
     kind: Literal["person", "process"] = Field(default="person", alias="class")
-    """Its class in the bench file."""
+    """Class of the contact in the bench file."""
     closed_is: Literal["high", "low"] = "high"
     """Level of the input while it is closed."""
     proof: bool = False
-    """Whether a run has to see it open and close first."""
+    """True if a run has to see it open and close first."""
     closed: bool = True
-    """How it stands when the World begins."""
+    """True if it is closed when the World begins."""
 
 
 class ContactsSettings(Settings):
@@ -55,7 +55,7 @@ class _Contact:
     settings: ContactSettings
     closed: bool
     held: bool | None = None
-    """How a fault holds it; None where none does."""
+    """State in which a fault holds it; None if none does."""
     bounces_until_us: int = 0
 
     def is_closed(self, now_us: int) -> bool:

@@ -1,4 +1,4 @@
-"""What reaches the force sensor's amplifier of the force that acts on the sensor.
+"""The force that reaches the force sensor's amplifier.
 
 It is the force itself until a fault of a plan begins: a sensor that is dead, that has another
 scale, or whose zero drifts. None of them changes the World's own account of the force.

@@ -41,10 +41,10 @@ class DeferredWrites:
     def __init__(self) -> None:
         self._waiting: deque[Callable[[], object]] = deque(maxlen=MOST_WAITING)
         self.why = ""
-        """Why writes wait; empty while none does."""
+        """Reason why writes wait; empty if none waits."""
 
     def __len__(self) -> int:
-        """How many writes wait."""
+        """Return the number of waiting writes."""
         return len(self._waiting)
 
     def add(self, write: Callable[[], object]) -> None:

@@ -82,15 +82,15 @@ class _Count:
     """A number that is counted over all attempts of a batch."""
 
     name: str
-    """Its entry in the queue."""
+    """Name of its entry in the queue."""
     before: int = 0
-    """In the attempts that have ended."""
+    """Count in the attempts that have ended."""
     now: int = 0
-    """In the attempt under way."""
+    """Count in the attempt under way."""
 
     @property
     def total(self) -> int:
-        """In all of them."""
+        """Count in all attempts."""
         return self.before + self.now
 
     def close_attempt(self) -> None:
@@ -110,7 +110,7 @@ class Supervisor:
         self._give_up: float | None = None
         self._runs = 0
         self._held_for = ""
-        """Why the batch was held last, until a run has ended."""
+        """Reason why the batch was held last, until a run has ended."""
         self._disk_was_full = False
         """True if files of runs may not have been made for that reason."""
         self._numbers: dict[Path, int] = {}

@@ -34,7 +34,7 @@ HeartbeatState = Literal["waiting", "running", "resting", "holding", "finishing"
 a person is needed. finishing: the bench is no longer needed. ended: nothing follows."""
 
 BLOCK_B = 4096
-"""What one block of a file system holds: so much of a heartbeat is written on a full disk."""
+"""Size of one block of a file system: so much of a heartbeat can be written on a full disk."""
 
 log = logging.getLogger("rig")
 
@@ -54,7 +54,7 @@ class HeartbeatRecord:
     holds: int = 0
     """Holds of all runs so far that nobody has asked for."""
     presses: int = 0
-    """How often all runs have pressed the object so far."""
+    """Number of presses of the object in all runs so far."""
     message: str = ""
     """The present activity, or the reason why the batch is held or has ended; for people."""
     time: str = ""

@@ -39,13 +39,14 @@ class BatchStatus:
     holds: int
     """Holds of all runs so far; a pause by a person is none."""
     presses: int
-    """How often the runs have pressed the object; of the run under way at its latest hold."""
+    """Number of presses of the object in all runs; of the run under way, up to its latest hold."""
     current: RunRow | None
     failures: list[RunRow]
     events: list[tuple[str, str, str]]
     now: datetime
     bench_warnings: tuple[str, ...] = ()
-    """What an earlier run has left of the bench of the bench file: not safe, or still pressed."""
+    """Warnings about the bench of the bench file from an earlier run: not safe, or still
+    pressed."""
 
     @property
     def finish(self) -> datetime:

@@ -48,7 +48,8 @@ class Recorder:
         self._closing = False
         self._failure: Exception | None = None
         self._moved: JournalMovedError | None = None
-        """That the journal goes on at another path, until a thread of the run has been told."""
+        """Message that the journal continues at another path, until a thread of the run has
+        received it."""
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         start_thread(self._thread)
 
