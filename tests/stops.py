@@ -36,7 +36,7 @@ STATES = {
     "approach": State(SWEEP, 4.00),
     "held": State(SLIP, 5.85),
     "slide": State(SLIP, 7.00),
-    "roll": State(ROLL, 14.45),
+    "roll": State(ROLL, 14.68),
     "sweep, settling": State(SWEEP, 7.10),
     "sweep, recording": State(SWEEP, 9.50),
 }

@@ -340,3 +340,17 @@ def test_an_opened_door_ends_jogging_and_nothing_can_be_jogged_until_the_reset(r
             jog.close()
     assert code == 4, shown
     assert "rig interlocks reset --bench bench.toml" in shown.replace("\r\n", "")
+
+
+@pytest.mark.thorough
+def test_a_door_that_is_opened_and_closed_between_two_runs_ends_the_batch(rig):
+    (rig.folder / "night.toml").write_text(NIGHT + "rest_s = 60\n")
+    after_the_first_run = 'move = 4\nof = "stage_z"\nafter_s = '
+    plan = contact("opened", f"{after_the_first_run}20.0\n") + contact(
+        "closed", f"{after_the_first_run}22.0\n"
+    )
+    with served(rig, DOOR, plan):
+        ended = rig.run("batch", "run", "night.toml", "--bench", "bench.toml")
+        assert ended.code == 4, ended.stderr
+        assert rig.outputs() == [True, False], "the second run has not begun"
+        assert "LATCHED" in rig.run("interlocks").stderr
