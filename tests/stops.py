@@ -24,21 +24,22 @@ WORLD = (
 
 @dataclass(frozen=True)
 class State:
-    """A state of a run, and when the undisturbed run with seed 0 is in it."""
+    """A state of a run: the command, and the moment of a fault plan at which the run is in it."""
 
     command: tuple[str, ...]
-    at_s: float
+    moment: str
+    after_s: float
 
 
 STATES = {
-    "homing": State(SWEEP, 0.30),
-    "travel": State(SWEEP, 0.90),
-    "approach": State(SWEEP, 4.00),
-    "held": State(SLIP, 5.85),
-    "slide": State(SLIP, 7.00),
-    "roll": State(ROLL, 14.68),
-    "sweep, settling": State(SWEEP, 7.10),
-    "sweep, recording": State(SWEEP, 9.50),
+    "homing": State(SWEEP, "", 0.3),
+    "travel": State(SWEEP, 'move = 1\nof = "stage_z"\n', 0.3),
+    "approach": State(SWEEP, 'move = 3\nof = "stage_z"\n', 1.5),
+    "held": State(SLIP, 'move = 4\nof = "stage_z"\n', 1.75),
+    "slide": State(SLIP, 'move = 2\nof = "stage_x"\n', 1.0),
+    "roll": State(ROLL, 'move = 3\nof = "stage_x"\n', 0.2),
+    "sweep, settling": State(SWEEP, "acquisition = 2\n", 0.8),
+    "sweep, recording": State(SWEEP, "acquisition = 6\n", 0.5),
 }
 SIGNALS = {"SIGTERM": 15, "Ctrl-C": 2}
 CAUSES = (*SIGNALS, "interlock", "force limit")
@@ -77,7 +78,7 @@ class Stop:
 
 def plan(state: State, cause: str, later_s: float = 0.0) -> str:
     """Return the fault plan that marks or makes the cause."""
-    at = f"after_s = {state.at_s + later_s:.4f}\n"
+    at = f"{state.moment}after_s = {state.after_s + later_s:.4f}\n"
     if cause == "interlock":
         return f'[[fault]]\ndevice = "interlock"\nname = "door"\nkind = "opened"\n{at}'
     if cause == "force limit":

@@ -18,7 +18,7 @@ creep."""
 CASES = list(itertools.product(STATES, CAUSES))
 
 
-@pytest.mark.stages("festo", because="the states' times are those of these stages")
+@pytest.mark.stages("festo", because="the states' moments are those of these stages")
 @pytest.mark.parametrize(
     "case",
     mostly_thorough(CASES, [("approach", "SIGTERM")]),
