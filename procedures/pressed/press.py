@@ -22,6 +22,7 @@ from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
     from procedures.pressed.axes import PressingStage
+    from procedures.pressed.earlier_runs import EarlierPress
     from procedures.pressed.reading import TrialRecord
     from procedures.pressed.recorder import TickRecorder
     from procedures.pressed.series import PressedSeries
@@ -48,9 +49,11 @@ class Press:
         z: PressingStage,
         recorder: TickRecorder,
         ticks: TrialTicks,
+        earlier: EarlierPress,
     ):
         self._run, self._series, self._record = run, series, record
         self._z, self._recorder, self._ticks = z, recorder, ticks
+        self._earlier = earlier
         self._settings: PressedSettings = run.settings
         self._delay_s = recorder.force.timing.delay_s(series.rates)
         """Time in s from a command to the first force that shows it."""
@@ -68,7 +71,10 @@ class Press:
         self._run.count_press()
         self._go_near()
         self._go_down(way_down)
-        return way_down.stiffness_N_mm
+        stiffness_N_mm = way_down.stiffness_N_mm
+        way_mm = self._z.latest.position_mm - self._record.contact_mm
+        self._earlier.judge(way_mm, stiffness_N_mm, self._record.zero)
+        return stiffness_N_mm
 
     def tap(self, stiffness_N_mm: float) -> float:
         """Let go a little and press on again; return when z is at rest after it, on the run's
@@ -129,6 +135,8 @@ class Press:
             here_mm = polled.position_mm
             step = way_down.step(polled.at_s, here_mm, force.measured_s, force_N, behind_s)
             watch.step(here_mm, force_N, step.touched)
+            if touched and not step.arrived:
+                self._earlier.refuse_way(here_mm - self._record.contact_mm, force_N)
             if step.touched and not touched:
                 touched = True
                 self._record.contact_mm = self._series.contact_mm = here_mm

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 from procedures.pressed.axes import ArrivalWatch, PolledStage, PressingStage
 from procedures.pressed.contact import SETTLED_S, come_close, tare_in_free_air
+from procedures.pressed.earlier_runs import EarlierPress
 from procedures.pressed.hold import ForceHold
 from procedures.pressed.links import TrialLinks
 from procedures.pressed.press import Press
@@ -100,7 +101,8 @@ class PressedTrial:
         """Press the object with the normal force, no faster than the force allows; tap, and rest
         under the servo. The contact's stiffness is learnt on the way."""
         settings, record = self.settings, self.record
-        press = Press(self.run, self.series, record, self.z, self.recorder, self._ticks)
+        earlier = EarlierPress(self.run, settings.normal_force_N, settings.object)
+        press = Press(self.run, self.series, record, self.z, self.recorder, self._ticks, earlier)
         stiffness_N_mm = record.stiffness_N_mm = press.down()
         servo = ForceServo(
             settings_from(

@@ -9,6 +9,7 @@ Whatever ends the run, the stage is stopped, and moved away if it still can be.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -34,6 +35,7 @@ from procedures.pressed.contact import (
     travel_s,
     unload,
 )
+from procedures.pressed.earlier_runs import EarlierPress
 from rig.bench.limits import require
 from rig.bench.settings import FixtureSettings
 from rig.core.errors import InstrumentError, LimitError
@@ -176,17 +178,19 @@ def press(run: Run, target_N: float) -> Preload:
     come_close(run, CONTACT_N, FORCE_WINDOW_S, CHECKED_EVERY_S)
     run.count_press()
     with naming_the_sensor(run, CONTACT_N):
-        pressed = _press_until_confirmed(run, target_N)
+        earlier = EarlierPress(run, target_N)
+        pressed = _press_until_confirmed(run, target_N, earlier)
+        earlier.judge(pressed.position_mm - pressed.contact_mm, pressed.stiffness_N_mm, zero)
     pressed.zero = zero
     return pressed
 
 
-def _press_until_confirmed(run: Run, target_N: float) -> Preload:
+def _press_until_confirmed(run: Run, target_N: float, earlier: EarlierPress) -> Preload:
     """Approach and press; again where the contact was not confirmed."""
     first_mm, last_mm = contact_range_mm(run.bench)
     while True:
         contact_mm = _approach(run, first_mm, last_mm, target_N)
-        if (pressed := _press_from(run, contact_mm, target_N)) is not None:
+        if (pressed := _press_from(run, contact_mm, target_N, earlier.refuse_way)) is not None:
             return pressed
         run.event("warning", "preload", "the contact was not confirmed: the approach continues")
 
@@ -236,7 +240,12 @@ def _approach(run: Run, first_mm: float, last_mm: float, target_N: float) -> flo
     raise nothing_felt(run, felt_N(run, FORCE_WINDOW_S), CONTACT_N, check)
 
 
-def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload | None:
+def _press_from(
+    run: Run,
+    contact_mm: float,
+    target_N: float,
+    refuse_way: Callable[[float, float], None] = lambda way_mm, force_N: None,
+) -> Preload | None:
     """Go from contact to the held preload in small targets ahead of the stage that depend on the
     measured stiffness; None if the contact was not confirmed."""
     stage, clock = run.bench.stage_z, run.clock
@@ -252,6 +261,8 @@ def _press_from(run: Run, contact_mm: float, target_N: float) -> Preload | None:
         here_mm = stage.position_mm()
         pressed_mm = here_mm - contact_mm
         watch.step(here_mm, force_N, touched=True)
+        if force_N < target_N / 2:
+            refuse_way(pressed_mm, force_N)
         # Later than this it is a real contact: a film does not disappear.
         if force_N > CONTACT_N / 2 or pressed_mm > KNOWN_AFTER_mm:
             felt_s = clock.now()

@@ -53,6 +53,13 @@ class ProcedureRequest(BenchRequest):
     user: Annotated[str, typer.Option(help="Name of the person who runs it.")] = ""
     sample: Annotated[str, typer.Option(help="Sample on the bench.")] = ""
     notes: Annotated[str, typer.Option(help="Remarks.")] = ""
+    accept: Annotated[
+        str,
+        typer.Option(
+            metavar="REASON",
+            help="Accept a press that does not fit earlier runs, and make it the reference.",
+        ),
+    ] = ""
     figures: Annotated[bool, typer.Option(help="Draw the figures of the run.")] = True
     allow_expired: Annotated[
         bool, typer.Option("--allow-expired", help="Use calibration records that have expired.")
@@ -115,6 +122,7 @@ def perform(
             user=request.user,
             sample=request.sample,
             notes=request.notes,
+            accept=request.accept,
             resume=resume,
             collection=None if resume is None else resume.header.collection,
             run_number=0 if resume is None else resume.header.run_number,

@@ -37,6 +37,7 @@ def describe(file: Path, header: RunHeader, outcome: RecordedOutcome) -> dict[st
         "user": _named(header.user),
         "sample": _named(header.sample),
         "notes": header.notes,
+        "accepted": header.accepted,
         "bench": _bench(header),
         "calibrations": [
             f"{record.get('kind', 'calibration')} of {record.get('sensor', 'unknown')}"

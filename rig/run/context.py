@@ -18,6 +18,7 @@ from rig.run.holds import Disturbances, Holds
 from rig.run.interlock_store import InterlockStore
 from rig.run.interlocks import InterlockWatch
 from rig.run.points import Reading
+from rig.run.press_references import PressReferences
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -57,6 +58,8 @@ class Run:
             bench, self.holds, self._arming.emergency_stop, records, self.event
         )
         """The watch over the bench's interlock contacts."""
+        self.references = PressReferences(None, bench.plan, "")
+        """What earlier runs on this bench have shown of a press."""
         self._waits_s = max(
             (longest_call_s(part.settings) for part in bench.plan.instruments), default=0.0
         )

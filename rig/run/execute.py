@@ -43,6 +43,7 @@ from rig.run.outcome import RunOutcome
 from rig.run.phases import Phases, RunPhase
 from rig.run.point_loop import PointLoop
 from rig.run.points import Point, check_points, require_roles
+from rig.run.press_references import PressReferences
 from rig.run.stopping import StopFlag, StopRequestedError
 from rig.run.time_of_day import jump_in_words
 
@@ -131,6 +132,7 @@ class _Execution:
             self.readings,
             InterlockStore(bench.plan, state_folder() if job.lock is not None else None),
         )
+        self.run.references = PressReferences(job.results, bench.plan, job.sample, job.accept)
         self.phases = Phases()
         self.loop = PointLoop(
             job,

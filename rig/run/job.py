@@ -80,6 +80,8 @@ class RunJob:
     user: str = ""
     sample: str = ""
     notes: str = ""
+    accept: str = ""
+    """Reason for which presses that do not fit earlier runs are accepted; empty for none."""
     resume: JournalContents | None = None
     collection: str | None = None
     """Name of the batch that the run belongs to."""
@@ -202,6 +204,7 @@ class RunJob:
             "user": {"name": self.user},
             "sample": {"name": self.sample},
             "notes": self.notes,
+            **({"accepted": self.accept} if self.accept else {}),
             "calibrations": self.calibrations,
             "instruments": [
                 {

@@ -32,7 +32,7 @@ COMMON_OPTIONS = frozenset(
     {
         *("--bench", "--results", "--seed", "--dry-run", "--json", "--user", "--sample", "--notes"),
         *("--figures", "--no-figures", "--allow-expired", "--stages", "--world", "--fault"),
-        *("--world-log", "--debug", "--help"),
+        *("--world-log", "--debug", "--help", "--accept"),
     }
 )
 """Options that the command of every procedure has."""

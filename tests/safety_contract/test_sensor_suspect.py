@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 
+import h5py
 import pytest
 from tiers import mostly_thorough
 
@@ -134,3 +135,31 @@ def test_a_zero_that_has_moved_while_the_force_was_held_makes_the_trial_invalid(
     assert ended.code == 5, ended.stderr
     assert "the force sensor's zero has moved by" in ended.stderr
     assert "along x" in ended.stderr
+
+
+@pytest.mark.parametrize("procedure", mostly_thorough(["sweep", "slip-trial"], ["sweep"]))
+def test_a_scale_that_has_become_wrong_is_refused_before_the_force_is_held(rig, procedure):
+    usual = run(rig, procedure, 'kind = "wrong-scale"\nfactor = 1.0')
+    assert usual.code == 0, usual.stderr
+    wanted_N = largest_N(rig)
+    rig.world_log.unlink()
+    refused = run(rig, procedure, 'kind = "wrong-scale"\nfactor = 0.1')
+    assert refused.code == 3, refused.stderr
+    assert "earlier runs of this kind" in refused.errors[0]
+    assert "--accept REASON" in refused.errors[0]
+    assert largest_N(rig) < min(4 * wanted_N, PROCEDURES[procedure][2] + 0.5)
+
+
+def test_a_run_that_does_not_fit_is_accepted_with_a_reason_that_the_file_keeps(rig):
+    reads_more = 'kind = "wrong-scale"\nfactor = 4.0'
+    assert run(rig, "sweep", 'kind = "wrong-scale"\nfactor = 1.0').code == 0
+    refused = run(rig, "sweep", reads_more)
+    assert refused.code == 3, refused.stderr
+    accepted = run(rig, "sweep", reads_more, "--accept", "a stiffer clamp")
+    assert accepted.code == 0, accepted.stderr
+    file = rig.folder / accepted.object["file"]
+    with h5py.File(file) as opened:
+        assert opened["entry"].attrs["accepted"] == "a stiffer clamp"
+    assert "accepted: a stiffer clamp" in rig.run("show", str(file), "--no-figures").stdout
+    again = run(rig, "sweep", reads_more)
+    assert again.code == 0, again.stderr

@@ -231,6 +231,8 @@ class RunHeader(Settings):
     user: PersonOrSample = PersonOrSample()
     sample: PersonOrSample = PersonOrSample()
     notes: str = ""
+    accepted: str = ""
+    """Reason for which presses were accepted that do not fit earlier runs; empty for none."""
     instruments: Annotated[tuple[InstrumentRecord, ...], Field(max_length=MOST_PARTS)] = ()
     calibrations: Annotated[tuple[Tree, ...], Field(max_length=MOST_PARTS)] = ()
     streams: Annotated[tuple[Stream, ...], Field(max_length=MOST_PARTS)] = ()
@@ -242,6 +244,8 @@ class RunHeader(Settings):
         plain: dict[str, Any] = serialize(self)
         if self.origin is None:
             del plain["origin"]
+        if not self.accepted:
+            del plain["accepted"]
         return plain
 
     @model_validator(mode="after")

@@ -82,6 +82,8 @@ def write_entry(entry: h5py.Group, contents: JournalContents, table: PointTable)
     _write_parameters(group(entry, "parameters", "NXparameters"), header)
     write_note(entry, "configuration", "application/toml", header.bench_file, header.bench_toml)
     write_note(entry, "journal_header", "application/json", "header.json", to_json(header))
+    if header.accepted:
+        entry.attrs["accepted"] = plain_text(header.accepted)
     if header.notes:
         write_note(entry, "notes", "text/plain", "", header.notes)
     if header.origin is not None:

@@ -1,0 +1,121 @@
+"""A press is compared with earlier runs of its kind on the bench."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from procedures.pressed.contact import ForceZero
+from procedures.pressed.earlier_runs import EarlierPress
+from rig.bench.plan import parse_bench
+from rig.core.errors import ConfigurationError, InstrumentError
+from rig.run.press_references import FILE, PressReferences
+
+BENCH = """
+name = "bench-1"
+[fixture]
+mounted = "plate"
+contact_from_mm = 12.0
+contact_to_mm = 13.0
+[skin]
+name = "{skin}"
+[daq]
+driver = "keysight-u2300a"
+resource = "TCPIP::127.0.0.1::hislip0,1::INSTR"
+channels = {{ strip_1 = 101, strip_2 = 102 }}
+"""
+ZERO = ForceZero(1.0, -0.5, 1.8)
+WAY_mm, STIFFNESS_N_mm = 0.033, 142.0
+
+
+class Run:
+    """A run that knows its references, and notes what is said."""
+
+    def __init__(self, folder: Path, skin: str = "skin 1", accept: str = ""):
+        plan = parse_bench(BENCH.format(skin=skin), "bench.toml")
+        self.references = PressReferences(folder, plan, "", accept)
+        self.bench = SimpleNamespace(stage_z=SimpleNamespace(stop=lambda: None))
+        self.said: list[tuple[str, str]] = []
+
+    def event(self, level: str, code: str, message: str) -> None:
+        self.said.append((level, message))
+
+    def press(
+        self,
+        way_mm: float = WAY_mm,
+        stiffness_N_mm: float = STIFFNESS_N_mm,
+        zero: ForceZero = ZERO,
+        force_N: float = 4.0,
+    ) -> None:
+        earlier = EarlierPress(self, force_N, "glass plate")  # type: ignore[arg-type]
+        earlier.refuse_way(way_mm, 0.9 * force_N)
+        earlier.judge(way_mm, stiffness_N_mm, zero)
+
+
+def test_a_first_run_says_once_that_it_has_nothing_to_compare_with(tmp_path: Path) -> None:
+    first, second = Run(tmp_path), Run(tmp_path)
+    first.press()
+    first.press(way_mm=1.2 * WAY_mm, stiffness_N_mm=1.3 * STIFFNESS_N_mm)
+    second.press()
+    ((level, said),) = first.said
+    assert level == "info"
+    assert "there was nothing to compare it with" in said
+    assert second.said == []
+
+
+@pytest.mark.parametrize("ratio", [1 / 3, 3.0])
+def test_another_stiffness_is_refused_beyond_its_factor(tmp_path: Path, ratio: float) -> None:
+    Run(tmp_path).press()
+    with pytest.raises(InstrumentError, match="had 142 N/mm") as caught:
+        Run(tmp_path).press(stiffness_N_mm=ratio * STIFFNESS_N_mm)
+    assert "make one run of this kind with --accept REASON" in str(caught.value.hint)
+
+
+def test_what_fits_badly_is_a_warning(tmp_path: Path) -> None:
+    Run(tmp_path).press()
+    run = Run(tmp_path)
+    run.press(stiffness_N_mm=1.8 * STIFFNESS_N_mm, zero=ForceZero(1.0, 1.0, 1.8))
+    ((level, said),) = run.said
+    assert level == "warning"
+    assert "had 142 N/mm" in said
+    assert "the force sensor's zero differs by 1.5 N" in said
+
+
+@pytest.mark.parametrize(("way_mm", "force_N"), [(0.045, 1.2), (0.11, 3.0)])
+def test_a_way_without_its_force_is_refused_while_z_goes(
+    tmp_path: Path, way_mm: float, force_N: float
+) -> None:
+    Run(tmp_path).press()
+    earlier = EarlierPress(Run(tmp_path), 4.0, "glass plate")  # type: ignore[arg-type]
+    earlier.refuse_way(0.04, 0.5)
+    earlier.refuse_way(0.09, 2.0)
+    with pytest.raises(InstrumentError, match=r"had 4 N after 0\.033 mm"):
+        earlier.refuse_way(way_mm, force_N)
+
+
+def test_another_kind_of_run_is_not_compared(tmp_path: Path) -> None:
+    Run(tmp_path).press()
+    Run(tmp_path, skin="skin 2").press(stiffness_N_mm=10 * STIFFNESS_N_mm)
+    Run(tmp_path).press(stiffness_N_mm=10 * STIFFNESS_N_mm, force_N=8.0)
+
+
+def test_an_accepted_run_becomes_the_reference_with_its_reason(tmp_path: Path) -> None:
+    Run(tmp_path).press()
+    accepted = Run(tmp_path, accept="a softer pad")
+    accepted.press(way_mm=0.2, stiffness_N_mm=20.0)
+    accepted.press(way_mm=0.2, stiffness_N_mm=21.0)
+    ((_, said),) = accepted.said
+    assert "accepted: a softer pad" in said
+    Run(tmp_path).press(way_mm=0.2, stiffness_N_mm=20.0)
+    with pytest.raises(InstrumentError):
+        Run(tmp_path).press()
+    assert "a softer pad" in (tmp_path / FILE).read_text()
+
+
+def test_a_file_that_cannot_be_read_is_reported_with_the_way_out(tmp_path: Path) -> None:
+    (tmp_path / FILE).write_text("{")
+    with pytest.raises(ConfigurationError, match="cannot be read") as caught:
+        Run(tmp_path).press()
+    assert "remove it" in str(caught.value.hint)
