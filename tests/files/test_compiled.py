@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -41,10 +42,18 @@ def file(journal: Path) -> Path:
     return compile_run(journal)
 
 
+@pytest.fixture(scope="module")
+def retired(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run file whose journal is gone."""
+    return compile_run(run.write_run(tmp_path_factory.mktemp("own") / "own.rigj"), retire=True)
+
+
 @pytest.fixture
-def own_file(tmp_path: Path) -> Path:
+def own_file(retired: Path, tmp_path: Path) -> Path:
     """A run file to be damaged, its journal gone."""
-    file = compile_run(run.write_run(tmp_path / "own.rigj"), retire=True)
+    for path in retired.parent.iterdir():
+        shutil.copy(path, tmp_path)
+    file = tmp_path / retired.name
     file.chmod(0o644)
     return file
 
