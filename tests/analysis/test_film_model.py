@@ -82,6 +82,7 @@ def test_a_fit_comes_back_to_where_the_points_came_from(model):
     assert fit.probability > 1e-3
 
 
+@pytest.mark.thorough
 def test_the_stated_covariance_is_the_scatter_of_the_fit():
     model = MODELS[0]
     found = [fit_film(curve(model, seed), model) for seed in range(150)]

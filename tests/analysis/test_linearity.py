@@ -44,6 +44,7 @@ def test_a_gain_that_grows_with_load_is_found_and_measured():
     assert 0.1 < found.worst_deviation_dB < 0.6
 
 
+@pytest.mark.thorough
 def test_intervals_of_the_slope_cover_zero_in_95_percent():
     covered = sum(load_linearity(*data2(seed=seed)).slope.covers(0.0) for seed in range(200))
     assert 183 <= covered <= 197

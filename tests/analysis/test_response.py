@@ -35,6 +35,7 @@ def measured(random, noise_V=2e-3, noise_N=0.02, load=LOAD):
     return complex_response(fit_sine(voltage, RATE, FREQUENCY), fit_sine(force, RATE, FREQUENCY))
 
 
+@pytest.mark.thorough
 def test_stated_errors_of_gain_and_phase_are_their_scatter():
     random = np.random.default_rng(11)
     responses = [measured(random) for _ in range(1500)]

@@ -39,6 +39,7 @@ def relative_to_bound(found, phasor, sigma):
     return math.sqrt(np.mean(errors**2)) / cramer_rao_amplitude(sigma, found[0].n)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("frequency", [53.0, 4000.0])
 def test_phasor_is_unbiased_and_its_covariance_is_its_scatter(frequency):
     n = record_length(frequency, RATE, 0.05, interference=mains_lines(), maximum_duration=1.0)

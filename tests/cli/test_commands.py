@@ -167,6 +167,7 @@ def test_a_dry_run_writes_nothing_and_tells_the_true_duration(rig: Any) -> None:
         assert float(foretold) == pytest.approx(told["duration_s"], rel=0.25)
 
 
+@pytest.mark.thorough
 def test_a_dry_run_under_a_bench_file_keeps_that_benchs_limits(rig: Any) -> None:
     """The bench itself is not there, and a rehearsal does not miss it."""
     (rig.folder / "bench.toml").write_text(

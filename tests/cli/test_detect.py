@@ -56,6 +56,7 @@ def test_one_line_a_file_says_what_was_found(rig: Any, runs: list[str]) -> None:
     assert again.stdout == done.stdout.replace("Saved ", "Saved before as ")
 
 
+@pytest.mark.thorough
 def test_the_default_detector_is_paper_hp_and_the_help_says_why(rig: Any, runs: list[str]) -> None:
     default = rig.run("detect", runs[0])
     assert default.code == 0, default.stderr

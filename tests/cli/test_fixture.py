@@ -94,6 +94,7 @@ port = "/dev/ttyUSB0"
 """
 
 
+@pytest.mark.thorough
 def test_a_procedure_works_on_a_fixture_that_is_mounted_beside_another(rig: Any) -> None:
     (rig.folder / "both.toml").write_text(BOTH)
     swept = rig.run("sweep", "--frequencies", "200", "--dry-run", "--json", "--bench", "both.toml")

@@ -137,6 +137,7 @@ def test_options_change_the_population_as_a_file_does(population):
     assert PopulationSettings.model_validate_json(default) == PopulationSettings()
 
 
+@pytest.mark.thorough
 def test_trials_are_scored_the_same_by_one_process_and_by_two(tmp_path, population):
     given = ("--seeds", "1000000:1000003", "--population", population, "--baselines",
              "--detector", "paper-hp")  # fmt: skip

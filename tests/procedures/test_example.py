@@ -87,6 +87,7 @@ def test_a_batch_of_it_is_planned(creep: Any) -> None:
     assert "normal_force_N=4 hold_s=2" in runs[-1]
 
 
+@pytest.mark.thorough
 def test_a_hold_too_short_to_be_judged_is_refused_before_anything_moves(creep: Any) -> None:
     refused = creep.run(*arguments(creep, "--hold", "50ms"))
     assert refused.code == 2, refused.stderr

@@ -208,6 +208,7 @@ def test_a_run_that_gets_no_thread_is_refused_before_anything_is_switched_on(rig
     assert moves == []
 
 
+@pytest.mark.thorough
 def test_a_procedure_that_hangs_in_the_slide_starves_its_drives(rig, serve):
     """Its process lives, and so do the threads that talk to the drives: they fall silent all the
     same, and the drives stop by themselves before the guard ends the run."""

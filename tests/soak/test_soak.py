@@ -21,8 +21,8 @@ from .running import run
 from .trials import Trial, draw, shrunk
 
 TRIALS = 33
-SEEDS_BY_DEFAULT = (6, 31)
-"""A sweep with three faults and a slip trial."""
+SEED_BY_DEFAULT = 6
+"""A sweep with three faults."""
 SLIP_SHARE, ROLL_SHARE = 0.06, 0.04
 """They take three times as long as a short sweep; the benchmark makes more of them."""
 
@@ -33,7 +33,7 @@ def failing(folder: Path) -> Callable[[Trial], bool]:
     return lambda trial: bool(breaches(run(server(), trial, folder / f"shrunk-{next(numbers)}")))
 
 
-@pytest.mark.parametrize("seed", mostly_thorough(range(TRIALS), SEEDS_BY_DEFAULT))
+@pytest.mark.parametrize("seed", mostly_thorough(range(TRIALS), [SEED_BY_DEFAULT]))
 def test_whatever_goes_wrong_the_invariants_hold(seed: int, tmp_path: Path) -> None:
     trial = draw(seed, SLIP_SHARE, ROLL_SHARE)
     ran = run(server(), trial, tmp_path / "trial")

@@ -90,6 +90,7 @@ def test_pure_rolling_drags_the_skin_little(x0):
     assert np.abs(force[:, 0]).max() < 0.06 * force[:, 2].max()
 
 
+@pytest.mark.thorough
 def test_an_offset_axis_shears_and_x_can_take_it_back():
     turn, head = rolled(3.5), {**ROLLER, "axis_offset_mm": 2.0}
     sheared = Rolled(head, pressed(0.1), still(-5.0), turn).run(0.8).force(0.75)[0]

@@ -209,6 +209,7 @@ def test_both_stages_are_kept_alive_guarded_and_made_safe(started: Started) -> N
     assert (reach["stage_x.position"].high, reach["stage_z.position"].high) == (40.0, 14.0)
 
 
+@pytest.mark.thorough
 def test_a_contact_without_a_solution_ends_the_run_and_lets_it_make_the_bench_safe(
     tmp_path: Path,
 ) -> None:
