@@ -22,7 +22,7 @@ class _Disturbance:
     end_s: float
     channel: int
     added: Reals | None
-    """Return the sum of the wrong values, (channels,)."""
+    """Addition to the values by a wrong value, (channels,)."""
 
 
 class DisturbedConverter:
