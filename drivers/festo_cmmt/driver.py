@@ -60,6 +60,7 @@ from drivers.shared.stage import (
     MotionWatch,
     StageInterlock,
     Ticket,
+    TravelBound,
     prepared,
     stop_and_close,
 )
@@ -144,8 +145,15 @@ class FestoAxis:
         """The fault that has been raised already; `keep_alive` does not raise it again."""
         self._seen = Inputs()
         self._seen_at_s = -1.0
+        self._asked_at_s = -1.0
         self._motion: MotionWatch | None = None
         """The task under way; None if there is none. Another thread's stop clears it."""
+        self._travel = TravelBound(
+            "mm",
+            settings.max_speed_mm_s,
+            settings.low_limit_mm,
+            settings.high_limit_mm,
+        )
         self._acknowledged = False
         """True if the drive has shown that it has taken that task."""
 
@@ -175,6 +183,7 @@ class FestoAxis:
         """Find the reference by the method in the drive's parameters, and wait for it."""
         ticket = self._interlock.ticket()
         self._take_charge(ticket)
+        self._travel.forget()
         self._halt()  # homing begins with a rising bit: it must have been low
         ticket = ticket.after_own_stop()
         was_homed = Zsw1.HOMED in self._seen.zsw1
@@ -198,6 +207,7 @@ class FestoAxis:
             ARRIVAL_POLL_S,
         )
         self._end_motion(ticket, "home")
+        self._travel.forget()
 
     def position_mm(self) -> float:
         """Return the measured position."""
@@ -528,6 +538,7 @@ class FestoAxis:
         self._link.write(OUTPUT_IMAGE, self._stopping().registers(), charge)
 
     def _read(self, charge: bool = True) -> Inputs:
+        self._asked_at_s = self._clock.now()
         registers = self._link.read(INPUT_IMAGE, IMAGE_REGISTERS, charge)
         self._seen = Inputs.from_registers(registers)
         self._seen_at_s = self._clock.now()
@@ -567,6 +578,9 @@ class FestoAxis:
             self._reported_fault = seen.fault
             raise self._fault(seen)
         motion = self._motion  # another thread may stop the axis
+        wrong = self._travel.judge(
+            self._mm(seen.position), self._asked_at_s, self._clock.now(), motion
+        )
         if motion is None:
             return
         if Zsw1.OPERATION_ENABLED not in seen.zsw1:
@@ -577,8 +591,8 @@ class FestoAxis:
             raise self._error("move", "the axis has lost its reference", "home it again")
         if _taken(seen) and PosZsw2.FIXED_STOP_REACHED in seen.pos_zsw2:
             self._end_at_fixed_stop(seen, motion)
-        if motion.has_passed(self._mm(seen.position)):
-            self._end_past_target(seen, motion)
+        if wrong is not None:
+            self._end_wrong_motion(wrong)
 
     def _require_task(self, seen: Inputs) -> None:
         """Require that the task under way is still in force: a new target must not override a stop
@@ -606,16 +620,13 @@ class FestoAxis:
             "something is in the way; if it belongs there, raise torque_limit_percent",
         )
 
-    def _end_past_target(self, seen: Inputs, motion: MotionWatch) -> None:
-        """Stop the axis and raise, because it has not stopped at its target."""
-        with contextlib.suppress(InstrumentError):  # the overtravel is what has to be reported
+    def _end_wrong_motion(self, wrong: str) -> None:
+        """The axis is not where it can be: stop it, then raise."""
+        with contextlib.suppress(InstrumentError):  # `wrong` is what has to be reported
             self._send_stop()
         self._motion = None
         raise self._error(
-            "move",
-            f"ran past its target: it is at {self._mm(seen.position):g} mm on the way to "
-            f"{motion.target:g} mm",
-            "check the encoder and the drive's settings before it moves again",
+            "move", wrong, "look at the encoder and at the drive's settings before it moves again"
         )
 
     def _mm(self, counts: int) -> float:

@@ -57,6 +57,7 @@ from drivers.shared.stage import (
     StageInterlock,
     StageState,
     Ticket,
+    TravelBound,
     prepared,
     stop_and_close,
 )
@@ -186,6 +187,12 @@ class AzAxis:
         self._state_at_s = -1.0
         self._motion: MotionWatch | None = None
         """The motion under way; None if there is none. Another thread's stop clears it."""
+        self._travel = TravelBound(
+            "mm",
+            settings.max_speed_mm_s,
+            settings.low_limit_mm,
+            settings.high_limit_mm,
+        )
         self._position = AzPosition(0, 0)
         self._position_at_s = -1.0
         self._abspen_seen = -1
@@ -222,6 +229,7 @@ class AzAxis:
         self._halt()
         ticket = ticket.after_own_stop()
         self._abspen_seen = -1
+        self._travel.forget()
         was_homed = bool(self._internal() & AzInternalOutput.ABSPEN)
         self._send(INPUT_COMMAND, halves(AzInput.HOME), ticket, "home")
         self._await(
@@ -245,6 +253,7 @@ class AzAxis:
             ARRIVAL_POLL_S,
         )
         self._end_motion(ticket, "home")
+        self._travel.forget()
 
     def position_mm(self) -> float:
         """Return the measured position."""
@@ -585,12 +594,16 @@ class AzAxis:
 
     def _read_position(self) -> AzPosition:
         """Read where the axis is; one that is held back, or runs past its target, raises."""
+        asked_s = self._clock.now()
         words = self._link.read(COMMAND_POSITION, POSITION_REGISTERS[self._next_turn()])
         position = AzPosition(signed(words[0] << 16 | words[1]), signed(words[6] << 16 | words[7]))
         self._position, self._position_at_s = position, self._clock.now()
-        motion = self._motion  # another thread may stop the axis
-        if self._in_charge and motion is not None:
-            self._require_way(position, motion)
+        motion = self._motion if self._in_charge else None  # another thread may stop the axis
+        wrong = self._travel.judge(
+            self._mm(position.feedback), asked_s, self._position_at_s, motion
+        )
+        if motion is not None:
+            self._require_way(position, motion, wrong)
         return position
 
     def _await(
@@ -625,8 +638,9 @@ class AzAxis:
             self._motion = None
             raise self._error("move", _STOPPED_BY_OTHERS, _LOOK)
 
-    def _require_way(self, position: AzPosition, motion: MotionWatch) -> None:
-        """Require that nothing holds the axis back and that it has not run past its target."""
+    def _require_way(self, position: AzPosition, motion: MotionWatch, wrong: str | None) -> None:
+        """Require that nothing holds the axis back and that it is where it can be: `wrong` is what
+        the bound on its travel says."""
         here_mm = self._mm(position.feedback)
         lag_mm = self._mm(position.command - position.feedback)
         if abs(lag_mm) > self._settings.following_limit_mm:
@@ -636,10 +650,9 @@ class AzAxis:
                 "current",
                 "something is in the way; if it belongs there, raise torque_limit_percent",
             )
-        if motion.has_passed(here_mm):
+        if wrong is not None:
             self._abort(
-                f"ran past its target: it is at {here_mm:g} mm on the way to {motion.target:g} mm",
-                "check the sensor and the drive's settings before it moves again",
+                wrong, "look at the sensor and at the drive's settings before it moves again"
             )
 
     def _abort(self, cause: str, hint: str) -> None:

@@ -242,6 +242,111 @@ class MotionWatch:
         return (position - self.target) * self.direction > self.overtravel
 
 
+BEYOND = 0.1
+"""How far an axis may be seen beyond where it can be, in mm or deg: the resolution of encoders and
+the time between a position and its answer."""
+STANDS_S = 0.8
+"""How long an axis with a motion under way may stand before its target: much longer than a drive
+takes to begin."""
+STANDS_WITHIN = 0.01
+"""So near to its target an axis may stand, in mm or deg: the window in which drives count as
+arrived."""
+LEAST_WAY = 0.0005
+"""Way that is not yet a motion, in mm or deg: noise of an encoder."""
+
+
+class TravelBound:
+    """Where an axis can be, from its highest speed, its limits and the motion that was ordered.
+
+    A drive whose answers are sound in form may still be wrong: the axis does not act on what it
+    acknowledges, its position stands still or leaps, or it goes farther than ordered. `judge` is
+    given every position that a driver reads and returns what cannot be. Lengths are in the axis's
+    `unit`. Positions are compared only while a motion is under way: at rest another client, or a
+    hand, may move the axis.
+    """
+
+    def __init__(self, unit: str, highest_speed: float, low: float, high: float):
+        self._unit, self._highest_speed = unit, highest_speed
+        self._low, self._high = low, high
+        self._latest: tuple[float, float] | None = None
+        """The latest position, and when it was asked for."""
+        self._stands: tuple[float, float] | None = None
+        """Where the axis stands although a motion is under way, and since when it has been seen
+        there."""
+
+    def forget(self) -> None:
+        """Compare nothing with earlier positions: the reference changes."""
+        self._latest = self._stands = None
+
+    def judge(
+        self, position: float, asked_s: float, now_s: float, motion: MotionWatch | None
+    ) -> str | None:
+        """Return what is wrong with a position, as the cause of an error; None where nothing is.
+
+        `asked_s` and `now_s` are the bench times before the question and after the answer; `motion`
+        is the motion under way, None at rest.
+        """
+        before, self._latest = self._latest, (position, asked_s)
+        if motion is None:
+            self._stands = None
+            return None
+        if motion.has_passed(position):
+            return (
+                f"ran past its target: it is at {self._show(position)} on the way to "
+                f"{self._show(motion.target)}"
+            )
+        return self._leap(position, now_s, before) or self._standstill(
+            position, asked_s, now_s, motion
+        )
+
+    def _leap(
+        self, position: float, now_s: float, before: tuple[float, float] | None
+    ) -> str | None:
+        """Return the cause where the position cannot have been reached since the one before, or
+        has left the limits."""
+        if before is None:
+            return None
+        was, was_s = before
+        reach = self._highest_speed * (now_s - was_s) + BEYOND
+        if abs(position - was) > reach:
+            return (
+                f"reads {self._show(position)}, {1e3 * (now_s - was_s):.0f} ms after "
+                f"{self._show(was)}: at its highest speed of {self._highest_speed:g} "
+                f"{self._unit}/s it cannot have gone farther than {self._show(reach)}"
+            )
+        if self._inside(was) and not self._inside(position):
+            return (
+                f"has left its limits of {self._low:g} to {self._high:g} {self._unit}: it is at "
+                f"{self._show(position)}"
+            )
+        return None
+
+    def _standstill(
+        self, position: float, asked_s: float, now_s: float, motion: MotionWatch
+    ) -> str | None:
+        """Return the cause where the axis has stood before its target for too long."""
+        if abs(position - motion.target) <= STANDS_WITHIN:
+            self._stands = None
+            return None
+        if self._stands is None or abs(position - self._stands[0]) > LEAST_WAY:
+            self._stands = position, now_s
+            return None
+        stands_s = asked_s - self._stands[1]
+        if stands_s < STANDS_S:
+            return None
+        self._stands = None
+        return (
+            f"does not do what its drive acknowledges: it has stood at {self._show(position)} for "
+            f"{stands_s:.1f} s on the way to {self._show(motion.target)}"
+        )
+
+    def _inside(self, position: float) -> bool:
+        return self._low - BEYOND <= position <= self._high + BEYOND
+
+    def _show(self, length: float) -> str:
+        return f"{length:.7g} {self._unit}"
+
+
 class ConnectingStage(Protocol):
     """A stage whose `prepare` identifies it, sets its limits and stops what moves."""
 

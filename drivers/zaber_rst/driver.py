@@ -34,6 +34,7 @@ from drivers.shared.stage import (
     MotionWatch,
     StageInterlock,
     Ticket,
+    TravelBound,
     prepared,
     stop_and_close,
 )
@@ -104,6 +105,13 @@ class ZaberAxis:
         self._disturbed = ""
         """The flag that keeps it from turning until it is homed."""
         self._closed = False
+        self._travel = TravelBound(
+            "deg",
+            settings.max_speed_deg_s,
+            settings.low_limit_deg,
+            settings.high_limit_deg,
+        )
+        self._asked_at_s = -math.inf
         self._seen_deg = 0.0
         self._seen_busy = False
         self._seen_at_s = -math.inf
@@ -149,6 +157,7 @@ class ZaberAxis:
         ticket = ticket.after_own_stop()
         self._move("warnings clear", ticket, "home")
         self._referenced, self._disturbed = False, ""
+        self._travel.forget()
         self._move("home", ticket, "home")
         give_up = self._clock.now() + self._settings.homing_timeout_s
         while self._poll():
@@ -164,6 +173,7 @@ class ZaberAxis:
         if left := self._doubts():
             raise self._flagged("home", left)
         self._referenced = True
+        self._travel.forget()
 
     def angle_deg(self) -> float:
         """Return the angle by the encoder; without one, the angle that the stage has counted."""
@@ -422,20 +432,21 @@ class ZaberAxis:
         if self._disturbed and not known:
             raise self._flagged("status", self._disturbed)
         motion = self._motion  # another thread may stop the stage
-        if motion is not None and motion.has_passed(self._seen_deg):
-            with contextlib.suppress(InstrumentError):  # the overtravel is what has to be reported
+        wrong = self._travel.judge(self._seen_deg, self._asked_at_s, self._seen_at_s, motion)
+        if wrong is not None:
+            with contextlib.suppress(InstrumentError):  # `wrong` is what has to be reported
                 self._command("stop")
             self._motion = None
             raise self._error(
                 "turn",
-                f"ran past its target: it is at {self._seen_deg:.4f} deg on the way to "
-                f"{motion.target:.4f} deg",
-                "check the encoder and the stage's settings before it turns again",
+                wrong,
+                "look at the encoder and at the stage's settings before it turns again",
             )
         return busy
 
     def _read(self) -> bool:
-        """Return the angle, status and flag in one exchange; whether the stage is busy."""
+        """Angle, status and flag in one exchange; whether the stage is busy."""
+        self._asked_at_s = self._clock.now()
         reply = self._command(f"get {self._position}")
         microsteps = self._as_number(f"get {self._position}", reply.data)
         self._seen_deg = microsteps * self._settings.microstep_deg

@@ -291,7 +291,8 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
     Where a watcher stops z on the way, the reason is recorded and the way continues, once. So does
     it where the drive has stopped by its own communication time-out: that fault is acknowledged
     over a new connection; UnsafeError where z cannot be moved even then. A drive that has another
-    fault or has lost its place stands where it is, and the run has failed (exit 3). What the stop
+    fault, has lost its place or does not act stands where it is, and the run has failed (exit 3;
+    UnsafeError where the force is over the limit that was watched). What the stop
     itself raises is raised: then the bench is not safe. A force that remains afterwards fails the
     run; UnsafeError where it is over the limit that was watched.
     """
@@ -322,14 +323,15 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
         if timed_out:
             raise _still_pressed(run, pressed, error) from error
         stage.stop()  # one answer lost on the way does not stop it
-        run.fail(
-            InstrumentError(
-                "stage_z",
-                "unload",
-                f"the stage stands and the {pressed} may still be pressed: {error.one_line()}",
-                "check the stage; then start again, or move it away by hand",
-            )
+        force_N = run.force_from_now_N(SETTLED_S)
+        what = (
+            f"the stage stands and the {pressed} may still be pressed: {error.one_line()}; "
+            f"{_read_by_the_sensor(force_N)}"
         )
+        hint = "check the stage; then start again, or move it away by hand"
+        if force_N is not None and force_N > run.force.limit_N:
+            raise UnsafeError(f"stage_z: unload: {what}, over the limit", hint) from error
+        run.fail(InstrumentError("stage_z", "unload", what, hint))
         return
     _judge_what_remains(run, pressed, stands_mm)
 
@@ -340,15 +342,19 @@ def _still_pressed(run: Run, pressed: str, error: InstrumentError) -> UnsafeErro
     where = ""
     with contextlib.suppress(InstrumentError):
         where = f" at {run.bench.stage_z.position_mm():.3f} mm"
-    force_N = run.force_from_now_N(SETTLED_S)
-    how_hard = (
-        "the force is not known" if force_N is None else f"force_sensor reads {force_N:.3g} N"
-    )
+    how_hard = _read_by_the_sensor(run.force_from_now_N(SETTLED_S))
     return UnsafeError(
         f"stage_z: unload: it stopped by its own communication time-out and stands{where}, the "
         f"{pressed} may still be pressed, {how_hard}: {error.one_line()}",
         "move the stage away by hand; then run: rig make-safe",
     )
+
+
+def _read_by_the_sensor(force_N: float | None) -> str:
+    """Return in words what the force sensor reads."""
+    if force_N is None:
+        return "the force is not known"
+    return f"force_sensor reads {force_N:.3g} N"
 
 
 def _go_clear(run: Run, came_from_mm: float) -> None:

@@ -165,9 +165,23 @@ class RefusedConnections(Settings):
 class AxisFault(Placed):
     """A fault of an axis that needs no further settings."""
 
-    kind: Literal["stuck", "runaway", "limit-switch", "reference-lost"]
-    """No force moves the carriage any more; it runs past its target until it is stopped; the limit
-    switch that it moves towards closes; the drive forgets where it is."""
+    kind: Literal["stuck", "idle", "runaway", "limit-switch", "reference-lost"]
+    """No force moves the carriage any more; the drive acknowledges motions and moves nothing; it
+    runs past its target until it is stopped; the limit switch that it moves towards closes; the
+    drive forgets where it is."""
+
+
+class StaleStatus(Placed):
+    """The drive obeys, and what it shows of its state and position stays what it was."""
+
+    kind: Literal["stale-status"]
+
+
+class WrongPosition(Placed):
+    """The drive shows a position that is off, from then on; where it moves to is not affected."""
+
+    kind: Literal["wrong-position"]
+    by_mm: float = Field(default=2.0, ge=-1000, le=1000)
 
 
 class DriveFault(Placed):
@@ -317,7 +331,7 @@ class SlowSync(Settings):
 
 # --- the plan ---------------------------------------------------------------------------------
 
-MoveFault = AxisFault | DriveFault | SlowAxis
+MoveFault = AxisFault | DriveFault | SlowAxis | StaleStatus | WrongPosition
 RotaryFault = AxisFault | SlowAxis | RaisedFlag | TurnedKnob
 ConverterFault = SensorFault | StuckSensorAxis | WrongValue | EarlierFrames
 """A fault in the force sensor's amplifier, which its simulator carries out."""
@@ -338,7 +352,7 @@ DEVICES_BY_FAULT: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(
         ("slow", *get_args(AxisFault.model_fields["kind"].annotation)), (*STAGES, ROTARY)
     ),
-    "drive-fault": STAGES,
+    **dict.fromkeys(("drive-fault", "stale-status", "wrong-position"), STAGES),
     **dict.fromkeys(("warning-flag", "knob"), (ROTARY,)),
     **dict.fromkeys(("spike", "saturated", "frozen"), (FORCE_SENSOR,)),
     **dict.fromkeys(("dead-noisy", "one-axis-stuck", "drift"), (FORCE_SENSOR,)),

@@ -138,6 +138,8 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         self._fixed_stop = False
         self._jogging = 0
         """Direction of jogging: 1, -1, or 0 for none."""
+        self._frozen_inputs: list[int] | None = None
+        """The input image that it shows whatever happens."""
         self._timeout_ms = 0
         self._fed_us = port.now_us
         self._mailbox = [0] * MAILBOX_WORDS
@@ -163,7 +165,7 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
         """Return images, time-out or mailbox; one block at a time."""
         self._feed()
         if _within(address, count, INPUTS, IMAGE_WORDS):
-            return self._inputs()[address - INPUTS :][:count]
+            return (self._frozen_inputs or self._inputs())[address - INPUTS :][:count]
         for start, block in (
             (OUTPUTS, self._image.words),
             (TIMEOUT, (self._timeout_ms, 0)),
@@ -209,6 +211,9 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
             return None
         deadline = self._fed_us + 1000 * self._timeout_ms
         return (deadline, self._expire) if deadline < now_us else None
+
+    def _freeze_status(self) -> None:
+        self._frozen_inputs = self._inputs()
 
     def _expire(self, t_us: int) -> None:
         if not self.fault:  # the axis may have met something just before
@@ -435,7 +440,8 @@ class CmmtDrive(SimulatedDrive[MoveFault]):
     def _inputs(self) -> list[int]:
         now = self._port.now_us
         position, velocity = self.axis.position(now), self.axis.velocity(now)
-        counts = round((position - self._zero_mm) / self.settings.position_unit_mm)
+        shown = position - self._zero_mm + self._shows_off_mm
+        counts = round(shown / self.settings.position_unit_mm)
         speed = round(velocity / NOMINAL_SPEED_mm_s * 0x40000000)
         words = [
             self._zsw1(now, position, velocity),

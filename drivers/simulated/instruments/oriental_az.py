@@ -126,6 +126,8 @@ class AzDrive(SimulatedDrive[MoveFault]):
         self._zero_mm = -settings.unhomed_offset_mm
         self._target_mm: float | None = None
         self._home_end = False
+        self._frozen: dict[int, int] = {}
+        """Values that it shows whatever happens, by upper register."""
         self._heard_us = port.now_us
 
     # --- the line's side ----------------------------------------------------------------------
@@ -179,6 +181,10 @@ class AzDrive(SimulatedDrive[MoveFault]):
             return None
         deadline = self._heard_us + 1000 * self._values[LINE_TIMEOUT_ms]
         return (deadline, self._expire) if deadline < now_us else None
+
+    def _freeze_status(self) -> None:
+        now_us = self._port.now_us
+        self._frozen = {pair: shown(self, now_us) for pair, shown in _SHOWN.items()}
 
     def _expire(self, t_us: int) -> None:
         self._fail(LINE_TIMEOUT, t_us)
@@ -344,7 +350,9 @@ class AzDrive(SimulatedDrive[MoveFault]):
     def _register(self, address: int) -> int:
         pair = address & ~1
         shown = _SHOWN.get(pair)
-        if shown is not None:
+        if pair in self._frozen:
+            value = self._frozen[pair]
+        elif shown is not None:
             value = shown(self, self._port.now_us)
         elif pair in self._values:
             value = self._values[pair]
@@ -402,11 +410,13 @@ _SHOWN: dict[int, Callable[[AzDrive, int], int]] = {
     OUTPUT_STATUS: AzDrive._status,
     PRESENT_ALARM: lambda drive, now: drive.alarm,
     COMMAND_POSITION: lambda drive, now: drive._steps(
-        drive.axis.position(now) + drive.axis.following_error(now)
+        drive.axis.position(now) + drive.axis.following_error(now) + drive._shows_off_mm
     ),
     0xC8: lambda drive, now: 0,  # command speed; not simulated
     0xCA: lambda drive, now: 0,
-    FEEDBACK_POSITION: lambda drive, now: drive._steps(drive.axis.position(now)),
+    FEEDBACK_POSITION: lambda drive, now: drive._steps(
+        drive.axis.position(now) + drive._shows_off_mm
+    ),
     FEEDBACK_RPM: lambda drive, now: round(drive.axis.velocity(now) * 60 / drive.settings.lead_mm),
     FEEDBACK_Hz: lambda drive, now: round(drive.axis.velocity(now) * drive.settings.steps_per_mm),
     REMAINING_DWELL: lambda drive, now: 0,

@@ -277,6 +277,8 @@ class SimulatedAxis:
         """The only other axis that moves the load, where there is one."""
         self.jammed = False
         """A fault: the carriage cannot be moved by any force."""
+        self.idle = False
+        """A fault: moves are taken and nothing moves, not even the setpoint."""
         self._load = load
         self._setpoint = MotionPath(mechanics.start_mm)
         self._carriage = MotionPath(mechanics.start_mm)
@@ -310,6 +312,8 @@ class SimulatedAxis:
         """Go to a position, also out of a motion under way. Raises ValueError for a speed of 0."""
         if not command.speed_mm_s > 0:
             raise ValueError(f"cannot move at {command.speed_mm_s} mm/s")
+        if self.idle:
+            return
         self.settle(now_us)
         position, velocity = self._setpoint.at(now_us * 1e-6)
         self._command = command

@@ -16,7 +16,13 @@ from typing import Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from drivers.simulated.faults.plan import MoveFault, RotaryFault, SlowAxis
+from drivers.simulated.faults.plan import (
+    MoveFault,
+    RotaryFault,
+    SlowAxis,
+    StaleStatus,
+    WrongPosition,
+)
 from drivers.simulated.ports import DrivePort
 from drivers.simulated.world.axis import Load, Mechanics, SimulatedAxis
 from drivers.simulated.world.schedule import Schedule
@@ -47,6 +53,8 @@ class SimulatedDrive(ABC, Generic[F]):
         """True if a motion has begun whose end has not been seen."""
         self._speed_share = 1.0
         """The share of a commanded speed that the axis reaches."""
+        self._shows_off_mm = 0.0
+        """By how much the position that it shows is off."""
         self._runs_to_mm: float | None = None
         """Position to which a runaway moves instead of its target, until it is stopped."""
         self._schedule = Schedule(faults)
@@ -99,6 +107,10 @@ class SimulatedDrive(ABC, Generic[F]):
     def _apply_own_fault(self, fault: F, t_us: int, velocity_mm_s: float) -> None:
         """Apply a fault of the drive itself: its number, a limit switch, a lost reference."""
 
+    def _freeze_status(self) -> None:
+        """From now on the drive shows the state and the position that it has now."""
+        raise NotImplementedError(f"{self._drive_name} shows no status of its own")
+
     def _own_due(self, now_us: int) -> Due | None:
         """Return further events that are due by now, such as a communication time-out."""
         return None
@@ -123,8 +135,16 @@ class SimulatedDrive(ABC, Generic[F]):
             if command is not None:
                 slower = replace(command, speed_mm_s=command.speed_mm_s * fault.share)
                 self.axis.move(t_us, slower)
+        elif isinstance(fault, WrongPosition):
+            self._shows_off_mm = fault.by_mm
+        elif isinstance(fault, StaleStatus):
+            self._freeze_status()
         elif fault.kind == "stuck":
             self.axis.jammed = True
+        elif fault.kind == "idle":
+            if command is not None:
+                self.axis.stop(t_us, command.deceleration_mm_s2)
+            self.axis.idle = True
         elif fault.kind == "runaway":
             if command is not None:
                 self._runs_to_mm = math.copysign(FARTHER_THAN_ANY_SWITCH_mm, velocity)

@@ -1,0 +1,48 @@
+"""A stage whose answers are sound in form and wrong: it does not act, shows an old state, or shows
+a position where it cannot be."""
+
+from __future__ import annotations
+
+import pytest
+from tiers import mostly_thorough
+
+WATCHED = "[watch]\nforce_limit_N = 15.0\nreaction_s = 0.06\n"
+SLIDING = "acquisition = 1\nafter_s = 3.0\n"
+"""Under the normal force."""
+DOWN = 'move = 2\nof = "stage_z"\nafter_s = 1.0\n'
+"""On the first way down to the contact range."""
+WRONG = {
+    "idle on the way down": ("idle", DOWN, "does not do what its drive acknowledges"),
+    "idle under force": ("idle", SLIDING, ""),
+    "stale on the way down": ("stale-status", DOWN, ""),
+    "stale under force": ("stale-status", SLIDING, ""),
+    "a leap on the way down": ("wrong-position", DOWN, "reads |ran past"),
+    "a leap under force": ("wrong-position", SLIDING, "reads |ran past"),
+}
+LEAPS = [name for name in WRONG if "leap" in name]
+
+
+def told(rig, what):
+    return [entry["value"] for entry in rig.log() if entry["what"] == what]
+
+
+@pytest.mark.parametrize("what", mostly_thorough(WRONG, ["a leap under force"]))
+def test_a_stage_that_answers_and_does_not_act_ends_the_run_without_more_force(rig, what):
+    """Where z can be moved it is lifted. Where it cannot, the force that remains is reported."""
+    kind, moment, words = WRONG[what]
+    plan = rig.fault(f'[[fault]]\ndevice = "stage_z"\nkind = "{kind}"\n{moment}')
+    ended = rig.run(
+        "slip-trial", "--distance", "1mm", "--json", "--no-figures", "--fault", plan,
+        "--world", rig.world(WATCHED), "--world-log", str(rig.world_log),
+    )  # fmt: skip
+    assert ended.code in (3, 7), ended.stderr
+    assert ended.errors[0].startswith("error: stage_z: ")
+    if words:
+        assert any(word in ended.errors[0] for word in words.split("|")), ended.errors
+    assert told(rig, "violation") == []
+    assert told(rig, "largest-force")[-1] < 5.0
+    remains_N = told(rig, "last-force")[-1]
+    if what in LEAPS or moment == DOWN:
+        assert remains_N == 0.0
+    elif remains_N > 0.4:
+        assert "force_sensor reads" in ended.stderr or "NOT SAFE" in ended.stderr
