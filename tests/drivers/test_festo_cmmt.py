@@ -15,7 +15,7 @@ from stages.festo import OWN, TIMEOUT_S, Service, service
 
 from drivers.festo_cmmt import driver as festo_cmmt
 from drivers.festo_cmmt.driver import FestoAxis, FestoCmmtSettings
-from drivers.simulated.faults.plan import AxisFault, FaultPlan
+from drivers.simulated.faults.plan import AxisFault, FaultPlan, SlowAxis
 from drivers.simulated.transports.modbus_tcp import ModbusError
 from rig.core.clock import Clock
 from rig.core.errors import InstrumentError, InstrumentTimeoutError
@@ -221,11 +221,22 @@ def test_a_stale_target_reached_bit_is_no_arrival() -> None:
         assert axis.moving()
 
 
-def test_a_motion_that_never_arrives_is_reported() -> None:
+def test_a_motion_whose_position_does_not_change_is_reported() -> None:
     with service() as it:
         axis = it.homed()
         axis.start_move(40.0, 50.0)
         it.wire.forged[100] = list(it.drive.read(100, 28, "test"))
+        stands = r"it has stood at 0 mm for 0\.[89] s on the way to 40 mm"
+        with pytest.raises(InstrumentError, match=stands):
+            it.clock.sleep(3)
+
+
+def test_a_motion_that_never_arrives_is_reported() -> None:
+    """It crawls: its position changes all the time."""
+    slow = SlowAxis(device="stage_z", kind="slow", move=1, share=0.01)
+    with service(drive={"faults": (slow,)}) as it:
+        axis = it.homed()
+        axis.start_move(40.0, 50.0)
         it.clock.sleep(3)
         with pytest.raises(InstrumentError, match="has not arrived at 40 mm"):
             axis.moving()
