@@ -15,8 +15,8 @@ from rig.instruments.roles import Identity, Reach, Record, Scaling
 
 ROLES = ("daq",)
 INPUTS = ("AI0", "AI1")
-RANGES_V = (2.5, 10.0)
-LARGEST_RATE_S_s = 50_000.0
+RANGES_V = (1.25, 2.5, 5.0, 10.0)
+LARGEST_RATE_S_s = 500_000.0
 LONGEST = 1000
 
 
