@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from procedures.pressed.approach_watch import SUSPECT
 from rig.core.errors import InstrumentError
 
 if TYPE_CHECKING:
@@ -17,6 +18,11 @@ if TYPE_CHECKING:
 SILENT_S = 0.5
 """Longest time in s without an answer of z. After it the force is no longer controlled and all
 motion has to stop. A stalled computer is silent for less."""
+
+LOST_SHARE, LOST_STEPS = 0.5, 3
+"""Where the force sensor reads less than this share of the held force in so many steps, one after
+the other, the force is lost: no motion of a trial changes it so much. The servo would press on at
+its full rate if the sensor were at fault."""
 
 
 class ForceHold:
@@ -39,6 +45,8 @@ class ForceHold:
         older force."""
         self._stepped_at = ticks.begun
         """Number of the tick of the latest step."""
+        self._lost = 0
+        """Number of successive steps in which the force was lost."""
 
     @property
     def shift(self) -> ContactShift:
@@ -70,7 +78,20 @@ class ForceHold:
         if not self._links.is_idle("stage_z") or force.measured_s < self._at_rest_s:
             self._record.held_back += 1
             return
+        self._refuse_lost(force_N)
         passed = self._ticks.begun - self._stepped_at
         step = self._servo.step(force_N, passed, self._z.target_late_s, force.older_s)
         self._stepped_at = self._ticks.begun
         self._z.start_move(self._z.commanded_mm + step.increment_mm, step.speed_mm_s)
+
+    def _refuse_lost(self, force_N: float) -> None:
+        """Raise InstrumentError where the force has been lost."""
+        target_N = self._servo.settings.target_N
+        self._lost = self._lost + 1 if force_N < LOST_SHARE * target_N else 0
+        if self._lost >= LOST_STEPS:
+            raise InstrumentError(
+                "force_sensor",
+                "hold the force",
+                f"it reads {force_N:.2g} N where z held {target_N:g} N",
+                f"look whether the object has given way; otherwise {SUSPECT}",
+            )

@@ -123,6 +123,14 @@ def test_every_procedure_that_records_force_watches_every_axis(rig, procedure, a
     assert largest_N(rig) == 0.0
 
 
+def test_a_sensor_that_dies_while_the_force_is_held_ends_the_run_before_the_servo_presses_on(rig):
+    ended = run(rig, "slip-trial", f'kind = "dead-noisy"\n{HELD}', "--rest", "3s")
+    assert ended.code == 3, ended.stderr
+    assert "N where z held 4 N" in ended.errors[0]
+    assert "suspect the force sensor" in ended.errors[0]
+    assert largest_N(rig) < 15.0
+
+
 def test_a_zero_that_drifts_in_free_air_ends_the_run_before_anything_is_pressed(rig):
     ended = run(rig, "sweep", 'kind = "drift"\nrate_N_s = -2.0')
     assert ended.code == 3, ended.stderr
