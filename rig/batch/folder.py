@@ -70,7 +70,7 @@ class BatchFolder:
         ConfigurationError if another process holds it for longer than `patience_s`.
         """
         path = self.path / f"{who}.lock"
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             give_up = time.monotonic() + patience_s
             while not _locked(file):

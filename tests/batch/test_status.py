@@ -46,3 +46,11 @@ def test_a_bench_that_was_left_pressed_or_unsafe_is_said_first(
     assert status_of(BatchFolder(tmp_path)).lines()[0].startswith("batch night")
     bench.unlink()
     assert "the state of the bench is not known" in status_of(BatchFolder(tmp_path)).lines()[0]
+
+
+def test_the_lock_of_a_batch_can_be_opened_by_its_owner_alone(tmp_path: Path) -> None:
+    """Who may read a file may lock it, and the batch would seem to be at work."""
+    folder = BatchFolder(tmp_path)
+    with folder.held_by("supervisor", 0.0):
+        assert folder.is_held("supervisor")
+        assert (tmp_path / "supervisor.lock").stat().st_mode & 0o777 == 0o600
