@@ -55,7 +55,7 @@ def test_a_sweep_presses_holds_and_parks(rig):
 @pytest.mark.stages("festo", because="the push has to fall into the approach")
 def test_a_push_in_free_air_is_no_contact_and_the_stage_does_not_hunt_for_the_preload(rig):
     push = '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\n'
-    plan = rig.fault(push + SEARCHING + "after_s = 0.5\nforce_N = 2.1\nfor_s = 0.16\n")
+    plan = rig.fault(push + SEARCHING + "after_s = 0.8\nforce_N = 2.1\nfor_s = 0.16\n")
     ended = rig.sweep(*SHORT, "--preload", "23.6N", "--fault", plan)
     assert ended.code == 0, ended.stderr
     with RunFile.open(rig.only("*.h5")) as run:
