@@ -11,7 +11,8 @@ from drivers.simulated.bench.options import Fixture, Options, Stages, driver_nam
 
 
 def test_they_are_those_of_the_bench_file() -> None:
-    endpoints = Endpoints(daq="", stages=(1, 2), force_sensor={"driver": "me-gsv8"})
+    own = {"force_sensor": {"driver": "me-gsv8"}}
+    endpoints = Endpoints(daq="", stages={"stage_z": 1, "stage_x": 2}, own=own)
     for fixture, stages in product(get_args(Fixture), get_args(Stages)):
         options = Options(fixture=fixture, stages=stages)
         tables = tomllib.loads(bench_toml(options, {}, endpoints)).values()
