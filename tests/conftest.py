@@ -141,7 +141,6 @@ class Rig:
         self.results = folder / "results"
         self.world_log = folder / "world.jsonl"
         self.env = environment()
-        self.env["XDG_STATE_HOME"] = str(folder / "state")
         self.shared = folder / "shared"
         self.env[SHARED_FOLDER] = str(self.shared)
         self._started: list[Running] = []

@@ -127,7 +127,7 @@ def _declared(path: Path, name: str | None = None) -> tuple[BenchPlan, Interlock
     """Return the bench and the records of its contacts. Raises ConfigurationError if it has none,
     or none of that name."""
     from rig.bench.plan import read_bench
-    from rig.run.interlock_store import InterlockStore, state_folder
+    from rig.run.interlock_store import InterlockStore
 
     if not path.exists():
         raise ConfigurationError(
@@ -144,7 +144,7 @@ def _declared(path: Path, name: str | None = None) -> tuple[BenchPlan, Interlock
         raise ConfigurationError(
             f"{path} declares no interlock {name!r}", f"it declares {', '.join(known)}"
         )
-    return plan, InterlockStore(plan, state_folder())
+    return plan, InterlockStore(plan, lasting=True)
 
 
 @contextmanager

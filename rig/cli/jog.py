@@ -175,7 +175,7 @@ def _at_the_bench(
     from rig.jog.session import AXES, JogSession
     from rig.run.bench_mark import BenchMarks
     from rig.run.guard import GuardLink, report_path
-    from rig.run.interlock_store import InterlockStore, state_folder
+    from rig.run.interlock_store import InterlockStore
 
     plan, clock = chosen.plan, chosen.clock
     contacts = {contact.role for contact in plan.settings.interlock}
@@ -190,7 +190,7 @@ def _at_the_bench(
     _, warnings = apply_calibrations(connected, datetime.now().astimezone(), True)
     for warning in warnings:
         say(f"warning: {warning}")
-    records = InterlockStore(plan, None if chosen.started is not None else state_folder())
+    records = InterlockStore(plan, lasting=chosen.started is None)
     session = JogSession(connected, settings, axis, stop, terminal, records)
     report = report_path(request.results, plan.settings.name)
     if chosen.started is not None:

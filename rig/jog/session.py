@@ -232,7 +232,7 @@ class JogSession:
             bench,
             self._holds,
             self._arming.emergency_stop,
-            records or InterlockStore(bench.plan, None),
+            records or InterlockStore(bench.plan, lasting=False),
             lambda level, code, message: log.log(logging.getLevelName(level.upper()), message),
         )
         self._force: ForceMonitor | None = None

@@ -53,7 +53,7 @@ class Run:
         """Effects of the shutdown actions since the bench was last made safe, in their order, as
         parts of a sentence: "generator off". An action that failed in part is not included."""
         self._arming = Arming(overlapping=not self.clock.is_virtual)
-        records = interlock_records or InterlockStore(bench.plan, None)
+        records = interlock_records or InterlockStore(bench.plan, lasting=False)
         self.interlocks = InterlockWatch(
             bench, self.holds, self._arming.emergency_stop, records, self.event
         )

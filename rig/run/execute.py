@@ -35,7 +35,7 @@ from rig.run.checked_procedure import CheckedProcedure, internal
 from rig.run.context import Run
 from rig.run.guard import GuardLink
 from rig.run.holds import PauseSwitch
-from rig.run.interlock_store import InterlockStore, state_folder
+from rig.run.interlock_store import InterlockStore
 from rig.run.interlocks import InterlockError
 from rig.run.job import Journal, RunJob
 from rig.run.observers import Observers, RunObserver
@@ -130,7 +130,7 @@ class _Execution:
             journal.stream_index,
             journal.elapsed_s,
             self.readings,
-            InterlockStore(bench.plan, state_folder() if job.lock is not None else None),
+            InterlockStore(bench.plan, lasting=job.lock is not None),
         )
         self.run.references = PressReferences(job.results, bench.plan, job.sample, job.accept)
         self.phases = Phases()

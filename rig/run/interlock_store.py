@@ -2,8 +2,7 @@
 
 Each contact has one small file, named after the address of the instrument that reads it and the
 input, so that neither another folder of results nor another name in the bench file loses a latch.
-The files are in /var/lib/tactile-rig where an administrator has made that folder for all users of
-the bench; else in ``$XDG_STATE_HOME/tactile-rig`` or ``~/.local/state/tactile-rig`` of each user.
+The files are in the folder that all users of the computer share (`rig.run.shared_folder`).
 
 A file that cannot be read counts as a latch: whether a person has been at the bench is not known.
 """
@@ -14,20 +13,14 @@ import getpass
 import hashlib
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
-from pathlib import Path
-from typing import Any
 
 from rig.bench.interlocks import InterlockSettings
 from rig.bench.plan import BenchPlan
-from rig.core.atomic import write_text
 from rig.core.errors import RigError, UnsafeError
 from rig.run.lock import address_of
-
-FOLDER = "tactile-rig"
-FOR_ALL_USERS = Path("/var/lib") / FOLDER
+from rig.run.shared_folder import SharedFolder
 
 
 @dataclass(frozen=True)
@@ -49,41 +42,37 @@ class ContactRecord:
 
 
 class InterlockStore:
-    """The records of the contacts of one bench. Without `folder` they are kept in memory only, for
-    a simulated bench that ends with the command."""
+    """The records of the contacts of one bench. Those that are not `lasting` are in memory only,
+    for a simulated bench that ends with the command."""
 
-    def __init__(self, plan: BenchPlan, folder: Path | None):
+    def __init__(self, plan: BenchPlan, *, lasting: bool):
         self._bench = plan.settings.name
-        self._folder = folder
+        self.lasting = lasting
+        """Whether the records outlive this program."""
         settings = {part.role: part.settings for part in plan.instruments}
-        self._paths = {
+        self._names = {
             one.name: _file_name(address_of(settings[one.role].model_dump()), one)
             for one in plan.settings.interlock
         }
         self._kept: dict[str, ContactRecord] = {}
 
-    def path(self, name: str) -> Path | None:
-        """Return the file of a contact; None if it has none."""
-        return None if self._folder is None else self._folder / self._paths[name]
-
     def get(self, name: str) -> ContactRecord:
         """Return the record of a contact."""
-        path = self.path(name)
-        if path is None:
-            return self._kept.get(name, ContactRecord(name, self._bench))
+        nothing = ContactRecord(name, self._bench)
+        if not self.lasting:
+            return self._kept.get(name, nothing)
         try:
-            found: Mapping[str, Any] = json.loads(path.read_text())
-            return ContactRecord(**found)
-        except FileNotFoundError:
-            return ContactRecord(name, self._bench)
-        except (OSError, ValueError, TypeError) as error:
-            why = f"its record {path} cannot be read ({error}), which counts as open"
-            return ContactRecord(name, self._bench, now(), why)
+            with SharedFolder() as folder:
+                text = folder.read(self._names[name])
+            return nothing if text is None else ContactRecord(**json.loads(text))
+        except (OSError, ValueError, TypeError, RigError) as error:
+            why = f"its record {self._names[name]} cannot be read ({error}), which counts as open"
+            return replace(nothing, opened=now(), why=why)
 
     def check_writable(self) -> None:
         """Write every record as it is. Raises RigError if that fails: a run whose latch could not
         be kept is refused before anything moves."""
-        for name in self._paths:
+        for name in self._names:
             self._put(name, self.get(name))
 
     def latch(self, name: str, why: str) -> None:
@@ -107,26 +96,18 @@ class InterlockStore:
         self._put(name, replace(self.get(name), proof=now(), proof_by=person()))
 
     def _put(self, name: str, record: ContactRecord) -> None:
-        path = self.path(name)
-        if path is None:
+        if not self.lasting:
             self._kept[name] = record
             return
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_text(path, json.dumps(asdict(record), indent=1) + "\n")
-        except OSError as error:
-            raise RigError(
-                f"the record {path} of interlock {name!r} cannot be written: {error.strerror}",
-                "free the disk, or make its folder writable",
-            ) from error
-
-
-def state_folder() -> Path:
-    """Return the folder of the records."""
-    if os.access(FOR_ALL_USERS, os.W_OK | os.X_OK):
-        return FOR_ALL_USERS
-    base = os.environ.get("XDG_STATE_HOME", "")
-    return (Path(base) if base else Path.home() / ".local" / "state") / FOLDER
+        with SharedFolder() as folder:
+            try:
+                folder.write(self._names[name], json.dumps(asdict(record), indent=1) + "\n")
+            except OSError as error:
+                raise RigError(
+                    f"the record {folder.path / self._names[name]} of interlock {name!r} cannot be "
+                    f"written: {error.strerror}",
+                    "free the disk, or have the folder's owner correct it",
+                ) from error
 
 
 def person() -> str:

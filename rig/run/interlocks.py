@@ -389,7 +389,7 @@ class InterlockWatch:
         self._told.add(name)
         what = self._reasons.get(name, f"interlock {name} (person) opened")
         hint = "check the bench and close it"
-        if self._store.path(name) is not None:
+        if self._store.lasting:
             hint += f", then there: {RESET} --bench {self._bench.plan.source}"
         return InterlockError(what, f"{hint}; then start again")
 

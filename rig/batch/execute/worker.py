@@ -41,7 +41,7 @@ from rig.batch.queue import AttemptResult, Claim, Queue, QueueWriteError, give_u
 from rig.core.errors import ExitCode, RigError
 from rig.core.units import counted
 from rig.run.bench_selector import BenchRequest, BenchSelector, ChosenBench, start_simulated
-from rig.run.interlock_store import InterlockStore, state_folder
+from rig.run.interlock_store import InterlockStore
 from rig.run.interlocks import InterlockError, InterlockWatch, watched
 from rig.run.observers import PAUSED, RunObserver
 from rig.run.stopping import MAKING_SAFE_S, StopFlag, StopRequestedError, TimeLimit
@@ -344,7 +344,7 @@ class Worker:
             return
         with ExitStack() as at_the_end:
             try:
-                records = InterlockStore(bench.plan, state_folder())
+                records = InterlockStore(bench.plan, lasting=True)
                 self._interlocks = at_the_end.enter_context(watched(bench.plan, records))
             except RigError as error:  # The next run judges it.
                 text = f"interlocks are not watched between runs: {error.one_line()}"
