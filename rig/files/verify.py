@@ -291,11 +291,13 @@ def _outcome(run: RunFile) -> Iterator[str]:
 
 def _times(run: RunFile) -> Iterator[str]:
     """Times of day: the run does not end before it starts."""
+    if not {"start_time", "end_time"} <= run.entry.keys():
+        return  # The start of some imported recordings is not known.
     start, end = (text_of(run.entry[name]) for name in ("start_time", "end_time"))
     try:
         ended_early = datetime.fromisoformat(end) < datetime.fromisoformat(start)
     except ValueError:
-        return  # The start of some imported recordings is not known.
+        return
     if ended_early:
         yield f"it ends at {end}, before its start at {start}: the computer's clock was set back"
 

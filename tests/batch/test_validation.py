@@ -59,7 +59,7 @@ class Instrument:
 INSTRUMENTS: dict[str, Any] = {
     "generator": Instrument(frequency=50e3, amplitude=5.0),
     "daq": Instrument(),
-    "stage_z": Instrument(position=20.0, update_rate=1000.0),
+    "stage_z": Instrument(position=20.0, speed=20.0, update_rate=1000.0),
     "stage_x": Instrument(position=40.0, speed=20.0),
     "force_sensor": Instrument(force=40.0),
 }
@@ -73,10 +73,16 @@ channels = { load_cell = 101 }
 """
 
 
+class InstrumentSettings(Settings):
+    """Settings of every instrument of these benches; a run demands the limit of the z stage."""
+
+    torque_limit_percent: float = 30.0
+
+
 def equipped(plan: BenchPlan) -> BenchPlan:
     """The plan of a bench that has these instruments."""
     driver: Any = ModuleType("driver")
-    parts = [InstrumentPlan(role, "", driver, Settings()) for role in INSTRUMENTS]
+    parts = [InstrumentPlan(role, "", driver, InstrumentSettings()) for role in INSTRUMENTS]
     return replace(plan, instruments=tuple(parts))
 
 

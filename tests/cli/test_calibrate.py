@@ -397,13 +397,13 @@ def test_a_person_continues_with_enter_and_repeats_with_r(rig: Any, terminal: An
     at.wait_for("3/4: put 5 N on +z")
     at.answer("r")
     at.wait_for("2/4: put 2 N on +z")
-    for step in ("3/4: put 5 N on +z", "4/4: take all weights off", "fit and write the record"):
+    for step in ("3/4: put 5 N on +z", "4/4: take all weights off", "next: fit"):
         at.answer("")
         at.wait_for(step)
     at.answer("r")
     at.wait_for("4/4: take all weights off")
     at.answer("")
-    at.wait_for("fit and write the record")
+    at.wait_for("next: fit, and write the record")
     at.answer("")
     code, stdout = at.finish()
     assert code == 0, at.told

@@ -159,7 +159,7 @@ ROWS = "0.000,1.5,2.5\n0.001,1.5,2.6\n0.002,1.6,2.7\n"
         (ROWS + "0.003,\0,2.7\n", "line 4: character 0x00: a binary file"),
         ("x" * 70_000 + "\n" + ROWS, "line 1: 70000 characters, 65536 are allowed"),
         (",".join("1" * 1001) + "\n" + ",".join("1" * 1001), "1001 columns, 1000 are allowed"),
-        (ROWS[: ROWS.index("\n")], "1 rows, 2 are needed"),
+        (ROWS[: ROWS.index("\n")], "1 row; at least 2 are needed"),
     ],
 )
 def test_what_is_no_recording_is_refused_by_its_line(

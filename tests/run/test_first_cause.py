@@ -55,8 +55,8 @@ def run(sensor: Sensor) -> Iterator[Run]:
     slow = SimpleNamespace(settings=SimpleNamespace(timeout_s=2.0))
     plan = SimpleNamespace(
         instruments=(
-            SimpleNamespace(role="stage_z", settings=slow.settings),
-            SimpleNamespace(role="daq", settings=SimpleNamespace()),
+            SimpleNamespace(role="stage_z", settings=slow.settings, driver=None),
+            SimpleNamespace(role="daq", settings=SimpleNamespace(), driver=None),
         ),
         settings=SimpleNamespace(name="bench", interlock=(), holds=HoldLimits()),
     )

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rig.core.units import counted
 from rig.files.errors import ForeignFileError
 from rig.files.imported.source import ImportSource
 
@@ -100,7 +101,8 @@ def recording_of(source: ImportSource, stated: ChannelMap, name: str) -> Recordi
     scale = {channel: stated.scale.get(channel, 1.0) for channel in columns}
     table = source.values(list(columns.values()))
     if len(table) < LEAST_ROWS:
-        raise ForeignFileError(name, f"{len(table)} rows; at least {LEAST_ROWS} are needed")
+        found = counted(len(table), "row")
+        raise ForeignFileError(name, f"{found}; at least {LEAST_ROWS} are needed")
     raw = dict(zip(columns, np.ascontiguousarray(table.T), strict=True))
     times = raw.pop(TIME, None)
     rate_Hz = _common_rate(source, stated, None if times is None else times * scale.pop(TIME), name)
