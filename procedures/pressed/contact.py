@@ -21,7 +21,13 @@ from procedures.pressed.way_down import (
     speed_bound,
 )
 from rig.analysis.slope import slopes
-from rig.core.errors import ConfigurationError, InstrumentError, LimitError, UnsafeError
+from rig.core.errors import (
+    ConfigurationError,
+    InstrumentError,
+    InstrumentTimeoutError,
+    LimitError,
+    UnsafeError,
+)
 from rig.files.journal.layout import Column
 from rig.run.trip import TripError
 
@@ -297,7 +303,10 @@ def unload(run: Run, pressed: str, came_from_mm: float) -> None:
     run; UnsafeError where it is over the limit that was watched.
     """
     stage = run.bench.stage_z
-    stage.stop()
+    try:
+        stage.stop()
+    except InstrumentTimeoutError:
+        stage.stop()  # one answer was lost: a second request fits into the drive's own time-out
     timed_out = False
     try:
         try:

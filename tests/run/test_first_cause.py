@@ -58,7 +58,15 @@ def run(sensor: Sensor) -> Iterator[Run]:
             SimpleNamespace(role="stage_z", settings=slow.settings, driver=None),
             SimpleNamespace(role="daq", settings=SimpleNamespace(), driver=None),
         ),
-        settings=SimpleNamespace(name="bench", interlock=(), holds=HoldLimits()),
+        settings=SimpleNamespace(
+            name="bench",
+            interlock=(),
+            holds=HoldLimits(),
+            simulation={},
+            film=None,
+            skin=None,
+            fixture=HoldLimits(),
+        ),
     )
     bench = SimpleNamespace(
         clock=WallClock(), force_sensor=sensor, plan=plan, settings=plan.settings
