@@ -265,7 +265,8 @@ class Worker:
             if not rest_s:
                 return upcoming
             self._send("state", state="resting", text=f"{rest_s:g} s")
-            self._clock.rest(rest_s, self._between_runs)
+            with self._interlocks_watched():
+                self._clock.rest(rest_s, self._between_runs)
             rested = upcoming.number  # what was asked above may have changed since
 
     def _rest_before(self, upcoming: Claim) -> float:
