@@ -170,7 +170,13 @@ def _timed(chance: random.Random, device: str) -> Fault:
 _KEYS: dict[str, Callable[[random.Random, str], Fault]] = {
     "error": _error,
     "refused": lambda chance, device: {"at": chance.randint(1, 4)},
-    **dict.fromkeys(("stuck", "runaway", "limit-switch", "reference-lost"), _move),
+    **dict.fromkeys(
+        (
+            *("stuck", "runaway", "limit-switch", "reference-lost"),
+            *("idle", "stale-status", "wrong-position"),
+        ),
+        _move,
+    ),
     "drive-fault": lambda chance, device: {
         **_move(chance, device), "code": chance.choice((58, 126, 391)),
     },
