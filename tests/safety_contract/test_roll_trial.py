@@ -168,7 +168,9 @@ def test_ctrl_c_in_a_roll_stops_it_and_lifts_off_and_a_resume_rolls_again(rig):
 
 REFUSED = [
     (("--angle", "80"), "from --angle 80 deg"),
-    pytest.param(("--start", "-80"), "--start -80 mm from the middle is beside the ridges", marks=pytest.mark.thorough),
+    pytest.param(
+        ("--start", "-80"), "-80 mm from the middle is beside", marks=pytest.mark.thorough
+    ),
     pytest.param(("--turn-speed", "90"), "90 deg/s is outside", marks=pytest.mark.thorough),
     pytest.param(("--profile-times", "0,1"), "needs its angle", marks=pytest.mark.thorough),
     pytest.param(("--tick", "600"), "500", marks=pytest.mark.thorough),
