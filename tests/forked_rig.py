@@ -171,8 +171,7 @@ def server() -> Server:
 def serve(control_descriptor: int) -> None:
     """Fork commands until the other end of the socket is closed."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `rig.cli.main` sets it
-    for name in MODULES:
-        import_module(name)
+    _import_without_a_thread()
     gc.freeze()
     assert len(list(Path("/proc/self/task").iterdir())) == 1, "a fork would lose threads"
     control = socket.socket(fileno=control_descriptor)
@@ -201,6 +200,23 @@ def serve(control_descriptor: int) -> None:
                 os.close(descriptor)
             control.send(json.dumps({"begun": child}).encode())
     _become_rig(json.loads(message), descriptors)
+
+
+def _import_without_a_thread() -> None:
+    """Import what commands need.
+
+    pyvisa-py searches for USB devices while it is imported. Where libusb is installed that starts a
+    thread, which a forked process would not have, so the search finds nothing here.
+    """
+    import usb.core
+
+    search = usb.core.find
+    usb.core.find = lambda *arguments, **keywords: None
+    try:
+        for name in MODULES:
+            import_module(name)
+    finally:
+        usb.core.find = search
 
 
 def _report_ended(control: socket.socket) -> None:
