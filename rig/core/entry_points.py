@@ -22,7 +22,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from rig.core.errors import LONGEST_REASON, ConfigurationError, ExitCode, shortened
+from rig.core.errors import LONGEST_REASON, ConfigurationError, is_stop, shortened
 
 PROCEDURES = "rig.procedures"
 DRIVERS = "rig.drivers"
@@ -98,7 +98,8 @@ def load(group: str, name: str, find_fault: Callable[[Any], str | None] | None =
     `find_fault` is a further check: given the module or class, it returns what is wrong with it, as
     the end of a sentence that begins with its name, or None. Raises ConfigurationError if nothing
     is registered under the name, BrokenPackageError where the import or a check fails. Whatever a
-    foreign module raises is caught: making a bench safe must not depend on it.
+    foreign module raises is caught: making a bench safe must not depend on it. A stop that is
+    requested meanwhile is raised as it is.
     """
     entry = find(group, name)
     if entry is None:
@@ -109,11 +110,9 @@ def load(group: str, name: str, find_fault: Callable[[Any], str | None] | None =
         raise BrokenPackageError(entry, "does not name a module")
     try:
         loaded = entry.load()
-    except SystemExit as error:
-        if error.code in (ExitCode.SIGHUP, ExitCode.SIGTERM):  # a signal, not the module
+    except (Exception, SystemExit) as error:
+        if is_stop(error):  # a signal that came while the module was imported
             raise
-        raise BrokenPackageError(entry, f"cannot be imported: {_cause(error)}") from error
-    except Exception as error:
         raise BrokenPackageError(
             entry, f"cannot be imported: {_cause(error)}", _remedy(entry, error)
         ) from error
@@ -141,8 +140,10 @@ def summary(group: str, name: str) -> str:
         docstring = _docstring(entry.module, entry.attr)
     except (SyntaxError, ModuleNotFoundError) as error:
         raise BrokenPackageError(entry, f"cannot be imported: {_cause(error)}") from error
-    except Exception:  # noqa: BLE001 - a finder of another package; `load` reports what is wrong
-        return ""
+    except Exception as error:
+        if is_stop(error):
+            raise
+        return ""  # a finder of another package; `load` reports what is wrong
     return docstring.strip().split("\n", 1)[0]
 
 
@@ -212,7 +213,7 @@ def _cause(error: BaseException) -> str:
     return shortened(f"{place}{type(error).__name__}: {' '.join(message.split())}", LONGEST_REASON)
 
 
-def _remedy(entry: EntryPoint, error: Exception) -> str | None:
+def _remedy(entry: EntryPoint, error: BaseException) -> str | None:
     """Return which module to install if an import misses one that is not part of the package."""
     if not isinstance(error, ModuleNotFoundError) or not error.name:
         return None

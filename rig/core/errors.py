@@ -46,6 +46,17 @@ STOPPED_BY_SIGNAL = frozenset(
 """Exit codes of a process that a signal has ended: 128 plus the signal's number."""
 
 
+def is_stop(error: BaseException) -> bool:
+    """Return whether an exception is a signal's request to stop.
+
+    It is raised in the middle of whatever code is running, so code that tolerates every exception
+    of another package has to let it pass: that package has not failed.
+    """
+    if not isinstance(error, (RigError, SystemExit)):
+        return False
+    return isinstance(error.code, int) and error.code in STOPPED_BY_SIGNAL
+
+
 class RigError(Exception):
     """An expected failure: a message of one line, an optional hint, an exit code."""
 

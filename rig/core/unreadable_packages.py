@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from importlib.metadata import Distribution, EntryPoints
 
+from rig.core.errors import is_stop
+
 _unreadable: dict[str, str] = {}
 
 
@@ -22,7 +24,9 @@ def tolerate() -> None:
     def entry_points(self: Distribution) -> EntryPoints:
         try:
             found: EntryPoints = read(self)
-        except Exception as error:  # noqa: BLE001 - whatever the file holds
+        except Exception as error:  # whatever the file holds
+            if is_stop(error):
+                raise
             # The folder and not the metadata, which may be unreadable as well.
             name = getattr(getattr(self, "_path", None), "name", "without a name")
             reason = " ".join(str(error).split())

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from rig.core.errors import RigError
+from rig.core.errors import RigError, is_stop
 from rig.core.file_entry_points import FIGURES, PROCESSED, in_words, strays
 from rig.figures.registry import RegisteredFigure, figures_of
 
@@ -138,7 +138,9 @@ class _Drawing:
         except _NoPlaceError:
             raise
         # A package may raise anything, and call sys.exit() where it was meant as a program.
-        except (Exception, SystemExit) as error:  # noqa: BLE001
+        except (Exception, SystemExit) as error:
+            if is_stop(error):
+                raise
             self._warn(f"{registered} could not be drawn: {in_words(error)}")
 
     def _save(self, figure: Figure, suffix: str) -> None:

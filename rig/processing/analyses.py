@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.core.atomic import write_text
+from rig.core.errors import is_stop
 from rig.core.file_entry_points import ANALYSES, FileEntry, entries_of, in_words, strays
 from rig.core.settings import unit_of
 from rig.files.checksum import sha256_of
@@ -73,7 +74,9 @@ def analyse(run: RunFile) -> Analyses:
         try:
             found.append(_analysis(registered, run))
         # A package may raise anything, and call sys.exit() where it was meant as a program.
-        except (Exception, SystemExit) as error:  # noqa: BLE001
+        except (Exception, SystemExit) as error:
+            if is_stop(error):
+                raise
             warnings.append(f"{registered} failed: {in_words(error)}")
     return Analyses(tuple(found), tuple(warnings))
 

@@ -16,7 +16,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.core.entry_points import OWN_PACKAGE, PROCEDURES, find, package
-from rig.core.errors import LONGEST_REASON, ConfigurationError, ExitCode, RigError, shortened
+from rig.core.errors import (
+    LONGEST_REASON,
+    ConfigurationError,
+    ExitCode,
+    RigError,
+    is_stop,
+    shortened,
+)
 from rig.run.points import Point, Reading
 
 if TYPE_CHECKING:
@@ -113,6 +120,8 @@ class CheckedProcedure:
         except RigError:
             raise
         except (Exception, SystemExit) as error:
+            if is_stop(error):  # a signal before the run
+                raise
             raise _blame(type(self._procedure), error) from error
 
     def _fault(self, what: str) -> ProcedureFaultError:

@@ -35,6 +35,7 @@ MAKING_SAFE_S = 10.0
 """Bench time kept before a time limit for making the bench safe, which takes 2 to 3 s where nothing
 fails."""
 NOTICE = "stopping: making the bench safe, then saving the data ..."
+NOTHING_CONNECTED = " before anything was connected; nothing was left running"
 NOTICE_AGAIN = "already stopping: first the bench is made safe and the data are saved ..."
 
 
@@ -112,12 +113,26 @@ class StopFlag:
     @contextlib.contextmanager
     def nothing_connected(self) -> Iterator[None]:
         """Raise StopRequestedError from a signal at any point of the block, in which nothing is
-        connected."""
+        connected.
+
+        The block also ends with it where the interrupted code took it for a failure of its own: a
+        library that tries one import after the other catches whatever comes out of them.
+        """
         self._nothing_connected = True
         try:
             yield
+        except StopRequestedError:
+            raise
+        except Exception:
+            self._check_nothing_connected()
+            raise
         finally:
             self._nothing_connected = False
+        self._check_nothing_connected()
+
+    def _check_nothing_connected(self) -> None:
+        if self.requested is not None:
+            raise StopRequestedError(self.requested, NOTHING_CONNECTED) from None
 
     def __enter__(self) -> Self:
         for number in STOP_SIGNALS:
@@ -135,5 +150,4 @@ class StopFlag:
         if not self._nothing_connected:
             self._say(NOTICE_AGAIN if again else NOTICE)
         elif not again:
-            when = " before anything was connected; nothing was left running"
-            raise StopRequestedError(signal.Signals(number), when)
+            raise StopRequestedError(signal.Signals(number), NOTHING_CONNECTED)

@@ -95,3 +95,18 @@ def test_a_file_without_an_analysis_is_reported(rig: Any, tmp_path: Path) -> Non
     refused = rig.run("analyse", str(file))
     assert refused.code == 2
     assert "nothing was computed for" in refused.errors[0]
+
+
+def test_a_signal_during_an_analysis_ends_the_command_and_is_no_fault_of_the_package(
+    rig: Any, tmp_path: Path
+) -> None:
+    module = "import signal\ndef stopped(run):\n    signal.raise_signal(signal.SIGTERM)\n"
+    entries = "[rig.analyses]\nlab-trial = lab_stopped:stopped"
+    on_path(rig, install(tmp_path / "site", "lab-stopped", entries, {"lab_stopped.py": module}))
+    journal = rig.folder / "one.rigj"
+    recorded = {"trial-1": trials.slipping()}
+    file = trials.write_trials(journal, recorded, complete=True, procedure="lab-trial")
+    ended = rig.run("analyse", str(file))
+    assert ended.code == 143, ended.stderr
+    assert "failed" not in ended.stderr
+    assert not list(rig.folder.rglob("*.analyses.json"))
