@@ -17,7 +17,7 @@ from rig.detector import DEFAULT_DETECTOR
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-    from rig.processing.detection import DetectionFailure, DetectionResult
+    from rig.processing.detection import DetectionFailure, DetectionJob, DetectionResult
 
     Answer = DetectionResult | RigError
 
@@ -62,19 +62,21 @@ def detect(
         wanted = detector_settings(detector, settings)
 
         from rig.processing.detection import DetectionJob, detect_file, prepare
+        from rig.processing.identity import detection_digest
 
         if scheduler is None:
             work = [DetectionJob(file, wanted, to) for file in files]
             prepare(wanted)
         else:  # workers are in folders of their own
             there = None if to is None else to.absolute()
-            work = [DetectionJob(file.absolute(), wanted, there) for file in files]
+            digest = detection_digest(wanted)
+            work = [DetectionJob(file.absolute(), wanted, there, digest, True) for file in files]
         answers: dict[int, Answer] = {}
         reported_files = 0
         with _DetectionProgress(len(files)) as progress:
             results = completed(detect_file, work, jobs or processors(), scheduler)
             for number, result in results:
-                answers[number] = _answer(result, files[number])
+                answers[number] = _answer(result, work[number], files[number])
                 progress.done(len(answers), files[number])
                 while reported_files in answers:
                     _tell(files[reported_files], answers[reported_files], as_json, debug)
@@ -87,8 +89,10 @@ def detect(
             raise typer.Exit(int(code))
 
 
-def _answer(result: DetectionResult | DetectionFailure | RigError, file: Path) -> Answer:
-    from rig.processing.detection import DetectionFailure
+def _answer(
+    result: DetectionResult | DetectionFailure | RigError, job: DetectionJob, file: Path
+) -> Answer:
+    from rig.processing.detection import DetectionFailure, other_code
 
     if isinstance(result, DetectionFailure):
         return result.error()
@@ -96,6 +100,8 @@ def _answer(result: DetectionResult | DetectionFailure | RigError, file: Path) -
         named = RigError(f"{file}: {result.message}", result.hint, result.code)
         named.__cause__ = result.__cause__
         return named
+    if job.made_by not in ("", result.made_by):  # by code that is too old to compare by itself
+        return other_code(file)
     return result
 
 

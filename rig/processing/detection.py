@@ -26,6 +26,8 @@ from rig.files.processed.values import DetectedTrial, ProcessedSource, processed
 from rig.files.processed.writer import write_processed
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify_in_child
+from rig.processing.identity import detection_digest
+from rig.processing.parallel import worker_name
 
 if TYPE_CHECKING:
     import numpy as np
@@ -46,8 +48,11 @@ class DetectionJob:
     settings: DetectorSettings
     folder: Path | None = None
     """Folder for the result; None is ``processed`` beside the run file."""
-    version: str = DETECTOR_VERSION
-    """Version of the detector that the job needs: another computer may have another one."""
+    made_by: str = ""
+    """`detection_digest` that the job needs: another computer may have other code. Empty: whatever
+    this one has."""
+    elsewhere: bool = False
+    """True if a worker of a cluster does the job; failures then name it."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,8 @@ class DetectionResult:
     first_slip: tuple[str, float] | None
     """The first incipient slip: its trial, and when in it, s."""
     warnings: tuple[str, ...] = field(default=())
+    made_by: str = ""
+    """`detection_digest` of what did it. Empty from a program that does not know of it."""
 
 
 def prepare(settings: DetectorSettings) -> None:
@@ -95,7 +102,8 @@ def detect_file(job: DetectionJob) -> DetectionResult | DetectionFailure:
     try:
         return _detect(job)
     except RigError as error:
-        return DetectionFailure(error.message, error.hint, error.code)
+        where = f" (on {worker_name()})" if job.elsewhere else ""
+        return DetectionFailure(error.message + where, error.hint, error.code)
 
 
 def detect_trials(run: RunFile, settings: DetectorSettings) -> list[DetectedTrial]:
@@ -131,26 +139,32 @@ def stream_of_strips(layout: Layout) -> str | None:
 
 def _detect(job: DetectionJob) -> DetectionResult:
     run_file, settings = job.run_file, job.settings
-    if job.version != DETECTOR_VERSION:
-        raise ConfigurationError(
-            f"{run_file}: detector version {job.version} is needed, but this computer has "
-            f"{DETECTOR_VERSION}",
-            "install the same tactile-rig on all of them",
-        )
+    made_by = detection_digest(settings)
+    if job.made_by not in ("", made_by):
+        raise other_code(run_file)
     warnings = _refuse_damaged(run_file)
     if is_processed(run_file):
         raise ConfigurationError(
             f"{run_file}: a processed file, not a run", "name the run file that it was made from"
         )
-    target = processed_path(run_file, settings, job.version, job.folder)
+    target = processed_path(run_file, settings, DETECTOR_VERSION, job.folder)
     with RunFile.open(run_file) as run:
         source = _source(run, sha256_of(run_file))
-        if (there := _already_there(target, source, warnings)) is not None:
+        if (there := _already_there(target, source, made_by, warnings)) is not None:
             return there
         trials = detect_trials(run, settings)
-    write_processed(target, source, settings, job.version, trials)
+    write_processed(target, source, settings, DETECTOR_VERSION, made_by, trials)
     events = [(trial.id, event) for trial in trials for event in trial.events]
-    return _found(target, False, source, len(trials), events, warnings)
+    return _found(target, False, source, made_by, len(trials), events, warnings)
+
+
+def other_code(run_file: Path) -> ConfigurationError:
+    """Return the error of a computer that would find other slips than the one that asks it."""
+    return ConfigurationError(
+        f"{run_file}: this computer's detector, network or file code differs from that of the "
+        "command",
+        "install the same tactile-rig on all of them, and restart the workers",
+    )
 
 
 def _refuse_damaged(run_file: Path) -> list[str]:
@@ -167,10 +181,11 @@ def _refuse_damaged(run_file: Path) -> list[str]:
 
 
 def _already_there(
-    target: Path, source: ProcessedSource, warnings: list[str]
+    target: Path, source: ProcessedSource, made_by: str, warnings: list[str]
 ) -> DetectionResult | None:
-    """Return the result that exists, where it is sound and of just this file; of a run that has
-    gone on since, or damaged, it is written again. RunFileError where it is another run's."""
+    """Return the result that exists, where it is sound, of just this file and made by this code; of
+    a run that has gone on since, or damaged, it is written again. RunFileError where it is another
+    run's."""
     if not target.exists():
         return None
     if doubts := list(checksum_findings(target)):
@@ -186,13 +201,18 @@ def _already_there(
         if there.source.sha256 != source.sha256:
             warnings.append(f"{target.name}: written again: the run file has changed since")
             return None
-        return _found(target, True, source, len(there.trial_ids()), there.events(), warnings)
+        if there.made_by != made_by:
+            warnings.append(f"{target.name}: written again: other code has made it")
+            return None
+        trials, events = len(there.trial_ids()), there.events()
+        return _found(target, True, source, made_by, trials, events, warnings)
 
 
 def _found(
     target: Path,
     kept: bool,
     source: ProcessedSource,
+    made_by: str,
     trials: int,
     events: list[tuple[str, SlipEvent]],
     warnings: list[str],
@@ -207,6 +227,7 @@ def _found(
         events={kind: counts[kind] for kind in EVENT_KINDS},
         first_slip=next(slips, None),
         warnings=tuple(warnings),
+        made_by=made_by,
     )
 
 

@@ -6,18 +6,20 @@ import contextlib
 import logging
 import multiprocessing
 import os
+import platform
+import queue
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
     BrokenExecutor,
-    CancelledError,
     Executor,
     Future,
     ProcessPoolExecutor,
     as_completed,
 )
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from rig.core.errors import ConfigurationError, ExitCode, RigError
 
@@ -25,7 +27,13 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 CONNECT_S = 10.0
-"""Longest time in s that a cluster's scheduler may take to answer."""
+"""Longest time in s that a cluster's scheduler may take to answer, and to come back."""
+WORKERS_S = 30.0
+"""Longest time in s that a cluster may be without any worker."""
+LOOK_EVERY_S = 0.5
+"""Time in s between two looks whether scheduler and workers of a cluster are alive."""
+CLOSE_S = 3.0
+"""Longest time in s in which a cluster is told that nothing more is wanted of it."""
 
 
 def processors() -> int:
@@ -44,13 +52,17 @@ def completed(
     Processes are forked, which is what makes them worth it: new ones would import for longer than
     they work. What the function needs is therefore best imported before. With `scheduler` the
     cluster's workers call it: the same program has to be installed there, and the files have to
-    have the same names. ConfigurationError where the cluster cannot be reached.
+    have the same names. ConfigurationError where the cluster cannot be reached; a RigError for each
+    item that is missing when its scheduler is gone or it has no worker any more.
     """
     processes = min(processes, len(items))
     if scheduler is None and processes <= 1:
         yield from enumerate(map(function, items))
         return
-    with _forked(processes) if scheduler is None else _cluster(scheduler) as executor:
+    if scheduler is not None:
+        yield from _on_cluster(function, items, scheduler)
+        return
+    with _forked(processes) as executor:
         futures: dict[Future[Result], int] = {
             executor.submit(function, item): number for number, item in enumerate(items)
         }
@@ -72,8 +84,6 @@ def _outcome(future: Future[Result]) -> Result | RigError:
             "of memory or of a damaged file; --jobs 1 reads one file after the other",
             ExitCode.INTERNAL,
         )
-    except CancelledError:
-        return RigError("the cluster gave it up", "see whether its scheduler and workers are alive")
     except Exception as error:  # noqa: BLE001 - one file's trouble, whatever it is, is not all's
         failure = RigError(f"{type(error).__name__}: {error}", code=ExitCode.INTERNAL)
         failure.__cause__ = error
@@ -101,8 +111,97 @@ def _end_with_the_command() -> None:
     os._exit(1)
 
 
+def worker_name() -> str:
+    """Return the Dask worker in which this is called, by address and computer; of any other process
+    the computer alone."""
+    try:
+        from distributed import get_worker
+
+        return f"worker {get_worker().address}, {platform.node()}"
+    except (ImportError, ValueError):
+        return platform.node()
+
+
+def _on_cluster(
+    function: Callable[[Item], Result], items: Sequence[Item], scheduler: str
+) -> Iterator[tuple[int, Result | RigError]]:
+    """Yield what the cluster's workers return, and a RigError for each item that is still missing
+    when there is nobody left to wait for."""
+    done: queue.SimpleQueue[int] = queue.SimpleQueue()
+    with _connected(scheduler) as client:
+        alive = _Alive(client)
+        futures = {}
+        for number, item in enumerate(items):
+            # Dask hands one future to all whose keys are alike: the same file may be named twice.
+            future = client.submit(function, item, pure=False, retries=0)
+            futures[number] = future
+            future.add_done_callback(lambda _, number=number: done.put(number))
+        while futures:
+            try:
+                number = done.get(timeout=LOOK_EVERY_S)
+            except queue.Empty:
+                if (gone := alive.nobody()) is not None:
+                    yield from ((number, gone) for number in futures)
+                    return
+                continue
+            future = futures.pop(number)
+            yield number, _of_worker(future)
+
+
+def _of_worker(future: Any) -> Any:
+    """Return the outcome of a Dask future that is done: a result, or a RigError."""
+    from distributed import CancelledError
+    from distributed.scheduler import KilledWorker
+
+    try:
+        return future.result(timeout=CONNECT_S)
+    except KilledWorker:
+        return RigError(
+            "the workers that read it died",
+            "of memory or of a damaged file; without --scheduler it is read here",
+            ExitCode.INTERNAL,
+        )
+    except CancelledError:
+        return RigError("the cluster gave it up", "see whether its scheduler and workers are alive")
+    except Exception as error:  # noqa: BLE001 - one file's trouble, whatever it is, is not all's
+        failure = RigError(f"{type(error).__name__}: {error}", code=ExitCode.INTERNAL)
+        failure.__cause__ = error
+        return failure
+
+
+class _Alive:
+    """Whether a cluster still has somebody to wait for."""
+
+    def __init__(self, client: Any):
+        self._client = client
+        self._scheduler_s = self._worker_s = time.monotonic()
+        """When the scheduler was last connected, and when it last knew of a worker."""
+
+    def nobody(self) -> RigError | None:
+        """Return why nothing will come any more, or None. Asks the scheduler for its workers."""
+        with contextlib.suppress(Exception):  # one that does not answer is not alive
+            client = self._client
+            workers = client.sync(client.scheduler.ncores, callback_timeout=CONNECT_S)
+            self._scheduler_s = time.monotonic()
+            if workers:
+                self._worker_s = self._scheduler_s
+        now_s = time.monotonic()
+        if now_s - self._scheduler_s > CONNECT_S:
+            what = f"the cluster's scheduler has been gone for {CONNECT_S:g} s"
+        elif now_s - self._worker_s > WORKERS_S:
+            what = f"the cluster has had no worker for {WORKERS_S:g} s"
+        else:
+            return None
+        return RigError(
+            f"not processed: {what}",
+            "start scheduler and workers again and repeat the command; what is saved is kept",
+        )
+
+
 @contextlib.contextmanager
-def _cluster(scheduler: str) -> Iterator[Executor]:
+def _connected(scheduler: str) -> Iterator[Any]:
+    """Yield a Dask client. It is left within a bound, whoever is still alive; what was submitted
+    and has not begun is given up."""
     try:
         from distributed import Client
     except ImportError as error:
@@ -118,5 +217,8 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
             f"--scheduler {scheduler}: no Dask scheduler answers there: {error}",
             "an address is like tcp://127.0.0.1:8786",
         ) from error
-    with client, client.get_executor(pure=False, retries=0) as executor:
-        yield executor
+    try:
+        yield client
+    finally:
+        with contextlib.suppress(Exception):  # whoever it is that does not hear it is gone
+            client.close(timeout=CLOSE_S)

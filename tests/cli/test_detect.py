@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import csv
+import os
+import platform
 import re
+import shutil
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +23,14 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
 
 import recorded_run
 import recorded_trials as trials
+from distributed import Client
 
+import rig as package
 from rig.detector.detector import DETECTOR_VERSION
 from rig.files.runfile.compile import compile_run
 
 HP = ("--detector", "paper-hp")
+PATIENCE_S = 60.0
 
 
 @pytest.fixture
@@ -197,48 +206,119 @@ def test_an_imported_recording_is_processed_and_marked(rig: Any) -> None:
     assert rig.run("verify", result["file"]).code == 0
 
 
-CLUSTER = """
-import sys
-from distributed import LocalCluster
-if __name__ == "__main__":
-    with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
-    ) as cluster:
-        print(cluster.scheduler_address, flush=True)
-        sys.stdin.read()
-"""
+@pytest.fixture
+def dask(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts a Dask scheduler or worker in a folder of its own; they end with the test."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(what: str, *options: str, code: str | None = None) -> subprocess.Popen[str]:
+        folder = tmp_path / f"dask-{len(started)}"
+        folder.mkdir()
+        path = {} if code is None else {"PYTHONPATH": code}
+        process = subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.dask_{what}", *options],
+            cwd=folder,
+            env={**os.environ, **path},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
 
 
 @pytest.fixture
-def scheduler(tmp_path: Path) -> Iterator[str]:
-    """A Dask cluster of one worker on this computer, in a folder of its own."""
-    folder = tmp_path / "cluster"
-    folder.mkdir()
-    (folder / "cluster.py").write_text(CLUSTER)
-    with subprocess.Popen(
-        [sys.executable, "cluster.py"],
-        cwd=folder,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    ) as process:
-        assert process.stdout is not None
-        yield process.stdout.readline().strip()
-        assert process.stdin is not None
-        process.stdin.close()
-        process.wait(60)
+def scheduler(dask: Callable[..., subprocess.Popen[str]]) -> tuple[str, subprocess.Popen[str]]:
+    """Address and process of a scheduler."""
+    process = dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+    return heard(process, r"Scheduler at:\s+(tcp\S+)"), process
+
+
+def heard(process: subprocess.Popen[str], pattern: str) -> str:
+    """Return what the process says on stderr. The rest is read, so that it can go on."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        if found := re.search(pattern, line):
+            threading.Thread(target=process.stderr.read, daemon=True).start()
+            return found[1]
+    raise AssertionError(f"it ended with {process.wait()}")
+
+
+def worker(
+    dask: Callable[..., subprocess.Popen[str]], address: str, code: str | None = None
+) -> tuple[str, subprocess.Popen[str]]:
+    """Address and process of a new worker."""
+    options = ("--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard", "--no-nanny")
+    process = dask("worker", address, *options, code=code)
+    name = heard(process, r"Start worker at:\s+(tcp\S+)")
+    return name, process
 
 
 @pytest.mark.thorough
-def test_a_cluster_gives_the_same_bytes(rig: Any, runs: list[str], scheduler: str) -> None:
+def test_a_cluster_gives_the_same_bytes(
+    rig: Any, runs: list[str], dask: Any, scheduler: tuple[str, Any]
+) -> None:
+    address, _ = scheduler
+    name, _ = worker(dask, address)
     here = rig.run("detect", *HP, "--to", "here", *runs)
-    there = rig.run("detect", *HP, "--scheduler", scheduler, "--to", "there", *runs, "none.h5")
+    there = rig.run("detect", *HP, "--scheduler", address, "--to", "there", *runs, "none.h5")
     assert here.code == 0, here.stderr
     assert there.code == 5, there.stderr
     assert "none.h5: no such file" in there.errors[0]
+    assert f"(on worker {name}, {platform.node()})" in there.errors[0]
     assert len(there.stdout.splitlines()) == 3
     assert contents(rig.folder / "there") == contents(rig.folder / "here")
+
+
+@pytest.mark.thorough
+def test_a_worker_with_other_code_is_noticed(
+    rig: Any, runs: list[str], dask: Any, scheduler: tuple[str, Any], tmp_path: Path
+) -> None:
+    address, _ = scheduler
+    shutil.copytree(Path(package.__file__).parent, tmp_path / "other" / "rig")
+    changed = tmp_path / "other" / "rig" / "detector" / "fir.py"
+    changed.write_text(changed.read_text() + "\n# changed\n")
+    name, _ = worker(dask, address, code=str(tmp_path / "other"))
+    done = rig.run("detect", *HP, "--scheduler", address, runs[0])
+    assert done.code == 2, done.stderr
+    assert "differs from that of the command" in done.errors[0]
+    assert name in done.errors[0]
+    assert not (rig.folder / "processed").exists()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("who", ["scheduler", "worker", "nobody"])
+def test_a_cluster_that_dies_ends_the_command(
+    rig: Any, runs: list[str], dask: Any, scheduler: tuple[str, Any], who: str
+) -> None:
+    address, process = scheduler
+    _, other = worker(dask, address)
+    other.send_signal(signal.SIGSTOP)  # so that the command waits
+    begun = rig.start("detect", *HP, "--scheduler", address, runs[0])
+    with Client(address, set_as_default=False) as client:
+        give_up_s = time.monotonic() + PATIENCE_S
+        while not client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)):
+            assert time.monotonic() < give_up_s, "the command has asked for nothing"
+            time.sleep(0.1)
+    if who == "scheduler":
+        process.kill()
+    elif who == "worker":
+        other.kill()
+    else:
+        begun.send(signal.SIGTERM)
+    done = begun.finish()
+    if who == "nobody":
+        assert done.code == 143, done.stderr
+        return
+    assert done.code != 0
+    assert runs[0] in done.errors[0]
+    told = {"scheduler": "see whether its scheduler", "worker": "no worker for 30 s"}
+    assert told[who] in done.errors[0]
 
 
 @pytest.mark.thorough

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 import recorded_run
 import recorded_trials as trials
 
+import rig
 from rig.core.errors import ExitCode
 from rig.detector.detector import DETECTOR_VERSION
 from rig.detector.fir import StreamingFir
@@ -32,6 +34,7 @@ from rig.processing.detection import (
     detect_file,
     detect_trials,
 )
+from rig.processing.identity import CODE, detection_digest
 
 SETTINGS = DetectorSettings(logic="paper-hp")
 TRIALS = {"trial-001": trials.slipping(), "trial-002": trials.quiet(seed=2)}
@@ -181,8 +184,7 @@ def test_other_parameters_or_another_version_add_a_file(
     deaf = detected(own_run, settings=SETTINGS.model_copy(update={"fire_mV": 100.0}))
     assert deaf.events["incipient slip"] == 0
     monkeypatch.setattr("rig.processing.detection.DETECTOR_VERSION", "next")
-    later = detect_file(DetectionJob(own_run, SETTINGS, version="next"))
-    assert isinstance(later, DetectionResult)
+    later = detected(own_run)
     files = {path.name for path in first.file.parent.glob("*.h5")}
     assert files == {first.file.name, deaf.file.name, later.file.name}
     assert ".paper-hp-next-" in later.file.name
@@ -286,10 +288,49 @@ def test_a_run_file_that_has_changed_is_refused_and_one_without_checksum_reporte
     assert answer.code is ExitCode.FOUND_WRONG
 
 
-def test_a_computer_with_another_detector_refuses(own_run: Path) -> None:
-    answer = detect_file(DetectionJob(own_run, SETTINGS, version="0"))
+def test_a_computer_with_other_code_refuses(own_run: Path, tmp_path: Path) -> None:
+    answer = detect_file(DetectionJob(own_run, SETTINGS, made_by="0" * 64, elsewhere=True))
     assert isinstance(answer, DetectionFailure)
-    assert f"version 0 is needed, but this computer has {DETECTOR_VERSION}" in answer.message
+    assert "differs from that of the command" in answer.message
+    assert platform.node() in answer.message
+    assert not (tmp_path / "processed").exists()
+    digest = detection_digest(SETTINGS)
+    answer = detect_file(DetectionJob(own_run, SETTINGS, made_by=digest, elsewhere=True))
+    assert isinstance(answer, DetectionResult)
+    assert answer.made_by == digest
+
+
+def test_what_other_code_has_made_is_written_again(
+    own_run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr("rig.processing.identity.CODE_DIGEST", "other")
+        other = detected(own_run)
+        assert detected(own_run).kept
+    mine = detected(own_run)
+    assert not mine.kept
+    assert "other code has made it" in mine.warnings[0]
+    assert mine.file == other.file
+    assert detected(own_run).kept
+
+
+def test_the_digest_covers_all_code_from_run_file_to_processed_file() -> None:
+    script = (
+        "import sys, rig.processing.detection as d; d.prepare(d.DetectorSettings(logic='paper-hp'))"
+        "\nprint(*(m.__file__ for n, m in sys.modules.items() if n.startswith('rig.')))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    root = Path(rig.__file__).parent
+    loaded = {Path(file).relative_to(root) for file in done.stdout.split()}
+    covered = {path.relative_to(root) for pattern in CODE for path in root.glob(pattern)}
+    assert Path("detector/rig.json") in covered
+    decides = ("detector", "files", "processing")
+    others = {str(path) for path in loaded - covered if path.parts[0] in decides}
+    assert others <= {
+        "files/__init__.py", "files/checksum.py", "files/errors.py", "files/file_kind.py",
+        "files/naming.py", "files/verify.py", "files/describe.py", "files/definitions/__init__.py",
+        "processing/__init__.py", "processing/identity.py", "processing/parallel.py",
+    }  # fmt: skip
 
 
 FULL_DISK = """

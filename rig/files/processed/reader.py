@@ -97,6 +97,12 @@ class ProcessedFile(OpenFile):
         with _naming(self.path):
             return self._text("process/version")
 
+    @property
+    def made_by(self) -> str:
+        """The digest of code and parameters that have made it; empty in a file without one."""
+        with _naming(self.path):
+            return str(self.entry["process/version"].attrs.get("digest", ""))
+
     def trial_ids(self) -> list[str]:
         """Return the ids of the trials, in the order in which they were processed."""
         with _naming(self.path):

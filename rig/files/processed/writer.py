@@ -2,7 +2,7 @@
 it.
 
 The raw file is read and named by its SHA-256, never written to. A processed file holds nothing but
-what follows from that file, the detector's version and its parameters, so that the same three give
+what follows from that file, the detector's code and its parameters, so that the same three give
 the same bytes (with the same libraries), whoever computes them and when.
 """
 
@@ -43,9 +43,11 @@ def write_processed(
     source: ProcessedSource,
     settings: DetectorSettings,
     version: str,
+    made_by: str,
     trials: Sequence[DetectedTrial],
 ) -> None:
-    """Write a processed file, in place of an earlier one; it appears when it is whole.
+    """Write a processed file, in place of an earlier one; it appears when it is whole. `made_by` is
+    the digest of code and parameters (`rig.processing.identity`).
 
     Raises RecordingError where the disk does not take it, RunFileError where it does not read back
     equal.
@@ -54,7 +56,7 @@ def write_processed(
         target.parent.mkdir(parents=True, exist_ok=True)
         # `shared`: workers of a cluster may process the same run file at the same time.
         with publishing(target, shared=True) as part:
-            _write(part, target.name, source, settings, version, trials)
+            _write(part, target.name, source, settings, version, made_by, trials)
             _read_back(part, target, source, settings, trials)
     except OSError as error:
         raise RecordingError(
@@ -85,6 +87,7 @@ def _write(
     source: ProcessedSource,
     settings: DetectorSettings,
     version: str,
+    made_by: str,
     trials: Sequence[DetectedTrial],
 ) -> None:
     """Write it all and make it durable; OSError if the disk does not take it."""
@@ -97,7 +100,7 @@ def _write(
             entry = group(file, "entry", "NXentry")
             entry.attrs["default"] = "data"
             _write_source(entry, source)
-            _write_process(entry, settings, version)
+            _write_process(entry, settings, version, made_by)
             _write_events(group(entry, "events", "NXcollection"), trials)
             _write_trials(entry, source, trials)
         guarded.check()
@@ -147,10 +150,12 @@ def _unmarked(source: ProcessedSource) -> str:
     return source.title.removeprefix(source.mark).lstrip() or source.file_name
 
 
-def _write_process(entry: h5py.Group, settings: DetectorSettings, version: str) -> None:
+def _write_process(
+    entry: h5py.Group, settings: DetectorSettings, version: str, made_by: str
+) -> None:
     process = group(entry, "process", "NXprocess")
     text_field(process, "program", PROGRAM).attrs["detector"] = settings.logic
-    text_field(process, "version", version)
+    text_field(process, "version", version).attrs["digest"] = made_by
     number_field(process, "sequence_index", 1)
     units = {name: unit for name, _, unit in leaves(settings) if unit is not None}
     write_values(group(process, "parameters", "NXparameters"), settings.model_dump(), units)
