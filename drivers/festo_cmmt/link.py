@@ -20,9 +20,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pymodbus.client import ModbusTcpClient
-from pymodbus.exceptions import ModbusException
 
-from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 
 if TYPE_CHECKING:
     from rig.core.clock import Clock
@@ -46,8 +45,6 @@ WAITS = 2
 
 _READ, _WRITE, _DONE = 1, 2, 0x10
 _BASIC, _REGULAR = 1, 2
-_BROKEN = (OSError, EOFError, struct.error, ValueError, IndexError, KeyError, TypeError)
-"""Exceptions that the library may raise for an unusable answer; each becomes an InstrumentError."""
 
 
 class CmmtLink:
@@ -226,10 +223,10 @@ class CmmtLink:
             begun = time.monotonic()
             try:
                 reply = request(self._opened(what))
-            except InstrumentError:
+            except RigError:
                 self.close()
                 raise
-            except (ModbusException, *_BROKEN) as error:
+            except Exception as error:  # noqa: BLE001 - pymodbus may raise anything over bad bytes
                 self.close()  # before another thread opens a new connection
                 failed, took_s = error, time.monotonic() - begun
         if failed is not None:

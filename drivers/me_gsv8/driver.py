@@ -35,7 +35,7 @@ from pydantic import Field, model_validator
 from drivers.me_gsv8 import frames as gsv_frames
 from drivers.me_gsv8.frames import FrameLayout, GsvResponse, Measurements
 from rig.core.clock import Clock
-from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 from rig.core.settings import Settings as BaseSettings
 from rig.core.settings import Wiring
 from rig.instruments.roles import ForceFrames, Identity, Reach
@@ -315,8 +315,6 @@ class GsvLink:
             self._responses.clear()
 
     def _write(self, command: GsvCommand, parameters: bytes) -> None:
-        import serial
-
         self._unanswered.add(command.answer_bytes)
         port = self._port
         try:
@@ -325,7 +323,7 @@ class GsvLink:
             if port is not None and self._port is port:
                 raise
             # The reader has closed it meanwhile: pyserial then trips over what is no longer there.
-            raise serial.SerialException("the port was closed while it was written to") from error
+            raise OSError("the port was closed while it was written to") from error
 
     def _await(self, command: GsvCommand, strict: bool) -> GsvResponse:
         """Return the next response; with `strict`, bytes that are not a frame are an error."""
@@ -375,8 +373,6 @@ class GsvLink:
     @contextlib.contextmanager
     def _failing(self, command: GsvCommand | None) -> Iterator[None]:
         """Turn failures into InstrumentErrors; a port that failed is closed and opened anew."""
-        import serial
-
         name = command.name if command is not None else "stream"
         try:
             with self._clock.answer_within(WAITS * self._settings.timeout_s):
@@ -385,7 +381,9 @@ class GsvLink:
             with contextlib.suppress(InstrumentError):  # the time-out itself is the news
                 self._clock.charge(self._settings.timeout_s)
             raise
-        except (serial.SerialException, OSError) as error:
+        except RigError:
+            raise
+        except Exception as error:  # pyserial and termios raise what they like where it breaks
             self.close()
             raise self._error(name, f"the connection failed ({error})") from error
 

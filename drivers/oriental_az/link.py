@@ -31,7 +31,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 
 if TYPE_CHECKING:
     from rig.core.clock import Clock
@@ -262,10 +262,6 @@ class AzLine:
         request itself is left to be sent; what it raises is raised. Otherwise raises NoAnswerError
         or BrokenAnswerError.
         """
-        import termios
-
-        import serial
-
         with self._lock:
             try:
                 self._open_port()
@@ -280,7 +276,9 @@ class AzLine:
             except BrokenAnswerError:
                 self._doubtful.add(request.unit)
                 raise
-            except (OSError, serial.SerialException, termios.error) as error:
+            except RigError:
+                raise
+            except Exception as error:  # pyserial and termios raise what they like where it breaks
                 self._doubtful.add(request.unit)
                 self._close()
                 raise BrokenAnswerError(f"{type(error).__name__}: {error}") from error

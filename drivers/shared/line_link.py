@@ -17,7 +17,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from drivers.shared.ports import SOCKET, Port, open_port
-from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 
 if TYPE_CHECKING:
     from rig.core.clock import Clock
@@ -83,7 +83,9 @@ class LineLink:
                     raise
         except TimeoutError:
             raise self._timed_out(command, charge) from None
-        except (OSError, ValueError) as error:
+        except RigError:
+            raise
+        except Exception as error:  # pyserial and termios raise what they like where it breaks
             raise self.error(command, f"the connection failed ({error})") from error
 
     def close(self) -> None:

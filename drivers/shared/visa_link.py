@@ -23,7 +23,7 @@ import pyvisa
 import pyvisa_py  # noqa: F401 - up to a second, not to be spent while a drive waits for a word
 from pyvisa.constants import StatusCode
 
-from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 from rig.instruments.roles import Identity
 
 if TYPE_CHECKING:
@@ -130,12 +130,14 @@ class VisaLink:
                 raise self._broken(message, str(error)) from error
             except UnicodeDecodeError as error:
                 raise self._garbage(message, error.object, "text") from error
-            except (OSError, EOFError, RuntimeError, pyvisa.Error) as error:
-                self.close()
-                raise self._broken(message, f"{type(error).__name__}: {error}") from error
-            except InstrumentError:
+            except RigError:
                 self.close()
                 raise
+            except Exception as error:
+                # What pyvisa-py raises over bytes that it does not expect is of any type: a flipped
+                # bit in a HiSLIP header is an AssertionError, a KeyError or a MemoryError.
+                self.close()
+                raise self._broken(message, f"{type(error).__name__}: {error}") from error
 
     def _open(self, message: str) -> Any:
         """Return a new session; `message` is what it is wanted for."""

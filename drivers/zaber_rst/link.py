@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from drivers.shared.ports import Port, open_port
 from drivers.zaber_rst import frames as zaber_frames
 from drivers.zaber_rst.frames import Reply, ZaberFrameError
-from rig.core.errors import InstrumentError, InstrumentTimeoutError
+from rig.core.errors import InstrumentError, InstrumentTimeoutError, RigError
 
 if TYPE_CHECKING:
     from rig.core.clock import Clock
@@ -76,7 +76,9 @@ class ZaberLink:
             raise self._timed_out(what, charge) from error
         except ZaberFrameError as error:
             raise self._error(what, f"the answer cannot be read ({error})") from error
-        except (OSError, ValueError) as error:
+        except RigError:
+            raise
+        except Exception as error:  # pyserial and termios raise what they like where it breaks
             raise self._error(what, f"the connection failed ({error})") from error
 
     def close(self) -> None:

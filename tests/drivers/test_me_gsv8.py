@@ -491,8 +491,8 @@ def test_a_reader_thread_and_requests_from_another_do_not_disturb_each_other() -
         for _ in range(100):
             bench.clock.sleep(0.01)
             assert amplifier._read_rate() == 1000
-        assert time.monotonic() - began < 5
-        deadline = time.monotonic() + 5
+        assert time.monotonic() - began < 60, "they hold each other up"
+        deadline = time.monotonic() + 60
         while count < 1000 and time.monotonic() < deadline:
             time.sleep(0.005)
         over.set()
