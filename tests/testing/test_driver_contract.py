@@ -88,9 +88,9 @@ MISTAKES = {
     ),
     "a direction": (
         "stage",
-        "float(found[3])",
-        "-float(found[3])",
-        "it has to be",
+        "return self._state()[2]",
+        "return -self._state()[2]",
+        "position_mm() is -",
     ),
     "an order of samples": (
         "daq",
