@@ -20,8 +20,12 @@ if TYPE_CHECKING:
 
 HIGH_Hz = 100.0
 """Frequency above which a roll has almost no signal (paper 5) and a slip has much."""
-ZERO_S = 0.1
-"""Length of the rest before the roll whose mean is the strips' zero."""
+ZERO_S, LEAST_ZERO_S = 0.1, 0.02
+"""Length of the rest before the roll whose mean is the strips' zero, and of what is left of it at
+least where the rest is short."""
+TAKEN_OVER_S = 0.07
+"""Time after the tap in which the strips feel how the servo takes over: 5 mV, which shifts the mean
+of 0.1 s by 0.4 mV, a tenth of a peak (measured on the skin at 4 N, 100 Hz)."""
 
 
 @dataclass
@@ -80,7 +84,7 @@ def _strips(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
     100 Hz."""
     volts = np.concatenate(record.volts)
     t = np.arange(len(volts)) / DECIMATED_Hz - record.filter_delay_s
-    before = (t >= record.motion_from_s - ZERO_S) & (t < record.motion_from_s)
+    before = (t >= _zero_from_s(record)) & (t < record.motion_from_s)
     volts = volts - volts[before].mean(axis=0)
     way_s = settings.profile.duration_s / 2
     there = (t >= record.motion_from_s) & (t < record.motion_from_s + way_s)
@@ -92,6 +96,13 @@ def _strips(settings: RollTrialSettings, record: RollTrialRecord) -> Reading:
         "peak_2_mV": peaks[1],
         "above_100_Hz_percent": 100 * share_above(difference, DECIMATED_Hz, HIGH_Hz),
     }
+
+
+def _zero_from_s(record: RollTrialRecord) -> float:
+    """Return when the rest begins whose mean is the strips' zero, since the record's begin."""
+    settled_s = record.tapped_s + TAKEN_OVER_S
+    latest_s = record.motion_from_s - LEAST_ZERO_S
+    return max(record.motion_from_s - ZERO_S, min(settled_s, latest_s))
 
 
 def _lifted(record: RollTrialRecord, reading: Reading) -> Reading:
