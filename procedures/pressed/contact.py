@@ -32,6 +32,9 @@ from rig.files.journal.layout import Column
 from rig.run.trip import TripError
 
 if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
     from rig.bench.connected import Bench
     from rig.bench.settings import FixtureSettings
     from rig.run.context import Run
@@ -54,6 +57,16 @@ TARE_S = 0.2
 DRIFT_N_s, DRIFT_S, SIGMAS = 0.2, 1.0, 5.0
 """Largest drift of the zero in free air, far above what a warm amplifier shows; the stretch of
 force that confirms one; and the ratio to its standard error from which it is no noise."""
+DRIFT_PARTS, LASTING_SHARE = 3, 1 / 3
+"""Parts of that stretch, and the share of its slope that each of them has to have: a drift goes on,
+while something that pushes on the probe for a moment shows in one or two of them."""
+PUSHED_N = 0.05
+"""Difference of mean and median of the force from which something has pushed for a moment."""
+MEDIAN_ERROR = 0.76
+"""Standard error of that difference for normal noise, in standard deviations over the root of the
+number of frames: (pi / 2 - 1)**0.5."""
+TARE_TRIES = 3
+"""How often the force is looked at for a stretch that nothing disturbs."""
 UNLOAD_DEADLINE_S = 20.0
 HOMING_S = 0.68
 """Expected of a stage without a reference, wherever it stands (measured on simulated drives)."""
@@ -185,12 +198,19 @@ def stream_force(run: Run, least_S_s: float, what: str) -> None:
 
 
 def tare_in_free_air(run: Run) -> ForceZero:
-    """Zero the force sensor once what has moved is at rest; where its zero was found. Raises
-    InstrumentError for a zero that drifts."""
+    """Zero the force sensor once what has moved is at rest; where its zero was found.
+
+    What pushes for a moment is waited for. Raises InstrumentError for a zero that drifts, and where
+    the force does not come to rest.
+    """
     run.clock.sleep(2 * TARE_S)
-    if drift_of(run, TARE_S) is not None:
+    for _ in range(TARE_TRIES):
+        latest_N = run.force.latest_N(TARE_S)
+        if drift_of(latest_N, run.force.rate_S_s) is None and not was_pushed(latest_N):
+            return ForceZero(*run.force.tare(TARE_S))
         run.clock.sleep(DRIFT_S)
-        if (drift := drift_of(run, DRIFT_S)) is not None:
+        drift = lasting_drift_of(run.force.latest_N(DRIFT_S), run.force.rate_S_s)
+        if drift is not None:
             raise InstrumentError(
                 "force_sensor",
                 "tare",
@@ -198,17 +218,46 @@ def tare_in_free_air(run: Run) -> ForceZero:
                 "let the amplifier warm up; check cable and supply, and that nothing touches the "
                 "sensor",
             )
-    return ForceZero(*run.force.tare(TARE_S))
+    raise InstrumentError(
+        "force_sensor",
+        "tare",
+        f"the force has not been at rest in free air for {TARE_S:g} s in {TARE_TRIES} looks",
+        "check that nothing touches the sensor and nothing shakes the bench; check cable and plug",
+    )
 
 
-def drift_of(run: Run, seconds: float) -> str | None:
-    """Return by how much and along which axis the force has drifted over the latest `seconds`, in
-    words; None where no axis drifts beyond its noise and `DRIFT_N_s`."""
-    slopes_N_s, errors_N_s = slopes(run.force.latest_N(seconds), run.force.rate_S_s)
+def drift_of(force_N: npt.NDArray[np.float64], rate_S_s: float) -> str | None:
+    """Return by how much and along which axis the force (n, 3) drifts, in words; None where no axis
+    drifts beyond its noise and `DRIFT_N_s`."""
+    slopes_N_s, errors_N_s = slopes(force_N, rate_S_s)
     for axis, slope, error in zip("xyz", slopes_N_s, errors_N_s, strict=True):
         if abs(slope) > max(DRIFT_N_s, SIGMAS * error):
             return f"by {slope:.2g} N/s along {axis}"
     return None
+
+
+def lasting_drift_of(force_N: npt.NDArray[np.float64], rate_S_s: float) -> str | None:
+    """Return the same as `drift_of`, for the axes whose force changes all the time: each of
+    `DRIFT_PARTS` has at least `LASTING_SHARE` of the slope of the whole."""
+    whole_N_s, _ = slopes(force_N, rate_S_s)
+    size = len(force_N) // DRIFT_PARTS
+    lasts = whole_N_s != 0
+    for part in range(DRIFT_PARTS):
+        slopes_N_s, _ = slopes(force_N[part * size : (part + 1) * size], rate_S_s)
+        lasts &= slopes_N_s * whole_N_s >= LASTING_SHARE * whole_N_s**2
+    return drift_of(force_N * lasts, rate_S_s)
+
+
+def was_pushed(force_N: npt.NDArray[np.float64]) -> bool:
+    """Return whether something has pushed for a moment within the force (n, 3): then its mean along
+    an axis differs from its median by more than `PUSHED_N` and the noise."""
+    import numpy as np  # as in rig.analysis.slope
+
+    median_N = np.median(force_N, axis=0)
+    noise_N = 1.4826 * np.median(np.abs(force_N - median_N), axis=0)
+    error_N = MEDIAN_ERROR * noise_N / len(force_N) ** 0.5
+    off_N = np.abs(force_N.mean(axis=0) - median_N)
+    return bool((off_N > np.maximum(PUSHED_N, SIGMAS * error_N)).any())
 
 
 def come_close(
