@@ -195,7 +195,8 @@ def test_a_time_out_is_tried_again_and_a_limit_never(rig) -> None:
         '[[fault]]\ndevice = "daq"\nkind = "silence"\nat = 40\n'
     )
     (rig.folder / "spikes.toml").write_text(
-        '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 60\nmove = 3\nof = "stage_z"\n'
+        '[[fault]]\ndevice = "force_sensor"\nkind = "spike"\nforce_N = 60\n'
+        'move = 3\nof = "stage_z"\n'
     )
     text = SWEEPS + (
         "repeat = 2\n"
