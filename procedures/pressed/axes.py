@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -21,24 +22,38 @@ ARRIVED_EVERY_S = 0.05
 
 
 @dataclass(frozen=True)
-class StagePoll:
+class Look:
+    """An axis's answer to where it is; its times on the run's clock."""
+
+    asked_s: float = -math.inf
+    """Time of the question. The axis has not been seen where it was any later."""
+    answered_s: float = -math.inf
+
+    @property
+    def at_s(self) -> float:
+        """Time for which the answer is recorded: the middle between question and answer."""
+        return (self.asked_s + self.answered_s) / 2
+
+
+@dataclass(frozen=True)
+class StagePoll(Look):
     """A stage's answer to where it is."""
 
-    at_s: float = 0.0
-    """Time of the poll on the run's clock: the middle between question and answer."""
-    position_mm: float = 0.0
+    position_mm: float = math.nan
     commanded_mm: float = 0.0
 
 
 class PolledAxis(Protocol):
     """An axis whose position a trial records."""
 
+    role: str
+    """Role of its stage."""
     in_motion: bool
     """True if the axis is polled; one at rest stays where it was polled last."""
 
     @property
-    def polled_s(self) -> float:
-        """Time of the latest poll, on the run's clock."""
+    def looked(self) -> Look:
+        """The latest look at the axis."""
         ...
 
     def ask_poll(self) -> None:
@@ -56,15 +71,15 @@ class PolledStage:
         self.latest = StagePoll()
 
     @property
-    def polled_s(self) -> float:
+    def looked(self) -> Look:
         """See `PolledAxis`."""
-        return self.latest.at_s
+        return self.latest
 
     def poll(self) -> None:
         """Ask the stage where it is, in the calling thread."""
         commanded_mm, asked_s = self.commanded_mm, self.clock.now()
         position_mm = self.stage.position_mm()
-        self.latest = StagePoll((asked_s + self.clock.now()) / 2, position_mm, commanded_mm)
+        self.latest = StagePoll(asked_s, self.clock.now(), position_mm, commanded_mm)
 
     def ask_poll(self) -> None:
         """See `PolledAxis`."""

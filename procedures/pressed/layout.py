@@ -6,6 +6,20 @@ from procedures.pressed.contact import ZERO_COLUMNS
 from rig.files.journal.layout import Column
 from rig.run.procedure import StreamPlan
 
+
+def ages(*axes: str) -> StreamPlan:
+    """Return the stream of the positions' ages for these axes."""
+    return StreamPlan(
+        "ages",
+        "clock",
+        axes,
+        "Time from the latest look at each axis to the time of the row; an axis at rest is not "
+        "looked at",
+        "<f8",
+        "s",
+    )
+
+
 STREAMS = (
     StreamPlan("strips", "daq", ("strip_1", "strip_2"), "PVDF strips, raw counts"),
     StreamPlan(
@@ -51,6 +65,7 @@ STREAMS = (
         "<f8",
         "mm",
     ),
+    ages("z", "x"),
 )
 
 ASKED = (
@@ -98,6 +113,7 @@ RECORDED = (
     Column("missed_ticks", "", "Ticks that were left out"),
     Column("held_back_ticks", "", "Ticks in which z got no command because it was busy"),
     Column("largest_lateness", "s", "Largest lateness of a tick"),
+    Column("oldest_look", "s", "Longest time for which a moving axis was not seen"),
     Column("invalid", "", "Why the trial does not count", "text"),
     Column("filter_delay", "s", "Delay of the anti-alias filter"),
 )

@@ -33,6 +33,11 @@ class MotionRecord:
     """Position of z; larger is deeper, towards the object."""
     x_mm: Values
     """Position of x."""
+    z_age_s: Values
+    """Time from the latest look at z to the time of each position: near 0 where z was looked at
+    anew. A trial in which an axis in motion was not seen for long is invalid."""
+    x_age_s: Values
+    """The same of x, which is not looked at while it is at rest."""
     force_t_s: Values
     """Times of `normal_N` and `tangential_N`: equally spaced, 1000 a second unless the force sensor
     is slower."""
@@ -53,7 +58,7 @@ class MotionRecord:
 
 def motion_record(record: TrialRecord) -> MotionRecord:
     """Return the part of a trial's record that belongs to its motion."""
-    rows = np.array(record.position)
+    rows, ages_s = np.array(record.position), np.array(record.ages_s)
     position_s, force_s = rows[:, 0], record.frame_times_s()
     volts = np.concatenate(record.volts)
     signal_s = np.arange(len(volts)) / DECIMATED_Hz - record.filter_delay_s
@@ -67,6 +72,8 @@ def motion_record(record: TrialRecord) -> MotionRecord:
         position_t_s=position_s[moved] - record.motion_from_s,
         z_mm=rows[moved, 1],
         x_mm=rows[moved, 2],
+        z_age_s=ages_s[moved, 0],
+        x_age_s=ages_s[moved, 1],
         force_t_s=force_s[felt] - record.motion_from_s,
         normal_N=forces_N[:, 0],
         tangential_N=forces_N[:, 1],

@@ -4,6 +4,7 @@ it is valid."""
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -36,6 +37,9 @@ SERVO_ERROR_S = 0.005
 ZERO_SHIFT_N, ZERO_SHIFT = 0.1, 0.03
 """Largest change of the force sensor's zero within a valid trial, and as a share of the normal
 force; the larger of both is the bound."""
+OLDEST_LOOK = 5
+"""Longest time for which an axis may not be seen in its motion, in intervals from one look at it to
+the next: 0.05 s at the usual 100 looks a second. What moves at 6 mm/s goes 0.3 mm meanwhile."""
 HELD_BACK = 0.5
 """Share of the ticks without a new target for z beyond which there is a warning."""
 AT_REST_S = 0.2
@@ -73,6 +77,12 @@ class TrialRecord:
     """F_n, F_t, F_y, (n, 3) each."""
     position: list[tuple[float, float, float, float, float]] = field(default_factory=list)
     """Time, z, x, z commanded, x commanded."""
+    ages_s: list[tuple[float, ...]] = field(default_factory=list)
+    """Age of every position of a row at the row's time: z, x, and those of further axes."""
+    unseen_s: dict[str, float] = field(default_factory=dict)
+    """Longest time in s for which an axis was not seen in its motion, by its role."""
+    look_every_s: float = math.inf
+    """Time in s from one look at the axes to the next."""
     rows: int = 0
     """Rows of the strips' signals."""
     signal_rows: int = 0
@@ -81,9 +91,26 @@ class TrialRecord:
     """Ticks of the servo without a new target: the drive had not answered to what came before."""
     loops: list[LoopStatistics] = field(default_factory=list)
 
+    @property
+    def moves(self) -> bool:
+        """True while the motion is under way."""
+        return self.motion_from_s > self.motion_to_s
+
+    def note_unseen(self, axis: str, unseen_s: float, every_s: float) -> None:
+        """Note that an axis in motion, looked at `every_s`, has not been seen for `unseen_s`."""
+        self.unseen_s[axis] = max(unseen_s, self.unseen_s.get(axis, 0.0))
+        self.look_every_s = every_s
+
     def forces_N(self) -> npt.NDArray[np.float64]:  # noqa: N802 - the unit keeps its capital
         """Return the F_n, F_t, F_y of every frame, (n, 3)."""
         return np.concatenate(self.force)
+
+    def looks_at_x(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return times and positions of x, (n,) each: one for every look, at the look's own
+        time."""
+        rows, ages_s = np.array(self.position), np.array(self.ages_s)
+        times_s, first = np.unique(rows[:, 0] - ages_s[:, 1], return_index=True)
+        return times_s, rows[first, 2]
 
     def frame_times_s(self) -> npt.NDArray[np.float64]:
         """Return times at which the frames came, (n,)."""
@@ -143,6 +170,7 @@ def reading_of(run: Run, record: TrialRecord) -> Reading:
         "missed_ticks": missed,
         "held_back_ticks": record.held_back,
         "largest_lateness_s": max(loop.largest_lateness_s for loop in record.loops),
+        "oldest_look_s": max(record.unseen_s.values(), default=None),
         "filter_delay_s": record.filter_delay_s,
     }
     if record.held_back > HELD_BACK * ticks:
@@ -215,6 +243,13 @@ def _doubts(
             )
     if 100 * late > settings.late_ticks_percent:
         doubts.append(f"{100 * late:.2g} % of the ticks were late")
+    oldest_s = OLDEST_LOOK * record.look_every_s
+    for axis, unseen_s in record.unseen_s.items():
+        if unseen_s > oldest_s:
+            doubts.append(
+                f"{axis} was not seen for {unseen_s:.2g} s of its motion, more than {oldest_s:.2g} "
+                f"s ({OLDEST_LOOK} looks): its answers came late"
+            )
     span_s = record.motion_to_s + AFTER_S
     for name, rate in (("samples", settings.rate_S_s), ("frames", record.force_rate_S_s)):
         missing = span_s * rate - float(reading[name] or 0)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from procedures.pressed.force import TrialForce
-from procedures.pressed.positions import AxisRows, PositionRecorder
+from procedures.pressed.positions import AxisRows, LookWatch, PositionRecorder
 from procedures.pressed.strips import StripRecorder
 from rig.core.errors import RigError
 
@@ -71,6 +71,7 @@ class TickRecorder:
         self._strips = StripRecorder(run, record, links)
         self._positions = PositionRecorder(run, record, *stages)
         self._schedule = PollSchedule(poll_rate_Hz)
+        self._watch = LookWatch(record)
         self._poll_due = self._recording = False
         self._left: list[Callable[[], None]] = []
         """Tasks that are still to be done in this poll interval, the next one last."""
@@ -118,6 +119,7 @@ class TickRecorder:
         """
         due = self._schedule.is_due(tick)
         self._links.check()
+        self._watch.note(self._axes, tick.began_s, self._schedule.interval_s)
         self._poll_due = wait or due
         if wait or self._run.clock.is_virtual:
             self.poll_if_due()

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from procedures.pressed import layout as pressed_layout
-from procedures.pressed.layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED
+from procedures.pressed.layout import ASKED, CALIBRATED, HELD, RECORDED, TOUCHED, ages
 from rig.files.journal.layout import Column, Layout, Plot, Trace
 from rig.run.procedure import StreamPlan
 
 STREAMS = (
-    *pressed_layout.STREAMS,
+    *(stream for stream in pressed_layout.STREAMS if stream.name != "ages"),
     StreamPlan(
         "rotation",
         "rotary",
@@ -17,6 +17,7 @@ STREAMS = (
         "<f8",
         "deg",
     ),
+    ages("z", "x", "angle"),
 )
 
 LAYOUT = Layout(

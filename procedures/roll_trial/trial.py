@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
+from procedures.pressed.axes import Look
 from procedures.pressed.positions import AxisRows
 from procedures.pressed.series import PressedSeries
 from procedures.pressed.settings import AFTER_S
@@ -46,20 +47,20 @@ time."""
 
 
 @dataclass(frozen=True)
-class RotaryPoll:
-    """A polled position of the rotary stage; angles from upright."""
+class RotaryPoll(Look):
+    """The rotary stage's answer to where it is; angles from upright."""
 
-    at_s: float = 0.0
-    """Bench time of the poll: the middle between request and answer."""
-    angle_deg: float = 0.0
+    angle_deg: float = math.nan
     commanded_deg: float = 0.0
 
 
 class PolledRotary:
     """The rotary stage of a trial, with the object on it, by its angle from upright."""
 
+    role = "rotary"
+
     def __init__(self, run: Run, upright_deg: float, links: TrialLinks):
-        links.add("rotary")
+        links.add(self.role)
         self.stage, self.upright_deg = run.bench.rotary, upright_deg
         self.commanded_deg = 0.0
         self.in_motion = False
@@ -67,9 +68,9 @@ class PolledRotary:
         self._links, self._clock = links, run.clock
 
     @property
-    def polled_s(self) -> float:
+    def looked(self) -> Look:
         """See `PolledAxis`."""
-        return self.latest.at_s
+        return self.latest
 
     @property
     def angle_deg(self) -> float:
@@ -80,21 +81,22 @@ class PolledRotary:
         """Poll the stage in the calling thread."""
         commanded_deg, asked_s = self.commanded_deg, self._clock.now()
         angle_deg = self.angle_deg
-        self.latest = RotaryPoll((asked_s + self._clock.now()) / 2, angle_deg, commanded_deg)
+        self.latest = RotaryPoll(asked_s, self._clock.now(), angle_deg, commanded_deg)
 
     def ask_poll(self) -> None:
         """See `PolledAxis`."""
-        self._links.ask("rotary", "poll", self.poll)
+        self._links.ask(self.role, "poll", self.poll)
 
     def ask_turn(self, turn: Turn) -> None:
         """Request, on the stage's link worker, a turn or a change of the turn under way."""
         to_deg = self.upright_deg + turn.to_deg
         speeds = (turn.speed_deg_s, turn.acceleration_deg_s2)
-        self._links.ask("rotary", "turn", partial(self.stage.start_turn, to_deg, *speeds))
+        self._links.ask(self.role, "turn", partial(self.stage.start_turn, to_deg, *speeds))
 
-    def row(self) -> tuple[float, float]:
-        """Return angle and commanded angle of the latest poll, for the record."""
-        return self.latest.angle_deg, self.latest.commanded_deg
+    def row(self) -> tuple[Look, tuple[float, float]]:
+        """Return the latest look with its angle and commanded angle, for the record."""
+        look = self.latest
+        return look, (look.angle_deg, look.commanded_deg)
 
 
 @dataclass

@@ -74,7 +74,7 @@ def _ramp(
 def _friction(
     run: Run, record: SlipTrialRecord, t: npt.NDArray[np.float64], force: npt.NDArray[np.float64]
 ) -> Reading:
-    times, x = (np.array([row[k] for row in record.position]) for k in (0, 2))
+    times, x = record.looks_at_x()
     travel = np.abs(np.interp(t, times, x) - run.settings.start_mm)
     try:
         rate_Hz = record.force_rate_S_s

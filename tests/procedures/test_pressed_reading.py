@@ -26,9 +26,9 @@ def record(held_back: int) -> TrialRecord:
     return found
 
 
-def told(held_back: int) -> tuple[dict[str, object], list[str]]:
-    """The reading, and what was said of the servo."""
-    said: list[str] = []
+def reading_of_record(recorded: TrialRecord, said: list[str] | None = None) -> dict[str, object]:
+    """The reading of a record; what was said of the servo is added to `said`."""
+    said = [] if said is None else said
 
     def event(level: str, code: str, message: str) -> None:
         if (level, code) == ("warning", "servo"):
@@ -40,7 +40,13 @@ def told(held_back: int) -> tuple[dict[str, object], list[str]]:
         check_stop=lambda: None,
         clock=SimpleNamespace(truth=dict),
     )
-    return dict(reading_of(run, record(held_back))), said
+    return dict(reading_of(run, recorded))
+
+
+def told(held_back: int) -> tuple[dict[str, object], list[str]]:
+    """The reading, and what was said of the servo."""
+    said: list[str] = []
+    return reading_of_record(record(held_back), said), said
 
 
 @pytest.mark.parametrize("held_back", [0, TICKS // 2])

@@ -133,6 +133,24 @@ class WireFault(ReplyFault):
     its place, ``reset`` breaks it; ``half-open`` leaves it open while nothing answers any more."""
 
 
+class LateReply(ReplyFault):
+    """A reply that is on its way for longer, in wall time: the device obeys at once."""
+
+    kind: Literal["late"]
+    by_s: float = Field(gt=0, le=60)
+
+
+class FlippedBit(ReplyFault):
+    """A reply in which one bit is turned over, and nothing else."""
+
+    kind: Literal["flip"]
+    byte: int = Field(default=-1, ge=-260, le=260)
+    """Which byte of the reply, from 0; from -1 backwards from its end. A reply without that byte is
+    left as it is."""
+    bit: int = Field(default=0, ge=0, le=7)
+    """Which bit of it; 7 is the highest."""
+
+
 class ErrorReply(ReplyFault):
     """The device answers with an error of its protocol although it has obeyed: an exception code of
     Modbus, an error code of the amplifier, an entry of a SCPI error queue."""
@@ -339,12 +357,14 @@ SensedFault = DeadSensor | SensorDrift | WrongScale
 """A fault that changes the force that reaches the amplifier."""
 TimedFault = Spike | ConverterFault | SensedFault | Clipped | Overrun | ContactFault | ClockJump
 FileFault = DiskFault | SlowSync
-WireKind = WireFault | ErrorReply | Rejection | RefusedConnections
+WireKind = WireFault | LateReply | FlippedBit | ErrorReply | Rejection | RefusedConnections
 Fault = WireKind | MoveFault | RotaryFault | TimedFault | FileFault
 
 DEVICES_BY_FAULT: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("silence", "garbage", "truncate", "stale", "close"), ON_A_WIRE),
     "double": (DAQ, *STAGES, ROTARY, FORCE_SENSOR),
+    "late": (*ON_TCP, ROTARY, FORCE_SENSOR),
+    "flip": ON_TCP,
     "checksum": (ROTARY, FORCE_SENSOR, FORCE_STREAM),
     "error": (*ON_TCP, FORCE_SENSOR),
     "rejected": (ROTARY,),
@@ -368,7 +388,7 @@ DEVICES_BY_FAULT: dict[str, tuple[str, ...]] = {
 
 def devices_by_fault(on_a_line: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """`DEVICES_BY_FAULT` where the stages `on_a_line` are on a serial line."""
-    tcp_only = ("reset", "half-open", "refused")
+    tcp_only = ("flip", "reset", "half-open", "refused")
     there = {kind: tuple(d for d in ON_TCP if d not in on_a_line) for kind in tcp_only}
     return {**DEVICES_BY_FAULT, "checksum": (*DEVICES_BY_FAULT["checksum"], *on_a_line), **there}
 
@@ -377,6 +397,8 @@ _WHY_NOT = {
     "double": "its protocol cannot distinguish a doubled message from the next one",
     "checksum": "its protocol has no checksum of its own",
     "error": "its answers carry no error numbers",
+    "late": "it is sent without being asked",
+    "flip": "its protocol has a checksum, which a flipped bit does not pass",
     **dict.fromkeys(("reset", "half-open", "refused"), "it is not on a TCP connection"),
 }
 F = TypeVar("F")

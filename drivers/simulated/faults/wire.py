@@ -17,6 +17,8 @@ from typing import Protocol
 from drivers.simulated.faults.plan import (
     ErrorReply,
     FaultPlan,
+    FlippedBit,
+    LateReply,
     RefusedConnections,
     Rejection,
     ReplyFault,
@@ -70,6 +72,8 @@ class Delivery:
     close: bool = False
     reset: bool = False
     """Close it as a broken connection is."""
+    after_s: float = 0.0
+    """Wall time in s after which the replies are sent."""
 
 
 class WireFaults:
@@ -147,6 +151,11 @@ class FaultyLink:
         if isinstance(fault, Rejection):
             reason = fault.reason
             return _spoilt(whole, lambda data: self.faults.dialect.rejection(data, reason))
+        if isinstance(fault, FlippedBit):
+            byte, bit = fault.byte, fault.bit
+            return _spoilt(whole, lambda data: _flipped(data, byte, bit))
+        if isinstance(fault, LateReply):
+            return Delivery(() if whole is None else (whole,), after_s=fault.by_s)
         if fault is not None:
             return _KINDS[_name(fault)](self, whole)
         if whole is None:
@@ -156,7 +165,7 @@ class FaultyLink:
 
 
 def _name(fault: ReplyFault) -> str:
-    assert isinstance(fault, WireFault | ErrorReply | Rejection), "there is no other"
+    assert isinstance(fault, WireFault | LateReply | FlippedBit | ErrorReply | Rejection)
     return fault.kind
 
 
@@ -165,6 +174,15 @@ def _spoilt(reply: WireReply | None, spoil: Callable[[bytes], bytes | None]) -> 
     if reply is None:
         return Delivery()
     return Delivery((WireReply(spoil(reply.data) or b"", reply.tag),))
+
+
+def _flipped(data: bytes, byte: int, bit: int) -> bytes:
+    """Return the reply with one bit turned over, where it has that byte."""
+    if not -len(data) <= byte < len(data):
+        return data
+    spoilt = bytearray(data)
+    spoilt[byte] ^= 1 << bit
+    return bytes(spoilt)
 
 
 def _silence(link: FaultyLink, reply: WireReply | None) -> Delivery:

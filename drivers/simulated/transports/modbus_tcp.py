@@ -256,8 +256,6 @@ class _ModbusPeer(TcpPeer):
                 continue  # nothing behind it any more: silence
             reply = frame(transaction, unit, reply_to(pdu, self._device, self._by))
             delivery = self._link.exchange(describe(pdu), reply, transaction)
-            for one in delivery.replies:
-                self.send(one.data)
+            self.deliver(delivery)
             if delivery.close:
-                self.reset() if delivery.reset else self.close()
                 return

@@ -65,10 +65,8 @@ class _SocketPeer(TcpPeer):
             if self._link.half_open:
                 return
             delivery = self._link.exchange(message, self._instrument.process(message, self._by))
-            for reply in delivery.replies:
-                self.send(reply.data)
+            self.deliver(delivery)
             if delivery.close:
-                self.reset() if delivery.reset else self.close()
                 return
 
 
@@ -130,6 +128,9 @@ class HislipServer(_ScpiServer):
         events = [
             event for late in delivery.replies for event in session.reply(late.tag, late.data)
         ]
+        if delivery.after_s:
+            asyncio.get_running_loop().call_later(delivery.after_s, self.carry_out, events)
+            return []
         if delivery.reset:
             for connection in (session.synchronous, session.asynchronous):
                 if connection is not None and (peer := self.peers.get(connection)):

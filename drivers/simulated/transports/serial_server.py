@@ -158,9 +158,10 @@ class PtyServer:
         self.pump()  # what fell due before the request goes out before its reply
         for exchange in self.instrument.exchanges(data, self._name):
             delivery = self._links[exchange.device].exchange(exchange.request, exchange.reply)
-            if exchange.delay_s and self._ticking is not None:
+            line_s = exchange.delay_s if self._ticking is not None else 0.0
+            if line_s + delivery.after_s:
                 assert self._loop is not None
-                self._loop.call_later(exchange.delay_s, self._deliver, delivery)
+                self._loop.call_later(line_s + delivery.after_s, self._deliver, delivery)
             else:
                 self._deliver(delivery)
             if delivery.close:

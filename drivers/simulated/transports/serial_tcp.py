@@ -51,10 +51,7 @@ class _LinePeer(TcpPeer):
             return
         for exchange in self._line.exchanges(data, self._by):
             delivery = self._link.exchange(exchange.request, exchange.reply)
-            for reply in delivery.replies:
-                self.send(reply.data)
-            if delivery.close:
-                self.reset() if delivery.reset else self.close()
+            self.deliver(delivery)
             if delivery.close or self._link.half_open:
                 return
 
@@ -152,10 +149,7 @@ class _SharedPeer(TcpPeer):
         self._server.pump()  # what fell due before the request goes out before its reply
         for exchange in self._server.instrument.exchanges(data, self._by):
             delivery = self._link.exchange(exchange.request, exchange.reply)
-            for reply in delivery.replies:
-                self._server.bytes_sent += len(reply.data)
-                self.send(reply.data)
-            if delivery.close:
-                self.reset() if delivery.reset else self.close()
+            self._server.bytes_sent += sum(len(reply.data) for reply in delivery.replies)
+            self.deliver(delivery)
             if delivery.close or self._link.half_open:
                 return

@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from typing import cast
 
 from drivers.simulated.faults.plan import FaultPlan
-from drivers.simulated.faults.wire import WireFaults
+from drivers.simulated.faults.wire import Delivery, WireFaults
 
 MAX_UNSENT_BYTES = 256 << 20
 """A client that lets so much pile up unread is disconnected."""
@@ -109,6 +109,16 @@ class TcpPeer(asyncio.Protocol):
         self.transport.write(data)
         if self.transport.get_write_buffer_size() > MAX_UNSENT_BYTES:
             self.abort()
+
+    def deliver(self, delivery: Delivery) -> None:
+        """Do what becomes of a reply: send it, or send it later; close or break the connection."""
+        data = b"".join(reply.data for reply in delivery.replies)
+        if delivery.after_s:
+            asyncio.get_running_loop().call_later(delivery.after_s, self.send, data)
+        elif data:
+            self.send(data)
+        if delivery.close:
+            self.reset() if delivery.reset else self.close()
 
     def close(self) -> None:
         """Close once everything is sent."""

@@ -207,6 +207,7 @@ NEEDED = {
     "clipped": "amplitude_V = 1.0",
     "clock-jump": "by_s = 1.0",
     "slow-sync": "delay_s = 0.1",
+    "late": "by_s = 0.1",
     **dict.fromkeys(
         ("opened", "closed", "stuck-closed", "stuck-open", "bouncing"), 'name = "door"'
     ),
@@ -237,3 +238,18 @@ def test_every_kind_stands_in_the_table_for_people() -> None:
         line.split("|")[1].strip(" `") for line in table.read_text().splitlines() if "|" in line
     }
     assert rows - {"kind", "---"} == set(DEVICES_BY_FAULT)
+
+
+def test_a_flipped_bit_changes_one_bit_where_the_reply_has_that_byte() -> None:
+    assert received(WireFaults(plan(kind="flip", byte=-2, bit=1), "daq"), FOUR[:2]) == [
+        b"A1=\n",
+        b"A2?\n",
+    ]
+    assert received(WireFaults(plan(kind="flip", byte=100), "daq"), FOUR[:1]) == [b"A1?\n"]
+
+
+def test_a_late_reply_is_the_same_and_later() -> None:
+    link = WireFaults(plan(kind="late", by_s=0.3), "daq").link()
+    late, next_one = link.exchange(b"a1?", b"A1?\n"), link.exchange(b"a2?", b"A2?\n")
+    assert late == Delivery((WireReply(b"A1?\n"),), after_s=0.3)
+    assert next_one == Delivery((WireReply(b"A2?\n"),))
