@@ -145,7 +145,7 @@ def test_a_daq_that_answers_late_starves_no_drive_and_the_skin_is_lifted(rig, se
 def test_a_rotary_stage_that_falls_silent_does_not_keep_the_skin_pressed(rig, serve):
     plan = rig.fault(
         '[[fault]]\ndevice = "rotary"\nkind = "silence"\ncount = 0\n'
-        'move = 4\nof = "stage_z"\nafter_s = 3.0\n'  # the way down to contact has begun
+        "move = 4\n"  # a turn that measures the axis: the skin is pressed, also after a hold
     )
     path = serve("--fixture", "semi-spherical-object", "--fault", plan)
     ended = rig.run("roll-trial", "--bench", str(path), "--json", "--no-figures")
