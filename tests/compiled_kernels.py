@@ -51,7 +51,7 @@ def _made_from() -> str:
     return hashlib.sha256(repr(seen).encode()).hexdigest()
 
 
-def _compile() -> None:
+def call_kernels() -> None:
     """Call both kernels, the contact with a plate and with a roller, the detector with a network
     and without."""
     import numpy as np
@@ -74,4 +74,4 @@ def _compile() -> None:
 
 if __name__ == "__main__":
     sys.path.insert(0, str(REPOSITORY))
-    _compile()
+    call_kernels()

@@ -2,8 +2,9 @@
 
 Half of the processor time of a short command is spent on imports. A server imports once per test
 worker; each command is a process forked from it, which changes to the command's folder and calls
-`rig.cli.main` as ``python -c`` does. Tests of the start itself use a fresh process
-(`conftest.Rig.start`).
+`rig.cli.main` as ``python -c`` does. The simulated bench that a command starts is forked from the
+command in the same way (`forked_bench`): numba alone needs a second of processor time before the
+first step of the contact. Tests of the start itself use a fresh process (`conftest.Rig.start`).
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+import traceback
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -36,10 +38,11 @@ MODULES = (
     *("drivers.keysight_33500b.driver", "drivers.keysight_u2300a.driver"),
     *("drivers.me_gsv8.driver", "drivers.oriental_az.driver", "drivers.zaber_rst.driver"),
     *("drivers.simulated.bench.start", "drivers.simulated.faults.disk"),
+    *("drivers.simulated.bench.process", "drivers.simulated.world.plate_world"),
 )
 SERVER = (
     f"import sys; sys.path.append({str(Path(__file__).parent)!r})\n"
-    "import forked_rig; sys.path.pop(); forked_rig.serve(int(sys.argv[1]))"
+    "import forked_rig, compiled_kernels; sys.path.pop(); forked_rig.serve(int(sys.argv[1]))"
 )
 
 
@@ -217,6 +220,9 @@ def _import_without_a_thread() -> None:
             import_module(name)
     finally:
         usb.core.find = search
+    from compiled_kernels import call_kernels
+
+    call_kernels()
 
 
 def _report_ended(control: socket.socket) -> None:
@@ -242,6 +248,89 @@ def _become_rig(job: Mapping[str, Any], descriptors: Sequence[int]) -> None:
     time.tzset()
     os.chdir(job["folder"])
     sys.argv = ["-c", *job["arguments"]]
+    from drivers.simulated.bench import start
+
+    start.begin_process = partial(forked_bench, start.begin_process)
     from rig.cli import main
 
     main()
+
+
+# --- in the process of a command -----------------------------------------------------------------
+
+
+class ForkedBench:
+    """The process of a simulated bench, with the members of `subprocess.Popen` that its owner
+    uses."""
+
+    def __init__(self, pid: int, stdin: int, stdout: int, stderr: int):
+        self.pid = pid
+        self.returncode: int | None = None
+        self.stdin = os.fdopen(stdin, "wb")
+        self.stdout = os.fdopen(stdout, "rb")
+        self.stderr = os.fdopen(stderr, "rb")
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for its end; return its exit code. Raises TimeoutExpired after `timeout` seconds."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while self.returncode is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                self.returncode = os.waitstatus_to_exitcode(status)
+            elif deadline is not None and time.monotonic() > deadline:
+                raise subprocess.TimeoutExpired("bench", timeout or 0.0)
+            else:
+                time.sleep(0.002)
+        return self.returncode
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        if self.returncode is None:
+            os.kill(self.pid, signal.SIGTERM)
+
+    def kill(self) -> None:
+        """Kill it."""
+        if self.returncode is None:
+            os.kill(self.pid, signal.SIGKILL)
+
+
+def forked_bench(begin_process: Callable[[], Any]) -> Any:
+    """Begin the process of a bench by a fork of this one, in place of `begin_process`, which is
+    used where a fork would lose threads."""
+    if len(list(Path("/proc/self/task").iterdir())) > 1:
+        return begin_process()
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    ours_in, ours_out, ours_err = os.pipe(), os.pipe(), os.pipe()
+    child = os.fork()
+    if child == 0:
+        _become_bench(ours_in[0], ours_out[1], ours_err[1])
+    for descriptor in (ours_in[0], ours_out[1], ours_err[1]):
+        os.close(descriptor)
+    return ForkedBench(child, ours_in[1], ours_out[0], ours_err[0])
+
+
+def _become_bench(*streams: int) -> None:
+    """Run the bench in this process, which it ends; nothing of the command's remains open here."""
+    code = 1
+    try:
+        os.setsid()
+        signal.set_wakeup_fd(-1)
+        for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}:
+            if callable(signal.getsignal(number)):
+                signal.signal(number, signal.SIG_DFL)
+        for number, descriptor in enumerate(streams):
+            os.dup2(descriptor, number)
+        os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+        sys.stdin, sys.stdout, sys.stderr = open(0), open(1, "w"), open(2, "w")  # noqa: SIM115
+        from drivers.simulated.bench import process
+
+        process.main()
+        code = 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError):
+                stream.flush()
+        os._exit(code)

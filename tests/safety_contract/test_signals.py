@@ -59,7 +59,7 @@ def test_a_signal_in_the_middle_ends_the_run_in_order(rig, number):
 @pytest.mark.thorough
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGQUIT], ids=lambda number: number.name)
 def test_what_a_key_of_the_terminal_sends_ends_neither_the_bench_nor_the_guard(rig, number):
-    running = rig.start_sweep(*SIXTY_POINTS)
+    running = rig.start(*rig.sweep_arguments(*SIXTY_POINTS), fresh=True)
     running.wait_for(r"^5/60 ")
     tasks = Path(f"/proc/{running.process.pid}/task").glob("*/children")
     started = {
