@@ -273,7 +273,8 @@ def arm_pressed(
     least_S_s = max(MIN_FORCE_RATE_S_S, tick_Hz)
     stream_force(run, least_S_s, f"a trial whose servo acts at {tick_Hz:g} Hz")
     run.force.watch(settings.largest_force_N)
-    run.arm("acquisition", bench.daq.stop)  # last: a DAQ that hangs keeps no skin pressed
+    # Last, since a DAQ that hangs keeps no skin pressed.
+    run.arm("acquisition", bench.daq.stop, drives=False)
     run.arm(what, stop, emergency=emergency, done=done)
     stop()
     park(run, "normal force", lambda came_from_mm: _lift(run, what, stop, came_from_mm))

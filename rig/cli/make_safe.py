@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.cli.outcome import reported, say
-from rig.core.errors import ConfigurationError, RigError, UnsafeError
+from rig.core.errors import ConfigurationError, ExitCode, RigError, UnsafeError
 
 if TYPE_CHECKING:
     from rig.bench.plan import Restable
@@ -49,17 +49,23 @@ def make_safe(
             )
         with _only_warning():
             _report_what_is_known(described)
-        failures = make_bench_safe(text, str(bench))
+        failures, safe = make_bench_safe(text, str(bench))
         roles = [part.role for part in described.instruments if part.role not in failures]
         name = str(bench) if described.settings is None else described.settings.name
         if roles:
             say(f"{name}: {', '.join(roles)} made safe")
-        if failures or described.settings is None:
+        if not safe or described.settings is None:
             raise UnsafeError(
                 "; ".join(f"{role}: {why}" for role, why in failures.items()),
                 "switch the bench off by hand and find out why",
             )
         _clear_marks(described)
+        if failures:
+            raise RigError(
+                "; ".join(f"{role}: {why}" for role, why in failures.items()),
+                "the bench is safe, since it drives nothing; check its connection",
+                ExitCode.INSTRUMENT,
+            )
 
 
 @contextlib.contextmanager

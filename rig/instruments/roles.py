@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from rig.core.settings import Settings
 
 
+MEASURING_ROLES = ("daq", "force_sensor")
+"""Roles that move nothing and put nothing out."""
+
+
 @dataclass(frozen=True)
 class Identity:
     """Identity of an instrument as it reports it."""

@@ -298,7 +298,7 @@ class JogSession:
                 self._poll_position(moved.name)
             self._log_end("the session ended")
         for failure in failures:
-            if failure.watches:
+            if not failure.drives:
                 text = f"{failure.name}: {failure.reason}"
                 ended.failures.append(RigError(text, None, ExitCode.INSTRUMENT))
                 ended.code = ended.code or ExitCode.INSTRUMENT

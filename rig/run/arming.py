@@ -114,8 +114,9 @@ class Armed:
     """Emergency action, which a watcher runs first, from its own thread and without a wait on the
     bench clock."""
     watches: bool
-    """True for a watcher, which drives nothing: it stays on while a run is on hold, and until
-    everything else is off."""
+    """True for a watcher: it stays on while a run is on hold, and until everything else is off."""
+    drives: bool
+    """False for what moves nothing and puts nothing out, such as an acquisition or a watcher."""
     thread: ShutdownThread = field(compare=False)
     """Thread that runs the shutdown action."""
 
@@ -126,8 +127,8 @@ class ShutdownFailure:
 
     name: str
     reason: str
-    watches: bool = False
-    """True for a watcher, which drives nothing: the bench is safe although it is still on."""
+    drives: bool = True
+    """False for what drives nothing: the bench is safe although it is still on."""
 
 
 class Arming:
@@ -155,9 +156,10 @@ class Arming:
         deadline_s: float = SHUTDOWN_DEADLINE_S,
         emergency: Act | None = None,
         watches: bool = False,
+        drives: bool = True,
     ) -> None:
         """Register the shutdown action `off` of `name`; registering a name again replaces its
-        action.
+        action. What `watches` drives nothing.
 
         Raises RigError if its thread cannot be started: `name` must then not be switched on.
         """
@@ -166,7 +168,10 @@ class Arming:
             thread = ShutdownThread()
         with self._lock:
             others = [armed for armed in self._armed if armed.name != name]
-            self._armed = [*others, Armed(name, off, deadline_s, emergency, watches, thread)]
+            self._armed = [
+                *others,
+                Armed(name, off, deadline_s, emergency, watches, drives and not watches, thread),
+            ]
 
     def _thread_of(self, name: str) -> ShutdownThread | None:
         return next((armed.thread for armed in self._armed if armed.name == name), None)
@@ -252,7 +257,7 @@ class Arming:
                 armed.thread.stuck = True
                 reason = f"not done within {armed.deadline_s:g} s"
             if reason is not None:
-                failures.append(ShutdownFailure(armed.name, reason, armed.watches))
+                failures.append(ShutdownFailure(armed.name, reason, armed.drives))
             else:
                 self._forget(armed)
         return failures

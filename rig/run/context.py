@@ -93,6 +93,7 @@ class Run:
         deadline_s: float = SHUTDOWN_DEADLINE_S,
         emergency: Callable[[], None] | None = None,
         done: str = "",
+        drives: bool = True,
     ) -> None:
         """Register how `name` is switched off; call it before you switch it on. Registering a name
         again replaces its shutdown action.
@@ -100,10 +101,12 @@ class Run:
         `off`, the shutdown action, has `deadline_s` of wall time, not counting what a broken link
         makes it wait. `emergency` is the emergency action: the first thing that a watcher runs,
         from its own thread; it may talk to the instrument once and may not wait on the bench clock.
-        `done` is shown when `off` has worked: "generator off"; without it, "`name` off".
+        `done` is shown when `off` has worked: "generator off"; without it, "`name` off". `drives`
+        is False for what moves nothing and puts nothing out, such as an acquisition: the bench is
+        safe although its `off` has failed.
         """
         shutdown = self._noting(off, done or f"{name} off")
-        self._arming.register(name, shutdown, deadline_s + self._waits_s, emergency)
+        self._arming.register(name, shutdown, deadline_s + self._waits_s, emergency, drives=drives)
 
     def _noting(self, off: Callable[[], None], done: str) -> Callable[[], None]:
         """Return the shutdown action, extended so that it adds `done` to `made_safe` if nothing

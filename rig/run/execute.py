@@ -250,9 +250,9 @@ class _Execution:
         found = self.run.disturbances
         self.outcome.holds, self.outcome.presses = found.holds, found.presses
         self.outcome.made_safe = tuple(self.run.made_safe)
-        self.outcome.off_failures = [failure for failure in failures if not failure.watches]
+        self.outcome.off_failures = [failure for failure in failures if failure.drives]
         for failure in failures:
-            if failure.watches:
+            if not failure.drives:
                 error = RigError(f"{failure.name}: {failure.reason}", None, ExitCode.INSTRUMENT)
                 self._failed_late(error)
         for error in self.run.failures:

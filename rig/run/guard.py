@@ -86,6 +86,8 @@ def _in_words(report: dict[str, Any]) -> str:
         f"the guard of an earlier run had to act at {report['time']}: {report['cause']}; "
         "everything was stopped and switched off"
     )
+    for role in report["failures"] if report["safe"] else ():
+        words += f"; {role} did not answer, which drives nothing"
     if report.get("pressed"):
         words += f", {report['pressed']}"
     if report["journal"] is not None and "file" in report:
@@ -277,20 +279,20 @@ def main() -> None:
 
 def act(order: dict[str, Any], cause: str, already_safe: bool = False) -> dict[str, Any]:
     """Make the bench safe, compile the journal, write the report; return the report."""
-    failures = {} if already_safe else _make_safe_as_ordered(order)
+    made = MadeSafe() if already_safe else _make_safe_as_ordered(order)
     report: dict[str, Any] = {
         "time": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "run_pid": order["run_pid"],
         "cause": cause,
-        "safe": not failures,
-        "stopped": not failures,
+        "safe": made.safe,
+        "stopped": made.safe,
         "pressed": "",
-        "failures": failures,
+        "failures": made.failures,
         "journal": order["journal"],
     }
     # Published after each step: the next run must see the state of the bench at once.
     _publish(order, report)
-    if not already_safe and not failures:
+    if not already_safe and made.safe:
         _add_what_is_pressed(order, report)
         _publish(order, report)
     journal = order["journal"]
@@ -322,7 +324,7 @@ def _add_what_is_pressed(order: dict[str, Any], report: dict[str, Any]) -> None:
     report["pressed"] = found[0].text
     if found[0].over_limit is not None:
         report["safe"] = False
-        report["failures"] = {"stage_z": found[0].over_limit}
+        report["failures"] |= {"stage_z": found[0].over_limit}
 
 
 def _publish(order: dict[str, Any], report: dict[str, Any]) -> None:
@@ -340,14 +342,25 @@ def _publish(order: dict[str, Any], report: dict[str, Any]) -> None:
         _write(Path(order["report"]), report)
 
 
-def make_bench_safe(bench_toml: str, source: str) -> dict[str, str]:
+class MadeSafe(NamedTuple):
+    """Result of making every instrument of a bench safe."""
+
+    failures: dict[str, str] = {}  # noqa: RUF012 - never changed
+    """Reasons why instruments could not be made safe, by role."""
+    safe: bool = True
+    """True if nothing moves or is switched on: an instrument that drives nothing may have failed to
+    answer."""
+
+
+def make_bench_safe(bench_toml: str, source: str) -> MadeSafe:
     """Call every driver's `make_safe` in the order of the roles, each isolated from the others'
-    failures and each with a deadline; return the failures by role.
+    failures and each with a deadline.
 
     An instrument whose driver or settings cannot be used is reported as a failure; the others are
     made safe. Raises ConfigurationError if the text describes no instrument at all.
     """
     from rig.bench.plan import WAITS_PER_CALL, parse_to_make_safe
+    from rig.instruments.roles import MEASURING_ROLES
     from rig.run.arming import Arming
 
     described = parse_to_make_safe(bench_toml, source)
@@ -357,16 +370,16 @@ def make_bench_safe(bench_toml: str, source: str) -> dict[str, str]:
         off = partial(part.driver.make_safe, part.settings)
         arming.register(part.role, off, REST_S + waits_s)
     failed = {f.name: f.reason.removeprefix(f"{f.name}: ") for f in arming.make_safe()}
-    return failed | described.failures
+    safe = not described.failures and all(role in MEASURING_ROLES for role in failed)
+    return MadeSafe(failed | described.failures, safe)
 
 
-def _make_safe_as_ordered(order: dict[str, Any]) -> dict[str, str]:
-    """Return the failures of making safe by role; any exception becomes one of them, for the
-    report."""
+def _make_safe_as_ordered(order: dict[str, Any]) -> MadeSafe:
+    """Make the bench safe; any exception becomes a failure, for the report."""
     try:
         return make_bench_safe(order["bench_toml"], order["bench_source"])
     except Exception as error:  # noqa: BLE001 - the report keeps the next run from starting
-        return {"bench": f"{type(error).__name__}: {error}"}
+        return MadeSafe({"bench": f"{type(error).__name__}: {error}"}, False)
 
 
 def _compile(journal: Path) -> str:

@@ -244,3 +244,16 @@ def test_what_has_to_stop_first_has_a_head_start(
     arming.register("normal force", lift, deadline_s=PATIENCE_S)
     assert arming.make_safe() == []
     assert done == ["x stopped", "lifted", "slide"]
+
+
+def test_the_failure_of_what_drives_nothing_says_so() -> None:
+    arming = Arming()
+
+    def fail() -> None:
+        raise InstrumentError("daq", "STOP", "no answer")
+
+    arming.register("acquisition", fail, drives=False)
+    arming.register("force stream", fail, watches=True)
+    arming.register("normal force", fail)
+    drives = {failure.name: failure.drives for failure in arming.make_safe()}
+    assert drives == {"acquisition": False, "force stream": False, "normal force": True}

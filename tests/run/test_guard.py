@@ -255,13 +255,37 @@ def test_an_instrument_that_hangs_keeps_no_other_from_being_made_safe(
     described = SimpleNamespace(instruments=parts, failures={})
     monkeypatch.setattr("rig.bench.plan.parse_to_make_safe", lambda *_: described)
     monkeypatch.setattr("rig.run.guard.REST_S", 0.03)
-    failures = make_bench_safe("", "bench.toml")
+    failures = make_bench_safe("", "bench.toml").failures
     release.set()
     assert failures == {
         "generator": "not done within 0.05 s",
         "daq": "STOP: no answer; switch it on",
     }
     assert done == ["stage_z"]
+
+
+def test_an_instrument_that_only_measures_leaves_no_bench_unsafe(
+    monkeypatch: pytest.MonkeyPatch, bench: Bench
+) -> None:
+    """A DAQ whose link is dead: it drives nothing, and is named all the same."""
+
+    def refuse(settings: object) -> None:
+        raise InstrumentError("daq", "STOP", "no answer", "switch it on")
+
+    daq = next(part for part in bench.plan.instruments if part.role == "daq")
+    monkeypatch.setattr(daq.driver, "make_safe", refuse)
+    monkeypatch.setattr("rig.run.guard._add_what_is_pressed", lambda order, report: None)
+    report = act(bench.order(marks=["an-address"]), "a test")
+    assert report["safe"] is True
+    assert report["failures"] == {"daq": "STOP: no answer; switch it on"}
+    assert bench.outputs()[-1][0] is False
+    (mark,) = read_marks(["an-address"])
+    assert not mark.refuses
+    assert "daq did not answer, which drives nothing" in mark.in_words()
+
+    monkeypatch.setattr(bench.plan.instruments[0].driver, "make_safe", refuse)
+    assert bench.plan.instruments[0].role != "daq"
+    assert act(bench.order(), "a test")["safe"] is False
 
 
 def test_an_earlier_guards_report_is_not_taken_for_this_ones(bench: Bench) -> None:

@@ -117,6 +117,17 @@ def test_a_drive_that_goes_away_in_the_slide_does_not_keep_the_skin_pressed(rig)
     assert_kept_until_sliding(rig)
 
 
+def test_a_daq_that_goes_away_in_the_slide_drives_nothing_and_leaves_no_bench_unsafe(rig):
+    gone = f'[[fault]]\ndevice = "daq"\nkind = "silence"\ncount = 0\n{SLIDING}'
+    ended = take(rig, "", gone)
+    assert ended.code == 3, ended.stderr
+    assert ended.errors[0].startswith("error: daq: ")
+    assert "NOT SAFE" not in ended.stderr
+    assert "Bench is safe: " in ended.stderr
+    assert_lifted(rig)
+    assert_kept_until_sliding(rig)
+
+
 @pytest.mark.thorough
 def test_a_force_channel_that_saturates_ends_the_trial(rig):
     """3.5 mV/V are 290 N along z: somebody hits the plate."""
