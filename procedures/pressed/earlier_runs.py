@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from rig.core.errors import InstrumentError
@@ -10,6 +11,7 @@ from rig.core.errors import InstrumentError
 if TYPE_CHECKING:
     from procedures.pressed.contact import ForceZero
     from rig.run.context import Run
+    from rig.run.press_references import TouchGain
 
 TOLD, REFUSED = 1.5, 2.5
 """Ratios of way or stiffness to the earlier ones, either way, beyond which a run is warned of and
@@ -21,9 +23,15 @@ SOON_mm, SOFTER = 0.01, 1 / 3
 reads a tenth of the force is found before it has pressed with several times of it."""
 ZERO_TOLD_N, ZERO_REFUSED_N = 1.0, 5.0
 """The same for the change of the force sensor's zero."""
+STANDARD_ERRORS = 3.0
+"""Differences of a touch gain within so many of their standard errors are none."""
 HINT = (
     "check the force sensor, its range and its calibration matrix; if this is a different object "
     "or sensor, make one run of this kind with --accept REASON"
+)
+GAIN_HINT = (
+    "check the strip's cable and amplifier, and the force sensor; if this is a different skin or "
+    "amplifier, make one run of this kind with --accept REASON"
 )
 
 
@@ -88,6 +96,42 @@ class EarlierPress:
             raise InstrumentError("force_sensor", "press", told, HINT)
         self._run.event("warning", "earlier-runs", f"{told}; {HINT}")
 
+    def judge_gains(self, gains: Mapping[str, TouchGain]) -> None:
+        """Compare the strips' touch gains of a trial that is over. Raises InstrumentError where one
+        does not fit the reference at all, a strip that gives nothing or the other sign among them,
+        and records a warning of what fits badly. A strip that has no gain there sets it."""
+        reference = self._run.references.of(self._kind)
+        if reference is None:
+            return
+        for strip, gain in gains.items():
+            earlier = reference.touch_gains.get(strip)
+            if earlier is not None:
+                self._judge_gain(strip, gain, earlier, reference.time)
+            elif abs(gain.value_V_s_N) > STANDARD_ERRORS * gain.error_V_s_N:
+                try:
+                    self._run.references.remember_gain(self._kind, strip, gain)
+                except OSError as error:
+                    self._not_saved(error)
+
+    def _judge_gain(self, strip: str, gain: TouchGain, earlier: TouchGain, time: str) -> None:
+        error = math.hypot(gain.error_V_s_N, earlier.error_V_s_N)
+        difference = gain.value_V_s_N - earlier.value_V_s_N
+        beyond = max(0.0, abs(difference) - STANDARD_ERRORS * error)
+        ratio = 1 + math.copysign(beyond, difference) / earlier.value_V_s_N
+        size = max(ratio, 1 / ratio) if ratio > 0 else math.inf
+        if size <= TOLD:
+            return
+        told = (
+            f"the touch gain of {strip} is {gain.value_V_s_N:.3g} V s/N, and was "
+            f"{earlier.value_V_s_N:.3g} V s/N in earlier runs of this kind (reference of {time})"
+        )
+        if size > REFUSED:
+            raise InstrumentError("daq", "touch-down", told, GAIN_HINT)
+        self._run.event("warning", "earlier-runs", f"{told}; {GAIN_HINT}")
+
+    def _not_saved(self, error: OSError) -> None:
+        self._run.event("warning", "earlier-runs", f"no reference was saved: {error.strerror}")
+
     def _remember(self, way_mm: float, stiffness_N_mm: float, zero: ForceZero) -> None:
         references = self._run.references
         if not references.compares:
@@ -96,7 +140,7 @@ class EarlierPress:
             zero_N = (zero.x_N, zero.y_N, zero.z_N)
             references.remember(self._kind, way_mm, stiffness_N_mm, zero_N)
         except OSError as error:
-            self._run.event("warning", "earlier-runs", f"no reference was saved: {error.strerror}")
+            self._not_saved(error)
             return
         why = f"accepted: {references.accept}" if references.accept else "the first of its kind"
         self._run.event(

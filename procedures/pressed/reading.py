@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from procedures.pressed.contact import ForceZero
+from procedures.pressed.earlier_runs import EarlierPress
 from procedures.pressed.layout import TOUCHED
 from procedures.pressed.settings import AFTER_S, PressedSettings
 from rig.analysis.trial.clock_offset import clock_offset
 from rig.analysis.trial.touch_down import TouchDownError, TouchRecord
 from rig.analysis.trial.touch_gain import touch_gain
 from rig.bench.settings import STRIPS
+from rig.run.press_references import TouchGain
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -218,6 +220,13 @@ def _touch_down(run: Run, record: TrialRecord, force: npt.NDArray[np.float64]) -
     for number, gain in enumerate(gains, 1):
         reading[f"touch_gain_{number}_V_s_N"] = gain.value
         reading[f"touch_gain_{number}_error_V_s_N"] = gain.standard_error
+    settings: PressedSettings = run.settings
+    EarlierPress(run, settings.normal_force_N, settings.object).judge_gains(
+        {
+            strip: TouchGain(value_V_s_N=gain.value, error_V_s_N=gain.standard_error)
+            for strip, gain in zip(STRIPS, gains, strict=True)
+        }
+    )
     return reading
 
 

@@ -2,8 +2,13 @@
 
 A force sensor with a wrong scale does not show it: it reads a plausible force, and z presses with
 another one. But the same object on the same bench then seems softer or stiffer than before. The
-first press of a kind is the reference for the following ones, in one file in the folder of results;
-a run that is begun with ``--accept REASON`` makes its own press the reference.
+first press of a kind is the reference for the following ones; a run that is begun with ``--accept
+REASON`` makes its own press the reference.
+
+The references belong to the bench, named by the addresses of its z stage and force sensor, so they
+lie where all its users find them whatever their folder of results: in the shared folder, beside
+locks and marks. Those of a simulated bench lie in the folder of results: nobody else relies on
+them.
 """
 
 from __future__ import annotations
@@ -18,12 +23,27 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from rig.core.atomic import write_text
 from rig.core.errors import ConfigurationError
+from rig.run.lock import address_of
+from rig.run.shared_folder import SharedFolder
 
 if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan
 
 FILE = "press-references.json"
-ADDRESS = ("resource", "host", "port", "unit_id")
+"""Name of the file in a folder of results; in the shared folder it begins with the bench's."""
+PRESSING = ("stage_z", "force_sensor")
+"""Roles whose addresses name a bench."""
+MOST_BYTES = 1 << 22
+"""Largest size of the file: some ten thousand kinds of press."""
+
+
+class TouchGain(BaseModel):
+    """The gain of a strip during a touch-down, with its standard error."""
+
+    model_config = ConfigDict(frozen=True)
+
+    value_V_s_N: float
+    error_V_s_N: float
 
 
 class PressReference(BaseModel):
@@ -38,6 +58,11 @@ class PressReference(BaseModel):
     stiffness_N_mm: float
     zero_N: tuple[float, float, float]
     """The force sensor's zero along x, y, z, relative to the amplifier's own."""
+    touch_gains: dict[str, TouchGain] = {}
+    """By strip; only those that could be told from nothing."""
+    bench: str = ""
+    """Name of the bench, for who reads the file."""
+    kind: str = ""
     reason: str = ""
     """Why it has replaced an earlier one; empty for the first."""
 
@@ -46,21 +71,65 @@ class _References(BaseModel):
     references: dict[str, PressReference] = {}
 
 
+class _InResults:
+    """The file in a folder of results."""
+
+    def __init__(self, folder: Path):
+        self._path = folder / FILE
+
+    def __str__(self) -> str:
+        return str(self._path)
+
+    def read(self) -> str | None:
+        """Return the text; None where there is none. Raises OSError or ValueError."""
+        try:
+            return self._path.read_text("utf-8")
+        except FileNotFoundError:
+            return None
+
+    def write(self, text: str) -> None:
+        """Write the text in place of an earlier one. Raises OSError."""
+        write_text(self._path, text, durable=False)
+
+
+class _InSharedFolder:
+    """The file of a bench in the folder that all its users share."""
+
+    def __init__(self, addresses: object):
+        named = hashlib.sha256(json.dumps(addresses, sort_keys=True).encode()).hexdigest()[:16]
+        self._name = f"{named}-{FILE}"
+
+    def __str__(self) -> str:
+        with SharedFolder() as folder:
+            return str(folder.path / self._name)
+
+    def read(self) -> str | None:
+        """Return the text; None where there is none. Raises OSError or ValueError."""
+        with SharedFolder() as folder:
+            return folder.read(self._name, MOST_BYTES)
+
+    def write(self, text: str) -> None:
+        """Write the text in place of an earlier one. Raises OSError."""
+        with SharedFolder() as folder:
+            folder.write(self._name, text)
+
+
 class PressReferences:
     """The references of one bench with what is mounted on it."""
 
-    def __init__(self, folder: Path | None, plan: BenchPlan, sample: str, accept: str = ""):
-        """`folder` is that of the results, None where nothing is to be compared. `accept` is the
+    def __init__(self, results: Path | None, plan: BenchPlan, sample: str, accept: str = ""):
+        """`results` is the folder of results, None where nothing is to be compared. `accept` is the
         reason for which this run's presses become the references, if any."""
-        self._path = None if folder is None else folder / FILE
+        self._file = None if results is None else _file_of(plan, results)
         self._bench = _bench_key(plan, sample)
+        self._bench_name = plan.settings.name
         self.accept = accept
         self._accepted: set[str] = set()
 
     @property
     def compares(self) -> bool:
         """Whether there is a place for references."""
-        return self._path is not None
+        return self._file is not None
 
     def of(self, kind: str) -> PressReference | None:
         """Return the reference for a kind of press; None where there is none, or where this run has
@@ -74,31 +143,40 @@ class PressReferences:
         self, kind: str, way_mm: float, stiffness_N_mm: float, zero_N: tuple[float, float, float]
     ) -> None:
         """Make this press the reference of its kind. Raises OSError if it cannot be written."""
-        if self._path is None:
-            return
-        key = self._key(kind)
         reference = PressReference(
             time=time.strftime("%Y-%m-%d %H:%M:%S"),
             way_mm=way_mm,
             stiffness_N_mm=stiffness_N_mm,
             zero_N=zero_N,
+            bench=self._bench_name,
+            kind=kind,
             reason=self.accept,
         )
-        known = self._read().references | {key: reference}
-        text = _References(references=known).model_dump_json(indent=1) + "\n"
-        write_text(self._path, text, durable=False)
-        self._accepted.add(key)
+        self._write(kind, reference)
+        self._accepted.add(self._key(kind))
+
+    def remember_gain(self, kind: str, strip: str, gain: TouchGain) -> None:
+        """Add the touch gain of a strip to the reference of a kind, if there is one. Raises OSError
+        if it cannot be written."""
+        if (reference := self.of(kind)) is not None:
+            gains = reference.touch_gains | {strip: gain}
+            self._write(kind, reference.model_copy(update={"touch_gains": gains}))
+
+    def _write(self, kind: str, reference: PressReference) -> None:
+        if self._file is None:
+            return
+        known = self._read().references | {self._key(kind): reference}
+        self._file.write(_References(references=known).model_dump_json(indent=1) + "\n")
 
     def _read(self) -> _References:
-        if self._path is None:
+        if self._file is None:
             return _References()
         try:
-            return _References.model_validate_json(self._path.read_text("utf-8"))
-        except FileNotFoundError:
-            return _References()
+            text = self._file.read()
+            return _References() if text is None else _References.model_validate_json(text)
         except (OSError, ValueError, ValidationError) as error:
             raise ConfigurationError(
-                f"{self._path} cannot be read: it holds what earlier runs have shown of a press",
+                f"{self._file} cannot be read: it holds what earlier runs have shown of a press",
                 "restore it, or remove it: then the next run is the reference",
             ) from error
 
@@ -106,17 +184,33 @@ class PressReferences:
         return hashlib.sha256(f"{self._bench}\n{kind}".encode()).hexdigest()[:16]
 
 
+def _file_of(plan: BenchPlan, results: Path) -> _InResults | _InSharedFolder:
+    # A simulated bench, also one that `rig simulate` has started or that stands in for a real one
+    # in a dry run, must not set what a real bench is compared with.
+    if plan.settings.simulation is not None:
+        return _InResults(results)
+    return _InSharedFolder(_addresses(plan))
+
+
+def _addresses(plan: BenchPlan) -> list[tuple[str, str]]:
+    # Of what presses and what measures it: another DAQ or one stage more is no other bench.
+    return [
+        (part.role, address_of(part.settings.model_dump()))
+        for part in plan.instruments
+        if part.role in PRESSING
+    ]
+
+
 def _bench_key(plan: BenchPlan, sample: str) -> str:
-    """Name the bench by its instruments, its fixture and its specimen. A simulated bench, whose
-    addresses are new each time, is named by what it simulates."""
+    """Name the bench by its addresses, its fixture and its specimen. A simulated bench, whose
+    addresses are new each time, is named by what it simulates.
+
+    The places of the fixture are left out: to state another contact range must not lose what is
+    known of the force sensor.
+    """
     own = plan.settings
-    instruments: object = own.simulation
-    if own.simulation is None:
-        instruments = [
-            {name: value for name, value in part.settings.model_dump().items() if name in ADDRESS}
-            for part in plan.instruments
-        ]
+    instruments = _addresses(plan) if own.simulation is None else own.simulation
     parts = (own.film, own.skin)
     names = [None if part is None else part.name for part in parts]
-    described = [instruments, own.fixture.model_dump(mode="json"), names, sample]
+    described = [instruments, own.fixture.mounted, names, sample]
     return json.dumps(described, sort_keys=True, default=str)

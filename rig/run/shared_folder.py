@@ -1,4 +1,5 @@
-"""The folder for what all users of this computer have to know about its benches: locks and marks.
+"""The folder for what all users of this computer have to know about its benches: locks, marks and
+the references with which presses are compared.
 
 It is the same for every user, folder of results and temporary folder:
 
@@ -77,15 +78,15 @@ class SharedFolder:
             return False
         return os.path.samestat(there, os.fstat(file))
 
-    def read(self, name: str) -> str | None:
-        """Return the text of a file; None if there is none. Raises OSError, or ValueError if it is
-        not UTF-8."""
+    def read(self, name: str, most_bytes: int = MOST_BYTES) -> str | None:
+        """Return the text of a file, or its first `most_bytes`; None if there is none. Raises
+        OSError, or ValueError if it is not UTF-8."""
         try:
             file = self.open_file(name, create=False)
         except FileNotFoundError:
             return None
         try:
-            return os.pread(file, MOST_BYTES, 0).decode()
+            return os.pread(file, most_bytes, 0).decode()
         finally:
             os.close(file)
 

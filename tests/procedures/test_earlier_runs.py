@@ -11,7 +11,7 @@ from procedures.pressed.contact import ForceZero
 from procedures.pressed.earlier_runs import EarlierPress
 from rig.bench.plan import parse_bench
 from rig.core.errors import ConfigurationError, InstrumentError
-from rig.run.press_references import FILE, PressReferences
+from rig.run.press_references import FILE, PressReferences, TouchGain
 
 BENCH = """
 name = "bench-1"
@@ -25,16 +25,43 @@ name = "{skin}"
 driver = "keysight-u2300a"
 resource = "TCPIP::127.0.0.1::hislip0,1::INSTR"
 channels = {{ strip_1 = 101, strip_2 = 102 }}
+[stage_z]
+driver = "festo-cmmt"
+axis = "z"
+host = "127.0.0.20"
+low_limit_mm = 0.0
+high_limit_mm = 20.0
+max_speed_mm_s = 20.0
+torque_limit_percent = 25.0
+[force_sensor]
+driver = "me-gsv8"
+port = "{port}"
 """
+SIMULATED = "[simulation]\nseed = 1\n"
 ZERO = ForceZero(1.0, -0.5, 1.8)
 WAY_mm, STIFFNESS_N_mm = 0.033, 142.0
+
+
+@pytest.fixture(autouse=True)
+def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder that all users of the bench share, of this test alone."""
+    folder = tmp_path / "shared"
+    monkeypatch.setenv("RIG_SHARED_FOLDER", str(folder))
+    return folder
 
 
 class Run:
     """A run that knows its references, and notes what is said."""
 
-    def __init__(self, folder: Path, skin: str = "skin 1", accept: str = ""):
-        plan = parse_bench(BENCH.format(skin=skin), "bench.toml")
+    def __init__(
+        self,
+        folder: Path,
+        skin: str = "skin 1",
+        accept: str = "",
+        port: str = "/dev/ttyUSB0",
+        more: str = "",
+    ):
+        plan = parse_bench(BENCH.format(skin=skin, port=port) + more, "bench.toml")
         self.references = PressReferences(folder, plan, "", accept)
         self.bench = SimpleNamespace(stage_z=SimpleNamespace(stop=lambda: None))
         self.said: list[tuple[str, str]] = []
@@ -52,6 +79,13 @@ class Run:
         earlier = EarlierPress(self, force_N, "glass plate")  # type: ignore[arg-type]
         earlier.refuse_way(way_mm, 0.9 * force_N)
         earlier.judge(way_mm, stiffness_N_mm, zero)
+
+    def touch(self, value_V_s_N: float, error_V_s_N: float = 1e-6) -> None:
+        """Press, and judge the touch gain of one strip."""
+        self.press()
+        gain = TouchGain(value_V_s_N=value_V_s_N, error_V_s_N=error_V_s_N)
+        earlier = EarlierPress(self, 4.0, "glass plate")  # type: ignore[arg-type]
+        earlier.judge_gains({"strip_1": gain})
 
 
 def test_a_first_run_says_once_that_it_has_nothing_to_compare_with(tmp_path: Path) -> None:
@@ -101,7 +135,9 @@ def test_another_kind_of_run_is_not_compared(tmp_path: Path) -> None:
     Run(tmp_path).press(stiffness_N_mm=10 * STIFFNESS_N_mm, force_N=8.0)
 
 
-def test_an_accepted_run_becomes_the_reference_with_its_reason(tmp_path: Path) -> None:
+def test_an_accepted_run_becomes_the_reference_with_its_reason(
+    tmp_path: Path, shared: Path
+) -> None:
     Run(tmp_path).press()
     accepted = Run(tmp_path, accept="a softer pad")
     accepted.press(way_mm=0.2, stiffness_N_mm=20.0)
@@ -111,11 +147,77 @@ def test_an_accepted_run_becomes_the_reference_with_its_reason(tmp_path: Path) -
     Run(tmp_path).press(way_mm=0.2, stiffness_N_mm=20.0)
     with pytest.raises(InstrumentError):
         Run(tmp_path).press()
-    assert "a softer pad" in (tmp_path / FILE).read_text()
+    (file,) = shared.glob(f"*{FILE}")
+    assert "a softer pad" in file.read_text()
 
 
-def test_a_file_that_cannot_be_read_is_reported_with_the_way_out(tmp_path: Path) -> None:
-    (tmp_path / FILE).write_text("{")
+@pytest.mark.parametrize(
+    ("gain_V_s_N", "error_V_s_N", "found"),
+    [
+        (3.6e-4, 1e-6, None),
+        (5.5e-4, 1e-6, "warning"),
+        (5.5e-4, 1e-4, None),
+        (1e-6, 1e-6, "refused"),
+        (-3e-4, 1e-6, "refused"),
+        (9e-4, 1e-6, "refused"),
+        (9e-4, 1e-4, "warning"),
+    ],
+)
+def test_a_touch_gain_is_compared_as_far_as_its_error_allows(
+    tmp_path: Path, gain_V_s_N: float, error_V_s_N: float, found: str | None
+) -> None:
+    Run(tmp_path).touch(3e-4)
+    run = Run(tmp_path)
+    if found == "refused":
+        with pytest.raises(InstrumentError, match=r"strip_1 is .* was 0\.0003 V s/N") as caught:
+            run.touch(gain_V_s_N, error_V_s_N)
+        assert "check the strip's cable" in str(caught.value.hint)
+        assert "--accept REASON" in str(caught.value.hint)
+    else:
+        run.touch(gain_V_s_N, error_V_s_N)
+    assert [level for level, _ in run.said] == ([found] if found == "warning" else [])
+
+
+def test_a_touch_gain_that_cannot_be_told_from_nothing_is_no_reference(tmp_path: Path) -> None:
+    Run(tmp_path).touch(1e-6, 1e-6)
+    Run(tmp_path).touch(3e-4)
+    with pytest.raises(InstrumentError):
+        Run(tmp_path).touch(9e-4)
+
+
+def test_an_accepted_run_sets_the_touch_gain_too(tmp_path: Path) -> None:
+    Run(tmp_path).touch(3e-4)
+    Run(tmp_path, accept="another amplifier").touch(3e-3)
+    Run(tmp_path).touch(3e-3)
+    with pytest.raises(InstrumentError):
+        Run(tmp_path).touch(3e-4)
+
+
+def test_references_belong_to_the_bench_and_not_to_the_folder_of_results(tmp_path: Path) -> None:
+    Run(tmp_path / "one").press()
+    with pytest.raises(InstrumentError):
+        Run(tmp_path / "another").press(stiffness_N_mm=3 * STIFFNESS_N_mm)
+    Run(tmp_path, port="/dev/ttyUSB1").press(stiffness_N_mm=3 * STIFFNESS_N_mm)
+    assert not (tmp_path / "one").exists()
+
+
+def test_a_simulated_bench_sets_nothing_that_a_real_one_is_compared_with(
+    tmp_path: Path, shared: Path
+) -> None:
+    Run(tmp_path, more=SIMULATED).press(stiffness_N_mm=3 * STIFFNESS_N_mm)
+    assert (tmp_path / FILE).exists()
+    assert not list(shared.glob(f"*{FILE}"))
+    first = Run(tmp_path)
+    first.press()
+    assert "there was nothing to compare it with" in first.said[0][1]
+
+
+def test_a_file_that_cannot_be_read_is_reported_with_the_way_out(
+    tmp_path: Path, shared: Path
+) -> None:
+    Run(tmp_path).press()
+    (file,) = shared.glob(f"*{FILE}")
+    file.write_text("{")
     with pytest.raises(ConfigurationError, match="cannot be read") as caught:
         Run(tmp_path).press()
     assert "remove it" in str(caught.value.hint)

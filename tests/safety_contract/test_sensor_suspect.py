@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 
 import h5py
@@ -156,6 +157,26 @@ def test_a_scale_that_has_become_wrong_is_refused_before_the_force_is_held(rig, 
     assert "earlier runs of this kind" in refused.errors[0]
     assert "--accept REASON" in refused.errors[0]
     assert largest_N(rig) < min(6 * wanted_N, PROCEDURES[procedure][2] + 0.5)
+
+
+@pytest.mark.thorough
+def test_a_strip_whose_touch_gain_is_not_what_it_was_ends_the_run(rig):
+    nothing = 'kind = "wrong-scale"\nfactor = 1.0'
+    for _ in range(2):
+        usual = run(rig, "slip-trial", nothing)
+        assert usual.code == 0, usual.stderr
+        assert "warning: the touch gain" not in usual.stderr
+    file = rig.only("press-references.json")
+    known = json.loads(file.read_text())
+    (reference,) = known["references"].values()
+    reference["touch_gains"]["strip_2"]["value_V_s_N"] *= 4
+    file.write_text(json.dumps(known))
+    rig.world_log.unlink()
+    refused = run(rig, "slip-trial", nothing)
+    assert refused.code == 3, refused.stderr
+    assert "the touch gain of strip_2 is" in refused.errors[0]
+    assert "--accept REASON" in refused.errors[0]
+    assert [e["value"] for e in rig.log() if e["what"] == "last-force"] == [0.0]
 
 
 def test_a_run_that_does_not_fit_is_accepted_with_a_reason_that_the_file_keeps(rig):
