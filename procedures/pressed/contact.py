@@ -436,7 +436,14 @@ def _judge_what_remains(run: Run, pressed: str, stands_mm: float) -> None:
     run.clock.sleep(SETTLED_S)
     force_N = run.force_from_now_N(SETTLED_S)
     if force_N is None:
-        return  # what ended the stream is reported by itself
+        # Frames that are late, as after a suspension of the computer, end no stream by themselves.
+        run.event(
+            "warning",
+            "pressed",
+            f"force_sensor was silent or late after the way up: z stands at {stands_mm:.3f} mm, "
+            f"and it is not known whether the {pressed} is still pressed; look before you go near",
+        )
+        return
     limit_N = run.force.limit_N
     if force_N <= (min(PRESSED_N, limit_N) if run.force.tared else limit_N):
         return

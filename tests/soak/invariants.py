@@ -23,10 +23,14 @@ from rig.files.runfile.compile import compile_run
 from rig.files.runfile.reader import RunFile
 from rig.files.verify import verify
 
-from .trials import Trial
+from .trials import TALLER, Trial
 
 DONE, DONE_WITH_FAILURES, UNSAFE = 0, 5, 7
 RUNAWAY = "runaway"
+PRESSED_N = 0.5
+"""A force after the end that nobody may leave unsaid."""
+NOT_KNOWN = "it is not known whether"
+"""What a warning says where the force sensor is silent after the way up."""
 CODES = {"disk": (0, 1), "else": (0, 3, 4, 5, 7)}
 NAMES = {
     FORCE_STREAM: ("force",),
@@ -34,6 +38,7 @@ NAMES = {
     "generator": ("generator", "load"),
     CLOCK: ("stage_", "force", "daq", "generator", "clock"),
     DISK: (".rigj", ".h5", "results", "journal", "disk"),
+    "object": ("force", "stage_z", "contact", "pressed"),
 }
 """By which words a sentence names a device; the others by their own names. A clock that jumps has
 no name of its own: whoever missed the time is named."""
@@ -65,9 +70,22 @@ class Ran:
         """Device and kind of what was really done, in order; a disk's faults as planned, for they
         stand in no World's log."""
         done = [(x["device"], x["kind"]) for x in self.trial.faults if x["device"] == DISK]
+        taller = [] if self.trial.contact_mm is None else [("object", TALLER)]
         return [
-            *((x["device"], x["value"]) for x in self.log if x["what"] == "injected"), *done
-        ]  # fmt: skip
+            *((x["device"], x["value"]) for x in self.log if x["what"] == "injected"),
+            *done,
+            *taller,
+        ]
+
+    @property
+    def largest_N(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """Largest true force by which the stages have pressed."""
+        return max(self.values("largest-force"), default=0.0)
+
+    @property
+    def over_limit_s(self) -> float:
+        """Longest time without a break for which that was over the limit."""
+        return max(self.values("longest-over-limit"), default=0.0)
 
     def values(self, what: str) -> list[Any]:
         """All that the World's log has of something."""
@@ -126,6 +144,11 @@ def _at_rest(ran: Ran) -> Iterator[str]:
         told_unsafe = ran.code == UNSAFE and "NOT SAFE" in ran.stderr
         if not (told_unsafe and "no run is active" in violation):
             yield f"the World: {violation}"
+    for last_N in ran.values("last-force"):
+        fine = ran.code in (DONE, DONE_WITH_FAILURES)
+        told = ran.code == UNSAFE or (not fine and NOT_KNOWN in ran.stderr)
+        if last_N > (PRESSED_N if fine else ran.trial.limit_N) and not told:
+            yield f"{last_N:.3g} N are still pressed, and exit code {ran.code} does not tell so"
 
 
 def _files(ran: Ran) -> Iterator[str]:

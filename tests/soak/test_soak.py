@@ -18,7 +18,7 @@ from tiers import mostly_thorough
 
 from .invariants import breaches
 from .running import run
-from .trials import Trial, draw, shrunk
+from .trials import Trial, draw, shrunk, world_of
 
 TRIALS = 33
 SEED_BY_DEFAULT = 6
@@ -48,9 +48,33 @@ def test_whatever_goes_wrong_the_invariants_hold(seed: int, tmp_path: Path) -> N
 
 
 @pytest.mark.thorough
+def test_a_stage_that_runs_away_from_a_suspended_computer_is_stopped_when_it_wakes(
+    tmp_path: Path,
+) -> None:
+    """Two faults at one time, which nothing in the program can bound while it does not run; met by
+    an earlier soak of rolls, seed 9143. The first orders after waking are to stop."""
+    moment = {"move": 1, "of": "rotary", "after_s": 0.26}
+    faults = (
+        {"device": "rotary", "kind": "runaway", "move": 1, "after_s": 0.25},
+        {"device": "clock", "kind": "clock-jump", **moment, "by_s": 7.35},
+    )
+    options = ("--angle", "1.78deg", "--start", "-2.35mm", "--normal-force", "2.4N")
+    arguments = ("roll-trial", *options, "--seed", "143")
+    trial = Trial(9143, arguments, world_of("roll-trial", faults), faults)
+    ran = run(server(), trial, tmp_path / "trial")
+    assert ran.code in (3, 7), ran.stderr
+    assert breaches(ran) == []
+    woke_us = next(x["t_us"] for x in ran.log if x["what"] == "fault")
+    stopped_us = [x["t_us"] for x in ran.log if (x["device"], x["what"]) == ("rotary", "stop")]
+    assert any(woke_us <= t_us <= woke_us + 100_000 for t_us in stopped_us)
+    z_mm = [x["value"]["target_mm"] for x in ran.log if x["what"] == "move" and x["t_us"] > woke_us]
+    assert all(mm <= 5.0 for mm in z_mm)
+
+
+@pytest.mark.thorough
 def test_a_seed_is_replayed_exactly(tmp_path: Path) -> None:
     """The World's own account of two runs is the same, line by line."""
-    trial = draw(3)
+    trial = draw(SEED_BY_DEFAULT)
     first, again = (run(server(), trial, tmp_path / name) for name in ("first", "again"))
     assert first.befallen
     assert (first.code, first.log) == (again.code, again.log)

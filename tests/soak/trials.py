@@ -4,20 +4,36 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from drivers.simulated.faults.plan import DEVICES, DEVICES_BY_FAULT, FORCE_STREAM, ROTARY, STAGE_X
+from drivers.simulated.faults.plan import (
+    DEVICES,
+    DEVICES_BY_FAULT,
+    FORCE_STREAM,
+    ROTARY,
+    STAGE_X,
+    STAGE_Z,
+)
 
 Fault = dict[str, Any]
 
 DOOR = '[[interlock]]\nname = "door"\n'
-SWEEP_WORLD = f"{DOOR}[watch]\nforce_limit_N = 40.0\n"
-SKIN_WORLD = f"skin_mount.contact_mm = 12.05\n{DOOR}[watch]\nforce_limit_N = 15.0\n"
+SKIN_CONTACT = "skin_mount.contact_mm = 12.05\n"
 """Contact soon after the search begins."""
-RUNAWAY_WORLD = "reaction_s = 0.06\n"
+SWEEP_LIMIT_N, SKIN_LIMIT_N = 40.0, 15.0
+TORQUE_LIMIT_N = {SWEEP_LIMIT_N: 45.0, SKIN_LIMIT_N: 25.0}
+"""What the torque limit of z allows on the simulated benches with these force limits."""
+RUNAWAY_S = 0.06
 """What runs into the film at travel speed, 10 mm/s, takes 50 ms to brake at 200 mm/s^2."""
+DEAD_S = 1.0
+"""A dead sensor is named when the torque limit has held the stage for 0.3 s; then z goes up."""
+UNNOTICED = ("wrong-scale", "drift")
+"""Kinds for which docs/safety.md declares the torque limit alone, in a first run on a bench."""
+TALLER = "taller-object"
+"""A kind of its own: nothing fails, but the object reaches higher than the bench file states."""
+TALLER_SHARE = 0.05
 
 REQUESTS = {
     "generator": 60,
@@ -47,11 +63,18 @@ class Trial:
     arguments: tuple[str, ...]
     world: str
     faults: tuple[Fault, ...]
+    contact_mm: float | None = None
+    """Position of z at which a taller object is met; None: where the bench file states it."""
 
     @property
     def procedure(self) -> str:
         """The command."""
         return self.arguments[0]
+
+    @property
+    def limit_N(self) -> float:  # noqa: N802 - the unit keeps its capital
+        """The force limit of the program."""
+        return SWEEP_LIMIT_N if self.procedure == "sweep" else SKIN_LIMIT_N
 
     @property
     def plan(self) -> str:
@@ -74,19 +97,43 @@ def draw(seed: int, slip_share: float = 0.15, roll_share: float = 0.05) -> Trial
     which = chance.random()
     rotary_share = 0.0
     if which < slip_share:
-        arguments, world, absent = _slip(chance), SKIN_WORLD, {"generator", ROTARY}
+        arguments, absent = _slip(chance), {"generator", ROTARY}
     elif which < slip_share + roll_share:
-        arguments, world, absent = _roll(chance), SKIN_WORLD, {"generator"}
+        arguments, absent = _roll(chance), {"generator"}
         rotary_share = 0.5
     else:
-        arguments, world, absent = _sweep(chance), SWEEP_WORLD, {STAGE_X, ROTARY}
+        arguments, absent = _sweep(chance), {STAGE_X, ROTARY}
     faults = []
     for _ in range(chance.choice((1, 1, 2, 3))):
         only_rotary = rotary_share and chance.random() < rotary_share
         faults.append(fault(chance, {*DEVICES} - {ROTARY} if only_rotary else absent))
-    if any(fault["kind"] == "runaway" for fault in faults):
-        world += RUNAWAY_WORLD
-    return Trial(seed, (*arguments, "--seed", str(seed % 1000)), world, tuple(faults))
+    contact_mm = round(chance.uniform(1, 11.9), 2) if chance.random() < TALLER_SHARE else None
+    world = world_of(arguments[0], faults, contact_mm)
+    return Trial(seed, (*arguments, "--seed", str(seed % 1000)), world, tuple(faults), contact_mm)
+
+
+def world_of(procedure: str, faults: Sequence[Fault], contact_mm: float | None = None) -> str:
+    """The World's settings for a plan: where the object is, a door, and the force that the World's
+    monitor allows, with the times that docs/safety.md declares for these kinds."""
+    on_film = procedure == "sweep"
+    mount = "" if on_film else SKIN_CONTACT
+    if contact_mm is not None:
+        mount = f"{'clamp' if on_film else 'skin_mount'}.contact_mm = {contact_mm}\n"
+    limit_N = SWEEP_LIMIT_N if on_film else SKIN_LIMIT_N
+    kinds = {fault["kind"] for fault in faults}
+    watch: dict[str, float] = {"force_limit_N": limit_N}
+    if kinds & {*UNNOTICED}:
+        watch["force_limit_N"] = TORQUE_LIMIT_N[limit_N] + 0.5
+    if "dead-noisy" in kinds:
+        watch |= {"reaction_s": DEAD_S, "longest_over_s": DEAD_S}
+    if "runaway" in kinds:
+        # Nothing stops what runs away while the computer is suspended: docs/safety.md.
+        suspended_s = sum(fault["by_s"] for fault in faults if fault["kind"] == "clock-jump")
+        watch["reaction_s"] = max(watch.get("reaction_s", 0.0), RUNAWAY_S + suspended_s)
+        if suspended_s:
+            watch["longest_over_s"] = 1.0 + suspended_s
+    lines = "".join(f"{key} = {_toml(value)}\n" for key, value in watch.items())
+    return f"{mount}{DOOR}[watch]\n{lines}"
 
 
 def as_toml(faults: Iterable[Fault]) -> str:
@@ -165,9 +212,14 @@ def _move(chance: random.Random, device: str) -> Fault:
 
 
 def _timed(chance: random.Random, device: str) -> Fault:
-    if chance.random() < 0.5:
+    """A moment: in an acquisition, while z goes down, presses or parks, or any."""
+    which = chance.random()
+    if which < 0.3:
         return {"acquisition": chance.randint(1, 12), "after_s": round(chance.uniform(0, 0.1), 4)}
-    return {"after_s": round(chance.uniform(0.2, 9), 3)}
+    if which < 0.7:
+        after_s = round(chance.uniform(0, 3), 3)
+        return {"move": chance.randint(1, 8), "of": STAGE_Z, "after_s": after_s}
+    return {"after_s": round(chance.uniform(0.2, 25), 3)}
 
 
 _KEYS: dict[str, Callable[[random.Random, str], Fault]] = {
@@ -185,7 +237,7 @@ _KEYS: dict[str, Callable[[random.Random, str], Fault]] = {
     },
     **dict.fromkeys(
         ("opened", "closed", "stuck-closed", "stuck-open", "bouncing"),
-        lambda chance, device: {"name": "door", "after_s": round(chance.uniform(0.2, 9), 3)},
+        lambda chance, device: {"name": "door", **_timed(chance, device)},
     ),
     "slow": lambda chance, device: {
         **_move(chance, device), "share": round(chance.uniform(0.02, 0.9), 3),
@@ -232,7 +284,7 @@ _KEYS: dict[str, Callable[[random.Random, str], Fault]] = {
         "after_s": round(chance.uniform(0.2, 9), 3), "by_deg": round(chance.uniform(-3, 3), 2),
     },
     "clock-jump": lambda chance, device: {
-        "after_s": round(chance.uniform(0.2, 9), 3), "by_s": round(chance.uniform(0.05, 10), 2),
+        **_timed(chance, device), "by_s": round(chance.uniform(0.05, 10), 2),
     },
     "disk-full": lambda chance, device: {"after_bytes": chance.randint(0, 150_000)},
     "read-only": lambda chance, device: {

@@ -5,9 +5,11 @@ It reads forces, axes and outputs and writes to the World's log; it changes noth
 is logged as ``violation``. It runs only where the World's settings ask for it.
 
 - The force by which the stages press stays below its limit but for what a sensor cannot know yet:
-  beyond the limit it never gets further than it has risen within one `reaction_s`.
+  beyond the limit it never gets further than it has risen within one `reaction_s`, and never stays
+  beyond it for longer than `longest_over_s`.
 - The largest force by which the stages have pressed is logged as ``largest-force`` at the
-  end, and the latest as ``last-force``.
+  end, the latest as ``last-force``, and the longest time without a break over the limit as
+  ``longest-over-limit``, in s.
 - Where the World ends, because its run has said so or has died, nothing moves or is driven.
 
 It also writes down a checksum of every frame that the force sensor sends, so that a record can be
@@ -41,9 +43,12 @@ class WatchSettings(Settings):
 
     force_limit_N: float = Field(gt=0)
     """Along any axis, of what the stages press with."""
-    reaction_s: float = Field(default=0.015, gt=0, le=1)
+    reaction_s: float = Field(default=0.015, gt=0, le=60)
     """Time in s within which a force over the limit has to stop rising: one delivery of frames,
     which is the longest advance of a slaved bench, and the axis's braking."""
+    longest_over_s: float = Field(default=0.3, gt=0)
+    """Time in s after which a force over the limit has to be below it again: reaction, braking and
+    the beginning of the way off. A force that has stopped rising crushes a sensor all the same."""
 
 
 class Monitor:
@@ -70,6 +75,9 @@ class Monitor:
         self._allowed_N = 0.0
         """Largest rise within one reaction since the force went over its limit."""
         self._told = False
+        self._over_since_us: int | None = None
+        self._told_long = False
+        self._longest_over_us = 0
         self._largest_N = 0.0
 
     def check(self, now_us: int) -> None:
@@ -84,7 +92,9 @@ class Monitor:
         self._recent = history[-self._before :]
         if force.max() <= self._settings.force_limit_N:
             self._allowed_N, self._told = 0.0, False
+            self._over_since_us, self._told_long = None, False
             return
+        self._time_over(force.tolist(), times.tolist())
         for after, before in zip(force.tolist(), history.tolist(), strict=False):
             self._judge(after, after - before)
 
@@ -95,6 +105,25 @@ class Monitor:
             self._report("violation", f"{what} although no run is active")
         self._report("largest-force", round(self._largest_N, 3))
         self._report("last-force", round(float(self._recent[-1]), 3))
+        self._report("longest-over-limit", round(self._longest_over_us * 1e-6, 3))
+
+    def _time_over(self, force_N: list[float], times_us: list[int]) -> None:
+        """Judge how long the force has been over its limit without a break."""
+        for force, time_us in zip(force_N, times_us, strict=True):
+            if force <= self._settings.force_limit_N:
+                self._over_since_us, self._told_long = None, False
+                continue
+            if self._over_since_us is None:
+                self._over_since_us = time_us
+            over_us = time_us - self._over_since_us
+            self._longest_over_us = max(self._longest_over_us, over_us)
+            if over_us > self._settings.longest_over_s * 1e6 and not self._told_long:
+                self._told_long = True
+                self._report(
+                    "violation",
+                    f"force of {force:.3g} N, over its limit for more than "
+                    f"{self._settings.longest_over_s:g} s",
+                )
 
     def _judge(self, force_N: float, rise_N: float) -> None:
         excess = force_N - self._settings.force_limit_N

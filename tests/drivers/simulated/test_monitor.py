@@ -10,7 +10,7 @@ import numpy.typing as npt
 from drivers.simulated.ports import Exchange
 from drivers.simulated.world.monitor import Monitor, WatchedLine, WatchSettings
 
-LIMIT = WatchSettings(force_limit_N=10.0, reaction_s=0.010)
+LIMIT = WatchSettings(force_limit_N=10.0, reaction_s=0.010, longest_over_s=0.2)
 
 
 class Line:
@@ -68,6 +68,16 @@ def test_a_second_time_over_the_limit_is_another_one() -> None:
     assert len(violations(np.array(over + [0.0] * 50 + over))) == 2
 
 
+def test_a_force_that_has_stopped_rising_and_stays_over_the_limit_is_a_violation_once() -> None:
+    plateau = rising(0.5, 0.0, 29, then_ms=190)
+    assert violations(np.array(plateau)) == [], "over the limit from 21 to 218 ms"
+    below_again = [0.0] * 7
+    assert violations(np.array(plateau + below_again + plateau)) == []
+    for every in (1, 7, 50):
+        ((what, told),) = violations(np.array(rising(0.5, 0.0, 29, then_ms=400)), every)
+        assert (what, told) == ("violation", "force of 14 N, over its limit for more than 0.2 s")
+
+
 def test_what_moves_at_the_end_is_reported() -> None:
     told: list[object] = []
     monitor = Monitor(
@@ -81,6 +91,7 @@ def test_what_moves_at_the_end_is_reported() -> None:
         ("violation", "stage_x moves at 3 mm/s although no run is active"),
         ("largest-force", 0.0),
         ("last-force", 0.0),
+        ("longest-over-limit", 0.0),
     ]
 
 
