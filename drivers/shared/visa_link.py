@@ -33,6 +33,8 @@ _ERROR_REPLY = re.compile(r'^([+-]?\d+),"(.*)"$')
 _SMALLEST_BLOCK_REPLY = len(b"#10")
 _LINE_ENDS = (b"", b"\n", b"\r\n")
 _LONGEST_ERROR_QUEUE = 32
+_FIRST_USE = threading.Lock()
+"""The library makes its one resource manager without asking who else is about to."""
 WAITS = 2
 """Times the time-out: a message may open the connection before it waits for its answer."""
 
@@ -143,9 +145,9 @@ class VisaLink:
         """Return a new session; `message` is what it is wanted for."""
         wait_ms = round(self._timeout_s * 1000)
         try:
-            session: Any = pyvisa.ResourceManager("@py").open_resource(
-                self.resource, open_timeout=wait_ms
-            )
+            with _FIRST_USE:
+                manager = pyvisa.ResourceManager("@py")
+            session: Any = manager.open_resource(self.resource, open_timeout=wait_ms)
         except pyvisa.errors.VisaIOError:
             raise
         except Exception as error:  # pyvisa-py raises anything here, down to a bare Exception

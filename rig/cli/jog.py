@@ -182,7 +182,7 @@ def _at_the_bench(
     roles = {*AXES, "force_sensor", *contacts}
     needed = tuple(part for part in plan.instruments if part.role in roles)
     try:
-        connected = connect(replace(plan, instruments=needed), clock, stop.check)
+        connected = connect(replace(plan, instruments=needed), clock, stop.check, say)
     except RigError:
         clock.close()
         raise

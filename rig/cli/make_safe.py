@@ -90,14 +90,17 @@ def _report_what_is_known(described: Restable) -> None:
 
 
 def _clear_marks(described: Restable) -> None:
-    """Remove the marks of earlier runs; that of one that is still at work is its own to remove."""
+    """Remove the marks of earlier runs, also where the bench had other addresses then; that of one
+    that is still at work is its own to remove."""
     from rig.run.bench_mark import clear_marks, read_marks
     from rig.run.lock import address_names
 
+    names = address_names(described)
+    then = {name for mark in read_marks(names) for name in mark.names}
     clear_marks(
         [
             name
-            for name in address_names(described)
+            for name in (*names, *sorted(then - set(names)))
             if not any(mark.lives for mark in read_marks([name]))
         ]
     )

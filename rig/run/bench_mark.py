@@ -70,6 +70,8 @@ class BenchMark(BaseModel):
     """Journal of the run; None if nothing was recorded."""
     failures: Mapping[str, str] = Field(default_factory=dict)
     """Reasons why the bench could not be made safe, by role."""
+    names: tuple[str, ...] = ()
+    """All names under which it was written: those of the bench's addresses at that time."""
     report: str = ""
     """Report on what was done and what is known, as a sentence."""
 
@@ -147,6 +149,7 @@ class BenchMarks:
             guard=guard,
             journal=self._journal,
             failures=failures or {},
+            names=self._names,
             report=report,
         )
         write_marks(self._names, mark)

@@ -72,7 +72,7 @@ def execute(
         require_roles(points, plan)
         if job.lock is not None:
             job.lock.check()
-        bench = connect(plan, clock, stop.check)
+        bench = connect(plan, clock, stop.check, lambda text: _tell(observers, text))
     except RigError as error:
         clock.close()
         return _failed(outcome, error)
@@ -94,6 +94,13 @@ def execute(
             execution.run.event("warning", "stand-in", line)
         execution.go(points)
     return outcome
+
+
+def _tell(observers: tuple[RunObserver, ...], text: str) -> None:
+    """Show a line about the progress before there is a run."""
+    for observer in observers:
+        with contextlib.suppress(Exception):  # an observer must not end what it observes
+            observer.event("info", text)
 
 
 class _Execution:

@@ -1,7 +1,8 @@
 """The records of interlock contacts that outlive a run: latches, resets and proof tests.
 
-Each contact has one small file, named after the address of the instrument that reads it and the
-input, so that neither another folder of results nor another name in the bench file loses a latch.
+Each contact has a small file for each address of the instrument that reads it, named after address
+and input, so that neither another folder of results nor another name in the bench file loses a
+latch.
 The files are in the folder that all users of the computer share (`rig.run.shared_folder`).
 
 A file that cannot be read counts as a latch: whether a person has been at the bench is not known.
@@ -16,10 +17,10 @@ import os
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 
+from rig.bench.addresses import addresses_of
 from rig.bench.interlocks import InterlockSettings
 from rig.bench.plan import BenchPlan
 from rig.core.errors import RigError, UnsafeError
-from rig.run.lock import address_of
 from rig.run.shared_folder import SharedFolder
 
 
@@ -51,23 +52,34 @@ class InterlockStore:
         """Whether the records outlive this program."""
         settings = {part.role: part.settings for part in plan.instruments}
         self._names = {
-            one.name: _file_name(address_of(settings[one.role].model_dump()), one)
+            one.name: [
+                _file_name(address, one)
+                for address in addresses_of(settings[one.role].model_dump())
+            ]
             for one in plan.settings.interlock
         }
+        """Files of each contact, one for each address of its instrument."""
         self._kept: dict[str, ContactRecord] = {}
 
     def get(self, name: str) -> ContactRecord:
-        """Return the record of a contact."""
+        """Return the record of a contact: one that is latched, if there is one under any of its
+        addresses."""
         nothing = ContactRecord(name, self._bench)
         if not self.lasting:
             return self._kept.get(name, nothing)
+        records = [record for file in self._names[name] if (record := self._read(name, file))]
+        latched = [record for record in records if record.opened is not None]
+        return (latched or records or [nothing])[0]
+
+    def _read(self, name: str, file: str) -> ContactRecord | None:
+        """Return the record in a file, or None without one. One that cannot be read is a latch."""
         try:
             with SharedFolder() as folder:
-                text = folder.read(self._names[name])
-            return nothing if text is None else ContactRecord(**json.loads(text))
+                text = folder.read(file)
+            return None if text is None else ContactRecord(**json.loads(text))
         except (OSError, ValueError, TypeError, RigError) as error:
-            why = f"its record {self._names[name]} cannot be read ({error}), which counts as open"
-            return replace(nothing, opened=now(), why=why)
+            why = f"its record {file} cannot be read ({error}), which counts as open"
+            return ContactRecord(name, self._bench, opened=now(), why=why)
 
     def check_writable(self) -> None:
         """Write every record as it is. Raises RigError if that fails: a run whose latch could not
@@ -100,14 +112,15 @@ class InterlockStore:
             self._kept[name] = record
             return
         with SharedFolder() as folder:
-            try:
-                folder.write(self._names[name], json.dumps(asdict(record), indent=1) + "\n")
-            except OSError as error:
-                raise RigError(
-                    f"the record {folder.path / self._names[name]} of interlock {name!r} cannot be "
-                    f"written: {error.strerror}",
-                    "free the disk, or have the folder's owner correct it",
-                ) from error
+            for file in self._names[name]:
+                try:
+                    folder.write(file, json.dumps(asdict(record), indent=1) + "\n")
+                except OSError as error:
+                    raise RigError(
+                        f"the record {folder.path / file} of interlock {name!r} cannot be "
+                        f"written: {error.strerror}",
+                        "free the disk, or have the folder's owner correct it",
+                    ) from error
 
 
 def person() -> str:

@@ -12,7 +12,8 @@ same name. So the file is compared with its name after it was locked, and again 
 connects (`BenchLock.check`); and a mark whose run lives (`rig.run.bench_mark`) refuses the bench as
 a lock does.
 
-The address is what the bench file says; one instrument under two names is not recognised.
+An instrument has a lock under each of its addresses (`rig.bench.addresses`), so that another name
+for it is no other instrument.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from rig.bench.addresses import addresses_of
 from rig.core.errors import ConfigurationError
 from rig.run.bench_mark import BenchMark, read_marks
 from rig.run.shared_folder import SharedFolder, user_name
@@ -34,8 +36,6 @@ from rig.run.shared_folder import SharedFolder, user_name
 if TYPE_CHECKING:
     from rig.bench.plan import BenchPlan, Restable
 
-ADDRESS = ("resource", "host", "port", "unit_id")
-"""Settings of a driver that form the address of an instrument."""
 SUFFIX = ".lock"
 ENTRY_BYTES = 4096
 GUARD_S = 10.0
@@ -133,18 +133,12 @@ def in_use(plan: BenchPlan | Restable) -> str | None:
 
 
 def address_names(plan: BenchPlan | Restable) -> tuple[str, ...]:
-    """Return the name under which the shared folder has each instrument's address, each once, in
-    one order for all programs."""
-    addresses = {address_of(part.settings.model_dump()) for part in plan.instruments}
+    """Return the names under which the shared folder has each instrument's addresses, each once,
+    in one order for all programs."""
+    addresses = {
+        address for part in plan.instruments for address in addresses_of(part.settings.model_dump())
+    }
     return tuple(sorted(hashlib.sha256(one.encode()).hexdigest()[:16] for one in addresses))
-
-
-def address_of(settings: dict[str, Any]) -> str:
-    """Return the address of the link of an instrument, from its driver's settings."""
-    # A link has one user, whichever instrument on it is addressed.
-    if isinstance(line := settings.get("port"), str):
-        return line.upper()
-    return " ".join(str(settings[name]).upper() for name in ADDRESS if name in settings)
 
 
 def _take(folder: SharedFolder, name: str) -> int:

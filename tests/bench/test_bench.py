@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import textwrap
+import threading
+import time
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -251,6 +253,76 @@ def test_what_did_connect_is_closed_where_another_failed() -> None:
     assert caught.value is error
     assert [call for call in generator.calls if call != ("keep_alive",)] == [("close",)]
     assert generator.calls[-1] == ("close",), "nobody is fed over a link that is closed"
+
+
+PATIENCE_S = 20.0
+
+
+def test_instruments_on_links_of_their_own_are_connected_at_the_same_time() -> None:
+    both = threading.Barrier(2, timeout=PATIENCE_S)
+
+    def connected(settings: object, clock: object) -> Any:
+        both.wait()
+        return Fake()
+
+    driver = SimpleNamespace(connect=connected)
+    bench = connect(plan_with(driver, driver), WallClock())
+    assert list(bench.instruments) == ["generator", "daq"]
+    bench.close()
+
+
+def test_instruments_on_one_link_are_connected_one_after_the_other() -> None:
+    busy = threading.Lock()
+
+    def connected(settings: object, clock: object) -> Any:
+        assert busy.acquire(blocking=False), "two talk on one line"
+        time.sleep(0.05)
+        busy.release()
+        return Fake()
+
+    driver = SimpleNamespace(connect=connected)
+    plan = plan_with(driver, driver)
+    generator, daq = plan.instruments
+    one_link = replace(generator, role="daq", driver=daq.driver)
+    connect(replace(plan, instruments=(generator, one_link)), WallClock()).close()
+
+
+def test_who_is_waited_for_is_told_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.bench.connect.TELL_EVERY_S", 0.1)
+    told, lines = threading.Event(), list[str]()
+
+    def slowly(settings: object, clock: object) -> Any:
+        assert told.wait(PATIENCE_S), "nobody says what is waited for"
+        return Fake()
+
+    def tell(line: str) -> None:
+        lines.append(line)
+        if line.endswith("waiting for daq"):
+            told.set()
+
+    plan = plan_with(works(Fake()), SimpleNamespace(connect=slowly))
+    connect(plan, WallClock(), tell=tell).close()
+    assert re.fullmatch(r"connecting for \d+ s: waiting for daq", lines[-1])
+
+
+def test_a_stop_while_connecting_leaves_nothing_connected() -> None:
+    begun, stopped, fast, slow = threading.Event(), threading.Event(), Fake(), Fake()
+
+    def slowly(settings: object, clock: object) -> Any:
+        begun.set()
+        assert stopped.wait(PATIENCE_S)
+        return slow
+
+    def check() -> None:
+        if begun.is_set():
+            stopped.set()
+            raise RigError("stopped")
+
+    plan = plan_with(works(fast), SimpleNamespace(connect=slowly))
+    with pytest.raises(RigError, match="stopped"):
+        connect(plan, WallClock(), check)
+    assert slow.calls == [("close",)]
+    assert fast.calls[-1:] in ([("close",)], []), "it may not have been begun"
 
 
 def test_one_simulated_instrument_makes_the_bench_simulated() -> None:

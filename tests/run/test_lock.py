@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from rig.bench.addresses import addresses_of
 from rig.bench.plan import BenchPlan, parse_bench
 from rig.core.errors import ConfigurationError, ExitCode
 from rig.run import lock
-from rig.run.bench_mark import BenchMarks, clear_marks
+from rig.run.bench_mark import BenchMarks, clear_marks, read_marks
 from rig.run.lock import BenchLock, address_names, in_use
 from rig.run.shared_folder import user_name
 
@@ -23,7 +24,7 @@ name = "{name}"
 mounted = "film-clamp"
 [generator]
 driver = "keysight-33500b"
-resource = "TCPIP::127.0.0.1::{generator}::SOCKET"
+resource = "TCPIP0::127.0.0.1::{generator}::SOCKET"
 max_amplitude_V = 5.0
 [force_sensor]
 driver = "me-gsv8"
@@ -87,6 +88,60 @@ def test_a_serial_line_belongs_to_one_program_for_all_its_devices() -> None:
     )
     with BenchLock(one), pytest.raises(ConfigurationError, match="bench one is in use"):
         BenchLock(another)
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.2", "LOCALHOST", "0x7f.1"])
+def test_one_instrument_under_two_host_names_is_one_bench(host: str) -> None:
+    other = BENCH.replace("TCPIP0::127.0.0.1", f"tcpip::{host}")
+    text = other.format(name="other", generator=5025, port="/dev/ttyY")
+    with BenchLock(plan()), pytest.raises(ConfigurationError, match="bench b is in use by pid"):
+        BenchLock(parse_bench(text, "bench.toml"))
+
+
+def test_a_serial_port_under_two_names_is_one_bench(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, by_id = tmp_path / "ttyUSB0", tmp_path / "by-id"
+    real.touch()
+    by_id.mkdir()
+    for link in (tmp_path / "sensor", by_id / "usb-GSV-8_123"):
+        link.symlink_to(real)
+    monkeypatch.setattr("rig.bench.addresses.BY_ID", by_id)
+    for link in (tmp_path / "sensor", by_id / "usb-GSV-8_123"):
+        with BenchLock(plan(port=str(real))), pytest.raises(ConfigurationError, match="is in use"):
+            BenchLock(plan("other", generator=5026, port=str(link)))
+    # Unplugged and plugged in again, it has another number and the same name by what it is.
+    marks = BenchMarks(address_names(plan(port=str(real))), "b", None)
+    marks.unsafe({"force_sensor": "unplugged"})
+    real.unlink()
+    (by_id / "usb-GSV-8_123").unlink()
+    (tmp_path / "ttyUSB1").touch()
+    (by_id / "usb-GSV-8_123").symlink_to(tmp_path / "ttyUSB1")
+    later = address_names(plan("other", generator=5026, port=str(tmp_path / "ttyUSB1")))
+    (mark,) = read_marks(later)
+    assert mark.refuses
+    assert set(mark.names) > set(later) & set(mark.names)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("USB0::0x2A8D::0x4D01::MY1::INSTR", "USB::10893::19713::MY1::0::INSTR"),
+        ("TCPIP::127.0.0.1::INSTR", "TCPIP0::localhost::inst0::INSTR"),
+        ("TCPIP::localhost::hislip0,4880::INSTR", "TCPIP0::127.0.0.1::hislip0,4880"),
+    ],
+)
+def test_a_resource_with_and_without_what_may_be_left_out_is_one(one: str, other: str) -> None:
+    assert set(addresses_of({"resource": one})) & set(addresses_of({"resource": other}))
+
+
+def test_other_ports_of_one_host_and_unknown_hosts_are_several_instruments() -> None:
+    hosts = ({"host": "127.0.0.1", "port": port, "unit_id": 1} for port in (502, 503))
+    one, other = map(set, map(addresses_of, hosts))
+    assert not one & other
+    assert addresses_of({"host": "no.such.host.invalid", "port": 502}) == (
+        "NO.SUCH.HOST.INVALID 502",
+    )
 
 
 def test_a_refused_lock_keeps_nothing() -> None:
