@@ -386,6 +386,11 @@ class Queue:
         )
         return [RunRow(**dict(row)) for row in cursor]
 
+    def references(self) -> list[BatchCondition]:
+        """Return the conditions that are references, in the order of the batch file."""
+        rows = self._sql.execute("SELECT * FROM condition WHERE reference = 1 ORDER BY place")
+        return [_condition_of(row) for row in rows.fetchall()]
+
     def summaries(self, condition: str) -> list[tuple[int, dict[str, Any]]]:
         """Number and summary of the runs of a condition that are done, in their order."""
         rows = self._sql.execute(

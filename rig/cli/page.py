@@ -1,0 +1,63 @@
+"""The command ``rig page``, which shows the bench in a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rig.cli.outcome import reported, say, start_log
+from rig.core.errors import ConfigurationError
+from rig.run.bench_selector import bench_file
+
+PORT = 8470
+
+
+def page(
+    results: Annotated[Path, typer.Option(help="Folder of results to watch.")] = Path("results"),
+    bench: Annotated[
+        Path | None, typer.Option(help="Bench file, for making the bench safe without a run.")
+    ] = None,
+    port: Annotated[
+        int, typer.Option(help="Port on 127.0.0.1; 0 for any.", min=0, max=65535)
+    ] = PORT,
+    rate: Annotated[
+        float, typer.Option(help="Most drawings a second.", metavar="Hz", min=0.2, max=20)
+    ] = 5.0,
+    read_only: Annotated[
+        bool, typer.Option("--read-only", help="Nobody may stop anything from the page.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Show the running bench in a browser, with STOP.
+
+    It follows the journals of the results folder from a process of its own, started before, during
+    or after a run. Ctrl-C ends the page, never a run.
+    """
+    with reported(debug):
+        try:
+            from rig.page.server import PageState, serve
+        except ImportError as error:
+            raise ConfigurationError(
+                f"the page needs the extra 'page', which is not installed ({error.name})",
+                'install it: uv pip install "tactile-rig[page]"',
+            ) from error
+        from rig.page.access import Access
+        from rig.page.history import RunIndex
+        from rig.page.watch import BenchWatch
+
+        chosen = bench_file(bench)
+        if chosen is not None and not chosen.is_file():
+            raise ConfigurationError(f"there is no bench file {chosen}", "name it with --bench")
+        access = Access(read_only)
+        state = PageState(BenchWatch(results, chosen), RunIndex(results), access, rate)
+
+        def ready(address: str) -> None:
+            if not read_only:
+                say(f"watch and stop: {address}#token={access.stop_token}")
+            say(f"watch only:     {address}#token={access.watch_token}")
+            say(f"showing {results}; Ctrl-C ends the page, not the run")
+
+        start_log(results)
+        serve(state, port, ready)

@@ -1,0 +1,82 @@
+"""The journals and run files of a results folder, listed again only where a folder changed."""
+
+from __future__ import annotations
+
+import os
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
+
+BATCH_RUNS = "runs"
+"""Folder of the runs within the folder of a batch."""
+
+
+@dataclass(frozen=True)
+class FoundFile:
+    """A journal or run file."""
+
+    path: Path
+    mtime_ns: int
+    inode: int
+
+
+class ResultsFolder:
+    """Journals and run files below a results folder: in the folder itself, in those of days and
+    of batches."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self._listed: dict[Path, tuple[int, list[Path]]] = {}
+
+    def find(self, suffix: str) -> list[FoundFile]:
+        """Return the files of this suffix, newest first. Links and anything but regular files are
+        left out. Never raises: what cannot be read is not there."""
+        found = []
+        for folder in self._folders():
+            for path in self._names(folder):
+                if path.suffix != suffix:
+                    continue
+                try:
+                    status = path.lstat()
+                except OSError:
+                    continue
+                if stat.S_ISREG(status.st_mode):
+                    found.append(FoundFile(path, status.st_mtime_ns, status.st_ino))
+        return sorted(found, key=lambda one: one.mtime_ns, reverse=True)
+
+    def _folders(self) -> list[Path]:
+        folders = [self.path]
+        for path in self._subfolders(self.path):
+            folders += [path, path / BATCH_RUNS]
+        return folders
+
+    @staticmethod
+    def _subfolders(folder: Path) -> list[Path]:
+        try:
+            return [
+                Path(entry.path)
+                for entry in os.scandir(folder)
+                if entry.is_dir(follow_symlinks=False) and not entry.name.startswith(".")
+            ]
+        except OSError:
+            return []
+
+    def _names(self, folder: Path) -> list[Path]:
+        try:
+            changed = folder.lstat().st_mtime_ns
+            before = self._listed.get(folder)
+            if before is not None and before[0] == changed:
+                return before[1]
+            names = [
+                Path(entry.path)
+                for entry in os.scandir(folder)
+                if entry.name.endswith((JOURNAL_SUFFIX, RUN_SUFFIX))
+                and not entry.name.startswith(".")
+            ]
+        except OSError:
+            self._listed.pop(folder, None)
+            return []
+        self._listed[folder] = (changed, names)
+        return names

@@ -1,0 +1,133 @@
+"""What is sent to a viewer: only what is new since the frame that it has taken before.
+
+A viewer pulls: its next frame is made when its connection has taken the last one. One that never
+reads gets none and keeps nothing here but its cursor; the frames that it missed are dropped.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from rig.page.watch import BenchWatch
+from rig.page.word import SILENT_S
+from rig.run.lock_holder import LockHolder
+
+SPECTRUM_EVERY_S = 1.0
+LATE_SHARE = 0.005
+"""Share of late ticks from which the page says that the loop suffers."""
+
+
+@dataclass
+class Cursor:
+    """What a viewer has been sent."""
+
+    generation: int = -1
+    keys: dict[str, int] = field(default_factory=dict)
+    event: int = 0
+    curve: int = 0
+    spectrum_s: float = 0.0
+
+
+def next_frame(
+    watch: BenchWatch, cursor: Cursor, *, may_stop: bool, polled_s: float
+) -> dict[str, Any]:
+    """Return the next frame for a viewer and move its cursor. `polled_s` is the monotonic time at
+    which the watch was polled last: an old one makes the state unknown."""
+    now = time.monotonic()
+    with watch.lock:
+        view = watch.view
+        if cursor.generation != watch.generation:
+            cursor.generation = watch.generation
+            cursor.keys, cursor.event, cursor.curve = {}, 0, 0
+            cursor.spectrum_s = 0.0
+        word, reason = watch.word.word, watch.word.reason
+        if now - polled_s > SILENT_S:
+            word, reason = "unknown", f"for {now - polled_s:.0f} s: the page cannot read"
+        frame: dict[str, Any] = {
+            "gen": watch.generation,
+            "time": time.strftime("%H:%M:%S"),
+            "word": word,
+            "reason": reason,
+            "behind": watch.behind,
+            "silent_s": round(watch.facts(now).silent_s, 1),
+            "run": view.summary(),
+            "last_file": watch.last_file if watch.path is None else None,
+            "holder": _who(watch.holder),
+            "bench_holder": _who(watch.bench_holder),
+            "stop": _stop(watch),
+            "may_stop": may_stop,
+            "can_make_safe": may_stop
+            and watch.bench is not None
+            and watch.holder is None
+            and watch.bench_holder is None,
+            "late": _late(view.ticks, view.late_ticks),
+            "series": _series(watch, cursor),
+            "events": [event for event in view.events if event["n"] > cursor.event],
+            "curve": [list(point) for point in view.curve[cursor.curve :]],
+        }
+        cursor.event, cursor.curve = view.event_count, len(view.curve)
+        if now - cursor.spectrum_s >= SPECTRUM_EVERY_S:
+            cursor.spectrum_s = now
+            frame["spectrum"] = view.spectrum()
+    return frame
+
+
+def as_event(frame: dict[str, Any]) -> bytes:
+    """Return a frame as a server-sent event."""
+    return b"data: " + json.dumps(_plain(frame), separators=(",", ":")).encode() + b"\n\n"
+
+
+def _plain(value: Any) -> Any:
+    """Return a value without NaN and infinities, which JSON has not."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return value
+
+
+def _series(watch: BenchWatch, cursor: Cursor) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, ring in watch.view.rings.items():
+        if ring.last_key < 0:
+            continue
+        # The newest interval may have grown since it was sent: it is sent again.
+        found[name] = ring.since(cursor.keys.get(name, -1))
+        cursor.keys[name] = ring.last_key
+    return found
+
+
+def _stop(watch: BenchWatch) -> dict[str, Any] | None:
+    course, stop = watch.course(), watch.stop
+    if course is None or stop is None:
+        return None
+    return {
+        "phase": course.phase,
+        "text": course.text,
+        "over": course.over,
+        "safe": course.safe,
+        "asked": stop.wall,
+        "presses": stop.presses,
+        "since_s": round(time.monotonic() - stop.at_s, 1),
+    }
+
+
+def _late(ticks: int, late: int) -> str:
+    if not ticks or late < LATE_SHARE * ticks:
+        return ""
+    return (
+        f"The loop suffers: {late} of {ticks} ticks began late ({100 * late / ticks:.1f} %). Close "
+        "the browser on the bench's computer, or watch from another one."
+    )
+
+
+def _who(holder: LockHolder | None) -> dict[str, Any] | None:
+    if holder is None:
+        return None
+    return {"pid": holder.pid, "user": holder.user, "own": holder.own}

@@ -1,0 +1,122 @@
+"""What a page shows of a batch: its status as the terminal has it, its runs, its references."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rig.batch.folder import QUEUE, BatchFolder
+from rig.batch.queue import Queue, RunRow
+from rig.batch.report.heartbeat import read_heartbeat
+from rig.batch.report.status import status_of
+from rig.core.errors import ConfigurationError, RigError
+
+MOST_RUNS = 200
+"""Runs of the queue that are listed of each state."""
+MOST_FIGURES = 500
+
+
+def latest_batch(results: Path) -> BatchFolder | None:
+    """Return the latest batch of a results folder, None if there is none."""
+    found: list[tuple[float, Path]] = []
+    for queue in results.glob(f"*/{QUEUE}"):
+        try:
+            found.append((queue.stat().st_ctime, queue.parent))
+        except OSError:
+            continue
+    return BatchFolder(max(found)[1]) if found else None
+
+
+def night(results: Path) -> dict[str, Any]:
+    """Return the latest batch, ready for JSON; ``{}`` if there is none, ``{"problem": ...}`` for
+    one that cannot be read."""
+    folder = latest_batch(results)
+    if folder is None:
+        return {}
+    try:
+        status = status_of(folder)
+        with Queue.open(folder.queue, read_only=True) as queue:
+            lists = {
+                "queued": [_row(row) for row in _first(queue, "queued")],
+                "running": [_row(row) for row in _first(queue, "running")],
+                "failed": [_row(row) for row in queue.latest(("failed",), MOST_RUNS)],
+                "set_aside": [_row(row) for row in _first(queue, "set-aside")],
+                "done": [_row(row) for row in queue.latest(("done",), MOST_RUNS)],
+            }
+            drift = _drift(queue)
+    except (RigError, OSError) as error:
+        return {"problem": error.one_line() if isinstance(error, RigError) else str(error)}
+    beat = read_heartbeat(folder.heartbeat) if status.running else None
+    shown = status.as_object()
+    shown["folder"] = folder.path.name
+    return shown | {
+        "lines": status.lines(),
+        "lists": lists,
+        "retried": sum(1 for rows in lists.values() for row in rows if row["attempts"] > 1),
+        "drift": drift,
+        "heartbeat": None if beat is None else {"state": beat.state, "message": beat.message},
+    }
+
+
+def ask_batch(results: Path, request: str) -> str:
+    """Leave a request for the supervisor of the batch that is running; return the batch's name.
+    Raises ConfigurationError if none runs."""
+    folder = latest_batch(results)
+    if folder is None or not folder.is_held("supervisor"):
+        raise ConfigurationError("no batch is running", "stop the run itself")
+    with Queue.open(folder.queue) as queue:
+        queue.add_request(request)
+        return queue.meta("name")
+
+
+def _first(queue: Queue, state: Any) -> list[RunRow]:
+    rows = []
+    for row in queue.rows((state,)):
+        rows.append(row)
+        if len(rows) >= MOST_RUNS:
+            break
+    return rows
+
+
+def _row(row: RunRow) -> dict[str, Any]:
+    return {
+        "run": row.number,
+        "condition": row.condition,
+        "repeat": row.repeat,
+        "state": row.state,
+        "code": row.code,
+        "reason": row.reason[:300],
+        "bench_s": row.bench_s,
+        "points": f"{row.points_done}/{row.points_planned}" if row.points_planned else "",
+        "attempts": row.attempts,
+    }
+
+
+def _drift(queue: Queue) -> list[dict[str, Any]]:
+    """Return the watched figures of each reference by run, as differences from its first run."""
+    from rig.batch.execute.drift import watched_figures
+    from rig.batch.execute.worker import BatchTerms
+    from rig.batch.plan.procedures import installed
+
+    terms = BatchTerms.of(queue, BatchFolder(queue.path.parent))
+    shown = []
+    for condition in queue.references():
+        named = terms.file.experiment[condition.experiment].drift
+        for key, figure in watched_figures(installed(condition.procedure).drift, named).items():
+            values = [
+                (number, float(summary[key]))
+                for number, summary in queue.summaries(condition.id)[:MOST_FIGURES]
+                if isinstance(summary.get(key), (int, float))
+            ]
+            if values:
+                shown.append(
+                    {
+                        "condition": condition.id,
+                        "figure": figure.what,
+                        "key": key,
+                        "tolerance": figure.tolerance,
+                        "runs": [number for number, _ in values],
+                        "change": [value - values[0][1] for _, value in values],
+                    }
+                )
+    return shown

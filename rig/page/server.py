@@ -1,0 +1,359 @@
+"""The server of the page: what a browser may ask for, and what it gets.
+
+    /                     the page; /static/NAME its parts. They hold no data and need no token
+    GET  /api/live        server-sent events: a frame at most `rate_Hz` times a second
+    GET  /api/night       the latest batch
+    GET  /api/runs        the runs of the folder; /api/runs/ID one of them, /api/runs/ID/NAME a file
+    POST /api/stop        {"what": "run" | "night"}
+    POST /api/make-safe
+
+Whatever changes something is a POST with the token that may stop. No part of a request becomes a
+path of the file system: files are looked up among those of a run that was indexed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from rig.core.errors import RigError
+from rig.core.threads import start_thread
+from rig.page.access import HEADERS, Access, RefusedError
+from rig.page.frames import Cursor, as_event, next_frame
+from rig.page.history import RunIndex
+from rig.page.night import ask_batch, latest_batch, night
+from rig.page.watch import BenchWatch
+from rig.run.lock_holder import NotStoppedError, holder_of
+
+log = logging.getLogger("rig")
+
+STATIC = Path(__file__).with_name("static")
+PARTS = {
+    "page.js": "text/javascript; charset=utf-8",
+    "page.css": "text/css; charset=utf-8",
+    "uplot.js": "text/javascript; charset=utf-8",
+    "uplot.css": "text/css; charset=utf-8",
+    "uplot.LICENSE": "text/plain; charset=utf-8",
+    "icon.svg": "image/svg+xml",
+}
+MOST_VIEWERS = 32
+POLL_EVERY_S = 0.1
+INDEX_EVERY_S = 2.0
+STUCK_S = 60.0
+"""Time after which a viewer that takes nothing is dropped."""
+MOST_BODY_BYTES = 1024
+MAKE_SAFE_S = 180.0
+NICENESS = 10
+"""Below a run: the page must not cost it ticks."""
+
+
+@dataclass
+class PageState:
+    """What the server serves."""
+
+    watch: BenchWatch
+    index: RunIndex
+    access: Access
+    rate_Hz: float = 5.0
+    viewers: int = 0
+    polled_s: float = field(default_factory=time.monotonic)
+    making_safe: threading.Lock = field(default_factory=threading.Lock)
+
+
+def application(state: PageState) -> ASGIApp:
+    """Return the application, with the checks around it."""
+
+    async def live(request: Request) -> Response:
+        if state.viewers >= MOST_VIEWERS:
+            return PlainTextResponse(f"{MOST_VIEWERS} viewers are watching already", 503)
+        return _Live(state, request.scope["rig.right"] == "stop")
+
+    async def night_of(_: Request) -> Response:
+        return JSONResponse(await asyncio.to_thread(night, state.watch.results))
+
+    async def runs(request: Request) -> Response:
+        query = request.query_params
+        names = ("procedure", "sample", "outcome")
+        procedure, sample, outcome = (query.get(name, "")[:200] for name in names)
+        found = await asyncio.to_thread(state.index.rows, procedure, sample, outcome)
+        return JSONResponse(found)
+
+    async def run(request: Request) -> Response:
+        found = await asyncio.to_thread(state.index.detail, request.path_params["run"])
+        if found is None:
+            return PlainTextResponse("there is no such run", 404)
+        return Response(json.dumps(found, default=str), media_type="application/json")
+
+    async def file(request: Request) -> Response:
+        wanted = request.path_params
+        found = await asyncio.to_thread(state.index.file, wanted["run"], wanted["name"])
+        if found is None:
+            return PlainTextResponse("the run has no such file", 404)
+        return FileResponse(found[0], media_type=found[1], filename=found[0].name)
+
+    routes = [
+        Route("/", _page),
+        Route("/static/{name}", _part),
+        Route("/api/live", live),
+        Route("/api/night", night_of),
+        Route("/api/runs", runs),
+        Route("/api/runs/{run}", run),
+        Route("/api/runs/{run}/{name}", file),
+        Route("/api/stop", _changing(state, _stop), methods=["POST"]),
+        Route("/api/make-safe", _changing(state, _make_safe), methods=["POST"]),
+    ]
+    return _Checked(Starlette(routes=routes), state.access)
+
+
+class _Checked:
+    """Refuses what `Access` refuses, and adds the headers to every answer."""
+
+    def __init__(self, app: ASGIApp, access: Access):
+        self._app, self._access = app, access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            if scope["type"] == "lifespan":
+                await self._app(scope, receive, send)
+            return
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                own = {name.lower().encode() for name in HEADERS}
+                kept = [pair for pair in message["headers"] if pair[0].lower() not in own]
+                added = [(name.lower().encode(), text.encode()) for name, text in HEADERS.items()]
+                message["headers"] = kept + added
+            await send(message)
+
+        headers = {
+            name.decode("latin-1"): text.decode("latin-1") for name, text in scope["headers"]
+        }
+        try:
+            right = self._access.check(scope["method"], scope["path"], headers)
+        except RefusedError as refused:
+            answer = PlainTextResponse(refused.reason, refused.status)
+            await answer(scope, receive, send_with_headers)
+            return
+        scope["rig.right"] = right
+        await self._app(scope, receive, send_with_headers)
+
+
+class _Live(Response):
+    """An endless answer of server-sent events. A frame is made when the one before was taken."""
+
+    def __init__(self, state: PageState, may_stop: bool):
+        super().__init__(media_type="text/event-stream")
+        self._state, self._may_stop = state, may_stop
+        del self.headers["content-length"]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        start = {"type": "http.response.start", "status": 200, "headers": self.raw_headers}
+        await send(start)
+        self._state.viewers += 1
+        sending = asyncio.ensure_future(self._send_all(send))
+        leaving = asyncio.ensure_future(_left(receive))
+        try:
+            await asyncio.wait((sending, leaving), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._state.viewers -= 1
+            for task in (sending, leaving):
+                task.cancel()
+                with contextlib.suppress(asyncio.CancelledError, TimeoutError, OSError):
+                    await task
+
+    async def _send_all(self, send: Send) -> None:
+        async for event in self._events():
+            message = {"type": "http.response.body", "body": event, "more_body": True}
+            await asyncio.wait_for(send(message), STUCK_S)
+
+    async def _events(self) -> AsyncIterator[bytes]:
+        cursor, state = Cursor(), self._state
+        while True:
+            frame = next_frame(
+                state.watch, cursor, may_stop=self._may_stop, polled_s=state.polled_s
+            )
+            yield as_event(frame)
+            await asyncio.sleep(1 / state.rate_Hz)
+
+
+async def _left(receive: Receive) -> None:
+    while (await receive())["type"] != "http.disconnect":
+        pass
+
+
+async def _page(_: Request) -> Response:
+    return FileResponse(STATIC / "page.html", media_type="text/html; charset=utf-8")
+
+
+async def _part(request: Request) -> Response:
+    name = request.path_params["name"]
+    if name not in PARTS:
+        return PlainTextResponse("there is no such part of the page", 404)
+    return FileResponse(STATIC / name, media_type=PARTS[name])
+
+
+# --- what changes something ---------------------------------------------------------------------
+
+Change = Callable[[PageState, dict[str, Any]], tuple[int, dict[str, Any]]]
+
+
+def _changing(state: PageState, change: Change) -> Callable[[Request], Any]:
+    """Return an endpoint that carries out a change for those who may, in a thread of its own."""
+
+    async def endpoint(request: Request) -> Response:
+        if request.scope["rig.right"] != "stop":
+            return JSONResponse({"problem": "this address may watch only"}, 403)
+        body = b""
+        async for chunk in request.stream():
+            body += chunk
+            if len(body) > MOST_BODY_BYTES:
+                return JSONResponse({"problem": "the request is too long"}, 413)
+        try:
+            wanted = json.loads(body or b"{}")
+        except ValueError:
+            wanted = None
+        if not isinstance(wanted, dict):
+            return JSONResponse({"problem": "the request is not a JSON object"}, 400)
+        status, answer = await asyncio.to_thread(change, state, wanted)
+        return JSONResponse(answer, status)
+
+    return endpoint
+
+
+def _stop(state: PageState, wanted: dict[str, Any]) -> tuple[int, dict[str, Any]]:
+    what = wanted.get("what", "run")
+    if what not in ("run", "night"):
+        return 400, {"problem": f"stop what: run or night, not {what!r}"}
+    results = state.watch.results
+    batch = latest_batch(results)
+    in_batch = batch is not None and holder_of(batch.path / "supervisor.lock") is not None
+    try:
+        if what == "run" and in_batch:
+            # The batch has to know that it continues: so it is asked, and it asks the run.
+            name = ask_batch(results, "stop-run")
+            return 200, {"text": f"batch {name}: this run ends, the next one follows"}
+        try:
+            stop = state.watch.ask_to_stop()
+        except NotStoppedError:
+            if what != "night" or not in_batch:
+                raise
+            name = ask_batch(results, "stop-now")  # it rests or waits: no run holds the bench
+            return 200, {"text": f"batch {name} was asked to stop"}
+    except RigError as error:
+        return 409, {"problem": error.one_line()}
+    again = stop.presses > 1
+    text = "it is stopping already" if again else f"process {stop.holder.pid} was asked to stop"
+    return 200, {"text": text, "presses": stop.presses}
+
+
+def _make_safe(state: PageState, _: dict[str, Any]) -> tuple[int, dict[str, Any]]:
+    watch = state.watch
+    if watch.bench is None:
+        return 409, {"problem": "no bench file; start the page with --bench FILE"}
+    if watch.holder is not None or watch.bench_holder is not None:
+        return 409, {"problem": "a program holds the bench: stop it first"}
+    if not state.making_safe.acquire(blocking=False):
+        return 409, {"problem": "the bench is being made safe already"}
+    try:
+        done = subprocess.run(
+            [
+                *(sys.executable, "-c", "from rig.cli import main; main()"),
+                *("make-safe", "--bench", str(watch.bench)),
+            ],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=MAKE_SAFE_S,
+            start_new_session=True,  # Ctrl-C at the page's terminal is not meant for it
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return 500, {"problem": f"make-safe: {error}", "exit": None}
+    finally:
+        state.making_safe.release()
+    return 200, {"exit": done.returncode, "text": done.stderr[-2000:]}
+
+
+# --- running it ---------------------------------------------------------------------------------
+
+
+def serve(state: PageState, port: int, ready: Callable[[str], None]) -> None:
+    """Serve until a signal comes. `ready` is given ``http://127.0.0.1:PORT/`` once it listens.
+
+    Raises RigError if the port is not free.
+    """
+    with contextlib.suppress(OSError):
+        os.nice(NICENESS)
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind(("127.0.0.1", port))
+        listening.listen(128)
+    except OSError as error:
+        listening.close()
+        raise RigError(
+            f"--port {port}: cannot listen on 127.0.0.1:{port}: {error.strerror}",
+            "another page may run; choose another port, or --port 0 for any",
+        ) from error
+    over = threading.Event()
+    for name, work in (("watch", _watch), ("index", _index)):
+        start_thread(threading.Thread(target=work, args=(state, over), name=name, daemon=True))
+    server = uvicorn.Server(
+        uvicorn.Config(
+            application(state),
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            proxy_headers=False,
+            timeout_graceful_shutdown=1,
+            ws="none",
+        )
+    )
+    ready(f"http://127.0.0.1:{listening.getsockname()[1]}/")
+    try:
+        server.run(sockets=[listening])
+    finally:
+        over.set()
+        listening.close()
+
+
+def _watch(state: PageState, over: threading.Event) -> None:
+    """Poll the watch. A fault of it is logged; the page then says that the state is unknown, since
+    `polled_s` grows old."""
+    while not over.wait(0.0 if state.watch.behind else POLL_EVERY_S):
+        try:
+            state.watch.poll()
+            state.polled_s = time.monotonic()
+        except Exception:
+            log.exception("the page cannot read")
+            over.wait(1.0)
+
+
+def _index(state: PageState, over: threading.Event) -> None:
+    more = True
+    while not over.wait(0.05 if more else INDEX_EVERY_S):
+        try:
+            more = state.index.update()
+        except Exception:
+            log.exception("the runs cannot be listed")
+            more = False

@@ -1,0 +1,485 @@
+// The page of the running bench. It draws what the server sends and asks for a stop; it decides
+// nothing. Text from files goes into the page as text only, never as markup.
+"use strict";
+
+const BIN_S = 0.05, KEPT = 3600, LOST_MS = 2500;
+const $ = id => document.getElementById(id);
+const token = takeToken();
+let series = {}, curve = [], events = [], spectrum = null, generation = -1, charts = {};
+let last = null, lastFrameAt = performance.now(), paused = false, night = {}, tab = "now", made = null;
+
+function takeToken() {
+  const given = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (given) {
+    sessionStorage.setItem("token", given);
+    history.replaceState(null, "", location.pathname); // not left in the address for others to see
+  }
+  return given || sessionStorage.getItem("token") || "";
+}
+
+function ask(path, options = {}) {
+  return fetch(path, {...options, headers: {Authorization: "Bearer " + token, ...options.headers}});
+}
+
+function element(name, text, attributes = {}) {
+  const made = document.createElement(name);
+  if (text !== undefined && text !== null) made.textContent = text;
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  return made;
+}
+
+function notice(text) {
+  $("notice").textContent = text;
+  $("notice").hidden = !text;
+}
+
+// --- the stream of frames -----------------------------------------------------------------------
+
+async function watch() {
+  for (;;) {
+    try {
+      const answer = await ask("/api/live");
+      if (answer.status === 401 || answer.status === 403) {
+        notice((await answer.text()) + ". Open the address that rig page printed.");
+        return;
+      }
+      if (!answer.ok) throw new Error(await answer.text());
+      generation = -1;
+      await read(answer.body.getReader());
+    } catch (error) { /* the server is gone or restarts: said by the word, tried again */ }
+    await new Promise(go => setTimeout(go, 1000));
+  }
+}
+
+async function read(reader) {
+  const decoder = new TextDecoder();
+  let rest = "";
+  for (;;) {
+    const {value, done} = await reader.read();
+    if (done) return;
+    const parts = (rest + decoder.decode(value, {stream: true})).split("\n\n");
+    rest = parts.pop();
+    for (const part of parts) if (part.startsWith("data: ")) take(JSON.parse(part.slice(6)));
+  }
+}
+
+function take(frame) {
+  if (frame.gen !== generation) {
+    generation = frame.gen;
+    series = {}; curve = []; events = []; spectrum = null;
+    for (const one of Object.values(charts)) one.plot.destroy();
+    charts = {};
+    $("charts").replaceChildren();
+    $("events").replaceChildren();
+  }
+  for (const [name, news] of Object.entries(frame.series)) merge(name, news, frame.run.streams[name]);
+  curve = curve.concat(frame.curve);
+  if (frame.spectrum !== undefined) spectrum = frame.spectrum;
+  for (const event of frame.events) addEvent(event);
+  last = frame;
+  lastFrameAt = performance.now();
+  show();
+}
+
+function merge(name, news, about) {
+  const channels = about.channels.length;
+  const mine = series[name] ||= {k: [], low: about.channels.map(() => []), high: about.channels.map(() => [])};
+  if (!news.k.length) return;
+  while (mine.k.length && mine.k[mine.k.length - 1] >= news.k[0]) { // sent again, since it has grown
+    mine.k.pop();
+    for (let c = 0; c < channels; c++) { mine.low[c].pop(); mine.high[c].pop(); }
+  }
+  mine.k.push(...news.k);
+  for (let c = 0; c < channels; c++) { mine.low[c].push(...news.low[c]); mine.high[c].push(...news.high[c]); }
+  const over = mine.k.length - KEPT;
+  if (over > 0) {
+    mine.k.splice(0, over);
+    for (let c = 0; c < channels; c++) { mine.low[c].splice(0, over); mine.high[c].splice(0, over); }
+  }
+}
+
+// --- the word, the numbers ----------------------------------------------------------------------
+
+function showWord() {
+  const silent = performance.now() - lastFrameAt;
+  let word = "unknown", reason = "connecting …";
+  if (last && silent < LOST_MS) { word = last.word; reason = last.reason; }
+  else if (last) reason = `for ${(silent / 1000).toFixed(0)} s: no connection to the page's server`;
+  $("word").className = word;
+  $("word-text").textContent = word;
+  $("word-reason").textContent = reason;
+  document.title = `${last && last.run.mark ? last.run.mark + " " : ""}${word} · rig page`;
+}
+
+function span(seconds) {
+  if (seconds === null || seconds === undefined) return "not known yet";
+  const s = Math.round(seconds);
+  if (s < 100) return s + " s";
+  if (s < 6000) return `${Math.floor(s / 60)} min ${s % 60} s`;
+  return `${Math.floor(s / 3600)} h ${Math.floor(s % 3600 / 60)} min`;
+}
+
+function show() {
+  showWord();
+  const run = last.run;
+  const mark = run.mark || (last.last_file && last.last_file.mark) || "";
+  $("mark").hidden = !mark;
+  $("mark").textContent = `${mark}: these are not measurements`;
+  document.body.classList.toggle("marked", !!mark);
+  document.body.dataset.mark = mark;
+  showStop();
+  $("clock").textContent = "server " + last.time;
+  $("late").hidden = !last.late;
+  $("late").textContent = last.late;
+  $("make-safe").hidden = !last.can_make_safe;
+  if (tab !== "now" || paused || document.hidden) return;
+  showFacts(run);
+  showNumbers(run);
+  draw(run);
+}
+
+function showFacts(run) {
+  const facts = [];
+  if (run.procedure) {
+    facts.push(["run", run.procedure + (run.end ? ` (${run.end.status}, exit ${run.end.exit})` : "")]);
+    facts.push(["point", `${run.n} of ${run.planned}`], ["open", run.point || "none"]);
+    facts.push(["time left", run.end ? "ended" : span(run.left_s)], ["time in the run", span(run.last_s)]);
+    facts.push(["sample", run.sample || "not named"], ["started", (run.start || "").slice(0, 19).replace("T", " ")]);
+    facts.push(["process", last.holder ? `${last.holder.pid} (${last.holder.user})` : "none"]);
+    if (run.set_point_N !== null) facts.push(["set point", run.set_point_N + " N"]);
+    if (run.discarded) facts.push(["discarded attempts", run.discarded]);
+  } else if (last.last_file) {
+    facts.push(["latest run", last.last_file.file], ["it ended", `${last.last_file.status}, exit ${last.last_file.exit}`]);
+  } else facts.push(["run", "none yet; this page follows the next one by itself"]);
+  $("facts").replaceChildren(...facts.map(([name, value]) => {
+    const pair = element("div");
+    pair.append(element("dt", name), element("dd", value));
+    return pair;
+  }));
+}
+
+function digits(value) {
+  return value === null || value === undefined ? "–" : Number(value).toPrecision(4);
+}
+
+function showNumbers(run) {
+  const shown = [];
+  for (const [name, about] of Object.entries(run.streams || {}))
+    about.channels.forEach((channel, c) => {
+      if (!about.latest.length) return;
+      const one = element("span", `${channel} `, {"data-channel": `${name}.${channel}`});
+      one.append(element("b", digits(about.latest[c])), ` ${about.units}`);
+      shown.push(one);
+    });
+  $("numbers").replaceChildren(...shown);
+}
+
+function addEvent(event) {
+  events.push(event);
+  if (events.length > 200) events.shift();
+  const item = element("li", `${event.t.toFixed(2)} s  ${event.code}: ${event.text}`);
+  item.className = ["warning", "error"].includes(event.level) ? event.level : "";
+  $("events").prepend(item);
+  while ($("events").children.length > 200) $("events").lastChild.remove();
+}
+
+// --- drawing ------------------------------------------------------------------------------------
+
+const TITLES = {signals: "PVDF strips", force: "Forces", position: "Positions", servo_error: "Servo error", waveform: "Waveform", load_rate: "Load rate"};
+const fits = new ResizeObserver(() => {
+  for (const one of Object.values(charts)) {
+    const width = Math.max(260, one.box.clientWidth - 10);
+    if (one.plot.width !== width) one.plot.setSize({width, height: 210});
+  }
+});
+const colour = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+function chart(id, title, labels, scales, axes, opts = {}) {
+  if (charts[id] && charts[id].labels === labels.join()) return charts[id];
+  if (charts[id]) { charts[id].plot.destroy(); charts[id].box.remove(); }
+  const box = element("div", undefined, {class: "chart"});
+  box.append(element("h3", title));
+  $("charts").append(box);
+  const ink = colour("--faint"), grid = {stroke: colour("--grid"), width: 1};
+  const plot = new uPlot({
+    width: Math.max(260, box.clientWidth - 10), height: 210, scales, pxAlign: 0,
+    cursor: {drag: {x: true, y: false}},
+    legend: {live: true},
+    axes: axes.map(axis => ({stroke: ink, grid, ticks: grid, ...axis})),
+    series: [{label: axes[0].label, value: (_, v) => v === null ? "–" : v.toPrecision(6)},
+      ...labels.map((label, c) => ({label, stroke: colour("--c" + c % 4), width: 1, points: {show: !!opts.points, size: 5}, paths: opts.points ? () => null : undefined, value: (_, v) => v === null || v === undefined ? "–" : v.toPrecision(4)}))],
+    hooks: opts.events ? {draw: [drawEvents]} : {},
+  }, [[], ...labels.map(() => [])], box);
+  fits.observe(box); // the grid may get a second column with the next chart
+  return charts[id] = {plot, box, labels: labels.join()};
+}
+
+function drawEvents(plot) {
+  const context = plot.ctx, {left, top, width, height} = plot.bbox;
+  context.save();
+  for (const event of events) {
+    if (event.code === "discarded" || event.t < plot.scales.x.min || event.t > plot.scales.x.max) continue;
+    const x = plot.valToPos(event.t, "x", true);
+    if (x < left || x > left + width) continue;
+    context.strokeStyle = context.fillStyle = event.level === "error" ? "#d2001c" : event.level === "warning" ? "#c07600" : colour("--faint");
+    context.setLineDash([4, 3]);
+    context.beginPath(); context.moveTo(x, top); context.lineTo(x, top + height); context.stroke();
+    context.font = `${10 * devicePixelRatio}px sans-serif`;
+    context.fillText(event.code.slice(0, 14), x + 3, top + 11 * devicePixelRatio);
+  }
+  context.restore();
+}
+
+function draw(run) {
+  const length = Number($("window").value), newest = run.last_s;
+  for (const [name, about] of Object.entries(run.streams || {})) {
+    const mine = series[name];
+    if (!mine || !mine.k.length) continue;
+    const labels = about.channels.map(channel => about.units ? `${channel} (${about.units})` : channel);
+    const one = chart(name, TITLES[name] || name, labels, {x: {time: false}}, [{label: "s since the run's start", labelSize: 18, size: 34}, {size: 58, values: (_, ticks) => ticks.map(v => String(Number(v.toPrecision(6))))}], {events: true});
+    const last = mine.k[mine.k.length - 1] * BIN_S;
+    const to = Math.max(newest - last > length ? last : newest, length), from = to - length;
+    let first = mine.k.length;
+    while (first > 0 && mine.k[first - 1] * BIN_S >= from) first--;
+    const x = [], y = about.channels.map(() => []);
+    for (let i = first; i < mine.k.length; i++) {
+      if (i > first && mine.k[i] - mine.k[i - 1] > 20) { // a pause is a gap, not a line
+        x.push((mine.k[i - 1] + 1) * BIN_S);
+        y.forEach(values => values.push(null));
+      }
+      x.push(mine.k[i] * BIN_S, (mine.k[i] + 0.5) * BIN_S);
+      y.forEach((values, c) => values.push(mine.low[c][i], mine.high[c][i]));
+    }
+    one.plot.setData([x, ...y], false);
+    one.plot.batch(() => { one.plot.setScale("x", {min: from, max: to}); });
+  }
+  if (run.curve && curve.length) {
+    const sorted = curve.filter(point => point[0] !== null && (!run.curve.log || point[0] > 0)).sort((a, b) => a[0] - b[0]);
+    const one = chart("curve", run.curve.y, [run.curve.y], {x: {time: false, distr: run.curve.log ? 3 : 1}}, [{label: run.curve.x, labelSize: 18, size: 34}, {size: 58}], {points: true});
+    one.plot.setData([sorted.map(point => point[0]), sorted.map(point => point[1])]);
+  }
+  if (spectrum) {
+    const one = chart("spectrum", "Spectrum of " + spectrum.channel, [`${spectrum.channel} (V, peak)`], {x: {time: false, distr: 3}, y: {distr: 3}}, [{label: "Hz", labelSize: 18, size: 34}, {size: 64, values: (_, ticks) => ticks.map(v => v === null ? "" : v.toExponential(0))}]);
+    one.plot.setData([spectrum.x, spectrum.y.map(value => Math.max(value, 1e-12))]);
+  }
+}
+
+function redrawAll() {
+  for (const one of Object.values(charts)) { one.plot.destroy(); one.box.remove(); }
+  charts = {};
+  if (last) show();
+}
+
+// --- stopping -----------------------------------------------------------------------------------
+
+function showStop() {
+  const course = last.stop;
+  $("course").hidden = !course && !made;
+  $("course").classList.toggle("safe", !!(course && course.over && course.safe) || !!(!course && made && made.safe));
+  if (course) {
+    $("course-phase").textContent = `${course.phase} (asked at ${course.asked}, ${course.since_s.toFixed(0)} s ago)`;
+    $("course-text").textContent = course.text;
+  } else if (made) {
+    $("course-phase").textContent = "make safe";
+    $("course-text").textContent = made.text;
+  }
+  document.body.classList.toggle("stopping", !!course && !(course.over && course.safe));
+  $("stop").disabled = !last.may_stop;
+  $("stop").title = last.may_stop ? "Asks the run to end in order (key S)" : "This address may watch only";
+}
+
+async function change(path, body) {
+  try {
+    const answer = await ask(path, {method: "POST", body: JSON.stringify(body), headers: {"Content-Type": "application/json"}});
+    const said = await answer.json();
+    notice(said.problem || "");
+    return {ok: answer.ok, ...said};
+  } catch (error) {
+    notice("The page's server does not answer: end the run at its terminal (Ctrl-C), or press the emergency stop.");
+    return {ok: false};
+  }
+}
+
+function pressStop() {
+  if ($("stop").disabled) return;
+  if (night.running && !(last && last.stop && !last.stop.over)) $("ask").showModal();
+  else change("/api/stop", {what: "run"});
+}
+
+$("stop").addEventListener("click", pressStop);
+for (const button of $("ask").querySelectorAll("button"))
+  button.addEventListener("click", async () => {
+    $("ask").close();
+    if (!button.value) return;
+    const said = await change("/api/stop", {what: button.value});
+    if (said.ok && said.text) notice(said.text);
+  });
+$("make-safe").addEventListener("click", async () => {
+  made = {safe: false, text: "stopping all motion, switching all outputs off …"};
+  if (last) showStop();
+  const said = await change("/api/make-safe", {});
+  made = said.ok ? {safe: said.exit === 0, text: `${said.text} (exit ${said.exit})`} : {safe: false, text: said.problem || "no answer"};
+  if (last) showStop();
+});
+addEventListener("keydown", event => {
+  const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(document.activeElement?.tagName || "");
+  if (event.key.toLowerCase() !== "s" || event.ctrlKey || event.altKey || event.metaKey || event.repeat || typing) return;
+  event.preventDefault();
+  if ($("ask").open) $("ask").querySelector("[value=night]").click();
+  else pressStop();
+});
+
+// --- the night ----------------------------------------------------------------------------------
+
+async function readNight() {
+  try {
+    const answer = await ask("/api/night");
+    if (answer.ok) night = await answer.json();
+  } catch (error) { return; }
+  if (tab === "night") showNight();
+}
+
+function table(heads, rows) {
+  const made = element("table"), head = element("tr");
+  heads.forEach(name => head.append(element("th", name)));
+  made.append(element("thead"), element("tbody"));
+  made.tHead.append(head);
+  for (const row of rows) {
+    const line = element("tr");
+    row.forEach(value => line.append(element("td", value, {class: String(value).length > 30 ? "text" : ""})));
+    made.tBodies[0].append(line);
+  }
+  const wide = element("div", undefined, {class: "wide"});
+  wide.append(made);
+  return wide;
+}
+
+function showNight() {
+  const body = $("night-body");
+  if (night.problem) return body.replaceChildren(element("p", night.problem, {class: "warning"}));
+  if (!night.name) return body.replaceChildren(element("p", "There is no batch in this folder."));
+  const parts = [];
+  for (const text of night.bench_warnings) parts.push(element("p", text, {class: "warning"}));
+  parts.push(element("h2", `${night.simulated ? "SIMULATED " : ""}batch ${night.name}: ${night.state}${night.running ? "" : " (not running)"}`));
+  const total = Object.values(night.runs).reduce((a, b) => a + b, 0);
+  parts.push(element("progress", undefined, {max: total, value: night.runs.done + night.runs.failed + night.runs["set-aside"]}));
+  const list = element("dl");
+  const facts = [["done", `${night.runs.done} of ${total}`], ["queued", night.runs.queued], ["running", night.runs.running], ["failed", night.runs.failed], ["set aside", night.runs["set-aside"]], ["retried", night.retried], ["holds", night.holds], ["presses", night.presses], ["left", span(night.left_s)], ["expected end", night.running && !night.simulated ? night.finish.slice(0, 16).replace("T", " ") : "–"]];
+  if (night.heartbeat) facts.push(["now", `${night.heartbeat.state}: ${night.heartbeat.message}`]);
+  for (const [name, value] of facts) {
+    const pair = element("div");
+    pair.append(element("dt", name), element("dd", value));
+    list.append(pair);
+  }
+  parts.push(list);
+  for (const drift of night.drift) {
+    parts.push(element("h2", `Reference ${drift.condition}: ${drift.figure}, change since run ${drift.runs[0]} (tolerance ${drift.tolerance})`));
+    parts.push(table(["run", ...drift.runs.slice(-12)], [[drift.key, ...drift.change.slice(-12).map(value => value.toFixed(3))]]));
+  }
+  for (const [name, rows] of Object.entries(night.lists)) {
+    if (!rows.length) continue;
+    parts.push(element("h2", `${name.replace("_", " ")} (${rows.length}${rows.length === 200 ? " shown" : ""})`));
+    parts.push(table(["run", "condition", "points", "attempts", "time", "reason"], rows.map(row => [row.run, row.condition, row.points, row.attempts, row.bench_s ? span(row.bench_s) : "", row.reason])));
+  }
+  if (night.events.length) {
+    parts.push(element("h2", "Latest events"));
+    parts.push(table(["time", "level", "text"], night.events.map(event => [event.time.slice(0, 19).replace("T", " "), event.level, event.text])));
+  }
+  body.replaceChildren(...parts);
+}
+
+// --- history ------------------------------------------------------------------------------------
+
+async function readHistory() {
+  const form = new FormData($("filters"));
+  let found;
+  try {
+    const answer = await ask("/api/runs?" + new URLSearchParams(form));
+    if (!answer.ok) return;
+    found = await answer.json();
+  } catch (error) { return; }
+  $("count").textContent = `${found.matching} of ${found.of} runs${found.complete ? "" : ", still reading …"}${found.matching > found.runs.length ? `, the latest ${found.runs.length} shown` : ""}`;
+  const select = $("filters").elements.procedure;
+  for (const name of found.procedures)
+    if (name && ![...select.options].some(option => option.value === name)) select.append(element("option", name, {value: name}));
+  $("runs").tBodies[0].replaceChildren(...found.runs.map(run => {
+    const line = element("tr", undefined, {tabindex: "0"});
+    const start = run.start ? run.start.slice(0, 19).replace("T", " ") : run.name;
+    const outcome = run.status + (run.exit ? `, exit ${run.exit}` : "");
+    for (const value of [start, run.procedure, run.sample, outcome, run.points, run.duration_s === null ? "" : span(run.duration_s), run.mark]) line.append(element("td", value));
+    line.addEventListener("click", () => showRun(run.id));
+    line.addEventListener("keydown", event => { if (event.key === "Enter") showRun(run.id); });
+    return line;
+  }));
+}
+
+async function showRun(id) {
+  const answer = await ask("/api/runs/" + encodeURIComponent(id));
+  if (!answer.ok) return;
+  const run = await answer.json();
+  const parts = [element("h2", run.summary ? run.summary.title : run.name)];
+  if (run.problem) parts.push(element("p", run.problem, {class: "warning"}));
+  const files = element("div", undefined, {class: "files"});
+  for (const file of run.files) {
+    const button = element("button", `${file.name} (${(file.bytes / 1024).toFixed(0)} kB)`, {type: "button"});
+    button.addEventListener("click", () => download(id, file.name));
+    files.append(button);
+  }
+  parts.push(files);
+  for (const file of run.files.filter(file => file.name.endsWith(".png"))) {
+    const picture = element("img", undefined, {alt: file.name});
+    blobOf(id, file.name).then(url => { if (url) picture.src = url; });
+    parts.push(picture);
+  }
+  for (const found of run.processed || []) parts.push(element("h2", `Detector ${found.detector} ${found.version}`), element("pre", Object.entries(found.trials).map(([trial, events]) => `${trial}: ${events.join("; ")}`).join("\n")));
+  if (run.summary) parts.push(element("h2", "Summary"), element("pre", lines(run.summary)));
+  $("detail").replaceChildren(...parts);
+  $("detail").hidden = false;
+  $("detail").scrollIntoView({behavior: "smooth"});
+}
+
+function lines(value, indent = "") {
+  return Object.entries(value).map(([key, item]) => item && typeof item === "object" && !Array.isArray(item) ? `${indent}${key}:\n${lines(item, indent + "  ")}` : `${indent}${key}: ${Array.isArray(item) ? item.join(", ") : item}`).join("\n");
+}
+
+async function blobOf(id, name) {
+  const answer = await ask(`/api/runs/${encodeURIComponent(id)}/${encodeURIComponent(name)}`);
+  return answer.ok ? URL.createObjectURL(await answer.blob()) : null;
+}
+
+async function download(id, name) {
+  const url = await blobOf(id, name);
+  if (!url) return notice(`${name} is not there any more`);
+  const link = element("a", undefined, {href: url, download: name});
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(url), 60000);
+}
+
+// --- the rest -----------------------------------------------------------------------------------
+
+for (const button of document.querySelectorAll("nav button"))
+  button.addEventListener("click", () => {
+    tab = button.dataset.tab;
+    for (const other of document.querySelectorAll("nav button")) {
+      other.setAttribute("aria-selected", String(other === button));
+      $(other.dataset.tab).hidden = other !== button;
+    }
+    if (tab === "night") readNight();
+    else if (tab === "history") readHistory();
+    else if (last) show();
+  });
+$("pause").addEventListener("click", () => {
+  paused = !paused;
+  $("pause").setAttribute("aria-pressed", String(paused));
+  $("pause").textContent = paused ? "Continue the view" : "Pause the view";
+  if (!paused && last) show();
+});
+$("filters").addEventListener("input", readHistory);
+$("filters").addEventListener("submit", event => { event.preventDefault(); readHistory(); });
+$("window").addEventListener("change", () => { if (last) show(); });
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redrawAll);
+setInterval(showWord, 500);
+setInterval(readNight, 5000);
+setInterval(() => { if (tab === "history") readHistory(); }, 5000);
+readNight();
+watch();

@@ -1,0 +1,95 @@
+"""The course of a stop, from the press to the end: what is said of it, as rules without a process.
+
+    asked          the signal was sent; nothing has been seen of it yet
+    switching off  the run has given up its point, or recorded that it stops
+    ended          its END record is there: the bench is safe, or the run says that it is not
+    guard          the run's process is gone without an END: its guard acts, or has reported
+    hanging        nothing has been seen for longer than a run that works needs
+
+Red until `ended` or the guard's report.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+StopPhase = Literal["asked", "switching off", "ended", "guard", "hanging"]
+
+REACTS_WITHIN_S = 2.0
+"""Time within which a run that works is seen to react: it notices a signal within 20 ms and
+synchronises its journal every 0.25 s."""
+
+
+@dataclass(frozen=True)
+class StopSigns:
+    """What is seen since the press."""
+
+    since_s: float
+    """Time since the press."""
+    presses: int
+    pid: int
+    process_lives: bool
+    reacted: bool
+    """A point was given up since, or the END is there."""
+    ended: bool
+    exit: int = 0
+    status: str = ""
+    guard_pid: int | None = None
+    heartbeat_timeout_s: float = 0.0
+    """After so long without a sign of life the guard kills the run; 0 if not known."""
+    guard_report: str = ""
+    """What the guard has reported of this run; empty before."""
+    guard_safe: bool = False
+
+
+@dataclass(frozen=True)
+class StopCourse:
+    """What a page says of a stop."""
+
+    phase: StopPhase
+    text: str
+    over: bool
+    """True if nothing more is to be expected."""
+    safe: bool
+    """True if the bench was reported to be safe. Until then the page is red."""
+
+
+def stop_course(signs: StopSigns) -> StopCourse:
+    """Return how far a stop has come, and what to say of it."""
+    again = (
+        f" Pressed {signs.presses} times: the run is stopping already, a further press changes "
+        "nothing."
+        if signs.presses > 1
+        else ""
+    )
+    if signs.ended:
+        if signs.exit == 7:
+            text = "The run ended but could not switch everything off: the bench is UNSAFE."
+            return StopCourse("ended", text, True, False)
+        return StopCourse("ended", f"The run has made the bench safe: {signs.status}.", True, True)
+    if not signs.process_lives:
+        if signs.guard_report:
+            return StopCourse("guard", signs.guard_report, True, signs.guard_safe)
+        text = "The run's process is gone. Its guard makes the bench safe and has not reported yet."
+        return StopCourse("guard", text, False, False)
+    if signs.reacted:
+        return StopCourse(
+            "switching off", f"The run is making the bench safe.{again}", False, False
+        )
+    if signs.since_s >= REACTS_WITHIN_S:
+        return StopCourse("hanging", _hanging(signs) + again, False, False)
+    return StopCourse("asked", f"Process {signs.pid} was asked to stop.{again}", False, False)
+
+
+def _hanging(signs: StopSigns) -> str:
+    begin = f"Process {signs.pid} has shown no reaction for {signs.since_s:.0f} s. "
+    if signs.guard_pid is None:
+        return begin + "No guard of it can be seen: switch the bench off by hand."
+    if not signs.heartbeat_timeout_s:
+        return begin + f"If it hangs, its guard (process {signs.guard_pid}) kills it."
+    return begin + (
+        f"If it hangs, its guard (process {signs.guard_pid}) kills it after "
+        f"{signs.heartbeat_timeout_s:g} s without a sign of life and makes the bench safe; if it "
+        "only waits for an instrument, it makes the bench safe itself."
+    )

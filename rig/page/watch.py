@@ -1,0 +1,374 @@
+"""Watches a results folder: which run there is, what its journal says, who holds the bench.
+
+One thread calls `poll` a few times a second. It reads files and the kernel's tables and writes
+nothing; a run cannot notice it. Others read under `lock`.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from rig.core.errors import RigError
+from rig.files.errors import JournalError
+from rig.files.journal.follow import JournalTail
+from rig.files.journal.format import PointDiscard
+from rig.files.journal.values import End
+from rig.files.naming import JOURNAL_SUFFIX, RUN_SUFFIX
+from rig.files.runfile.reader import RunFile
+from rig.page.folder import FoundFile, ResultsFolder
+from rig.page.stop_course import StopCourse, StopSigns, stop_course
+from rig.page.view import RunView
+from rig.page.word import BenchWord, Facts, bench_word
+from rig.run.bench_mark import BenchMark, read_marks
+from rig.run.guard import GUARD_SUFFIX, report_path
+from rig.run.lock_holder import (
+    LockHolder,
+    NotStoppedError,
+    ask_to_stop,
+    guard_of,
+    holder_of,
+    lives,
+    lock_file,
+    locked_inodes,
+)
+
+LOOK_EVERY_S = 0.5
+"""Between two looks at folders, locks and marks."""
+FILES_TRIED = 20
+"""Latest run files of which the first that can be read says how the latest run ended."""
+MOST_BYTES_A_POLL = 16 << 20
+
+
+class Stop:
+    """A stop that was asked for."""
+
+    def __init__(self, holder: LockHolder, journal: Path | None):
+        self.holder, self.journal = holder, journal
+        self.at_s = time.monotonic()
+        self.wall = time.strftime("%H:%M:%S")
+        self.presses = 1
+        self.guard_pid = guard_of(holder.pid)
+        self.reacted = False
+        self.end: End | None = None
+
+
+class BenchWatch:
+    """The latest run of a results folder, and the bench that it is on."""
+
+    def __init__(self, results: Path, bench: Path | None = None):
+        self.results = results
+        self.bench = bench
+        """Bench file that is watched although no run of it is in the folder; None for none."""
+        self.lock = threading.Lock()
+        self.folder = ResultsFolder(results)
+        self.view = RunView()
+        self.generation = 0
+        """Counts the runs that were shown: traces of different ones do not belong together."""
+        self.path: Path | None = None
+        """Journal that is followed."""
+        self.holder: LockHolder | None = None
+        """The process that writes the journal."""
+        self.bench_holder: LockHolder | None = None
+        """The process that holds the bench of the run, or of the bench file."""
+        self._run_pid = -1
+        """Process that was seen to write the journal that is shown."""
+        self.stop: Stop | None = None
+        self.word = BenchWord("unknown", "nothing was read yet")
+        self.behind = True
+        """True while a long journal is still read up to its end."""
+        self._tail: JournalTail | None = None
+        self._problem = ""
+        self._grew_s = time.monotonic()
+        self._looked_s = -LOOK_EVERY_S
+        self._names: tuple[str, ...] = ()
+        self._names_of: Path | None = None
+        self._bench_name = ""
+        self.heartbeat_timeout_s = 0.0
+        self._last_file: tuple[FoundFile, dict[str, Any]] | None = None
+        self._unusable: set[FoundFile] = set()
+        """Run files that cannot be read, or that were imported."""
+        self._marks: list[BenchMark] = []
+        self._report: dict[str, Any] = {}
+
+    # --- polling --------------------------------------------------------------------------------
+
+    def poll(self) -> None:
+        """Read what has come; look at folders, locks and marks where that is due."""
+        now = time.monotonic()
+        if now - self._looked_s >= LOOK_EVERY_S:
+            self._looked_s = now
+            self._look()
+        self._read(now)
+        word = bench_word(self.facts(now))
+        with self.lock:
+            self.word = word
+
+    def _look(self) -> None:
+        locked = locked_inodes()
+        journals = self.folder.find(JOURNAL_SUFFIX)
+        self._look_at_files()
+        written = [one for one in journals if one.inode in locked]
+        chosen = None
+        for one in written:
+            if (holder := holder_of(one.path, locked)) is not None:
+                chosen, found = one, holder
+                break
+        else:
+            found = None
+        if chosen is None and journals and self._is_news(journals[0]):
+            chosen = journals[0]
+        if chosen is not None and chosen.path != self.path:
+            self._follow(chosen.path)
+        with self.lock:
+            self.holder = found if chosen is not None and chosen.path == self.path else None
+            if self.holder is not None:
+                self._run_pid = self.holder.pid
+        self._look_at_bench(locked)
+
+    def _is_news(self, journal: FoundFile) -> bool:
+        """Return whether a journal that nobody writes is to be shown: it is another one than that
+        which is shown, and newer than the latest run file."""
+        if self.path is not None and self._tail is not None and not self._tail.deleted:
+            try:
+                shown = self.path.lstat().st_mtime_ns
+            except OSError:
+                shown = 0
+            return journal.path != self.path and journal.mtime_ns > shown
+        return self._last_file is None or journal.mtime_ns > self._last_file[0].mtime_ns
+
+    def _follow(self, path: Path) -> None:
+        if self._tail is not None:
+            self._tail.close()
+        self._tail = JournalTail(path)
+        with self.lock:
+            self.path, self.view, self._problem = path, RunView(), ""
+            self.generation += 1
+            self._run_pid = -1
+            self.behind = True
+            self._grew_s = time.monotonic()
+            if self.stop is not None and self.stop.journal != path:
+                self.stop = None
+
+    def _read(self, now: float) -> None:
+        if self._tail is None or self._problem:
+            self.behind = False
+            return
+        try:
+            records = self._tail.poll(MOST_BYTES_A_POLL)
+        except JournalError as error:
+            self._restart(error)
+            return
+        with self.lock:
+            for record in records:
+                self.view.take(record)
+                if self.stop is not None and not self.behind:
+                    self.stop.reacted |= isinstance(record, (PointDiscard, End))
+                    if isinstance(record, End):
+                        self.stop.end = record
+            if records:
+                self._grew_s = now
+            else:
+                self.behind = False
+
+    def _restart(self, error: JournalError) -> None:
+        """Begin again with a journal that was cut or replaced; say so of one that is none."""
+        path = self.path
+        assert path is not None
+        if "cut to" in error.reason or "replaced" in error.reason:
+            self._follow(path)
+            with self.lock:
+                self.view.note("warning", "page", error.reason)
+            return
+        with self.lock:
+            self._problem = f"the journal cannot be followed: {error.reason}"
+
+    def _look_at_bench(self, locked: dict[int, list[int]]) -> None:
+        self._name_bench()
+        holder = None
+        marks: list[BenchMark] = []
+        try:
+            for name in self._names:
+                holder = holder or holder_of(lock_file(name), locked)
+            marks = read_marks(self._names)
+        except RigError:  # no folder of locks that can be trusted: then nothing is believed of it
+            marks = []
+        report = self._guard_report()
+        with self.lock:
+            self.bench_holder, self._marks, self._report = holder, marks, report
+
+    def _name_bench(self) -> None:
+        """Find the names of the bench's addresses, once for each run."""
+        if self._names_of == (self.path or self.bench) and self._names_of is not None:
+            return
+        from rig.bench.plan import parse_bench, read_bench
+        from rig.run.lock import address_names
+
+        header = self.view.header
+        if self.path is not None and header is None:
+            return
+        try:
+            if header is not None:
+                plan = parse_bench(header.bench_toml, header.bench_file)
+            elif self.bench is not None:
+                plan = read_bench(self.bench)
+            else:
+                return
+        except RigError:
+            self._names_of = self.path or self.bench
+            self._names, self._bench_name, self.heartbeat_timeout_s = (), "", 0.0
+            return
+        self._names_of = self.path or self.bench
+        self._names = address_names(plan)
+        self._bench_name = plan.settings.name
+        self.heartbeat_timeout_s = plan.settings.heartbeat_timeout_s
+
+    def _guard_report(self) -> dict[str, Any]:
+        """Return what the guard of the run that is shown has reported; empty for nothing."""
+        if self.path is None:
+            return {}
+        beside = self.path.with_suffix(GUARD_SUFFIX)
+        for path in (beside, report_path(self.results, self._bench_name)):
+            try:
+                report = json.loads(path.read_text(encoding="utf-8"))
+            except (OSError, ValueError):
+                continue
+            if not isinstance(report, dict):
+                continue
+            if path == beside or report.get("journal") == str(self.path.resolve()):
+                return dict(report)
+        return {}
+
+    def _look_at_files(self) -> None:
+        """Learn how the latest run ended where its journal is gone already."""
+        if self.path is not None:
+            return
+        for file in self.folder.find(RUN_SUFFIX)[:FILES_TRIED]:
+            if self._last_file is not None and self._last_file[0] == file:
+                return
+            if file not in self._unusable and (found := _ending_in(file.path)) is not None:
+                with self.lock:
+                    self._last_file = (file, found)
+                return
+            self._unusable.add(file)
+
+    # --- saying ---------------------------------------------------------------------------------
+
+    def facts(self, now: float | None = None) -> Facts:
+        """Return what is known of the bench, for its word."""
+        now = time.monotonic() if now is None else now
+        view = self.view
+        end = view.end
+        by_file = None if self._last_file is None or self.path is not None else self._last_file[1]
+        another = ""
+        saves = self.bench_holder is not None and self.bench_holder.pid == self._run_pid
+        if self.bench_holder is not None and self.holder is None and not saves:
+            another = f"process {self.bench_holder.pid} ({self.bench_holder.user})"
+        refuses = [mark.in_words() for mark in self._marks if mark.refuses]
+        report = self._report
+        failed = bool(report) and report.get("safe") is not True
+        if failed:
+            refuses.append(f"the guard could not make the bench safe: {report.get('failures')}")
+        pressed = [mark.report for mark in self._marks if mark.state == "stopped"]
+        words = str(report.get("pressed", ""))
+        if words and not words.startswith("nothing"):
+            pressed.append(words)
+        pressed = [text for text in pressed if "nothing is pressed" not in text]
+        return Facts(
+            run_lives=self.holder is not None or saves,
+            held_by_another=another,
+            recorded=self.path is not None or by_file is not None,
+            ended=end is not None or by_file is not None,
+            exit=end.exit if end is not None else 0 if by_file is None else int(by_file["exit"]),
+            holding=view.holding,
+            off_failed=view.off_failed,
+            force_N=view.force_N if view.point is not None else None,
+            silent_s=now - self._grew_s,
+            busy=view.point is not None,
+            unsafe="; ".join(dict.fromkeys(refuses))[:1000],
+            pressed="; ".join(pressed)[:500],
+            guard_reported=bool(report) and not failed,
+            problem=self._problem,
+        )
+
+    def course(self) -> StopCourse | None:
+        """Return how far the stop that was asked for has come, None if none was."""
+        stop = self.stop
+        if stop is None:
+            return None
+        report = self._report
+        said = f"{report.get('cause', '')}; {report.get('pressed', '')}".strip("; ")
+        return stop_course(
+            StopSigns(
+                since_s=time.monotonic() - stop.at_s,
+                presses=stop.presses,
+                pid=stop.holder.pid,
+                process_lives=lives(stop.holder.pid),
+                reacted=stop.reacted,
+                ended=stop.end is not None,
+                exit=0 if stop.end is None else stop.end.exit,
+                status=""
+                if stop.end is None
+                else f"{stop.end.status}, {stop.end.points_done} points, {stop.end.reason}",
+                guard_pid=stop.guard_pid,
+                heartbeat_timeout_s=self.heartbeat_timeout_s,
+                guard_report=f"The guard of the run had to act: {said}" if report else "",
+                guard_safe=report.get("safe") is True,
+            )
+        )
+
+    @property
+    def last_file(self) -> dict[str, Any] | None:
+        """What the latest run file says, where no journal is shown."""
+        return None if self._last_file is None else self._last_file[1]
+
+    # --- stopping -------------------------------------------------------------------------------
+
+    def ask_to_stop(self) -> Stop:
+        """Ask the run to end in order: SIGTERM to the process that holds its locks, and to no
+        other. A further press only counts. Raises NotStoppedError; then nothing was sent."""
+        with self.lock:
+            stop = self.stop
+            if stop is not None and lives(stop.holder.pid) and stop.end is None:
+                stop.presses += 1
+                return stop
+        target, journal = self._target()
+        holder = ask_to_stop(target)
+        with self.lock:
+            self.stop = Stop(holder, journal)
+            return self.stop
+
+    def _target(self) -> tuple[Path, Path | None]:
+        """Return the locked file whose holder is to be stopped: the journal of the run that is
+        shown; for a run that records elsewhere, the lock of the bench."""
+        path = self.path
+        if path is not None and holder_of(path) is not None:
+            return path, path
+        for name in self._names:
+            file = lock_file(name)
+            if holder_of(file) is not None:
+                return file, None
+        raise NotStoppedError(
+            "no run holds the bench", "to stop all motion and switch all outputs off: make safe"
+        )
+
+
+def _ending_in(path: Path) -> dict[str, Any] | None:
+    """Return how the run of a run file ended, None for a file that is of no run here."""
+    try:
+        with RunFile.open(path) as run:
+            outcome, header = run.outcome, run.header
+    except RigError:
+        return None
+    if outcome.imported:
+        return None
+    return {
+        "exit": outcome.exit,
+        "status": outcome.status,
+        "procedure": header.procedure,
+        "mark": header.mark,
+        "file": path.name,
+    }

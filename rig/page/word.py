@@ -1,0 +1,96 @@
+"""The state of a bench in one word, from what is known of it. Green is earned, never assumed.
+
+UNSAFE    a mark or a report says so, or a run died and nobody has reported on the bench yet
+unknown   nobody can say: no sign of life of a run that lives, or no run to judge by
+holding   the run has made the bench safe and waits
+pressed   the object is under force
+running   a run is at work
+safe      the latest run ended, reported that it made the bench safe, and nothing holds the bench
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Word = Literal["running", "holding", "pressed", "safe", "UNSAFE", "unknown"]
+
+SILENT_S = 3.0
+"""Age of the newest sign of a living run from which its state is unknown, in s. A run synchronises
+its journal every 0.25 s while it records."""
+PRESSED_N = 0.4
+"""Force above which something is pressed, as for the guard's report (`rig.run.still_pressed`)."""
+EXIT_UNSAFE = 7
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is known of a bench and of the latest run on it."""
+
+    run_lives: bool = False
+    """The kernel says that a process holds the lock of the run's journal."""
+    held_by_another: str = ""
+    """Who else holds the bench, in words: a program that records no run here."""
+    recorded: bool = False
+    """There is a journal or a run file to judge by."""
+    ended: bool = False
+    """The journal's last record is an END."""
+    exit: int = 0
+    holding: str = ""
+    off_failed: bool = False
+    force_N: float | None = None
+    silent_s: float = 0.0
+    """Age of the newest sign of the run: the journal has grown."""
+    busy: bool = False
+    """A point is being recorded; between two points, and after the last, a run may be silent."""
+    unsafe: str = ""
+    """A mark in force, or the guard's report of a bench that it could not make safe."""
+    pressed: str = ""
+    """The guard's report of what is still pressed; empty for nothing."""
+    guard_reported: bool = False
+    """The guard of the run that died has reported a bench that is stopped."""
+    problem: str = ""
+    """Why the journal cannot be followed any further."""
+
+
+@dataclass(frozen=True)
+class BenchWord:
+    """The word, and the reason in a sentence."""
+
+    word: Word
+    reason: str
+
+
+def bench_word(facts: Facts) -> BenchWord:
+    """Return the state of the bench in one word, and why."""
+    if facts.unsafe:
+        return BenchWord("UNSAFE", facts.unsafe)
+    if facts.off_failed or (facts.ended and facts.exit == EXIT_UNSAFE):
+        return BenchWord("UNSAFE", "the run could not switch everything off")
+    if facts.problem:
+        return BenchWord("unknown", facts.problem)
+    if facts.run_lives:
+        return _of_a_run(facts)
+    if facts.held_by_another:
+        return BenchWord("unknown", f"in use by {facts.held_by_another}, which records no run here")
+    if not facts.recorded:
+        return BenchWord("unknown", "no run in this folder yet")
+    if facts.pressed:
+        return BenchWord("pressed", facts.pressed)
+    if facts.ended:
+        return BenchWord("safe", "the latest run reported that it made the bench safe")
+    if facts.guard_reported:
+        return BenchWord("safe", "the run died; its guard reported that it made the bench safe")
+    return BenchWord("UNSAFE", "the run died; its guard has not reported yet")
+
+
+def _of_a_run(facts: Facts) -> BenchWord:
+    if facts.ended:
+        return BenchWord("safe", "the run made the bench safe and saves its data")
+    if facts.holding:
+        return BenchWord("holding", facts.holding)
+    if facts.silent_s >= SILENT_S and facts.busy:
+        return BenchWord("unknown", f"for {facts.silent_s:.0f} s: the run records nothing")
+    if facts.force_N is not None and abs(facts.force_N) > PRESSED_N:
+        return BenchWord("pressed", f"{facts.force_N:.2f} N at the latest sample")
+    return BenchWord("running", "")

@@ -1,0 +1,171 @@
+"""Which process holds a lock, as the kernel says, and how that process is asked to stop.
+
+Nothing here takes a lock, not even for a moment: a run that wants it would be refused. The kernel's
+table (``/proc/locks``) names the process that took a lock; that process is believed only if one of
+its own descriptors is that file and carries the lock (``/proc/PID/fdinfo``). A number in a file is
+never believed: it may be that of a process that took the number over.
+
+A signal goes through a descriptor of the process (pidfd). It is opened first, and the lock is
+looked at again afterwards: so the process that gets the signal is the one that holds the lock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.core.errors import ExitCode, RigError
+from rig.run.shared_folder import user_name
+
+LOCKS = Path("/proc/locks")
+PROC = Path("/proc")
+FEWEST_FIELDS = 8
+
+
+class NotStoppedError(RigError):
+    """Raised where the process could not be asked to stop; nothing was sent."""
+
+    code = ExitCode.USAGE
+
+
+@dataclass(frozen=True)
+class LockHolder:
+    """A process that holds the lock of a file."""
+
+    pid: int
+    user: str
+    own: bool
+    """True if this program may look into the process, and has seen the lock there."""
+
+
+def locked_inodes() -> dict[int, list[int]]:
+    """Return the inode numbers that carry an exclusive ``flock``, with the processes that took
+    it. Empty where the kernel has no such table."""
+    found: dict[int, list[int]] = {}
+    try:
+        lines = LOCKS.read_text().splitlines()
+    except OSError:
+        return found
+    for line in lines:
+        fields = line.replace("-> ", "").split()
+        if len(fields) < FEWEST_FIELDS or fields[1] != "FLOCK" or fields[3] != "WRITE":
+            continue
+        if "->" in line:  # it waits for the lock
+            continue
+        with contextlib.suppress(ValueError):
+            inode = int(fields[5].rpartition(":")[2])
+            found.setdefault(inode, []).append(int(fields[4]))
+    return found
+
+
+def holder_of(path: Path, locked: dict[int, list[int]] | None = None) -> LockHolder | None:
+    """Return the living process that holds the lock of a file, None if there is none.
+
+    `locked` is an answer of `locked_inodes` for several files. A lock whose process has died, but
+    which its guard holds as well, has no holder here.
+    """
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    for pid in (locked_inodes() if locked is None else locked).get(status.st_ino, ()):
+        if (holder := _holder(pid, status)) is not None:
+            return holder
+    return None
+
+
+def _holder(pid: int, status: os.stat_result) -> LockHolder | None:
+    try:
+        user = user_name((PROC / str(pid)).stat().st_uid)
+    except OSError:
+        return None
+    try:
+        own = _carries(pid, status)
+    except PermissionError:
+        return LockHolder(pid, user, False)
+    except OSError:
+        return None
+    return LockHolder(pid, user, True) if own else None
+
+
+def _carries(pid: int, status: os.stat_result) -> bool:
+    """Return whether a descriptor of the process is this file, locked. Raises OSError."""
+    for entry in os.scandir(PROC / str(pid) / "fd"):
+        with contextlib.suppress(FileNotFoundError):  # it was closed meanwhile
+            if os.path.samestat(Path(entry.path).stat(), status):
+                text = (PROC / str(pid) / "fdinfo" / entry.name).read_text()
+                if any(
+                    line.startswith("lock:") and "FLOCK" in line and "WRITE" in line
+                    for line in text.splitlines()
+                ):
+                    return True
+    return False
+
+
+def ask_to_stop(path: Path, number: signal.Signals = signal.SIGTERM) -> LockHolder:
+    """Send a signal to the process that holds the lock of a file, and to no other; return it.
+
+    Raises NotStoppedError if no living process holds it, if it is another user's, or if it let the
+    lock go before the signal was sent.
+    """
+    holder = holder_of(path)
+    if holder is None:
+        raise NotStoppedError(f"no process holds {path}: the run has ended or died")
+    if not holder.own:
+        raise NotStoppedError(
+            f"the run belongs to {holder.user} (process {holder.pid})",
+            f"only {holder.user} and an administrator can end it",
+        )
+    try:
+        process = os.pidfd_open(holder.pid)
+    except OSError as error:
+        raise NotStoppedError(f"process {holder.pid} has ended: {error.strerror}") from error
+    try:
+        # Only now is the number bound to a process: what held the lock a moment ago may be gone.
+        if holder_of(path) != holder:
+            raise NotStoppedError(f"process {holder.pid} does not hold {path} any more")
+        signal.pidfd_send_signal(process, number)
+    except ProcessLookupError as error:
+        raise NotStoppedError(f"process {holder.pid} has ended") from error
+    except PermissionError as error:
+        raise NotStoppedError(
+            f"process {holder.pid} is {holder.user}'s: {error.strerror}"
+        ) from error
+    finally:
+        os.close(process)
+    return holder
+
+
+def lives(pid: int) -> bool:
+    """Return whether a process runs; one that has ended and was not asked for yet does not."""
+    try:
+        state = (PROC / str(pid) / "stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state not in "ZX"
+
+
+def guard_of(pid: int) -> int | None:
+    """Return the process id of a run's guard, None if it has none that can be seen."""
+    children: list[int] = []
+    with contextlib.suppress(OSError, ValueError):
+        for task in os.scandir(PROC / str(pid) / "task"):
+            children += map(int, (Path(task.path) / "children").read_text().split())
+    for child in children:
+        with contextlib.suppress(OSError):
+            if b"rig.run.guard" in (PROC / str(child) / "cmdline").read_bytes() and lives(child):
+                return child
+    return None
+
+
+def lock_file(name: str) -> Path:
+    """Return the lock file of an instrument's address (`rig.run.lock.address_names`). Raises
+    ConfigurationError if there is no folder for locks that can be trusted."""
+    from rig.run.lock import SUFFIX
+    from rig.run.shared_folder import SharedFolder
+
+    with SharedFolder() as folder:
+        return folder.path / (name + SUFFIX)

@@ -1,0 +1,150 @@
+"""What the page shows of a run, from its journal's records alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import recorded_run as run
+
+from rig.files.journal.follow import JournalTail
+from rig.files.journal.format import Block, PointBegin, PointDiscard, PointKeep
+from rig.files.journal.values import JournalEvent, RunHeader, StreamState
+from rig.page.ring import BIN_S, KEPT_S, Ring
+from rig.page.stop_course import StopSigns, stop_course
+from rig.page.view import MOST_CHANNELS, MOST_EVENTS, RunView
+from rig.page.word import Facts, bench_word
+
+
+@pytest.fixture
+def view(tmp_path) -> RunView:
+    shown = RunView()
+    with JournalTail(run.write_run(tmp_path / "a.rigj")) as tail:
+        for record in tail.poll():
+            shown.take(record)
+    return shown
+
+
+def test_a_journal_becomes_run_points_curve_events_and_end(view):
+    shown = view.summary()
+    assert (shown["procedure"], shown["mark"]) == ("sweep", "SIMULATED")
+    assert (shown["done"], shown["planned"], shown["n"], shown["point"]) == (5, 5, 5, None)
+    assert (shown["end"]["status"], shown["left_s"]) == ("complete", 0.0)
+    assert sorted(x for x, _ in view.curve) == sorted(run.FREQUENCIES)
+    assert [event["text"] for event in view.events][-1] == "complete, exit 0"
+
+
+def test_a_peak_of_one_sample_stays_visible_and_gaps_and_nan_are_no_values():
+    ring = Ring(("v",), "V")
+    values = np.zeros((1000, 1))
+    values[617] = 3.5
+    values[300:320] = math.nan
+    ring.add(np.arange(1000) / 1000, values)
+    shown = ring.since(0)
+    assert max(v for v in shown["high"][0] if v is not None) == 3.5
+    assert shown["high"][0][617 // 50] == 3.5
+    assert ring.since(ring.last_key)["k"] == [19]
+    ring.add(np.array([100.0]), np.array([[1.0]]))
+    assert ring.since(0)["k"][-1] == round(100 / BIN_S)
+
+
+def test_memory_is_bounded_whatever_a_journal_holds():
+    streams = [
+        {"name": f"s{n}", "device": "", "channels": [f"c{k}" for k in range(64)], "dtype": "<f8",
+         "row_shape": [64]}
+        for n in range(40)
+    ]  # fmt: skip
+    view = RunView()
+    view.take(RunHeader.model_validate(run.header(streams=streams)))
+    assert sum(len(ring.channels) for ring in view.rings.values()) == MOST_CHANNELS
+    rows = np.ones((100, 64))
+    for n in range(400):
+        block = Block(0, 100 * n, 20.0 * n, memoryview(rows.tobytes()).cast("B"))
+        view.take(block)
+        view.take(JournalEvent(time=20.0 * n, level="x" * 900, code="c" * 900, message="m" * 9000))
+    (ring, *_) = view.rings.values()
+    assert len(ring.since(-1)["k"]) <= KEPT_S / BIN_S
+    assert len(view.events) == MOST_EVENTS
+    assert len(str(list(view.events))) < 1000 * MOST_EVENTS
+
+
+def test_counts_become_values_at_their_times_and_the_servo_error_is_shown():
+    streams = [{"name": "force", "device": "", "channels": ["F_n", "F_t"], "dtype": "<f8",
+                "row_shape": [2]}]  # fmt: skip
+    view = RunView()
+    settings = {"normal_force_N": 4.0}
+    header = run.header(streams=streams, settings=settings, setting_units={})
+    view.take(RunHeader.model_validate(header))
+    view.take(StreamState(stream=0, rate_Hz=10.0, scale=(2.0, 1.0), offset=(0.5, 0.0), units="N"))
+    view.take(Block(0, 0, 1.0, memoryview(np.array([[1.0, 0.0], [2.0, 0.0]]).tobytes())))
+    assert view.force_N == 4.5
+    assert view.rings["servo_error"].latest == (0.5,)
+    assert view.rings["force"].since(0)["k"] == [round(0.9 / BIN_S), round(1.0 / BIN_S)]
+
+
+def test_a_retaken_point_counts_once_and_the_time_left_follows_from_those_recorded():
+    view = RunView()
+    view.take(RunHeader.model_validate(run.header()))
+    assert view.left_s() is None
+    for n, (point, begun, ended) in enumerate([("a", 0.0, 4.0), ("b", 4.0, 10.0)]):
+        view.take(PointBegin(point, {"time": begun}, "{}"))
+        assert view.summary()["n"] == n + 1
+        view.take(JournalEvent(time=ended, level="info", code="x", message=""))
+        view.take(PointKeep(point, {}, "{}"))
+    view.take(PointKeep("b", {}, "{}"))
+    assert (view.done, view.left_s()) == (2, 3 * 5.0)
+    view.take(PointBegin("c", {"time": 10.0}, "{}"))
+    view.take(PointDiscard("c", "trip", "{}"))
+    assert (view.done, view.discards, view.point) == (2, 1, None)
+
+
+GOOD = Facts(recorded=True, ended=True)
+
+
+@pytest.mark.parametrize(
+    ("facts", "word"),
+    [
+        (Facts(), "unknown"),
+        (Facts(run_lives=True, recorded=True), "running"),
+        (Facts(run_lives=True, recorded=True, busy=True, silent_s=4.0), "unknown"),
+        (Facts(run_lives=True, recorded=True, busy=True, force_N=1.2), "pressed"),
+        (Facts(run_lives=True, recorded=True, holding="silent sensor", silent_s=60.0), "holding"),
+        (Facts(run_lives=True, recorded=True, force_N=1.2, off_failed=True), "UNSAFE"),
+        (Facts(recorded=True), "UNSAFE"),  # it died, and nobody has said anything yet
+        (Facts(recorded=True, guard_reported=True), "safe"),
+        (Facts(recorded=True, guard_reported=True, pressed="still pressed at 12 mm"), "pressed"),
+        (Facts(recorded=True, ended=True, exit=7), "UNSAFE"),
+        (Facts(recorded=True, ended=True, unsafe="a mark"), "UNSAFE"),
+        (Facts(recorded=True, ended=True, held_by_another="process 7"), "unknown"),
+        (Facts(recorded=True, ended=True, problem="cannot be followed"), "unknown"),
+        (Facts(recorded=True, ended=True, pressed="still pressed"), "pressed"),
+        (GOOD, "safe"),
+    ],
+)
+def test_the_word_is_safe_only_where_somebody_has_reported_it(facts, word):
+    assert bench_word(facts).word == word
+
+
+def signs(**changes: object) -> StopSigns:
+    given = {"since_s": 0.3, "presses": 1, "pid": 42, "process_lives": True, "reacted": False,
+             "ended": False, "guard_pid": 43, "heartbeat_timeout_s": 5.0}  # fmt: skip
+    return StopSigns(**(given | changes))
+
+
+def test_a_stop_is_red_from_the_press_to_the_end_record_or_the_guards_report():
+    asked = stop_course(signs())
+    assert (asked.phase, asked.safe, asked.over) == ("asked", False, False)
+    twice = stop_course(signs(reacted=True, presses=2))
+    assert (twice.phase, twice.safe) == ("switching off", False)
+    assert "a further press changes nothing" in twice.text
+    hanging = stop_course(signs(since_s=3.0))
+    assert (hanging.phase, hanging.safe) == ("hanging", False)
+    assert "process 43) kills it after 5 s" in hanging.text
+    assert "by hand" in stop_course(signs(since_s=3.0, guard_pid=None)).text
+    gone = stop_course(signs(process_lives=False))
+    assert (gone.phase, gone.over, gone.safe) == ("guard", False, False)
+    told = stop_course(signs(process_lives=False, guard_report="it acted", guard_safe=True))
+    assert (told.phase, told.over, told.safe) == ("guard", True, True)
+    assert stop_course(signs(ended=True, exit=143, status="stopped")).safe
+    assert not stop_course(signs(ended=True, exit=7)).safe
